@@ -4,7 +4,7 @@
 # make core   those of logic with all extensions blocked
 # make mutations   whether every scenario notices what may be wrong in it; on a cluster with
 #             ENGINE="--engine dask --scheduler tcp://head:8786"
-# make lint   style and types
+# make lint   style and types, of Python and of JavaScript
 # make docs   out/docs/index.html
 # make bench  benchmarks, as ratios
 # make peers  docs/peers.md: the same work by Pinocchio, viser, MeshCat, rerun and others (10 GB from PyPI)
@@ -50,6 +50,7 @@ lint: .venv/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	.ci/js check
 
 docs: .venv/.test
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs out/docs

@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Callable
 
-from sero_mj.viewer.headless.backend import choose_backend
+from sero_mj.viewer.image.backend import choose_backend
 
 choose_backend()
 

@@ -28,7 +28,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from sero_mj.viewer.headless.backend import choose_backend
+from sero_mj.viewer.image.backend import choose_backend
 
 choose_backend()
 
@@ -37,7 +37,7 @@ from worlds import WORLDS, make_world
 
 from sero_mj import World
 from sero_mj.load import load_scene
-from sero_mj.viewer.camera import find_camera
+from sero_mj.viewer.image.camera import find_camera
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "peers"))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from sero_mj.viewer.headless.backend import choose_backend
+from sero_mj.viewer.image.backend import choose_backend
 
 choose_backend()
 

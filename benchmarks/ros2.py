@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from sero_mj.viewer.headless.backend import choose_backend
+from sero_mj.viewer.image.backend import choose_backend
 
 choose_backend()
 
@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from sero_mj import HeadlessRenderer, Mirror
-from sero_mj.data.record.bag import open_recording
+from sero_mj.data.record.formats import open_recording
 from sero_mj.data.record.replay import Replay
 from sero_mj.load import load_scene
 
@@ -87,7 +87,7 @@ def bare(count: int) -> tuple[int, list[float]]:
     from cyclonedds.topic import Topic
     from ros2_peer import JointState
 
-    from sero_mj.data.ros.dds import Participant
+    from sero_mj.extensions.ros.dds import Participant
 
     participant = Participant("localhost", DOMAIN, "bench")
     inner = participant._participant

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from sero_mj.viewer.headless.backend import choose_backend
+from sero_mj.viewer.image.backend import choose_backend
 
 choose_backend()
 
@@ -28,10 +28,10 @@ from rich.table import Table
 from worlds import WORLDS, make_world
 
 from sero_mj import HeadlessRenderer, Placer, World
-from sero_mj.viewer.camera import find_camera
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.toggles import Toggles
-from sero_mj.viewer.session.picking import pick
+from sero_mj.viewer.image.camera import find_camera
+from sero_mj.viewer.image.picking import pick
 
 Row = tuple[str, str, str, str, str]
 SIZE = (1280, 800)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from sero_mj.viewer.headless.backend import choose_backend
+from sero_mj.viewer.image.backend import choose_backend
 
 choose_backend()
 

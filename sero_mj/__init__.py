@@ -59,19 +59,19 @@ if TYPE_CHECKING:
     from .simulate.sensors import SensorErrors as SensorErrors
     from .simulate.sensors import Sensors as Sensors
     from .simulate.simulation import Simulation as Simulation
-    from .viewer.headless.render import HeadlessRenderer as HeadlessRenderer
-    from .viewer.headless.render import render_film as render_film
-    from .viewer.headless.render import render_picture as render_picture
-    from .viewer.overlay import Overlay as Overlay
-    from .viewer.overlay import overlay as overlay
+    from .viewer.image.render import HeadlessRenderer as HeadlessRenderer
+    from .viewer.image.render import render_film as render_film
+    from .viewer.image.render import render_picture as render_picture
     from .viewer.player.capture import Mark as Mark
     from .viewer.player.page import export_html as export_html
+    from .viewer.program.overlay import Overlay as Overlay
+    from .viewer.program.overlay import overlay as overlay
     from .viewer.program.viewer import Viewer as Viewer
     from .viewer.program.viewer import view as view
 
 from .base.when_imported import when_imported as _when_imported
-from .viewer.headless.backend import choose_backend as _choose_backend
-from .viewer.headless.backend import has_display as _has_display
+from .viewer.image.backend import choose_backend as _choose_backend
+from .viewer.image.backend import has_display as _has_display
 
 if not _has_display():
     _choose_backend()
@@ -115,13 +115,13 @@ _HOME = {
     "Simulation": "simulate.simulation",
     "SensorErrors": "simulate.sensors",
     "Sensors": "simulate.sensors",
-    "render_film": "viewer.headless.render",
-    "render_picture": "viewer.headless.render",
-    "HeadlessRenderer": "viewer.headless.render",
+    "render_film": "viewer.image.render",
+    "render_picture": "viewer.image.render",
+    "HeadlessRenderer": "viewer.image.render",
     "export_html": "viewer.player.page",
     "Mark": "viewer.player.capture",
-    "Overlay": "viewer.overlay",
-    "overlay": "viewer.overlay",
+    "Overlay": "viewer.program.overlay",
+    "overlay": "viewer.program.overlay",
     "Viewer": "viewer.program.viewer",
     "view": "viewer.program.viewer",
 }

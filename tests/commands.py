@@ -14,7 +14,7 @@ from typing import Any
 
 _IMPORTED = (
     "sero_mj.cli", "sero_mj.load", "sero_mj.extensions.explain.explain", "sero_mj.study.figure",
-    "sero_mj.extensions.sweeps.sweep", "sero_mj.viewer.headless.render",
+    "sero_mj.extensions.sweeps.sweep", "sero_mj.viewer.image.render",
     "sero_mj.simulate.simulation",
     "sero_mj.viewer.program.viewer", "sero_mj.viewer.web.host", "sero_mj.viewer.window.host",
     "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_pdf",

@@ -8,7 +8,7 @@ the first and the last of each.
 
 from __future__ import annotations
 
-from sero_mj.viewer.headless.backend import choose_backend
+from sero_mj.viewer.image.backend import choose_backend
 
 choose_backend()
 
@@ -23,7 +23,6 @@ import signal
 import socket
 import subprocess
 import sys
-import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -306,23 +305,12 @@ def lwr_world(lwr: SerialRobot) -> World:
 
 
 @pytest.fixture(scope="session")
-def node_modules(pytestconfig: pytest.Config) -> Path:
-    """What the player's sources are checked and built with, installed once and kept."""
+def node_modules() -> Path:
+    """The packages that check and bundle the player's JavaScript."""
     if shutil.which("npm") is None:
         pytest.skip("npm is not installed")
-    import fcntl
-
-    js = ROOT / "sero_mj" / "viewer" / "player" / "js"
-    number = zlib.crc32((js / "package-lock.json").read_bytes())
-    folder = pytestconfig.cache.mkdir(f"node-{number:08x}")
-    with (folder / "lock").open("w") as lock:  # of all workers
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "installed").exists():
-            for name in ("package.json", "package-lock.json"):
-                shutil.copy(js / name, folder)
-            subprocess.run(["npm", "ci", "--no-audit", "--no-fund"], cwd=folder, check=True)
-            (folder / "installed").touch()
-    return folder / "node_modules"
+    subprocess.run([ROOT / ".ci" / "js", "install"], check=True)
+    return ROOT / ".venv" / "js" / "node_modules"
 
 
 @pytest.fixture(scope="session")

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sero_mj import Scene, World
-from sero_mj.viewer.camera import find_camera
 from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.image.camera import find_camera
 from sero_mj.viewer.player import capture as capture_module
 from sero_mj.viewer.player.capture import Capture
 from sero_mj.viewer.player.page import write_page
@@ -81,12 +81,12 @@ def classic(
 # The picture alone at some size, as digits of red, green, blue and alpha.
 DRAWN = """([width, height, time, hidden, hasShadows]) => {
     const { stage } = player;
-    player.seek(time);
+    player.recording.seek(time);
     stage.resize(width, height);
     stage.renderer.setPixelRatio(1);
     stage.renderer.setSize(width, height, false);
     stage.chooseCamera(stage.run.eye.fixed);
-    player.switches.shadows = hasShadows;
+    player.stage.hasShadows = hasShadows;
     player.draw();
     for (const each of hidden) (stage[each] ?? stage.surroundings[each]).visible = false;
     stage.draw();

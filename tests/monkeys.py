@@ -10,7 +10,8 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from sero_mj.viewer.session.interaction import HOST_KEYS, KEYS, MORE_KEYS
+from sero_mj.viewer.image.clicks import KEYS
+from sero_mj.viewer.session.keys import HOST_KEYS, MORE_KEYS
 from sero_mj.viewer.session.tool import tool_keys
 
 SHIFT, CONTROL = "shift", "control"

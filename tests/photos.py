@@ -10,7 +10,7 @@ import numpy as np
 from sero_mj import SerialRobot, World
 from sero_mj.base.frames import Array
 from sero_mj.extensions.photo.photo_camera import PhotoCamera, PlanePicture
-from sero_mj.viewer.headless.render import make_renderer
+from sero_mj.viewer.image.render import make_renderer
 
 POSE = [0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0]
 LENSES: dict[str, tuple[str, list[float]]] = {

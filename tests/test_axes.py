@@ -18,7 +18,7 @@ from sero_mj.robots.declared.surroundings import Object
 from sero_mj.viewer.decor.axes import AXIS_RGB, ranks
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
-from sero_mj.viewer.session.picking import pick
+from sero_mj.viewer.image.picking import pick
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 

@@ -11,7 +11,7 @@ import pytest
 from conftest import raises_with
 
 from sero_mj.base.errors import RenderError
-from sero_mj.viewer.headless import backend
+from sero_mj.viewer.image import backend
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="MUJOCO_GL is chosen on Linux")
 

@@ -29,9 +29,9 @@ from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.decor.quantities import joint_values
 from sero_mj.viewer.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.viewer.decor.toggles import Toggles
-from sero_mj.viewer.session.interaction import click
-from sero_mj.viewer.session.picking import pick
-from sero_mj.viewer.typesetting import Typesetter
+from sero_mj.viewer.image.clicks import click
+from sero_mj.viewer.image.picking import pick
+from sero_mj.viewer.image.typesetting import Typesetter
 
 TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])
 

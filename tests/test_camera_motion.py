@@ -12,18 +12,18 @@ from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Camera, Scene, View
-from sero_mj.viewer.camera import Navigator, followed
-from sero_mj.viewer.camera_motion import (
+from sero_mj.viewer.image.camera import Navigator, followed
+from sero_mj.viewer.image.camera_motion import (
     CameraKey,
     CameraPath,
     monotone_cubic,
     orbit,
     read_camera_path,
 )
-from sero_mj.viewer.following import TIME_CONSTANT, Follower, roots
-from sero_mj.viewer.headless.film_frames import film_frames
-from sero_mj.viewer.headless.picture_options import FilmOptions
-from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.image.film_frames import film_frames
+from sero_mj.viewer.image.following import TIME_CONSTANT, Follower, roots
+from sero_mj.viewer.image.picture_options import FilmOptions
+from sero_mj.viewer.image.render import HeadlessRenderer
 
 TIMES = np.array([0.0, 1.0, 1.5, 4.0, 5.0])
 VALUES = np.array([[0.0, 3.0], [2.0, 3.0], [2.5, -1.0], [2.6, 4.0], [2.6, 5.0]])

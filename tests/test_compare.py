@@ -405,7 +405,7 @@ def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_pat
 def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) -> None:
     from PIL import Image
 
-    from sero_mj.viewer.headless.render import render_picture
+    from sero_mj.viewer.image.render import render_picture
 
     log = simulated().log
 

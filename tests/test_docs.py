@@ -36,7 +36,7 @@ ALONE = re.compile(r"(?:\.venv/bin/)?sero-mj [^|&;<>$*`#]*(#.*)?|#.*|\s*")
 LONGEST = ("compare", "controllers", "headless", "learn", "mirror", "player", "robots", "ros",
            "simulate", "tutorial", "view")  # fmt: skip
 PAGES = sorted(
-    [ROOT / "README.md", *(ROOT / "docs").glob("*.md")],
+    [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/extensions").glob("*.md")],
     key=lambda page: (page.stem in LONGEST, page),
 )
 # Of films and pictures: software takes most of the time of this test to draw them.

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sero_mj.viewer.panels.dom_widgets import DomWidgets
-from sero_mj.viewer.panels.widgets import Line, Plot, Widgets
+from sero_mj.viewer.session.widgets import Line, Plot, Widgets
 
 SIZE = (20.0, 10.0)
 
@@ -98,12 +98,10 @@ def test_what_a_user_did_is_returned_once_by_its_widget_only(ui: DomWidgets) -> 
     assert nodes[3]["aria"] == "kind"
     for id_, value in zip(ids[1:], [True, True, 1, 9.0, -3, "A", True], strict=True):
         ui.act(id_, value)
-    assert ui.is_asked
     ui.tree_of(build, SIZE)
     assert found[1] == (False, True, (True, True), (True, 1), (True, 2.0), (True, -3.0), "A", True)
     ui.tree_of(build, SIZE)
     assert found[2] == nothing
-    assert not ui.is_asked
 
 
 def test_what_takes_no_input_takes_none(ui: DomWidgets) -> None:
@@ -118,7 +116,6 @@ def test_what_takes_no_input_takes_none(ui: DomWidgets) -> None:
     pressed: list[bool] = []
     ui.tree_of(build, SIZE)
     ui.act("go", True)
-    assert ui.is_asked
     (node,) = ui.tree_of(lambda: pressed.append(build()), SIZE)
     assert (node["off"], pressed) == (True, [False])
 
@@ -147,7 +144,6 @@ def test_ids_that_no_widget_has_are_not_stored(ui: DomWidgets) -> None:
         ui.fold("go", is_open=True)  # it cannot be folded
     assert len(pickle.dumps(vars(ui) | {"copy": None})) == size
     assert ui.folds == {}
-    assert not ui.is_asked
     ui.fold("Section", is_open=False)
     assert ui.folds == {"Section": False}
 

@@ -19,9 +19,9 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.viewer.camera import bounding_sphere
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.session.picking import pick
+from sero_mj.viewer.image.camera import bounding_sphere
+from sero_mj.viewer.image.picking import pick
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 TARGET = np.array([-0.4, 0.9, 0.1, -1.1, 0.6, 0.5, -0.3])

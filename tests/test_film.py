@@ -18,9 +18,9 @@ from sero_mj.base.errors import DeclarationError, RenderError
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene, View
-from sero_mj.viewer.headless.film import FilmWriter, default_fps, save_picture
-from sero_mj.viewer.headless.render import render_film, render_picture
-from sero_mj.viewer.sampling import sampled_states
+from sero_mj.viewer.image.film import FilmWriter, default_fps, save_picture
+from sero_mj.viewer.image.render import render_film, render_picture
+from sero_mj.viewer.image.sampling import sampled_states
 
 # The default view depends on where the scene declares the robot.
 VIEW = View(distance=2.0, look_at=[0.0, 0.0, 0.5])

@@ -17,12 +17,12 @@ from sero_mj.robots.assemble.solids import geom_boxes, geom_corners
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.viewer.camera import Navigator, find_camera
 from sero_mj.viewer.decor.picture_view import PictureView
-from sero_mj.viewer.framing import Framing, stand_back
-from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.image.camera import Navigator, find_camera
+from sero_mj.viewer.image.framing import Framing, stand_back
+from sero_mj.viewer.image.render import HeadlessRenderer
+from sero_mj.viewer.image.sampling import recorded_poses
 from sero_mj.viewer.player import capture as capture_file
-from sero_mj.viewer.sampling import recorded_poses
 
 SIZES = [(390, 844), (1280, 800), (360, 270)]
 

@@ -8,7 +8,7 @@ import pytest
 from conftest import ROOT, import_script
 
 from sero_mj.base import paths
-from sero_mj.viewer.headless.render import render_picture
+from sero_mj.viewer.image.render import render_picture
 
 
 @pytest.fixture(scope="module")

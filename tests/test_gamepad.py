@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from window_tools import MISSING, Driven, screen
 
-from sero_mj.viewer.session.interaction import HOST_KEYS, KEYS, MORE_KEYS
+from sero_mj.viewer.image.clicks import KEYS
+from sero_mj.viewer.session.keys import HOST_KEYS, MORE_KEYS
 from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.window.gamepad import BUTTONS, PAD_KEYS, PAD_STICKS, bent
 

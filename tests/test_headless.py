@@ -14,14 +14,19 @@ from sero_mj.data.drive.place import Placer
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.scene import Camera, Scene, View
-from sero_mj.viewer.camera import Navigator, find_camera
 from sero_mj.viewer.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, line_height
 from sero_mj.viewer.decor.geom_buffer import ARROW_SIZE_OF_LENGTH
 from sero_mj.viewer.decor.panels import PADDING
 from sero_mj.viewer.decor.picture_view import PictureView
-from sero_mj.viewer.framing import Framing, bounding_sphere, needed_aspect, stand_back
-from sero_mj.viewer.headless import render
-from sero_mj.viewer.headless.render import HeadlessRenderer, render_picture
+from sero_mj.viewer.image import render
+from sero_mj.viewer.image.camera import Navigator, find_camera
+from sero_mj.viewer.image.framing import (
+    Framing,
+    bounding_sphere,
+    needed_aspect,
+    stand_back,
+)
+from sero_mj.viewer.image.render import HeadlessRenderer, render_picture
 
 pytestmark = pytest.mark.gl
 

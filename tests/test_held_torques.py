@@ -15,11 +15,11 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.assemble.gravity_torques import GravityTorques
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.viewer.headless import film_frames
-from sero_mj.viewer.headless.render import render_film, render_picture
+from sero_mj.viewer.image import film_frames
+from sero_mj.viewer.image.held_torques import HeldTorques
+from sero_mj.viewer.image.render import render_film, render_picture
+from sero_mj.viewer.image.scene_decor import SceneDecor
 from sero_mj.viewer.player.capture import capture
-from sero_mj.viewer.session.held_torques import HeldTorques
-from sero_mj.viewer.session.scene_decor import SceneDecor
 
 BENT = [0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1]
 SMALL = {"size": (320, 240), "quality": "draft"}

@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
-from sero_mj.data.record._mcap_reader import MAX_CHUNK_BYTES
+from sero_mj.data.record.mcap_reader import MAX_CHUNK_BYTES
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.replay import Replay
 
@@ -190,7 +190,7 @@ def test_what_a_recording_declares_wrongly_is_told(
     with pytest.raises(DeclarationError, match=re.escape(f"source: {path}: {expected}")):
         Replay(file=path)
     with pytest.raises(SystemExit) as ended:
-        main(["export-csv", str(path), str(tmp_path / "a.csv")])
+        main(["export", str(path), str(tmp_path / "a.csv")])
     assert ended.value.code == 2
     assert f"sero-mj: source: {path}: {expected}" in capsys.readouterr().err
 

@@ -17,10 +17,15 @@ from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.declared.surroundings import Object
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
-from sero_mj.viewer.headless.render import HeadlessRenderer
-from sero_mj.viewer.session.interaction import KEYS, click
-from sero_mj.viewer.session.picking import Picked, pick, ray_boxes, ray_triangles
-from sero_mj.viewer.session.scene_decor import SceneDecor
+from sero_mj.viewer.image.clicks import KEYS, click
+from sero_mj.viewer.image.picking import (
+    Picked,
+    pick,
+    ray_boxes,
+    ray_triangles,
+)
+from sero_mj.viewer.image.render import HeadlessRenderer
+from sero_mj.viewer.image.scene_decor import SceneDecor
 
 POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])
 SIZE = (640, 480)

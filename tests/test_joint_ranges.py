@@ -14,7 +14,7 @@ from sero_mj.load import load_scene
 from sero_mj.robots.declared.inverse_kinematics import independent_limits
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.simulate.endless_run import bent_pose
-from sero_mj.viewer.tools.joint_goal import JointGoal
+from sero_mj.viewer.session.joint_goal import JointGoal
 
 INF = math.inf
 _LIMIT = {"revolute": 'lower="-2.4" upper="2.4"', "continuous": ""}

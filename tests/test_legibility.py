@@ -22,7 +22,7 @@ from PIL import Image
 from sero_mj.data.drive.place import follow
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.geom_buffer import Kind
-from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.image.render import HeadlessRenderer
 
 POSES = examples(44)  # and as many cameras
 MOST_WRONG = 0.02  # of all numbers

@@ -26,8 +26,8 @@ from sero_mj.simulate.tools.steering import Steering
 from sero_mj.simulate.tools.steering_panel import SteeringPanel
 from sero_mj.viewer.decor.handles import CUBE, HANDLE_NAMES
 from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.image.scene_decor import SceneDecor
 from sero_mj.viewer.session.clock import Clock
-from sero_mj.viewer.session.scene_decor import SceneDecor
 from sero_mj.viewer.tools.handle_drag import dragged
 
 BENT = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])

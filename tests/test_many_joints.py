@@ -23,9 +23,9 @@ from sero_mj.study.summary import summarise
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.panels import Panels
+from sero_mj.viewer.image.clicks import click
+from sero_mj.viewer.image.picking import Picked
 from sero_mj.viewer.panels.robot_panel import RobotPanel
-from sero_mj.viewer.session.interaction import click
-from sero_mj.viewer.session.picking import Picked
 
 SIZES = [(1280, 800), (640, 480)]
 

@@ -25,10 +25,10 @@ from sero_mj.viewer.decor.model_drawing import ModelDrawing
 from sero_mj.viewer.decor.part_names import named_parts
 from sero_mj.viewer.decor.scene_writer import struct_view
 from sero_mj.viewer.decor.toggles import PART_NAMES, Toggles
+from sero_mj.viewer.image.switches import apply_switches
 from sero_mj.viewer.player.capture import capture_pose
 from sero_mj.viewer.player.copied_bodies import CopiedBodies
 from sero_mj.viewer.player.encode import encode
-from sero_mj.viewer.session.view_state import apply_switches
 from sero_mj.viewer.web.host import WebHost
 
 GEOM, CAT = mujoco.mjtGeom, mujoco.mjtCatBit
@@ -239,9 +239,9 @@ def test_check_boxes_of_a_page_are_undone_and_copied(page: WebHost, client: Page
 
 
 def test_a_program_opens_the_panel_of_a_page(page: WebHost, client: PageClient) -> None:  # noqa: F811
-    page.toggle_status()
+    page.toggle("shows_panel")
     client.until(lambda: client.state["panel"] is None)
-    page.open_panel()
+    page.shows_panel = True
     client.until(lambda: client.state["panel"])
 
 

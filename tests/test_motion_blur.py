@@ -11,10 +11,10 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.picture_view import PictureView
-from sero_mj.viewer.headless.film_frames import film_frames
-from sero_mj.viewer.headless.motion_blur import SHUTTER, SUBFRAMES, Exposure
-from sero_mj.viewer.headless.picture_options import FilmOptions
-from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.image.film_frames import film_frames
+from sero_mj.viewer.image.motion_blur import SHUTTER, SUBFRAMES, Exposure
+from sero_mj.viewer.image.picture_options import FilmOptions
+from sero_mj.viewer.image.render import HeadlessRenderer
 
 AXES = np.eye(3)
 VIEW = PictureView(np.zeros(3), AXES[0], AXES[1], -AXES[2], 0.5, 0.01, 200, 100)

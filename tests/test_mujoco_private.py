@@ -9,8 +9,8 @@ import mujoco
 import pytest
 
 from sero_mj.base.errors import RenderError
-from sero_mj.viewer import mujoco_private
-from sero_mj.viewer.mujoco_private import context_of, filament
+from sero_mj.viewer.image import mujoco_private
+from sero_mj.viewer.image.mujoco_private import context_of, filament
 
 
 @pytest.mark.gl

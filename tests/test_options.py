@@ -28,7 +28,7 @@ from sero_mj.base.options import (
 from sero_mj.cli.export import ExportOptions
 from sero_mj.cli.options import add_options, read_options
 from sero_mj.cli.record import RecordOptions
-from sero_mj.viewer.headless.picture_options import FilmOptions, PictureOptions
+from sero_mj.viewer.image.picture_options import FilmOptions, PictureOptions
 
 Picture = Annotated[Path, ending(".png", ".jpg")]
 

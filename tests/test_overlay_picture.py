@@ -17,8 +17,8 @@ from PIL import Image
 import sero_mj
 from sero_mj.base.errors import RenderError
 from sero_mj.robots.assemble.world import World
-from sero_mj.viewer.headless.film import Picture
-from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.image.film import Picture
+from sero_mj.viewer.image.render import HeadlessRenderer
 
 pytestmark = pytest.mark.gl
 

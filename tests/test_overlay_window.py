@@ -63,7 +63,7 @@ sys.path.insert(0, {folder!r})
 import mujoco, numpy as np
 import sero_mj
 from foreign_models import arm
-from sero_mj.viewer.camera import find_camera
+from sero_mj.viewer.image.camera import find_camera
 
 model, data = arm()
 goal, twin = (sero_mj.Double(name=name, of="arm") for name in ("goal", "twin"))

@@ -18,8 +18,8 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Object, Scene
-from sero_mj.viewer.headless.pass_files import palette, save_depth, save_segmentation
-from sero_mj.viewer.headless.render import HeadlessRenderer, render_film, render_picture
+from sero_mj.viewer.image.pass_files import palette, save_depth, save_segmentation
+from sero_mj.viewer.image.render import HeadlessRenderer, render_film, render_picture
 
 POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])
 SIZE = (321, 240)

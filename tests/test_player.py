@@ -6,16 +6,15 @@ import base64
 import json
 import os
 import re
-import shutil
 import subprocess
 import zlib
-from importlib.resources import files
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from commands import run_command as run_in_folder
+from conftest import ROOT
 from runs import simulated
 
 from sero_mj.base.errors import RenderError, UsageError
@@ -25,14 +24,11 @@ from sero_mj.robots.declared.surroundings import Object
 from sero_mj.study import run_report
 from sero_mj.study.run_marks import marks_of
 from sero_mj.viewer.decor.geom_buffer import Kind
-from sero_mj.viewer.player import capture as capture_module
 from sero_mj.viewer.player import gltf as gltf_module
 from sero_mj.viewer.player.capture import capture
 from sero_mj.viewer.player.encode import encode
 from sero_mj.viewer.player.gltf import write_glb
 from sero_mj.viewer.player.page import write_page
-
-JS = Path(capture_module.__file__).parent / "js"
 
 
 def run_command(*arguments: str, folder: Path) -> tuple[int, str]:
@@ -195,19 +191,12 @@ def test_a_recording_without_a_whole_packet_leaves_no_page(tmp_path: Path, whole
     assert not (tmp_path / "torn.html").exists()
 
 
-@pytest.mark.thorough
-def test_the_bundle_is_what_its_sources_make(tmp_path: Path, node_modules: Path) -> None:
-    copy = tmp_path / "player" / "js"
-    shutil.copytree(JS, copy, ignore=shutil.ignore_patterns("node_modules"))
-    (copy / "node_modules").symlink_to(node_modules)
-    for step in (["test"], ["run", "check"], ["run", "build"]):
-        done = subprocess.run(["npm", *step], cwd=copy, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout + done.stderr
-    names = ("player/static/player.js", "player/static/player.css", "player/static/bridge.js")
-    for name in (*names, "web/static/start.css"):
-        shipped = files("sero_mj.viewer") / name
-        made = (tmp_path / name).read_bytes()
-        assert made == shipped.read_bytes(), f"run npm run build in {JS.name}/"
+@pytest.mark.parametrize("what", ["test", "compare"])
+def test_javascript_passes_its_unit_tests_and_the_bundle_is_what_its_sources_make(
+    what: str, node_modules: Path
+) -> None:
+    done = subprocess.run([ROOT / ".ci" / "js", what], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.thorough

@@ -24,7 +24,7 @@ from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.simulate.tools.pulling import Pulling, target_of
 from sero_mj.viewer.decor.picture_view import PictureView
-from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.image.render import HeadlessRenderer
 from sero_mj.viewer.session.clock import Clock
 
 _SIGNALS = ("actual_angles", "joint_angles", "torques", "external_torques", "commanded_torques")

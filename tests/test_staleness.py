@@ -18,7 +18,7 @@ from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GREY, Kind
 from sero_mj.viewer.decor.scene_writer import SceneWriter
 from sero_mj.viewer.decor.staleness import Staleness
-from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.image.render import HeadlessRenderer
 
 GEOM = mujoco.mjtGeom
 

@@ -26,9 +26,9 @@ from sero_mj.base.errors import SeroError, UsageError
 from sero_mj.cli.opening import is_temporary, view_of_file
 from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.load import load_scene
+from sero_mj.viewer.host.start_page import ExpectedPackets, PortMonitor, sections
 from sero_mj.viewer.session import recent_views as recent
 from sero_mj.viewer.session.recent_views import MOST, RecentView, recent_views, remember_view
-from sero_mj.viewer.session.start_page import ExpectedPackets, PortMonitor, sections
 from sero_mj.viewer.web import uploads
 
 ARM = """

@@ -27,7 +27,7 @@ from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.panels import Panels
 from sero_mj.viewer.decor.status import FAULT_RGBA
 from sero_mj.viewer.decor.toggles import Toggles
-from sero_mj.viewer.typesetting import Typesetter
+from sero_mj.viewer.image.typesetting import Typesetter
 
 
 def udp_scene(**udp: Any) -> Scene:

@@ -14,7 +14,7 @@ from sero_mj import HeadlessRenderer, Scene, SerialRobot, World, render_film, re
 from sero_mj.base.errors import RenderError
 from sero_mj.base.frames import Array
 from sero_mj.cli import main
-from sero_mj.viewer.stereo import anaglyph, each_eye, looked_at
+from sero_mj.viewer.image.stereo import anaglyph, each_eye, looked_at
 
 WIDTH, HEIGHT, EYES = 640, 400, 0.1
 VALUES = {

@@ -7,7 +7,7 @@ import pytest
 
 from sero_mj import Double, Scene, SerialRobot, World
 from sero_mj.viewer.decor.toggles import Toggles
-from sero_mj.viewer.session.interaction import KEYS, press_toggle
+from sero_mj.viewer.image.clicks import KEYS, press_toggle
 
 
 @pytest.fixture(scope="module")

@@ -18,16 +18,16 @@ from sero_mj.robots.declared.scene import Scene, SceneToggles
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.toggles import Toggles
-from sero_mj.viewer.headless.render import HeadlessRenderer
-from sero_mj.viewer.session.interaction import (
+from sero_mj.viewer.host.pointer import ClickDetector
+from sero_mj.viewer.image.clicks import (
     CLICKS,
-    DOUBLE_CLICK_TIME,
     KEYS,
-    ClickDetector,
     click,
     hover,
 )
-from sero_mj.viewer.session.picking import Picked, pick
+from sero_mj.viewer.image.picking import Picked, pick
+from sero_mj.viewer.image.render import HeadlessRenderer
+from sero_mj.viewer.session.input import DOUBLE_CLICK_TIME
 
 Q = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 HERE = (100.0, 100.0)

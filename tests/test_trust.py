@@ -24,7 +24,7 @@ from sero_mj.base.errors import DeclarationError, NotTrusted, UnknownName
 from sero_mj.robots.importers.urdf import read_urdf
 from sero_mj.simulate.external_control.datagrams import UdpProgram
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.viewer.session.other_scenes import OtherScenes
+from sero_mj.viewer.host.other_scenes import OtherScenes
 from sero_mj.viewer.web import browsers
 from sero_mj.viewer.web.host import WebHost
 
@@ -72,10 +72,10 @@ PASSIVE = {
     "check": ("check", "{file}"),
     "render": ("render", "{file}", "-o", "{out}/a.png"),
     "render a video": ("render", "{file}", "-o", "{out}/a.gif", "--duration", "0.1"),
-    "fk": ("fk", "{file}"),
+    "fk": ("check", "--fk", "{file}"),
     "convert": ("convert", "{file}", "{out}/a.x3d"),
     "export": ("export", "{file}", "-o", "{out}/a.html", "--seconds", "0.1"),
-    "schema": ("schema", "scenario"),
+    "schema": ("check", "--schema", "scenario"),
     "list": ("list",),
     "status": ("status", "{file}", "--seconds", "0.1"),
 }
@@ -354,6 +354,7 @@ def test_a_module_that_a_file_names_is_imported_only_if_its_package_lists_it():
     assert refused.value.name == "tool"
 
 
+@pytest.mark.extensions
 def test_the_type_names_of_a_bag_are_no_code(tmp_path, capsys):
     """rosbags makes classes of them, by `exec`."""
     pytest.importorskip("rosbags")
@@ -383,7 +384,7 @@ _GUARDED: dict[str, str] = {
     "simulate/external_control/library_host.py": "started by library.py",
     "simulate/mujoco_timers.py": "MuJoCo's own library",
     "extensions/sweeps/scenario_inputs.py": "reads, with our interpreter, what the user simulates",
-    "viewer/headless/backend.py": "our own probes",
+    "viewer/image/backend.py": "our own probes",
     "extensions/filament/probe.py": "our own probes",
     "viewer/program/process.py": "our own viewer",
     "viewer/program/process_main.py": "messages of the process that has started it",
@@ -480,6 +481,11 @@ def test_a_scenario_asks_before_it_sends_to_the_network(tmp_path):
     request = load_scene(file).withheld
     assert request is not None
     assert "192.0.2.7:30200" in request.actions[0].text
+
+
+@pytest.mark.extensions
+def test_a_scenario_asks_before_a_node_of_ros_joins_the_network(tmp_path):
+    file = tmp_path / "far.toml"
     file.write_text(SCENARIO.format(controller='kind = "ros2"\ndomain = 7'))
     request = load_scene(file).withheld
     assert request is not None

@@ -11,7 +11,12 @@ from sero_mj.viewer.decor.card_names import card_names
 from sero_mj.viewer.decor.font import drawable, line_of
 from sero_mj.viewer.decor.panels import Panels
 from sero_mj.viewer.decor.value_columns import value_columns
-from sero_mj.viewer.typesetting import Placed, Text, Typesetter, compose
+from sero_mj.viewer.image.typesetting import (
+    Placed,
+    Text,
+    Typesetter,
+    compose,
+)
 
 BLACK = (0.0, 0.0, 0.0, 1.0)
 VALUES = [b"A2  cmd   -12.5 Nm", b"    pos   3.0625 rad", b"    limit no data"]

@@ -21,13 +21,13 @@ from sero_mj.base.plugins import forget_plugins
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.declared.cartesian import SmartArrow
 from sero_mj.robots.declared.scene import SceneToggles
-from sero_mj.viewer.camera import find_camera
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.decor.round_arrows import ARROW_GEOMS
 from sero_mj.viewer.decor.scene_writer import SceneWriter
 from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.image.camera import find_camera
 from sero_mj.viewer.player.capture import _ARROW_GEOMS, capture
 
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
@@ -39,7 +39,7 @@ LWR_LIMITS = np.array([200.0, 200.0, 100.0, 100.0, 100.0, 30.0, 30.0])
 
 # Places of the vertices of the round arrows, in their own frames, as the shader computes them.
 VERTICES = """([joints, time]) => {
-    player.seek(time);
+    player.recording.seek(time);
     player.draw();
     const { stage } = player, { arrows } = stage;
     const gl = document.createElement("canvas").getContext("webgl2");

@@ -29,9 +29,9 @@ from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver, World
 from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.viewer.decor.geom_buffer import Kind
+from sero_mj.viewer.host.restoring import keep, restore
+from sero_mj.viewer.image.scene_decor import SceneDecor
 from sero_mj.viewer.player.capture import shown_bodies
-from sero_mj.viewer.session.restoring import keep, restore
-from sero_mj.viewer.session.scene_decor import SceneDecor
 from sero_mj.viewer.web import browsers
 from sero_mj.viewer.web.host import WebHost
 from sero_mj.viewer.web.messages import (
@@ -147,7 +147,7 @@ def test_cards_have_the_text_of_billboards_and_their_places(
         assert card["sign"] == ("positive" if torques[index] > 0 else "negative")
         place = page.data.site_xpos[page.world.joints.centre_site[index]]
         np.testing.assert_allclose(card["at"], place, atol=1e-4)
-    client.say("card", kind=2, item=3)
+    client.say("card", kind=2, item=3, x=5, y=5)
     client.until(lambda: 3 not in [card["item"] for card in client.state["cards"]])
     assert not page.toggles.billboards[3]
 
@@ -495,7 +495,7 @@ def test_words_that_are_none_are_counted(page: WebHost, client: PageClient) -> N
     client.say("key")
     client.say("pointer", kind="press", x="a", y=0)
     client.say("camera", fixed=-1, lookAt=[0, 0], distance=1, azimuth=0, elevation=0)
-    client.say("card", kind=1, item=10**6)  # nothing is there
+    client.say("card", kind=1, item=10**6, x=5, y=5)  # nothing is there
     client.until(lambda: page.browsers.refused == 10 and page._input.wrong == 1)
     client.say("key", key="a")
     client.until(lambda: not page.toggles.arrows.any())
@@ -509,7 +509,7 @@ EXAMPLES: dict[type[Message], dict[str, Any]] = {
     Wheel: {"n": 1.5},
     Hold: {},
     Key: {"key": "a", "repeat": False},
-    Card: {"kind": int(Kind.BILLBOARD), "item": 0, "shift": True, "double": False},
+    Card: {"kind": int(Kind.BILLBOARD), "item": 0, "x": 9, "y": 9.5, "shift": True},
     Widget: {"tree": "panel", "id": "axes", "value": True},
     Fold: {"tree": "panel", "id": "Sources", "open": False},
     CloseArea: {"area": "Plots"},

@@ -19,7 +19,7 @@ from sero_mj.cli.view import Session, ViewOptions, wants_page
 from sero_mj.viewer.decor.font import DEFAULT_FONT
 from sero_mj.viewer.decor.panels import labels_at
 from sero_mj.viewer.decor.picture_view import PictureView
-from sero_mj.viewer.session.interaction import help_columns
+from sero_mj.viewer.session.keys import help_columns
 from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.web.page_state import card_lines
 from sero_mj.viewer.web.server import check_address, page_url
@@ -88,19 +88,19 @@ def test_an_address_of_others_is_refused(host: str) -> None:
 
 
 def test_there_is_a_page_where_there_is_no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: True)
+    monkeypatch.setattr("sero_mj.viewer.image.backend.has_display", lambda: True)
     assert not wants_page(ViewOptions(scene="lwr"))
     assert wants_page(ViewOptions(scene="lwr", web=True))
     assert wants_page(ViewOptions(scene="lwr", port=8081))
     assert wants_page(ViewOptions(scene="lwr", host="0.0.0.0"))
-    monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: False)
+    monkeypatch.setattr("sero_mj.viewer.image.backend.has_display", lambda: False)
     assert wants_page(ViewOptions(scene="lwr"))
 
 
 def test_it_says_why_it_is_a_page_once_there_is_a_scene(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: False)
+    monkeypatch.setattr("sero_mj.viewer.image.backend.has_display", lambda: False)
     monkeypatch.setattr("sero_mj.cli.view.Session.show", lambda session, scene: None)
     for scene, said in (("lwr", True), ("lrw", False)):
         with pytest.raises(SystemExit):
@@ -127,7 +127,7 @@ def test_it_says_why_it_is_a_page_once_there_is_a_scene(
 def test_options_of_the_other_host_are_refused(
     monkeypatch: pytest.MonkeyPatch, given: dict[str, Any], expected: str
 ) -> None:
-    monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: False)
+    monkeypatch.setattr("sero_mj.viewer.image.backend.has_display", lambda: False)
     with pytest.raises((UsageError, DeclarationError), match=expected):
         wants_page(ViewOptions(scene="lwr", **given))
 

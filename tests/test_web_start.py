@@ -29,8 +29,8 @@ from sero_mj import Mirror, load_scene
 from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError, UsageError
 from sero_mj.robots.declared.scene import Scene
+from sero_mj.viewer.host.start_page import PortMonitor
 from sero_mj.viewer.session.recent_views import RecentView
-from sero_mj.viewer.session.start_page import PortMonitor
 from sero_mj.viewer.web import start_host, uploads
 from sero_mj.viewer.web.host import WebHost
 from sero_mj.viewer.web.messages import Control, ForStartPage, Got, Reader

@@ -454,7 +454,7 @@ _BLENDED = """(lambda np, setting, full, placed, bare: [
     setting.compose(bare, placed) or int(np.abs(full.astype(int) - bare).max()),
 ])(
     __import__("numpy"),
-    __import__("sero_mj.viewer.typesetting", fromlist=[""]),
+    __import__("sero_mj.viewer.image.typesetting", fromlist=[""]),
     w.picture(),
     w.decor._typesetter.place(w.decor.panels),
     [w.decor.panels.clear(), w.decor.render(w.gl), w.gl.read(w.decor.rect)][2],

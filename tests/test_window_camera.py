@@ -9,9 +9,9 @@ import pytest
 from sero_mj import Scene, SerialRobot, View, World
 from sero_mj.base.errors import UnknownName
 from sero_mj.robots.declared.surroundings import Camera as SceneCamera
-from sero_mj.viewer.camera import Navigator
 from sero_mj.viewer.decor.picture_view import PictureView
-from sero_mj.viewer.framing import axes
+from sero_mj.viewer.image.camera import Navigator
+from sero_mj.viewer.image.framing import axes
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from pathlib import Path
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.base.errors import UsageError
 from sero_mj.viewer.session.recent_views import RecentView
-from sero_mj.viewer.session.start_page import PortMonitor
+from sero_mj.viewer.host.start_page import PortMonitor
 from sero_mj.viewer.window.start_window import StartWindow
 from imgui_bundle import imgui
 size, heard = json.loads(sys.argv[1])

@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from sero_mj.viewer.headless.backend import choose_backend
+from sero_mj.viewer.image.backend import choose_backend
 
 choose_backend()
 

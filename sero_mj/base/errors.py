@@ -259,6 +259,13 @@ class DeclarationError(SeroError, ValueError):
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
 
+def mismatch(
+    found: object, expected: object, reason: str = "", *, key: str = "", of: str = ""
+) -> DeclarationError:
+    """Returns the error to be raised for one value: `found 2 numbers; expected 3`."""
+    return DeclarationError([Problem(key, reason, found=found, of=of, expected=expected)])
+
+
 def problems_of(error: Exception, key: str = "") -> list[Problem]:
     """The problems of an error, inside `key`; one with its text if it has no values."""
     if isinstance(error, DeclarationError):

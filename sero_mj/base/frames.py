@@ -5,21 +5,19 @@ No MuJoCo.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import Problem
+from .errors import Problem, mismatch
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
 _NICE = (1.0, 2.0, 5.0)
-_MANY = 500  # frames, from which on `compose` is faster than `@`
 _ROTATION_KEYS = ("rpy", "rpy_deg", "quat")
 # A frame typed with four digits (0.7071) is accepted as a rotation; larger errors are mistakes.
 _TYPED_ROTATION_TOLERANCE = 1e-3
@@ -49,40 +47,12 @@ def rotation_about(axis: int, angle: float | Array) -> Array:
 
 
 def empty_transforms(shape: tuple[int, ...]) -> Array:
-    """Transforms with nothing but their last row, to be filled element by element.
+    """Returns transforms (*shape, 4, 4) with nothing but their last row, to be filled by element.
 
-    The numbers of one element lie together: of a thousand that takes half the time.
-
-    Args:
-        shape: how many.
-
-    Returns:
-        (*shape, 4, 4).
+    Each element is contiguous over `shape`: 1000 poses of seven joints take 250 us, else 375 us.
     """
     T = np.zeros((4, 4, *shape)).transpose(*range(2, len(shape) + 2), 0, 1)
     T[..., 3, 3] = 1.0
-    return T
-
-
-def compose(first: Array, second: Array) -> Array:
-    """T_a_b @ T_b_c, (..., 4, 4), of rigid frames: of thousands in half the time of `@`.
-
-    NumPy multiplies small matrices one by one; here each number is computed for all of them.
-    """
-    shape = np.broadcast_shapes(first.shape[:-2], second.shape[:-2])
-    if math.prod(shape) < _MANY:
-        return np.asarray(first @ second)
-    T = empty_transforms(shape)
-    t = np.moveaxis(T, (-2, -1), (0, 1))
-    a, b = (
-        np.moveaxis(np.broadcast_to(each, T.shape), (-2, -1), (0, 1)) for each in (first, second)
-    )
-    for k in range(3):
-        row = t[k]
-        np.multiply(a[k, 0], b[0], out=row)
-        row += a[k, 1] * b[1]
-        row += a[k, 2] * b[2]
-        row[3] += a[k, 3]
     return T
 
 
@@ -199,14 +169,10 @@ def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:
         return _frame_from_table(value, numbers)
     matrix = numbers(value)
     if matrix.size != 16:
-        raise Problem(
-            found=matrix.size, of="numbers", expected="4 x 4, or { xyz = [...], rpy = [...] }"
-        ).error()
+        raise mismatch(matrix.size, "4 x 4, or { xyz = [...], rpy = [...] }", of="numbers")
     matrix = matrix.reshape(4, 4).copy()
     if matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise Problem(
-            "", "last row is", found=matrix[3].tolist(), expected="[0, 0, 0, 1] (row-major)"
-        ).error()
+        raise mismatch(matrix[3].tolist(), "[0, 0, 0, 1] (row-major)", "last row is")
     matrix[:3, :3] = nearest_rotation(matrix[:3, :3])
     return matrix
 
@@ -242,9 +208,7 @@ def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array])
         if array.shape != (length,):
             if array.size == length:
                 raise ValueError(f"'{key}' is nested; expected {length} numbers in one list")
-            raise Problem(
-                "", f"'{key}' has", found=array.size, of="numbers", expected=length
-            ).error()
+            raise mismatch(array.size, length, f"'{key}' has", of="numbers")
         return array
 
     position = vector("xyz", 3) if "xyz" in table else None

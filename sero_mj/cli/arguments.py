@@ -29,6 +29,7 @@ from ..base.errors import (
     printable,
 )
 from ..base.options import Options
+from ..base.plugins import NETWORKS, load_plugin, plugins
 from .options import add_options, read_options
 from .terminal import make_console, plain
 
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 # Subparsers have no public type.
 Commands = Any
 T = TypeVar("T", bound=Options)
-NETWORK = "ros2://"  # begins the address of a robot that a network describes
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -71,17 +71,18 @@ def join_negative_values(arguments: list[str]) -> list[str]:
 
 
 def command(
-    name: str, run: Callable[[T], int], kind: type[T], epilog: str
+    name: str, run: Callable[[T], int], kind: type[T], text: str
 ) -> Callable[[Commands], None]:
     """Returns the function that adds a command to the program's parser.
 
     Args:
-        name: of the command.
-        run: gets the options and returns the exit status.
-        kind: what declares the options; its docstring's first line is what the command does.
-        epilog: what help says at the end, as it is written.
+        name: name of the command.
+        run: function of the options that returns the exit status.
+        kind: declaration of the options. The first line of its docstring describes the command.
+        text: help text. The first paragraph (the examples) precedes the options, the rest follows.
     """
     summary, *_ = str(kind.__doc__).splitlines()
+    examples, _, notes = text.partition("\n\n")
 
     def run_with(given: argparse.Namespace) -> int:
         options = read_options(kind, vars(given))
@@ -92,8 +93,8 @@ def command(
         parser = commands.add_parser(
             name,
             help=summary[0].lower() + summary[1:].removesuffix("."),
-            description=summary,
-            epilog=epilog,
+            description=f"{summary}\n\n{examples.rstrip()}",
+            epilog=notes,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         add_options(parser, kind)
@@ -225,16 +226,21 @@ def read_scene(
     """
     from ..load import load_scene
 
-    if name.startswith(NETWORK):
-        from ..data.drive.described_scene import scene_of_network
-
-        name = str(scene_of_network(name))
+    name = network_scene(name) or name
     given = overrides(settings)
     with named_settings(given):
         scene = load_scene(name, given, by_hand=by_hand, trusted=trusted, replay=replay)
     for source in scene.sources.values():
         print_programs(getattr(getattr(source, "run", None), "scenario", None))
     return scene
+
+
+def network_scene(name: str) -> str | None:
+    """Writes a scene of the robot at an address, `ros2://` say; returns None for other names."""
+    scheme, separator, _ = name.partition("://")
+    if not separator or scheme not in plugins(NETWORKS):
+        return None
+    return str(load_plugin(NETWORKS, scheme).scene_of_network(name))
 
 
 def print_programs(scenario: Scenario | None) -> None:
@@ -294,9 +300,9 @@ def replay_instead(
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
-    from ..data.drive.bag_topics import replay_of, topics_of, with_bag
+    from ..data.drive.replays import topics_of
     from ..data.drive.table_scene import lead_by_table
-    from ..data.record.bag import Bag, look_into
+    from ..data.record.formats import look_into
     from ..data.record.table import is_table
     from ..data.record.table_signals import parse_columns
     from ..simulate.runs.run_log import routes_from_recording
@@ -306,7 +312,7 @@ def replay_instead(
         return
     if source is not None:
         _check_source(scene, file, source)
-    led = with_bag(scene, file, source)
+    led = look_into(file).lead(scene, source)
     scene.robots, scene.sources, scene.routes = led.robots, led.sources, led.routes
     recording = look_into(file, topics_of(scene))
     recorded = {name: list(source.events) for name, source in recording.sources.items()}
@@ -315,7 +321,7 @@ def replay_instead(
     if not both:
         found = ", ".join(recorded) or "no source"
         expected = ", ".join(scene.sources) or "none: it has no sources"
-        if isinstance(recording, Bag) and len(recorded) > 1 and not scene.sources:
+        if recording.names_joints and len(recorded) > 1 and not scene.sources:
             there = recording.about_sources()
             raise UsageError(
                 f"--replay {file} has several sources: {there}; it is not clear which moves scene "
@@ -324,7 +330,7 @@ def replay_instead(
             )
         raise UsageError(f"--replay {file} has {found}; scene '{scene.name}' expects {expected}")
     for name in both:
-        scene.sources[name] = replay_of(scene, name, file)
+        scene.sources[name] = recording.replay_table(name, topics_of(scene).get(name))
         scene.routes = routes_from_recording(scene.routes, name, recorded[name])
         if start is not None:
             scene.sources[name]["start"] = start
@@ -332,7 +338,7 @@ def replay_instead(
 
 def _check_source(scene: Scene, file: Path, source: str) -> None:
     """Raises UsageError where `--source` is none of a recording, or not for a scene."""
-    from ..data.record.bag import look_into
+    from ..data.record.formats import look_into
 
     if scene.sources:
         own = ", ".join(scene.sources)
@@ -383,8 +389,7 @@ def read_recorded_run(
         robots: which of these are wanted, by their names; any when empty.
         columns: of a table, `SIGNAL=COLUMNS`.
     """
-    from ..data.drive.described_scene import scenes_of_bag
-    from ..data.record.bag import Bag, open_recording
+    from ..data.record.formats import open_recording
     from ..data.record.table import is_table
     from ..data.record.table_signals import parse_columns
     from ..simulate.runs.run_recording import read_run, read_run_table
@@ -395,9 +400,7 @@ def read_recorded_run(
         return read_run_table(path, scene, source, parse_columns(columns))
     if scene is None:
         with open_recording(path) as recording:
-            found = []
-            if isinstance(recording, Bag):
-                found = list(scenes_of_bag(recording, "--scene NAME", source, robots))
+            found = list(recording.scenes("--scene NAME", source, robots))
         why: list[SeroError] = []
         for name in found:
             try:
@@ -421,24 +424,22 @@ def read_recorded_run(
 
 def note_choice(recording: Path, scene: str) -> None:
     """Prints a note that a shipped robot was chosen for a recording of ROS by its joints' names."""
-    from ..data.record.bag import Bag, look_into
+    from ..data.record.formats import look_into
 
-    if not paths.is_temporary(scene) and isinstance(look_into(recording), Bag):
+    if not paths.is_temporary(scene) and look_into(recording).names_joints:
         chosen = f"does not describe its robot; {scene} has the joints that it names"
         print(f"note: {recording} {chosen}", file=sys.stderr)
 
 
-def check_span(recording: PacketFile, start: float | None, stop: float | None = None) -> None:
-    """Raises UsageError if a recording has no data between `--start` and `--stop`, s."""
+def check_span(recording: PacketFile, start: float | None, option: str = "--start") -> None:
+    """Raises UsageError if a recording has no data from `start` on, in seconds."""
     from ..data.record.replay import check_start
 
     if start is not None:
         try:
             check_start(start, recording)
         except ValueError as error:
-            raise UsageError(f"--start: {error}") from None
-    if start is not None and stop is not None and stop <= start:
-        raise UsageError(f"--stop: found {stop:g}; expected more than {start:g}, --start, in s")
+            raise UsageError(f"{option}: {error}") from None
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from ..base.paths import make_temporary_folder
-from ..viewer.headless.backend import has_display
+from ..viewer.image.backend import has_display
 
 
 def can_open_browser() -> bool:

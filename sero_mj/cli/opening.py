@@ -10,7 +10,7 @@ from ..base import paths
 from ..base.errors import SeroError, UsageError, without_warnings
 from ..data.record.table import is_table
 from ..viewer.session.recent_views import RecentView, recent_views
-from .arguments import NETWORK, note_choice, read_scene, replay_instead
+from .arguments import network_scene, note_choice, read_scene, replay_instead
 from .shared_options import is_recording
 
 
@@ -72,10 +72,8 @@ def with_scene(options: T) -> T:
 
     That is a recording, or a network, `ros2://`.
     """
-    if options.scene is not None and str(options.scene).startswith(NETWORK):
-        from ..data.drive.described_scene import scene_of_network
-
-        return options.model_copy(update={"scene": str(scene_of_network(str(options.scene)))})
+    if options.scene is not None and (found := network_scene(str(options.scene))) is not None:
+        return options.model_copy(update={"scene": found})
     if options.scene is None or not is_recording(options.scene):
         return options
     if options.replay is not None:
@@ -93,8 +91,7 @@ def with_scene(options: T) -> T:
 
 
 def _scenes_of(path: Path, shown: str | None, source: str | None) -> Iterator[str]:
-    from ..data.drive.described_scene import scenes_of_bag
-    from ..data.record.bag import Bag, open_recording
+    from ..data.record.formats import open_recording
     from ..data.record.scene_files import write_scene
 
     if shown is not None:
@@ -102,9 +99,8 @@ def _scenes_of(path: Path, shown: str | None, source: str | None) -> Iterator[st
     if is_table(path):
         return
     with open_recording(path) as recording:
-        if isinstance(recording, Bag):
-            choose = f"sero-mj view NAME --replay {path}"
-            yield from scenes_of_bag(recording, choose, source)
+        if recording.names_joints:
+            yield from recording.scenes(f"sero-mj view NAME --replay {path}", source)
             return
         name = recording.about.get("scene", "")
     if not name:

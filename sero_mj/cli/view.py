@@ -32,30 +32,24 @@ if TYPE_CHECKING:
     from ..base.frames import Array
     from ..data.drive.mirror import Mirror
     from ..robots.declared.scene import Scene
-    from ..viewer.session.live import LiveHost
+    from ..viewer.host.live import LiveHost
     from ..viewer.session.recent_views import RecentView
     from ..viewer.session.view_state import ViewState
     from ..viewer.web.server import Listener, PageServer
 
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj view                                        a page with all that can be opened
-  sero-mj view lwr_udp                                the robot, as it moves
-  sero-mj view impedance_push                         a simulation, with a time line
-  sero-mj view lwr_udp --replay run.mcap              a recording, with a time line
-  sero-mj view lwr_udp --web                          on a page for browsers on this machine
-  sero-mj view lwr --set lwr.show_axes=true --camera 150,-15,2.2
-  sero-mj view lwr_udp --over 0 --camera-file cell.yaml   over what a camera sees of the robot
-  sero-mj view lwr_udp --over video.mp4 --camera-file cell.yaml --replay run.mcap
-  sero-mj view lwr --simulate --control joint         a robot to play with, without an end
+  sero-mj view lwr_udp                      the robot, as it moves
+  sero-mj view lwr_udp --replay run.mcap    a recording, with a timeline
+  sero-mj view impedance_push --web         a simulation, on a page for browsers on this machine
 
 H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
 the page. The printed address of a page has a secret token. Browsers on other machines reach it
 through `ssh -L 8080:localhost:8080 MACHINE`, or with --host 0.0.0.0; nothing is encrypted.
 """
-ORDER = 10  # in the help of `sero-mj`
+GROUP, ORDER = "see", 10
 
 
 class ViewOptions(EyeOptions, OverOptions, ShownOptions):
@@ -172,7 +166,7 @@ def run(options: ViewOptions) -> int:
     return 0
 
 
-add_to = command("view", run, ViewOptions, _EPILOG)
+add_to = command("view", run, ViewOptions, _HELP)
 
 
 class Session:
@@ -235,7 +229,7 @@ class Session:
         """Shows the start page; returns what shows the scene that was chosen there."""
         options = self.options
         self.is_at_start = False  # unless its user goes back to it
-        from ..viewer.session.start_page import listening
+        from ..viewer.host.start_page import listening
 
         if self.on_page:
             from ..viewer.web.start_host import StartHost
@@ -356,7 +350,7 @@ class Session:
         state: ViewState,
     ) -> None:
         """Shows the same robots as they were seen a moment ago, simulated or not."""
-        from ..viewer.camera import copy_camera
+        from ..viewer.image.camera import copy_camera
         from ..viewer.session.view_state import apply_state
 
         copy_camera(camera, host.view_camera)
@@ -368,9 +362,9 @@ class Session:
 
     def _run(self, host: LiveHost) -> None:
         """Shows it until it is closed, and remembers how it was left."""
-        from ..viewer.session.live import SECTION
+        from ..viewer.host.live import SECTION
+        from ..viewer.host.restoring import keep
         from ..viewer.session.recent_views import RecentView, remember_view
-        from ..viewer.session.restoring import keep
         from .opening import is_temporary
 
         options, plain = self.options, self.plain
@@ -397,7 +391,7 @@ class Session:
             self._last = copy.copy(host.view_camera), panel, host.view_state()
 
     def _open_window(self, mirror: Mirror) -> Mirror | None:
-        from ..viewer.session.restoring import restore
+        from ..viewer.host.restoring import restore
         from ..viewer.window.host import Viewport, Window
 
         options = self.options
@@ -431,8 +425,8 @@ class Session:
             return window.others.chosen
 
     def _serve(self, mirror: Mirror) -> Mirror | None:
+        from ..viewer.host.restoring import restore
         from ..viewer.program.viewer import open_page
-        from ..viewer.session.restoring import restore
         from ..viewer.web.uploads import drops
 
         options = self.options
@@ -512,7 +506,7 @@ def wants_page(options: ViewOptions) -> bool:
     """Whether the scene goes to browsers instead of into a window; raises UsageError."""
     if options.web or options.of_page:
         return True
-    from ..viewer.headless.backend import has_display
+    from ..viewer.image.backend import has_display
 
     if has_display():
         return False

@@ -262,7 +262,7 @@ class JointModel:
             np.take(array, index, axis=1, out=copy)
 
     def read_at_rest(self, row: int, data: mujoco.MjData) -> Array:
-        """Readings of a row at rest before any step, (3, n): torque sensors read the static load."""
+        """Readings of a row at rest, (3, n), before any step: torque sensors read the load."""
         self._terms[row] = 0.0
         self._terms[row, self._after] = np.hstack([data.qpos, data.qvel])
         friction = self._friction[row]

@@ -1,4 +1,4 @@
-"""`Physics`: m equal worlds that MuJoCo steps together; all arrays have the worlds as first axis."""
+"""`Physics`: m equal worlds that MuJoCo steps together, the first axis of all arrays."""
 
 from __future__ import annotations
 
@@ -156,9 +156,7 @@ class Physics:
         return poses
 
     def data_of(self, k: int) -> mujoco.MjData:
-        """Data of a world after its last step or `look_ahead`; of several, a copy until the next
-        call.
-        """  # fmt: skip
+        """Data of a world after its last step or `look_ahead`; of several, valid until a call."""
         return self._data if self.batch is None else self.batch.get_data(k, self._data)
 
     def model_of(self, k: int) -> mujoco.MjModel:

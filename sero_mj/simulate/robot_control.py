@@ -1,9 +1,9 @@
-"""A robot of a run with its controller, and `RobotControl`, which computes torques in every step."""
+"""A robot of a run with its controller, and `RobotControl`, which computes torques."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -147,9 +147,8 @@ class ControlledRobot:
             stiffness = self.stiffness
             bends: Array = np.zeros((2, n))  # of elastic joints: at first, and now; else zero
             if stiffness is not None:
-                at_rest = controller.hold_links(stiffness)
-                if at_rest is None:
-                    at_rest = model.gravity()
+                held = controller.hold_links(stiffness)
+                at_rest: Array = model.gravity() if held is None else held
                 bends[:] = model.gravity() / stiffness
             for k, joint in product(range(2), range(n)):
                 for torque, move in zip(torques, (_MOVE, -_MOVE), strict=True):
@@ -203,7 +202,7 @@ class RobotControl:
         of: int | slice = slice(None) if row is None else row
         places = [np.arange(plant.n)[plant.world.robots[robot.name].joints] for robot in robots]
         ends = np.cumsum([0, *(len(each) for each in places)]).tolist()
-        self.parts = [slice(a, b) for a, b in zip(ends, ends[1:], strict=False)]
+        self.parts = [slice(a, b) for a, b in pairwise(ends)]
         n, self._joints = ends[-1], as_slice(np.concatenate(places))
         self._drive: Array = drive[of]
         measured: Array = plant.measured[of]

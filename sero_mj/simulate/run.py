@@ -1,4 +1,4 @@
-"""`Run`: a run in one row of a `RunBatch`: targets, controllers, events and the columns of its log."""
+"""`Run`: a run in one row of a `RunBatch`: its targets, controllers, events and log."""
 
 from __future__ import annotations
 
@@ -28,6 +28,16 @@ if TYPE_CHECKING:
     from .run_batch import RunBatch
 
 T = TypeVar("T")
+
+
+# s; half of the observer's time constant at its default gain, at a tenth of the cost of every step.
+OBSERVED_EVERY = 0.01
+
+
+def observed_every(scenario: Scenario) -> int:
+    """Number of steps between two estimates of the external torques."""
+    run = scenario.run
+    return max(round(min(OBSERVED_EVERY, 0.5 / run.observer_gain) / run.timestep), 1)
 
 
 class Run:
@@ -71,7 +81,7 @@ class Run:
         self.drag_force = DragForce(self.plant, scenario) if by_hand else None
         self.live = LiveControl() if is_live else None
         self.whole_body = batch.whole_bodies[row] if batch.whole_bodies else None
-        self.observed_every = batch.observed_every
+        self.observed_every = observed_every(scenario)
         world = self.plant.world
         self._contacts = Contacts(world, self.plant.model) if scenario.has_surroundings else None
         self._free: dict[str, Callable[[Array], Array]] = {

@@ -17,7 +17,6 @@ import numpy as np
 from ..base.errors import DeclarationError, Problem, SimulationError
 from ..base.frames import Array
 from ..robots.declared.joint_speeds import joint_speeds
-from ..robots.declared.mounts import base_frames, unmounted
 from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
 from .control.compiler import Compiler, fingerprint
@@ -29,36 +28,23 @@ from .control.whole_body import WholeBody
 from .drives import Drives
 from .event_schedule import CarriedObjects
 from .plant import PlantRows
-from .robot_control import ControlledRobot, RobotControl
+from .robot_control import RobotControl
 from .run import Run
 from .runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED
 from .scenario import Scenario
 
 # Of a run's declaration, what may differ between those of a batch.
 _OWN = ("seed", "observer_gain", "show_targets", "show_paths")
-# s; half of the observer's time constant at its default gain, at a tenth of the cost of every step.
-OBSERVED_EVERY = 0.01
-
-
-def observed_every(scenario: Scenario) -> int:
-    """Number of steps between two estimates of the external torques."""
-    run = scenario.run
-    return max(round(min(OBSERVED_EVERY, 0.5 / run.observer_gain) / run.timestep), 1)
 
 
 def batch_key(scenario: Scenario) -> object:
     """A hashable value; scenarios with equal ones can be simulated as one batch.
 
-    They have the same robots and surroundings, duration, rates and drives, and targets for the same
-    robots. Controllers, motions, sensors, disturbances, faults and what is expected may differ.
+    They have the same robots and surroundings, duration, rates and drives. Controllers, targets,
+    sensors, disturbances, faults and what is expected may differ.
     """
     scene, run = scenario.scene, scenario.run
     shared = {key: getattr(run, key) for key in type(run).model_fields if key not in _OWN}
-    has_target = [
-        name in scenario.targets or scenario.controller_of(name).needs_target
-        for name in scene.robots
-    ]
-    shared |= {"has_target": has_target, "observed_every": observed_every(scenario)}
     declared = [scene.robots, scene.groups, scenario.obstacles, scene.floor, shared]
     return fingerprint([*declared, scenario.amplifies])
 
@@ -114,7 +100,6 @@ class RunBatch:
             with located_in(scenario.scene):
                 self.drives = Drives(self.plant, self.robots, run)
         self.whole_bodies = [WholeBody(world) for _ in range(m) if WholeBody.is_needed(world)]
-        self.observed_every = observed_every(scenario)
         self.drive: Array = np.zeros((m, 2, self.plant.n))
         self.gains: Array = np.ones((m, self.plant.n))
         self.carried = CarriedObjects(self.plant)
@@ -148,7 +133,7 @@ class RunBatch:
         self._motor_speeds = self.plant.motor_velocities if self.plant.joints.elastic else None
 
     def robot_model(self, robot: SerialRobot) -> RobotModel:
-        """Returns a new model of a robot alone; behind a torque loop motors are what they feel like.
+        """Returns a new model of a robot alone; a torque loop changes what its motors feel like.
 
         Args:
             robot: as it stands in the world at first.
@@ -157,15 +142,15 @@ class RunBatch:
             robot = self.drives.gains[robot.name].felt(robot)
         return self.compiler.robot_model(robot, self._run.gravity)
 
-    def _models(self, robots: Sequence[SerialRobot]) -> RobotModels:
-        """The models of robots in all rows; they follow what carries them."""
+    def _models(self, robots: Sequence[SerialRobot], rows: Sequence[int]) -> RobotModels:
+        """The models of robots in some rows; they follow what carries them."""
         mountings = [
-            (whole_body.mounting(robot.name), robot.base_frame)
-            for whole_body in self.whole_bodies
+            (self.whole_bodies[row].mounting(robot.name), robot.base_frame)
+            for row in rows
+            if self.whole_bodies
             for robot in robots
         ]
-        models = [self.robot_model(robot) for robot in robots]
-        return RobotModels(models, self.plant.physics.m, mountings)
+        return RobotModels([self.robot_model(robot) for robot in robots], len(rows), mountings)
 
     def restart(self, joint_angles: Array, seed: int) -> None:
         """Puts the plant of the only run at rest in a pose, with another seed of the noise."""
@@ -184,21 +169,29 @@ class RunBatch:
         width = max(run.layout.width for run in runs)
         log: Array = np.zeros((self.plant.physics.m, steps + 1, width))
         # Views (T, m, signals, n): those of all robots lie in a row.
-        self._measured, self._actual, self._driven, self._estimated = (
+        self._measured, self._actual, self._driven = (
             log.swapaxes(0, 1)[..., layout.block(signals)].reshape(
                 steps + 1, len(log), len(signals), -1
             )
-            for signals in (MEASURED, ACTUAL, DRIVEN, ESTIMATED)
+            for signals in (MEASURED, ACTUAL, DRIVEN)
         )
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
         self._driven[0, :, 0] = self.plant.actual[:, 2]  # what holds it at rest
+        observed: dict[int, list[int]] = defaultdict(list)
+        self._estimated: dict[int, Array] = {}
+        for run in runs:
+            row = run.plant.row
+            run.open_log(log[row, :, : run.layout.width])
+            observed[run.observed_every].append(row)
+            self._estimated[row] = run.rows[:, run.layout.block(ESTIMATED)]
         standing = [one.robot for one in runs[0].controlled]
         gains = np.array([[one.run.observer_gain] for one in self._scenarios])
-        timestep = self._run.timestep * self.observed_every
-        self._observer = MomentumObserver(self._models(standing), gains, timestep)
-        self._observe(self._measured[:1])
-        for run in runs:
-            run.open_log(log[run.plant.row, :, : run.layout.width])
+        self._observers = [
+            _Observer(every, rows, self._models(standing, rows), gains[rows], self._run.timestep)
+            for every, rows in observed.items()
+        ]
+        for observer in self._observers:
+            observer.update(self._measured[:1])
         self._join(runs)
 
     def _join(self, runs: Sequence[Run]) -> None:
@@ -223,7 +216,7 @@ class RunBatch:
                 groups[group].append(number)
         for numbers in groups.values():
             each = [[row[number] for number in numbers] for row in rows]
-            models = self._models([one.robot for one in each[0]])
+            models = self._models([one.robot for one in each[0]], range(len(rows)))
             is_live = any(run.live is not None for run in runs)
             self._controls.append(
                 RobotControl.joined(each, self.plant, self.drive, models, is_live=is_live)
@@ -331,28 +324,15 @@ class RunBatch:
         for run in self._finishing:
             if run.error is None:
                 run.finish(k)
-        every = self.observed_every
-        if k % every == 0:
-            self._move_whole_bodies(k)
-            estimate = self._observe(self._measured[k - every + 1 : k + 1])
-            self._estimated[k : k + every, :, 0] = estimate
+        for observer in self._observers:
+            if k % observer.every == 0:
+                self._move_whole_bodies(k)
+                estimates = observer.update(self._measured[k - observer.every + 1 : k + 1])
+                for row, estimate in zip(observer.rows, estimates, strict=True):
+                    self._estimated[row][k : k + observer.every] = estimate
         for run in self._by_row.values():  # what controllers and hooks call the time
             if run.error is None:
                 run.step = k
-
-    def _observe(self, measured: Array) -> Array:
-        """Estimates the external torques after further steps, (m, n), Nm or N, until the next.
-
-        The observer gets the mean of the measured torques, which has changed the momentum
-        meanwhile.
-
-        Args:
-            measured: (steps, m, 3, n), angles, velocities and torques in these steps.
-        """
-        angles, velocities = measured[-1, :, 0], measured[-1, :, 1]
-        mean = np.add.reduce(measured[:, :, 2]) / len(measured)
-        self._observer.model.update(angles, velocities)
-        return self._observer.update_with(velocities, mean)
 
     def _end(self, going: list[Run], run: Run, error: SimulationError) -> None:
         if self._raises:
@@ -410,6 +390,31 @@ class RunBatch:
             expected="other gains or torques, or another run.runaway_speed (0 for none)",
         )
         return SimulationError(time, f"{robot.name}/{robot.names[joint]}", problem)
+
+
+class _Observer:
+    """Estimates the external torques of all robots in some rows."""
+
+    def __init__(
+        self, every: int, rows: list[int], models: RobotModels, gains: Array, timestep: float
+    ) -> None:
+        self.every, self.rows = every, rows
+        self._own = MomentumObserver(models, gains, timestep * every)
+
+    def update(self, measured: Array) -> Array:
+        """Estimates external torques after further steps, (k, n), Nm or N, until the next call.
+
+        The observer gets the mean of the measured torques, which has changed the momentum
+        meanwhile.
+
+        Args:
+            measured: (steps, m, 3, n), angles, velocities and torques in these steps.
+        """
+        own = measured if measured.shape[1] == len(self.rows) else measured[:, self.rows]
+        angles, velocities = own[-1, :, 0], own[-1, :, 1]
+        mean = np.add.reduce(own[:, :, 2]) / len(own)
+        self._own.model.update(angles, velocities)
+        return self._own.update_with(velocities, mean)
 
 
 @contextmanager

@@ -300,7 +300,7 @@ class SensorRows:
             is_off |= errors[key] != right
         if self._differentiates:
             is_off[...] = True
-        self.is_idle: Bools = ~is_off.any(axis=(1, 2))
+        self.is_idle: Bools = np.logical_not(is_off.any(axis=(1, 2)))
         self._counts = (~self.is_idle).astype(np.intp)
         self.is_perfect = bool(self.is_idle.all())
 

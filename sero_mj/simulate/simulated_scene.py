@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.frames import Array, frame
-from ..data.record.bag import open_recording
+from ..data.record.formats import open_recording
 from ..data.record.table import is_table
 from ..robots.declared.cartesian import ReceivedFrame, SmartArrow
 from ..robots.declared.double import Double

@@ -1,9 +1,7 @@
-"""Geoms to pixels, clicks to switches.
+"""Geoms to pixels, clicks to switches: folders in the order in which they import one another.
 
-In: a mirror, or the user's own model and data. Out: pictures and films (`headless/`), a window
+In: a mirror, or the user's own model and data. Out: images and videos (`image/`), a window
 (`window/`), a web page (`web/`).
-Open first: `session/live.py` (what window and page share); `decor/draw.py` (what is drawn, a
-function of the world's state), `session/interaction.py` (actions of clicks and keys), `camera.py`
-(the view). `tools/` are what pointer and keys do to robots and time, `panels/` what both hosts show
-beside the picture, `program/` is the viewer that a user's own loop steers.
+Open first: `decor/draw.py` (what is drawn), `image/render.py` (images without a window),
+`image/clicks.py` (actions of clicks and keys), `host/live.py` (what windows and pages share).
 """

@@ -16,8 +16,8 @@ import numpy as np
 
 from sero_mj.viewer.decor.feature import Frame
 from sero_mj.viewer.decor.panels import Panels, labels_at
-from sero_mj.viewer.panels.widgets import Widgets
 from sero_mj.viewer.session.tool import Action, Shown, Tool
+from sero_mj.viewer.session.widgets import Widgets
 
 THICKNESS, COLOUR = 0.004, (0.95, 0.35, 0.10, 1.0)  # m
 

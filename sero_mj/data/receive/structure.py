@@ -72,6 +72,7 @@ class Structure:
     """
 
     message: str = ""
+    fault: str = ""  # why the last message makes no packet
 
     def __init__(
         self,

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.errors import CsvError, SeroError
-from ..ros.joined_packets import JOINT_EVENTS
 
 if TYPE_CHECKING:
     from _csv import Writer
@@ -23,6 +22,8 @@ if TYPE_CHECKING:
     from .recording import PacketFile
 
 
+# Events with a number for each joint, whose columns can have the names of joints.
+JOINT_EVENTS = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 TIME = "time"
 
 
@@ -150,3 +151,16 @@ def export_csv(
             table.writerow(first)
         table.writerows(rows_of)
     return written
+
+
+def prefix_before(wanted: Sequence[str], names: Sequence[str]) -> str:
+    """What stands before all of the wanted names of joints, in the names of a message.
+
+    Empty where they stand there as they are, or not all of them do with one prefix.
+    """
+    known = set(names)
+    if not wanted or not known.isdisjoint(wanted):
+        return ""
+    before = [name.removesuffix(wanted[0]) for name in names if name.endswith(wanted[0])]
+    found = [text for text in before if known.issuperset(text + name for name in wanted)]
+    return found[0] if len(found) == 1 else ""

@@ -7,12 +7,12 @@ import threading
 import zlib
 from abc import ABC, abstractmethod
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import accumulate
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
@@ -20,7 +20,8 @@ from mcap.writer import MCAP0_MAGIC
 
 from ...base.errors import Problem, RecordingError, UnknownName, UsageError, reason_of
 from ...base.paths import open_file
-from ._mcap_reader import (
+from .joint_state_messages import ENCODING
+from .mcap_reader import (
     BROKEN,
     ChunkPlace,
     FileIndex,
@@ -29,7 +30,6 @@ from ._mcap_reader import (
     read_record,
     unpack_messages,
 )
-from .joint_state_messages import ENCODING
 from .recording_format import (
     ABOUT,
     CLOCK,
@@ -40,6 +40,9 @@ from .recording_format import (
     SourceDeclaration,
     unpack_raw,
 )
+
+if TYPE_CHECKING:
+    from ..receive.source import Source
 
 _LATEST_NS = 2**64
 _EXPECTED = "a file that sero-mj record wrote"
@@ -78,6 +81,8 @@ class PacketFile(ABC):
         faults: its errors, a sentence each; some are found when they are read.
         malformed: why the last message that contradicts itself makes no packet; empty where packets
             were recorded.
+        names_joints: whether its packets are made of messages that name joints, so that it can move
+            a robot without routes.
     """
 
     path: Path
@@ -89,6 +94,7 @@ class PacketFile(ABC):
     faults: list[str]
     malformed: str = ""
 
+    names_joints: ClassVar[bool] = False
     _why_unreadable: ClassVar[str] = "its index is wrong"  # where no fault says it
 
     def choose_source(self, name: str = "", default: str = "", by: str = "") -> str:
@@ -174,6 +180,55 @@ class PacketFile(ABC):
             more = f" (and {len(others)} more of the kind)" if others else ""
             reason = f"none of the {source.count} packets of '{name}' can be read: {why}{more}"
             raise RecordingError(self.path, reason)
+
+    def message_source(self, fields: Mapping[str, Any]) -> Source | None:
+        """Returns the receiver with these fields; None if the recording has packets."""
+        return None
+
+    def replay_table(self, name: str, source: Source | None) -> dict[str, Any]:
+        """Returns the table of a source that plays one of its sources instead of a scene's own.
+
+        Args:
+            name: of the source, in both.
+            source: what the scene reads of messages; see `Source.of_messages`.
+        """
+        return {"kind": "replay", "file": str(self.path), "source": name}
+
+    def lead(self, scene: Any, source: str | None = None) -> Any:
+        """Returns a scene without sources with its only robot led by this recording.
+
+        Other scenes are returned unchanged, and so are scenes for which no source is the obvious
+        one, and scenes for recordings of packets.
+
+        Args:
+            scene: a `Scene`, whose module imports MuJoCo.
+            source: of the recording, that leads the robot; found by joint names when None.
+        """
+        return scene
+
+    def scenes(
+        self, choose: str, source: str | None = None, wanted: Collection[str] = ()
+    ) -> Iterator[str]:
+        """Yields scenes of the robot that messages name.
+
+        Args:
+            choose: how the user chooses the robot called NAME, for the error.
+            source: of the recording, that moves the robot; any when None.
+            wanted: names of robots, one of which it is; any when empty.
+
+        Raises:
+            RecordingError: it has no source.
+            UsageError: there is no such source, or several robots fit.
+        """
+        return iter(())
+
+    def described_scene(self) -> Path | None:
+        """Writes a scene of the robot that the recording describes; None if it describes none."""
+        return None
+
+    def shipped_robots(self, source: str | None = None) -> list[str]:
+        """Returns the shipped robots with the joints that it, or one of its sources, names."""
+        return []
 
     @abstractmethod
     def close(self) -> None:

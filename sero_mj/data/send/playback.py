@@ -16,7 +16,7 @@ from ...base.frames import Array
 from ...robots.declared.scene import Scene
 from ..drive.table_scene import robots_in
 from ..receive.structure import Structure
-from ..record.bag import open_recording
+from ..record.formats import open_recording
 from ..record.replay import Replay
 from ..record.table import Table, read_table
 from ..record.table_events import events_of
@@ -143,7 +143,7 @@ class RecordedPackets(Playback):
 class TablePackets(Playback):
     """The rows of a table of comma-separated values.
 
-    Columns are called like the numbers of the packet, as `export-csv` writes them: `joints[0]`. A
+    Columns are called like the numbers of the packet, as `export` writes them: `joints[0]`. A
     table without names, or with others, has all numbers of the packet, in order. Events may be left
     out as a whole.
 

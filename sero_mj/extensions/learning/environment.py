@@ -31,8 +31,8 @@ from ...simulate.runs.run_source import RunSource
 from ...simulate.scenario import Scenario
 from ...simulate.simulated_scene import with_routes
 from ...simulate.simulation import Simulation
-from ...viewer.headless.picture_options import DEFAULT_SIZE
-from ...viewer.headless.render import HeadlessRenderer
+from ...viewer.image.picture_options import DEFAULT_SIZE
+from ...viewer.image.render import HeadlessRenderer
 from .actions import (
     Action,
     AgentController,
@@ -289,7 +289,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         rng = np.random.default_rng([self.seed, self.episode])
         start, noise = self._draw_start(rng)
         self._restart(start, noise)
-        self._agent.begin(start)
+        self._agent.begin_at(start)
         self.task.begin(rng)
         self._observation = self._observe()
         return dm_env.restart(self._observation)

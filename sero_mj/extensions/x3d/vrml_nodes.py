@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem, problems_of
+from ...base.errors import DeclarationError, Problem, mismatch, problems_of
 from ...base.frames import Array
 
 _MAX_PROBLEMS = 20  # reported per file
@@ -243,9 +243,7 @@ def read_field(value: Value, kind: str) -> Any:
         width = _WIDTHS[base]
         if many:
             if numbers.size % width:
-                raise Problem(
-                    found=numbers.size, of="numbers", expected=f"{width} for each entry"
-                ).error()
+                raise mismatch(numbers.size, f"{width} for each entry", of="numbers")
             return numbers if width == 1 else numbers.reshape(-1, width)
         if numbers.size != width:
             expected = "one number" if width == 1 else f"{width} numbers"
@@ -267,7 +265,7 @@ def read_field(value: Value, kind: str) -> Any:
     if many:
         return [item for item in items if item is not None]
     if len(items) != 1:
-        raise Problem(found=len(items), of="values", expected=expected).error()
+        raise mismatch(len(items), expected, of="values")
     return items[0]
 
 

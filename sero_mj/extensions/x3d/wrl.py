@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import DeclarationError, Problem, mismatch
 from ...base.frames import Array
 from ...base.paths import scene_endings
 from .vrml import read_document
@@ -267,9 +267,7 @@ def rotation(axis_angle: Array) -> Array:
     if length == 0.0:
         if angle == 0.0:
             return np.eye(3)
-        raise Problem(
-            "", "found a rotation about 0 0 0 by", found=angle, expected="an axis"
-        ).error()
+        raise mismatch(angle, "an axis", "found a rotation about 0 0 0 by")
     x, y, z = axis / length
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.errors import Problem
+from ...base.errors import Problem, mismatch
 from ...base.frames import Array, Ints, rotation_about
 from .vrml_nodes import Node, Problems, get, instance
 
@@ -34,7 +34,7 @@ def _box(node: Node, problems: Problems) -> list[Triangles]:
 
 def _check_positive(name: str, values: Any) -> None:
     if not (np.asarray(values) > 0).all():
-        raise Problem(name, found=np.asarray(values).tolist(), expected="numbers above 0").error()
+        raise mismatch(np.asarray(values).tolist(), "numbers above 0", key=name)
 
 
 def _sphere(node: Node, problems: Problems) -> list[Triangles]:
@@ -364,7 +364,7 @@ def _by_colour(
     else:
         of = polygon[corners[:, 0]]
         if len(own) and len(own) <= of.max():
-            raise Problem("colorIndex", found=len(own), of="entries", expected=of.max() + 1).error()
+            raise mismatch(len(own), of.max() + 1, key="colorIndex", of="entries")
         chosen = (own[of] if len(own) else of)[:, None]
     _check_index("colors", chosen.ravel(), len(colors), least=0)
     means = np.clip(colors[chosen].mean(axis=1), 0.0, 1.0)

@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.errors import Problem
+from ...base.errors import mismatch
 from ...base.frames import MIRROR, Array, Ints, frame, inverse, rotation_from_quat
 from ..declared.robot import SerialRobot
 from ..importers.mjcf_tree import MjcfTree
@@ -42,12 +42,9 @@ def mjcf_tree(robot: SerialRobot) -> MjcfTree:
 
     tree = kept_tree(robot.mjcf, Path(robot.directory))
     if len(tree.joints) != robot.n:
-        raise Problem(
-            "mjcf",
-            found=len(tree.joints),
-            of="joints in it",
-            expected=f"{robot.n}, as the robot has",
-        ).error()
+        raise mismatch(
+            len(tree.joints), f"{robot.n}, as the robot has", key="mjcf", of="joints in it"
+        )
     return tree
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem, collect
+from ...base.errors import DeclarationError, Problem, collect, mismatch
 from ...base.frames import Bools, Ints
 from ..declared.double import DOUBLE_GROUP, OUT_OF_SIGHT
 from ..declared.inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
@@ -206,7 +206,7 @@ class World(WorldView):
         if beyond.any() and (item.kind not in BLANKABLE or item.shape == (4, 4)):
             found = array[beyond].flat[0]
             limit = item.limits[beyond].flat[0]
-            raise Problem(target, found=found, expected=f"at most {limit:g} in magnitude").error()
+            raise mismatch(found, f"at most {limit:g} in magnitude", key=target)
         array = np.where(finite & ~beyond, array, np.nan)
         if item.shape == (4, 4):
             array = to_frame(target, array)

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import field_validator
 
 from ...base.declaration import Declaration
-from ...base.errors import Problem
+from ...base.errors import Problem, mismatch
 from ...base.frames import Array, Ints
 
 
@@ -34,9 +34,7 @@ class Coupling(Declaration):
     @classmethod
     def _moves(cls, ratio: float) -> float:
         if ratio == 0.0:
-            raise Problem(
-                found=0, expected="another number: with 0 the joint would be fixed"
-            ).error()
+            raise mismatch(0, "another number: with 0 the joint would be fixed")
         return ratio
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
 from ...base.declaration import Declaration, numbers, of_shape
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import DeclarationError, Problem, mismatch
 from ...base.frames import Array
 
 # Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
@@ -49,7 +49,7 @@ def tensors_from(value: Any) -> Array:
         ValueError: other counts, or a matrix that is not symmetric.
     """
     if not isinstance(value, list | tuple | np.ndarray):
-        raise Problem(found=value, expected="one tensor per link").error()
+        raise mismatch(value, "one tensor per link")
     tensors = np.empty((len(value), 3, 3))
     for k, entry in enumerate(value):
         array = numbers(entry)
@@ -59,7 +59,7 @@ def tensors_from(value: Any) -> Array:
         elif array.shape == (3, 3):
             if np.abs(array - array.T).max() > _ROUNDING * max(float(np.abs(array).max()), 1e-300):
                 found, expected = f"{link_name(k)}: found", "a symmetric 3x3"
-                raise Problem("", found, found=array, expected=expected).error()
+                raise mismatch(array, expected, found)
             tensors[k] = (array + array.T) / 2
         else:
             found = " x ".join(map(str, array.shape)) or "one number"
@@ -133,7 +133,7 @@ def _no_negative_mass(masses: Array | None) -> Array | None:
     for k, mass in enumerate([] if masses is None else masses):
         if mass < 0:
             found, expected = f"{link_name(k)}: found", "a mass of 0 or more"
-            raise Problem("", found, found=mass, of="kg", expected=expected).error()
+            raise mismatch(mass, expected, found, of="kg")
     return masses
 
 
@@ -148,7 +148,7 @@ def _above_zero(values: Array | None) -> Array | None:
 def _bounded(values: Array | None, lowest: float, expected: str) -> Array | None:
     for i, value in enumerate([] if values is None else values):
         if value < lowest:
-            raise Problem("", f"joint {i + 1}: found", found=value, expected=expected).error()
+            raise mismatch(value, expected, f"joint {i + 1}: found")
     return values
 
 

@@ -25,6 +25,7 @@ from ...base.errors import (
     UnknownName,
     collect,
     did_you_mean,
+    mismatch,
     problems_of,
 )
 from ...base.frames import MIRROR, Array, frame_from, inverse
@@ -189,7 +190,7 @@ def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
         DeclarationError: there is none, or it would contain itself.
     """
     if not isinstance(model, str | Path):
-        raise Problem(found=model, expected="a group's name").error()
+        raise mismatch(model, "a group's name")
     try:
         path = model if isinstance(model, Path) else paths.find_group_model(model, beside)
     except (DeclarationError, UnknownName) as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from ...base.declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import DeclarationError, Problem, mismatch
 from ...base.frames import Array
 from ..importers.joint_names import BASE, link_of_parent
 from .couplings import Coupling, coupled_joints, coupling_problems
@@ -70,7 +70,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 def _unit(direction: Array) -> Array:
     length = np.linalg.norm(direction)
     if length == 0.0:
-        raise Problem(found=direction.tolist(), expected="a direction").error()
+        raise mismatch(direction.tolist(), "a direction")
     return np.asarray(direction / length)
 
 
@@ -178,6 +178,15 @@ class RobotDeclaration(Declaration):
         flange_tolerance_deg: tolerated angle of it, degrees.
     """
 
+    checked_alone: ClassVar[frozenset[str]] = frozenset(
+        {
+            *("description", "note", "enable_touch_sensor", "stale_after"),
+            *("show_axes", "axes_size", "axes_transparency"),
+            *("show_arrows", "arrow_radius", "fit_arrows", "arrow_width_scale", "arrow_quantity"),
+            *("arrow_dead_band", "show_billboards", "billboard_scale"),
+            *("flange_tolerance", "flange_tolerance_deg"),
+        }
+    )
     name: Name = "robot"
     description: str = ""
     note: str = ""
@@ -253,7 +262,7 @@ class RobotDeclaration(Declaration):
     @classmethod
     def _name_of_convention(cls, name: object) -> object:
         if isinstance(name, str) and (ours := _OTHER_CONVENTIONS.get(name.lower())):
-            raise Problem(found=name, expected=f"{ours!r}, its name here").error()
+            raise mismatch(name, f"{ours!r}, its name here")
         return name
 
     @field_validator("dh_params")
@@ -287,9 +296,7 @@ class RobotDeclaration(Declaration):
             if info.data["couplings"]:
                 return _with_coupled(value, info)
         if len(value) != n:
-            raise Problem(
-                found=len(value), of="entries", expected=f"{n}, {_each(info.data)}"
-            ).error()
+            raise mismatch(len(value), f"{n}, {_each(info.data)}", of="entries")
         return value
 
     @field_validator("parents")
@@ -299,9 +306,7 @@ class RobotDeclaration(Declaration):
         if parents is None or n is None or "joint_names" not in info.data:
             return parents
         if len(parents) != n:
-            raise Problem(
-                found=len(parents), of="entries", expected=f"{n}, {_each(info.data)}"
-            ).error()
+            raise mismatch(len(parents), f"{n}, {_each(info.data)}", of="entries")
         names, problems = _joint_names(info.data), []
         branch = [0]  # the links of the path to the previous joint
         for i, parent in enumerate(parents):
@@ -321,9 +326,7 @@ class RobotDeclaration(Declaration):
     def _names_of_links(cls, names: list[str] | None, info: ValidationInfo) -> list[str] | None:
         n = _count(info.data)
         if names is not None and n is not None and len(names) != n + 1:
-            raise Problem(
-                found=len(names), of="entries", expected=f"{n + 1}, of base and links"
-            ).error()
+            raise mismatch(len(names), f"{n + 1}, of base and links", of="entries")
         return names
 
     @field_validator("flange_on")
@@ -422,6 +425,9 @@ class RobotDeclaration(Declaration):
         if self.length_unit == "mm":
             metres = [0.001 if column in ("a", "d") else 1.0 for column in self.dh_columns]
             self.__dict__ |= {"dh_params": self.dh_params * metres, "length_unit": "m"}
+        for rows in (self.dh_params, self.dh_base_frame, self.joint_frames):
+            if rows is not None:
+                rows.setflags(write=False)  # `kinematics` is computed from them once
         return self
 
     @field_validator("billboard_lines")
@@ -434,12 +440,9 @@ class RobotDeclaration(Declaration):
     def _base_is_free_or_mounted(self) -> Self:
         if self.free_base and self.mount is not None:
             free = "true" if self.free_base is True else f'"{self.free_base}"'
-            raise Problem(
-                "free_base",
-                f"found {free} with mount =",
-                found=self.mount,
-                expected="one of the two",
-            ).error()
+            raise mismatch(
+                self.mount, "one of the two", f"found {free} with mount =", key="free_base"
+            )
         return self
 
     @field_validator("link_frames")
@@ -502,9 +505,7 @@ class RobotDeclaration(Declaration):
             # The proto's default of filenames is [""]: no geometry given.
             return links if info.field_name == "collisions" else []
         if n is not None and len(links) != n + 1:
-            raise Problem(
-                found=len(links), of="entries", expected=f"{n + 1}: the base and one per joint"
-            ).error()
+            raise mismatch(len(links), f"{n + 1}: the base and one per joint", of="entries")
         check_colors(links, info.data.get("colors", {}))
         return links
 
@@ -541,7 +542,7 @@ def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     coupled = coupled_joints(names, info.data["couplings"])
     if len(values) not in (coupled.n, coupled.k):
         count = f"{coupled.n}, {_each(info.data)}, or {coupled.k} without the coupled joints"
-        raise Problem(found=len(values), of="entries", expected=count).error()
+        raise mismatch(len(values), count, of="entries")
     if info.field_name in VALUE_INPUTS:
         return values
     if len(values) == coupled.k:

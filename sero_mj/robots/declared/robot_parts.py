@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from ...base.declaration import Declaration, Frame, Name, Vector, numbers, of_shape
-from ...base.errors import Problem, nearest
+from ...base.errors import Problem, mismatch, nearest
 from ...base.frames import Array, frame_from
 from ..importers.joint_names import identifiers, is_joint_name
 from .dh import COLUMNS, Column
@@ -107,11 +107,9 @@ def _tree_frames(value: Any) -> Any:
     if value is None:
         return None
     if not isinstance(value, list | tuple | np.ndarray):
-        raise Problem(found=value, expected="a list of frames, one per joint").error()
+        raise mismatch(value, "a list of frames, one per joint")
     if not 1 <= len(value) <= MAX_JOINTS:
-        raise Problem(
-            found=len(value), of="frames", expected=f"1 to {MAX_JOINTS}, one per joint"
-        ).error()
+        raise mismatch(len(value), f"1 to {MAX_JOINTS}, one per joint", of="frames")
     found = np.empty((len(value), 4, 4))
     for i, entry in enumerate(value):
         try:
@@ -142,15 +140,13 @@ def _limits_of_shape(*shape: int | None) -> BeforeValidator:
 def _are_ordered(limits: Array | None) -> Array | None:
     if limits is not None and (limits[:, 0] >= limits[:, 1]).any():
         row = int(np.flatnonzero(limits[:, 0] >= limits[:, 1])[0])
-        raise Problem(
-            "", f"row {row + 1} is", found=limits[row].tolist(), expected="lower < upper"
-        ).error()
+        raise mismatch(limits[row].tolist(), "lower < upper", f"row {row + 1} is")
     return limits
 
 
 def _are_positive(limits: Array | None) -> Array | None:
     if limits is not None and (limits <= 0).any():
-        raise Problem(found=limits.tolist(), expected="positive numbers").error()
+        raise mismatch(limits.tolist(), "positive numbers")
     return limits
 
 
@@ -159,7 +155,7 @@ def _no_words(limits: Any) -> Any:
     entries = limits if isinstance(limits, list | tuple) else [limits]
     if words := [entry for entry in entries if isinstance(entry, str)]:
         expected = f'a number, inf for no limit, or "{LARGEST}"'
-        raise Problem(found=words[0], expected=expected).error()
+        raise mismatch(words[0], expected)
     return limits
 
 
@@ -197,7 +193,7 @@ def _differ_from_standard(names: list[str]) -> list[str]:
     taken = {*BILLBOARD_VALUES, *VALUE_INPUTS, "base_frame", "flange_check", "flange_frame"}
     for name in names:
         if name in taken or name.startswith("show_") or name == "arrow_quantity":
-            raise Problem("", "every robot has", found=name, expected="another name").error()
+            raise mismatch(name, "another name", "every robot has")
     return names
 
 
@@ -227,7 +223,7 @@ def _scales(value: Any) -> Any:
         return None
     scale = numbers(value)
     if scale.shape not in ((), (3,)) or (scale == 0).any():
-        raise Problem(found=value, expected="a number, or three along x, y and z, not 0").error()
+        raise mismatch(value, "a number, or three along x, y and z, not 0")
     return np.broadcast_to(scale, 3).copy()
 
 
@@ -377,7 +373,7 @@ def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None
             near = nearest(line.value, known)
             choices = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
             hint = f"did you mean '{near}'?" if near else "add it to inputs for one of your own"
-            raise Problem(f"{k}.value", found=line.value, expected=f"{choices}; {hint}").error()
+            raise mismatch(line.value, f"{choices}; {hint}", key=f"{k}.value")
 
 
 def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
@@ -392,13 +388,12 @@ def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
         rows[:, angles] = np.deg2rad(rows[:, angles])
     elif (np.abs(rows[:, angles]) > 2 * np.pi + 1e-6).any():
         largest = float(np.abs(rows[:, angles]).max())
-        raise Problem(
-            "",
+        raise mismatch(
+            largest,
+            "alpha and theta in rad, or dh_params_deg for degrees",
             "found an angle of",
-            found=largest,
             of="rad",
-            expected="alpha and theta in rad, or dh_params_deg for degrees",
-        ).error()
+        )
     if not 1 <= len(rows) <= MAX_JOINTS:
-        raise Problem(found=len(rows), of="rows", expected=f"1 to {MAX_JOINTS}").error()
+        raise mismatch(len(rows), f"1 to {MAX_JOINTS}", of="rows")
     return rows

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from ...base.errors import DeclarationError, Problem, did_you_mean, problems_of
+from ...base.errors import DeclarationError, did_you_mean, mismatch, problems_of
 
 NOT = "not"
 JOINING = ("and", "or", NOT)  # words between comparisons
@@ -89,7 +89,7 @@ def origin_text(origin: Any) -> str:
     else:
         text = _plain_text(origin)
     if len(text) > _MAX_ORIGIN:
-        raise Problem(found=len(text), of="characters", expected=f"at most {_MAX_ORIGIN}").error()
+        raise mismatch(len(text), f"at most {_MAX_ORIGIN}", of="characters")
     return text
 
 
@@ -102,9 +102,7 @@ def _plain_text(origin: Any) -> str:
         hint = ""
         if isinstance(plain, list) and any(isinstance(entry, str) for entry in plain):
             hint = '; put quotes about the whole list: "[udp.values0[0], 1]"'
-        raise Problem(
-            found=origin, expected=f'an event such as "udp.values0", or numbers{hint}'
-        ).error()
+        raise mismatch(origin, f'an event such as "udp.values0", or numbers{hint}')
     return text
 
 
@@ -113,13 +111,10 @@ def _text_for_joints(table: Any) -> str:
     example = '{ from = "udp.values0", joints = ["A1", "A2"] }'
     if not isinstance(table, Mapping) or not table.keys() & {*_OF_JOINTS}:
         if not isinstance(table, Mapping):
-            raise Problem(found=table, of="among tables", expected=example).error()
-        raise Problem(
-            found=table,
-            expected=(
-                'an event such as "udp.values0", or numbers; put quotes about the whole name'
-            ),
-        ).error()
+            raise mismatch(table, example, of="among tables")
+        raise mismatch(
+            table, 'an event such as "udp.values0", or numbers; put quotes about the whole name'
+        )
     if table.keys() != {*_OF_JOINTS}:
         unknown = [f"unknown '{key}'{did_you_mean(key, _OF_JOINTS)}" for key in table
                    if key not in _OF_JOINTS]  # fmt: skip
@@ -128,7 +123,7 @@ def _text_for_joints(table: Any) -> str:
     joints = [table["joints"]] if isinstance(table["joints"], str) else table["joints"]
     names = isinstance(joints, list | tuple) and all(isinstance(each, str) for each in joints)
     if not names or not joints:
-        raise Problem("joints", found=joints, expected="names of joints or limbs, in order").error()
+        raise mismatch(joints, "names of joints or limbs, in order", key="joints")
     return f"{_plain_text(table['from'])}{_FOR}{', '.join(joints)}"
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from ...base.declaration import Declaration
-from ...base.errors import DeclarationError, Problem, collect, did_you_mean, nearest
+from ...base.errors import DeclarationError, Problem, collect, did_you_mean, mismatch, nearest
 from ...base.frames import Array
 from ...base.paths import argument_of
 from ...base.toml_file import key_lines, located
@@ -194,12 +194,12 @@ class Scene:
             DeclarationError: there is already a robot of that name.
         """
         if robot.name in self.robots:
-            raise Problem(
-                f"robots.{robot.name}",
+            raise mismatch(
+                robot.name,
+                "different names",
                 "two robots have the name",
-                found=robot.name,
-                expected="different names",
-            ).error()
+                key=f"robots.{robot.name}",
+            )
         self.robots[robot.name] = self._with_defaults(robot)
         if self._finds_floor:
             is_placed = not np.array_equal(robot.base_frame, np.eye(4))

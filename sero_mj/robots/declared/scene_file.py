@@ -19,6 +19,7 @@ from ...base.errors import (
     UnknownName,
     collect,
     did_you_mean,
+    mismatch,
     nearest,
     problems_of,
 )
@@ -424,7 +425,7 @@ class _Reader:
         value = self.tables[key]
         if isinstance(value, dict):
             return value
-        raise Problem(found=value, expected=f"a table [{key}]").error()
+        raise mismatch(value, f"a table [{key}]")
 
     def _each(self, key: str, build: Callable[[str, dict[str, Any]], T]) -> dict[str, T]:
         built: dict[str, T] = {}
@@ -437,7 +438,7 @@ class _Reader:
 
     def _entry(self, build: Callable[[str, Any], T], name: str, table: Any, place: str) -> T:
         if not isinstance(table, dict):
-            raise Problem(found=table, expected=f"a table [{place}]").error()
+            raise mismatch(table, f"a table [{place}]")
         settings = self._settings.get(place, [])
         built = below = None
         lists: dict[str, int] = {}
@@ -502,7 +503,7 @@ class _Reader:
             fields.setdefault("directory", str(beside))
             return build_robot(fields)
         if not isinstance(model, str | Path):
-            raise Problem("model", found=model, expected="a robot's name").error()
+            raise mismatch(model, "a robot's name", key="model")
         try:
             path = model if isinstance(model, Path) else paths.find_model(model, beside)
         except DeclarationError as error:  # of another file
@@ -547,7 +548,7 @@ def _arguments(table: Mapping[str, Any]) -> dict[str, Any] | None:
         isinstance(value, str | int | float) for value in found.values()
     )
     if found is not None and not is_right:
-        raise Problem("arguments", found=found, expected="texts and numbers by name").error()
+        raise mismatch(found, "texts and numbers by name", key="arguments")
     return found
 
 

@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from ...base.declaration import Declaration, Frame, Name, Point, Rgba, Vector
-from ...base.errors import Problem
+from ...base.errors import mismatch
 from ...base.frames import Array
 from ..importers.mesh_files import mesh_endings
 from ..importers.mjcf_file import is_mjcf_object
@@ -43,9 +43,9 @@ def _inside(file: str) -> str:
     """Returns a file name after checking that it is inside its folder."""
     path = Path(file)
     if "\0" in file:
-        raise Problem(found=file, expected="a file's name").error()
+        raise mismatch(file, "a file's name")
     if path.is_absolute() or ".." in path.parts:
-        raise Problem(found=file, expected="a file inside the directory, without '..'").error()
+        raise mismatch(file, "a file inside the directory, without '..'")
     return file
 
 
@@ -53,7 +53,7 @@ def _of_a_mesh(file: str) -> str:
     """Returns a file name after checking its folder and that it is a mesh."""
     if Path(_inside(file)).suffix.lower() not in mesh_endings():
         formats = ", ".join(mesh_endings())
-        raise Problem(found=file, expected=f"a mesh ({formats})").error()
+        raise mismatch(file, f"a mesh ({formats})")
     return file
 
 
@@ -192,13 +192,13 @@ def set_directory(children: Any, folder: Path) -> None:
 
 def _unit_range(rgb: Array) -> Array:
     if (rgb < 0).any() or (rgb > 1).any():
-        raise Problem(found=rgb.tolist(), expected="three numbers from 0 to 1").error()
+        raise mismatch(rgb.tolist(), "three numbers from 0 to 1")
     return rgb
 
 
 def _direction(vector: Array) -> Array:
     if not np.abs(vector).max() > 0:
-        raise Problem(found=vector.tolist(), expected="a direction").error()
+        raise mismatch(vector.tolist(), "a direction")
     return vector
 
 
@@ -223,7 +223,7 @@ class Camera(Declaration):
     def _is_elsewhere(cls, look_at: Array, info: ValidationInfo) -> Array:
         position = info.data.get("position")
         if position is not None and np.array_equal(look_at, position):
-            raise Problem(found=look_at.tolist(), expected="another point than position").error()
+            raise mismatch(look_at.tolist(), "another point than position")
         return look_at
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, PrivateAttr, ValidationInfo, field_validator
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UnknownName, collect
+from ...base.errors import DeclarationError, Problem, UnknownName, collect, mismatch
 from ...base.frames import Array, Ints
 from ..assemble.decor_sizes import MeasuredBodies, Sizes, measure
 from ..assemble.parts import RobotPart
@@ -52,11 +52,11 @@ def _positive(value: Any) -> Any:
         return None
     array = np.asarray(value)
     if array.dtype.kind not in "iuf" or array.ndim > 1:
-        raise Problem(found=value, expected="a number, or one for each joint").error()
+        raise mismatch(value, "a number, or one for each joint")
     finite = numbers(np.where(np.isposinf(array), 0.0, array))
     array = np.where(np.isposinf(array), np.inf, finite)
     if (array <= 0).any():
-        raise Problem(found=array.tolist(), expected="positive numbers").error()
+        raise mismatch(array.tolist(), "positive numbers")
     return array
 
 
@@ -76,6 +76,7 @@ class ModelRobot(SerialRobot):
         arrow_radius: (n,) or one for all, m.
     """
 
+    checked_alone = SerialRobot.checked_alone - {"arrow_radius"}
     joint_frames: Array | None = None
     joint_names: Annotated[list[str], AfterValidator(list)] = []
     torque_limits: PerJoint | None = None
@@ -86,9 +87,7 @@ class ModelRobot(SerialRobot):
     def _one_or_all(cls, value: Array, info: ValidationInfo) -> Array:
         rows = info.data.get("joint_frames")
         if rows is not None and value.ndim and len(value) != len(rows):
-            raise Problem(
-                found=len(value), of="entries", expected=f"{len(rows)}, one per joint"
-            ).error()
+            raise mismatch(len(value), f"{len(rows)}, one per joint", of="entries")
         return value
 
     _carriers: Ints | None = PrivateAttr(None)

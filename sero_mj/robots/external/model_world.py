@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.errors import Problem, UnknownName
+from ...base.errors import Problem, UnknownName, mismatch
 from ...base.frames import Array, Bools, Ints
 from ..assemble.mjcf import build_surroundings
 from ..assemble.parts import DoublePart, DrawnDouble, make_tables
@@ -319,7 +319,7 @@ class ModelWorld(WorldView):
             many = item.meaning if item.count == 1 else f"{item.meaning}: shape {item.shape}"
             if item.kind == "values" and item.shape != (self.model.nv,):
                 many += f", or one per degree of freedom of the model: shape ({self.model.nv},)"
-            raise Problem(target, reason, found=found, expected=many).error()
+            raise mismatch(found, many, reason, key=target)
         bad = ~np.isfinite(array) | (np.abs(array) > item.limits)
         if bad.any() and not isinstance(values, _ByName):
             if not self.not_finite:
@@ -360,9 +360,7 @@ class ModelWorld(WorldView):
             try:
                 array[names.index(joint)] = value
             except (TypeError, ValueError):
-                raise Problem(
-                    owner, f"joint {joint}: found", found=value, expected="a number"
-                ).error() from None
+                raise mismatch(value, "a number", f"joint {joint}: found", key=owner) from None
         return array
 
     def clear_input(self, target: str) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
-from ...base.errors import Problem
+from ...base.errors import mismatch
 
 BASE = "base"  # the parent of joints without a parent joint
 LONGEST = 200  # characters
@@ -24,7 +24,7 @@ def is_joint_name(name: str) -> str:
     """
     if not name.strip() or not name.isprintable() or len(name) > LONGEST:
         expected = f"1 to {LONGEST} characters that can be printed"
-        raise Problem(found=name, expected=expected).error()
+        raise mismatch(name, expected)
     return name
 
 

@@ -28,8 +28,8 @@ from .controller import (
     within,
 )  # fmt: skip
 from .joint_control import damping_slider, design_damping, too_stiff, unstable_joint
-from .robot_models import RobotModels
 from .robot_model import RobotModel
+from .robot_models import RobotModels
 
 # Least mobility J M^-1 J^T in any direction, as a share of its trace, with lengths in units in
 # which moving and turning have equal traces. What is below is raised to it (as for inverse

@@ -1,6 +1,7 @@
 """Joint-space controllers (gravity compensation, torque, impedance, position) and their damping.
 
-They control one robot, or the robots of a `RobotModels`: all arrays have its rows as first axis then.
+They control one robot, or all robots of a `RobotModels`, whose rows are the first axis of all
+arrays then.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from .controller import (
     range_text,
     within,
 )  # fmt: skip
-from .robot_models import RobotModels
 from .robot_model import RobotModel
+from .robot_models import RobotModels
 
 MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
 _PER_LIMIT, _SWINGS = 5.0, 13.0  # 1/rad and 1/s, see `JointImpedance.for_robot`

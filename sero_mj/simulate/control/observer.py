@@ -7,8 +7,8 @@ import numpy as np
 from ...base.errors import Problem
 from ...base.frames import Array
 from .controller import Sensed
-from .robot_models import RobotModels
 from .robot_model import RobotModel
+from .robot_models import RobotModels
 
 
 class MomentumObserver:

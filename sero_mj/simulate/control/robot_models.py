@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,7 +44,7 @@ class RobotModels:
         self._first, self.rows = models[0], (m,)
         ends = np.cumsum([0, *(model.n for model in models)]).tolist()
         self.n = ends[-1]
-        self.robots = [slice(a, b) for a, b in zip(ends, ends[1:], strict=False)]
+        self.robots = [slice(a, b) for a, b in pairwise(ends)]
         self.joint_names = [
             f"{model.name}/{joint}" for model in models for joint in model.joint_names
         ]

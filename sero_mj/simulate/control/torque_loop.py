@@ -33,7 +33,6 @@ measurement, IROS 2008.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -42,8 +41,8 @@ from ...base.frames import Array, Bools
 from ...robots.assemble.robot_dynamics import RobotDynamics
 from ...robots.declared.dynamics import TorqueControl
 from ...robots.declared.robot import SerialRobot
-from .robot_models import RobotModels
 from .robot_model import RobotModel
+from .robot_models import RobotModels
 
 # 1/s; what grows more slowly is no matter of the time step. Rounding splits the double eigenvalue
 # of what nothing holds.
@@ -264,9 +263,10 @@ def loop_coefficients(gains: LoopGains, timestep: float) -> Array:
         timestep: s.
 
     Returns:
-        (4, 7, n), coefficients per joint: to [motor torques, friction, friction + its momentum term, filtered torques] from
-        the same a step before and [commanded torques, motor velocities, measured torques]. The
-        momentum term, b dtheta with b = (1 - exp(-L t)) B / t, lets the observer do without the
+        (4, 7, n), coefficients per joint: to [motor torques, friction, friction + its momentum
+        term, filtered torques] from the same a step before and [commanded torques, motor
+        velocities, measured torques]. The momentum term, b dtheta with
+        b = (1 - exp(-L t)) B / t, lets the observer do without the
         velocities of the step before; exponentials make both low passes exact for what is constant
         during a step.
     """

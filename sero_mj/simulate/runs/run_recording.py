@@ -27,18 +27,17 @@ from ...base.errors import (
 )
 from ...base.frames import Array
 from ...base.toml_file import parse_toml
-from ...data.drive.bag_topics import topics_of, with_bag
+from ...data.drive.replays import topics_of
 from ...data.drive.table_scene import read_for, robots_in
 from ...data.drive.wiring import wired_source
 from ...data.receive.source import Source
-from ...data.record.bag import Bag, open_recording
 from ...data.record.csv_files import column_names
+from ...data.record.formats import look_into, open_recording
 from ...data.record.recording import PacketFile
 from ...data.record.replay import receiver_of
 from ...data.record.scene_files import table_names
 from ...data.record.table import Table
 from ...data.record.table_signals import Columns
-from ...data.ros.ros_source import RosSource
 from ...robots.declared.degrees import degrees_warning
 from ...robots.declared.group_model import Expanded, expand_groups
 from ...robots.declared.robot import SerialRobot, build_robot
@@ -83,11 +82,11 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
     path = Path(path)
     topics = None
     if scene is not None:
-        scene = with_bag(scene, path, source)
+        scene = look_into(path).lead(scene, source)
         topics = topics_of(scene)
     with _opened(path, topics) as recording:
         names = _chosen(recording, source)
-        if isinstance(recording, Bag) and scene is not None and not scene.sources:
+        if recording.names_joints and scene is not None and not scene.sources:
             names = [recording.choose_source(source or "", by="--source NAME")]
         runs = [name for name in names if _robots_of(recording.sources[name].events)]
         if len(runs) > 1:
@@ -101,7 +100,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         robots = declared.robots
         if not robots:
             found = f"found {', '.join(recording.attachments) or 'no files'}"
-            if isinstance(recording, Bag):
+            if recording.names_joints:
                 found = "it describes none, and no shipped one has its joints"
             reason = f"has no robot in it: {found}; expected a scene, give one"
             raise RecordingError(path, reason)
@@ -112,7 +111,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
 
 
 @contextmanager
-def _opened(path: Path, topics: Mapping[str, RosSource] | None) -> Iterator[PacketFile]:
+def _opened(path: Path, topics: Mapping[str, Source] | None) -> Iterator[PacketFile]:
     """Opens a recording, and logs at last what is wrong with it: it may be cut."""
     with open_recording(path, topics) as recording:
         try:
@@ -128,7 +127,7 @@ def read_run_table(
     source: str | None = None,
     columns: Columns = MappingProxyType({}),
 ) -> RunLog:
-    """Reads a table of a simulation (`simulate --csv`), of packets (`export-csv`), or of joints.
+    """Reads a table of a simulation (`simulate --csv`), of packets (`export`), or of joints.
 
     Args:
         path: of the table.

@@ -10,14 +10,13 @@ import numpy as np
 
 from ...base.errors import SeroError
 from ...base.frames import Array, Bools
-from ...data.receive.source import QUIET_AFTER
-from ...data.record.replay import Replay
+from ...data.receive.reception import QUIET_AFTER
+from ...data.record.file_source import FileSource
 from ...robots.declared.inputs import SOURCE_FIELDS
-from ...viewer.decor.quantities import joint_values, torque_text
+from ...viewer.decor.quantities import joint_name, joint_values, torque_text
 from ...viewer.session.clock import Tick, time_text
-from ...viewer.session.interaction import Key
+from ...viewer.session.keys import Key
 from ...viewer.session.tool import Action, Shown, Tool
-from ...viewer.session.torque_history import joint_name
 from ..runs.monitor import Monitor
 from ..runs.run_recording import read_run
 from ..runs.run_source import RunSource
@@ -169,7 +168,7 @@ class Bookmarks(Tool):
         """What a monitor finds in the recordings that are played; nothing in what is no run."""
         found: list[Tick] = []
         for source in self._mirror.sources.values():
-            if not isinstance(source, Replay) or source.end is None:
+            if not isinstance(source, FileSource) or source.end is None:
                 continue
             try:
                 log = read_run(source.file, scene=self._mirror.world.scene)

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...base.errors import SeroError
+from ...viewer.image.picking import Pixel
 from ...viewer.session.background_exports import BackgroundExports
-from ...viewer.session.picking import Pixel
 from ...viewer.session.tool import Action, Grab, Shown, Tool
 from ...viewer.tools.handle_drag import target_of
 from ..runs.run_source import RunSource

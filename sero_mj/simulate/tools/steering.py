@@ -12,12 +12,12 @@ import numpy as np
 
 from ...base.frames import Array
 from ...viewer.decor.toggles import Handles
-from ...viewer.panels.widgets import Widgets
-from ...viewer.session.picking import Pixel
+from ...viewer.image.picking import Pixel
+from ...viewer.session.joint_goal import JointGoal, set_goals
 from ...viewer.session.tool import Grab, Shown, Tool
+from ...viewer.session.widgets import Widgets
 from ...viewer.tools.handle_drag import dragged, target_of
 from ...viewer.tools.jogging import link_number
-from ...viewer.tools.joint_goal import JointGoal, set_goals
 from ..live_control import LiveRobot
 from ..runs.run_source import RunSource
 from .steering_panel import SteeringPanel

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...base.frames import Array
 from ...viewer.panels.jog_panel import JointSliders, build_each, build_flange
-from ...viewer.panels.widgets import Widgets
-from ...viewer.tools.joint_goal import JointGoal
+from ...viewer.session.joint_goal import JointGoal
+from ...viewer.session.widgets import Widgets
 from ..control.controller import Slider
 from ..live_control import LiveRobot
 
@@ -26,10 +26,10 @@ class Steered(Protocol):
     has_handles: bool
 
     @property
-    def error(self) -> str: ...  # noqa: D102
-    def start_again(self) -> str: ...  # noqa: D102
-    def choose(self, robot: str, control: str) -> str: ...  # noqa: D102
-    def base(self, robot: str) -> Array: ...  # noqa: D102
+    def error(self) -> str: ...
+    def start_again(self) -> str: ...
+    def choose(self, robot: str, control: str) -> str: ...
+    def base(self, robot: str) -> Array: ...
 
 
 class SteeringPanel:

@@ -1,7 +1,6 @@
-"""Panels of live hosts: what windows and pages show beside the picture, written once for both.
+"""Panels of windows and pages, written once for both.
 
 In: a host's world, toggles, and what its user sets by hand. Out: changes of these.
-Open first: `widgets.py`, what panels are made of. `imgui_widgets.py` draws it in windows by Dear
-ImGui, `dom_widgets.py` makes a tree of it that pages show by HTML elements; hosts say where panels
-are (`window/chrome.py`, `web/page_panels.py`).
+Open first: `robot_panel.py`. Panels are made of `session.widgets`; `imgui_widgets.py` draws them in
+windows with Dear ImGui, `dom_widgets.py` makes the tree that pages show as HTML elements.
 """

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...base.frames import Array
 from ..session.status_line import Mood
-from .widgets import Plot
+from ..session.widgets import Plot
 
 Node = dict[str, Any]
 
@@ -24,17 +24,10 @@ _DIGITS = 5  # of the numbers of plots
 _LINE, _TEXT_LINE, _GAP = 2.3, 1.45, 0.3
 
 
-class DomWidgets:
-    """See `Widgets`; a node has the keys that `js/src/panels.js` reads.
+class _Tree:
+    """Nodes with their ids, and what the user did with them."""
 
-    Args:
-        to_clipboard: puts a text onto the clipboard of the browser in control.
-    """
-
-    points, interval = 320, 1.0 / 15.0
-
-    def __init__(self, to_clipboard: Callable[[str], None]) -> None:
-        self.copy = to_clipboard
+    def __init__(self) -> None:
         self.folds: dict[str, bool] = {}
         self._is_open: dict[str, bool] = {}  # nodes that were folded or unfolded
         self._sections: set[str] = set()  # ids
@@ -65,17 +58,10 @@ class DomWidgets:
         elif id_ in self._nodes_to_fold:
             self._is_open[id_] = is_open
 
-    @property
-    def is_asked(self) -> bool:
-        """Whether the user did something that no widget has returned yet."""
-        return bool(self._done)
-
     def tree_of(self, build: Callable[[], object], size: tuple[float, float]) -> list[Node]:
         """Returns the nodes that a function builds.
 
-        Args:
-            build: builds a panel by these widgets.
-            size: width and height that the panel has, of the text's height.
+        Width and height of the panel are in units of the text's height.
         """
         self._begin(size)
         self._widgets = set()
@@ -83,10 +69,7 @@ class DomWidgets:
         self._done.clear()  # also of widgets that are not shown any more
         return self._nodes
 
-    # ---- nodes
-
     def _id(self, label: str) -> str:
-        """The id of a label in its scope; the second widget of a label has another one."""
         name = label.partition("###")[2] or label
         id_ = "/".join([*self._scopes, name])
         count = self._ids[id_] = self._ids.get(id_, 0) + 1
@@ -101,7 +84,6 @@ class DomWidgets:
         return node
 
     def _widget(self, kind: str, label: str, **keys: Any) -> tuple[bool, Any]:
-        """Puts a widget; returns whether its user did something, and what."""
         id_, shown = self._id(label), label.partition("##")[0]
         words = {"s": shown} if shown else {"s": "", "aria": label.strip("#")}
         self._put(kind, id=id_, **words, **keys)
@@ -109,38 +91,43 @@ class DomWidgets:
         is_done = id_ in self._done and not any(self._off)
         return is_done, self._done.pop(id_, None)
 
-    # ---- see `Widgets`
+
+class DomWidgets(_Tree):
+    """`Widgets` on a page; a node has the keys that `js/src/panels.js` reads.
+
+    Args:
+        to_clipboard: puts a text onto the clipboard of the browser in control.
+    """
+
+    points, interval = 320, 1.0 / 15.0
+
+    def __init__(self, to_clipboard: Callable[[str], None]) -> None:
+        super().__init__()
+        self.copy = to_clipboard
 
     def room(self) -> tuple[float, float]:
-        """Returns the panel's width, and the height that is left of it, about."""
         width, height = self._size
         return width, max(height - _height_of(self._nodes, width), 0.0)
 
     def wide(self, words: str) -> float:
-        """Returns about the width of a text."""
         return _CHARACTER * len(words)
 
     def text(self, words: str, mood: Mood = "plain") -> None:
-        """Writes a text."""
         self._put("text", s=words, mood=mood)
 
     def label(self, words: str) -> None:
-        """Writes a text beside a field."""
         self._put("label", s=words)
 
     def title(self, words: str) -> None:
-        """Writes a heading."""
         self._put("title", s=words)
 
     def header(self, label: str, *, is_open: bool = False) -> bool:
-        """Begins a section, which ends with the next one."""
         self._into = [self._nodes]
         id_ = self._id(label)
         self._sections.add(id_)
         return self._foldable("header", label, id_, is_open=self.folds.get(id_, is_open))
 
     def tree(self, label: str) -> bool:
-        """Begins a node."""
         id_ = self._id(label)
         self._nodes_to_fold.add(id_)
         is_open = self._foldable("tree", label, id_, is_open=self._is_open.get(id_, False))
@@ -156,12 +143,10 @@ class DomWidgets:
         return is_open
 
     def end_tree(self) -> None:
-        """Ends a node."""
         self._into.pop()
         self._scopes.pop()
 
     def table(self, name: str, widths: Sequence[float]) -> bool:
-        """Begins a table."""
         node = self._put("table", id=self._id(name), widths=list(widths), rows=[])
         self._tables.append(node)
         self._scopes.append(name)
@@ -169,73 +154,58 @@ class DomWidgets:
         return True
 
     def row(self) -> None:
-        """Begins a row."""
         self._tables[-1]["rows"].append([])
 
     def cell(self) -> None:
-        """Begins a cell."""
         nodes: list[Node] = []
         self._tables[-1]["rows"][-1].append(nodes)
         self._into[-1] = nodes
 
     def end_table(self) -> None:
-        """Ends a table."""
         self._tables.pop()
         self._scopes.pop()
         self._into.pop()
 
     def scope(self, name: str) -> None:
-        """Begins a scope."""
         self._scopes.append(name)
 
     def end_scope(self) -> None:
-        """Ends a scope."""
         self._scopes.pop()
 
     def same_line(self, left: float = 0.0, gap: float = -1.0) -> None:
-        """Goes on in the same line."""
         self._next["same"] = gap
         if left:
             self._next["left"] = left
 
     def width(self, width: float) -> None:
-        """Sets the next width."""
         self._next["width"] = width
 
     def tip(self, words: str) -> None:
-        """Explains the last widget."""
         self._into[-1][-1]["tip"] = words
 
     def disable(self, *, is_off: bool) -> None:
-        """Begins what takes no input."""
         self._off.append(is_off)
 
     def enable(self) -> None:
-        """Ends it."""
         self._off.pop()
 
     def button(self, label: str, width: float = 0.0) -> bool:
-        """Builds a button."""
         if width:
             self._next["width"] = width
         return self._widget("button", label)[0]
 
     def select(self, label: str, *, is_lit: bool) -> bool:
-        """Builds a text that can be clicked on."""
         return self._widget("select", label, lit=is_lit)[0]
 
     def search(self, label: str, text: str, hint: str) -> str:
-        """Builds a field for a text."""
         is_done, typed = self._widget("search", label, text=text, hint=hint)
         return typed if is_done and isinstance(typed, str) else text
 
     def check(self, label: str, is_on: bool) -> tuple[bool, bool]:
-        """Builds a check box."""
         is_done, now = self._widget("check", label, on=bool(is_on))
         return (True, bool(now)) if is_done else (False, is_on)
 
     def choose(self, label: str, index: int, names: Sequence[str]) -> tuple[bool, int]:
-        """Builds a list."""
         is_done, now = self._widget("choose", label, index=int(index), names=list(names))
         if is_done and isinstance(now, int) and 0 <= now < len(names):
             return True, now
@@ -250,7 +220,6 @@ class DomWidgets:
         text: str,
         ticks: Sequence[tuple[float, Mood, str]] = (),
     ) -> tuple[bool, float]:
-        """Builds a slider."""
         shown = (text % value if "%" in text else text) if text else ""
         ends = {"low": float(low), "high": float(high)}
         marks = {"ticks": [[float(at), mood, words] for at, mood, words in ticks]} if ticks else {}
@@ -262,16 +231,13 @@ class DomWidgets:
         return False, value
 
     def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
-        """Builds a field for a number."""
         is_done, now = self._widget("number", label, value=_number(value, 0.0), text=text % value)
         return (True, float(now)) if is_done and _is_number(now) else (False, value)
 
     def lines(self, label: str, text: str, count: int) -> None:
-        """Shows text to copy from."""
         self._put("lines", id=self._id(label), text=text, count=count)
 
     def plot(self, plot: Plot, height: float) -> None:
-        """Builds a plot."""
         self._put(
             "plot",
             id=self._id(plot.y_label),
@@ -289,7 +255,7 @@ class DomWidgets:
 
 
 def _height_of(nodes: Sequence[Node], width: float) -> float:
-    """Returns about the height of nodes in a panel of a width, of the text's height."""
+    """Returns the approximate height of nodes, in units of the text's height as is the width."""
     height = last = 0.0
     for node in nodes:
         own = _LINE

@@ -7,10 +7,15 @@ import time
 import numpy as np
 
 from ...robots.assemble.world_view import WorldView
-from ..decor.quantities import torque_and_unit, torque_text
-from ..session.torque_history import TorqueHistory, joint_name
+from ..decor.quantities import joint_name, torque_and_unit, torque_text
+from ..session.torque_history import TorqueHistory
+from ..session.widgets import (
+    Line,
+    Plot,
+    Rgb,
+    Widgets,
+)
 from .time_plots import time_plot, with_gaps
-from .widgets import Line, Plot, Rgb, Widgets
 
 # Light blue and orange: distinct for the colour-blind and on a dark background.
 _MEASURED: Rgb = (0.45, 0.78, 1.0)
@@ -26,13 +31,7 @@ _NOTE = 2.2  # height of the words in place of that of the error, two lines of t
 
 
 class TorquePlots:
-    """Plots the history of one joint, with its limits.
-
-    Args:
-        world: the compiled scene.
-        points: of a line, at most, about.
-        interval: between two updates, s.
-    """
+    """Plots the history of one joint, with its limits."""
 
     def __init__(self, world: WorldView, points: int, interval: float = 0.0) -> None:
         self._world, self._points, self._interval = world, points, interval
@@ -45,9 +44,6 @@ class TorquePlots:
         """Builds the plots of a joint and returns the joint that the user has selected.
 
         Args:
-            ui: takes them.
-            history: the torques.
-            joint: index in the world.
             height: at most, of the text's height.
         """
         ui.width(max(min(_NAMES, ui.room()[0] - _BESIDE), 1.0))
@@ -78,7 +74,6 @@ class TorquePlots:
         return joint
 
     def plots(self, history: TorqueHistory, joint: int) -> list[Plot]:
-        """Returns the plots of a joint: its torques, and their error."""
         times, (measured, commanded, error) = history.of(joint, self._points)
         joints = self._world.joints
         limit = np.inf if joints.is_largest[joint] else float(joints.torque_limit[joint])
@@ -95,7 +90,6 @@ class TorquePlots:
 
 
 def _without(what: str, torques: Plot) -> str:
-    """Returns why there is no error to plot; empty where there is one."""
     missing = [line.name for line in torques.lines if not len(line.x)]
     if not missing:
         return ""

@@ -21,20 +21,20 @@ from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 from ...robots.declared.scene import Scene
-from ..camera import find_camera, followed
 from ..decor.billboards import Line, has_chosen_lines, joint_formats, shows_errors
 from ..decor.draw import Decor
 from ..decor.feature import Frame
 from ..decor.geom_buffer import GEOM, GeomBuffer, Kind
 from ..decor.legend import SCALE, Legend
 from ..decor.picture_view import PictureView
+from ..decor.quantities import joint_name
 from ..decor.toggles import Toggles
-from ..following import Follower
-from ..framing import Framing, declared_data, needed_aspect
-from ..headless.picture_options import DEFAULT_SIZE
-from ..sampling import known_poses, sampled_states
-from ..session.held_torques import HeldTorques
-from ..session.torque_history import joint_name
+from ..image.camera import find_camera, followed
+from ..image.following import Follower
+from ..image.framing import Framing, declared_data, needed_aspect
+from ..image.held_torques import HeldTorques
+from ..image.picture_options import DEFAULT_SIZE
+from ..image.sampling import known_poses, sampled_states
 from .copied_bodies import CopiedBodies, CopiedBody
 from .labels import labels_of
 from .model import drawn_bodies, visible_geoms

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.surroundings import KEY_DIRECTION, PALETTES, Palette
-from ..sky_light import LEVELS, SkyLight
+from ..image.sky_light import LEVELS, SkyLight
 from .model import our_floor
 from .packing import rounded
 

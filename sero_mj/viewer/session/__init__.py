@@ -1,6 +1,5 @@
-"""The parts shared by all hosts while a scene is shown.
+"""State of a view, and what tools and panels are made of.
 
-In: a mirror, events, and recent views. Out: the state of the display: time, switches, view,
-messages, the start page.
-Open first: `live.py`; `picking.py` finds the item at a pixel.
+In: a mirror, events, and recent views. Out: time, histories, keys and settings of the view.
+Open first: `tool.py` (the base class of tools), `widgets.py` (what panels are made of), `clock.py`.
 """

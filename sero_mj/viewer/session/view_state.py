@@ -10,24 +10,19 @@ import mujoco
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ...base.errors import SeroError, UnknownName, UsageError, did_you_mean
+from ...base.errors import SeroError, UsageError
 from ...robots.assemble.world_view import WorldView
-from ...robots.declared.robot_parts import ARROW_QUANTITIES
-from ..camera import find_camera
-from ..decor.toggles import PART_NAMES, Toggles
+from ..decor.quantities import joint_name
+from ..decor.toggles import Toggles
+from ..image.camera import find_camera
+from ..image.switches import (
+    SWITCH_NAMES,
+    apply_switches,
+    find_joint,
+    switches_text,
+)
 from .clock import Clock
-from .torque_history import joint_name
 
-# Fields of `Toggles` that are switches.
-SWITCH_NAMES = (
-    "arrows", "arrow_quantity", "billboards", "details", "axes", "frame_names", "vectors", "cards",
-    "doubles", "legend", "status", "flange_checks", "contacts", "inertias", "joint_axes",
-    "centres_of_mass", "part_names", "transparent", "wireframe",
-)  # fmt: skip
-# Also accepted, but not settable: whether torques are those of the model, as the legend says.
-MODELLED = "modelled"
-# The largest digit of switches that are not on or off.
-_MOST = {"arrow_quantity": len(ARROW_QUANTITIES) - 1, "part_names": len(PART_NAMES) - 1}
 _DECIMALS = 4  # of degrees and m
 _MAX_CHARACTERS = 200_000  # of a state as text; robots have a digit for each switch
 _MAX_TIME = 1e9  # s
@@ -52,7 +47,6 @@ class ViewState(NamedTuple):
     Attributes:
         camera: in the format of `find_camera`; empty for the scene's own view.
         switches: those that differ from the scene's, in the format of `apply_switches`.
-        joint: selected, `lwr/A2`; empty for none.
         time: displayed, s; None for live sources.
     """
 
@@ -109,62 +103,6 @@ def camera_text(world: WorldView, camera: mujoco.MjvCamera) -> str:
     return ",".join(f"{round(float(number), _DECIMALS) + 0.0:.10g}" for number in numbers)
 
 
-def switches_text(world: WorldView, toggles: Toggles) -> dict[str, str]:
-    """Returns switches that differ from the declared ones: a digit per item, or one for all."""
-    declared = Toggles(world)
-    found = {}
-    for name in SWITCH_NAMES:
-        now = np.atleast_1d(getattr(toggles, name)).astype(int)
-        if np.array_equal(now, np.atleast_1d(getattr(declared, name)).astype(int)):
-            continue
-        digits = now[:1] if len(now) and (now == now[0]).all() else now
-        found[name] = "".join(map(str, digits.tolist()))
-    return found
-
-
-def apply_switches(
-    world: WorldView, toggles: Toggles, given: Mapping[str, str], selected: str | None = None
-) -> None:
-    """Sets switches.
-
-    Args:
-        world: the compiled scene.
-        toggles: changed in place.
-        given: by name, see `SWITCH_NAMES`: a digit for each item (joint, frame, ...), or one for
-            all; 1 is on, `arrow_quantity` counts the quantities from 0, and `part_names` is an
-            index of `PART_NAMES`.
-        selected: the joint to select, `lwr/A2`; unchanged when None.
-
-    Raises:
-        UsageError: no such switch, other digits, or not as many as there are items.
-        UnknownName: no such joint.
-    """
-    if selected is not None:
-        toggles.selected = _find_joint(world, selected)
-    for name, digits in given.items():
-        if name not in (*SWITCH_NAMES, MODELLED):
-            raise UsageError(f"no switch '{name}'{did_you_mean(name, SWITCH_NAMES)}")
-        most = _MOST.get(name, 1)
-        if not digits or any(digit not in "0123456789"[: most + 1] for digit in digits):
-            raise UsageError(f"{name}: found '{digits}'; expected digits from 0 to {most}")
-        now = getattr(toggles, name)
-        count = 1 if isinstance(now, int) else len(now)
-        if len(digits) not in (1, count):
-            many = f", or {count}: one for each" if count > 1 else ""
-            raise UsageError(f"{name}: found {len(digits)} digits; expected one{many}")
-        if isinstance(now, int):  # a bool, too
-            setattr(toggles, name, type(now)(int(digits)))
-            continue
-        now[:] = [int(digit) for digit in digits] if len(digits) == len(now) else int(digits)
-
-
-def _find_joint(world: WorldView, name: str) -> int:
-    names = [joint_name(world, i) for i in range(len(world.joints.names))]
-    if name not in names:
-        raise UnknownName("joint", name, names)
-    return names.index(name)
-
-
 def apply_state(
     world: WorldView, toggles: Toggles, state: ViewState
 ) -> tuple[mujoco.MjvCamera | None, int | None, list[str]]:
@@ -172,7 +110,6 @@ def apply_state(
 
     Args:
         world: the compiled scene, which may have changed since.
-        toggles: changed in place.
         state: what was set.
 
     Returns:
@@ -194,7 +131,7 @@ def apply_state(
     toggles.selected = None
     if state.joint:
         try:
-            toggles.selected = _find_joint(world, state.joint)
+            toggles.selected = find_joint(world, state.joint)
         except SeroError as error:
             wrong.append(str(error))
     return camera, toggles.selected, wrong
@@ -206,8 +143,6 @@ class ViewSnapshot(NamedTuple):
     Attributes:
         camera: type, ids of camera and body, azimuth, elevation and distance.
         lookat: (3,), m; None if the camera follows something.
-        switches: of `SWITCH_NAMES`, then the clicked billboards, as bytes.
-        selected: joint.
     """
 
     camera: tuple[float, ...]
@@ -217,7 +152,6 @@ class ViewSnapshot(NamedTuple):
 
     @classmethod
     def of(cls, camera: mujoco.MjvCamera, toggles: Toggles, *, follows: bool) -> ViewSnapshot:
-        """The current state of a camera and toggles; `follows`: whether it follows a frame."""
         return cls(
             tuple(getattr(camera, name) for name in _CAMERA),
             None if follows else tuple(camera.lookat.tolist()),
@@ -226,7 +160,6 @@ class ViewSnapshot(NamedTuple):
         )
 
     def show(self, camera: mujoco.MjvCamera, toggles: Toggles) -> None:
-        """Applies the state to a camera and toggles."""
         for name, value in zip(_CAMERA, self.camera, strict=True):
             setattr(camera, name, value)
         if self.lookat is not None:

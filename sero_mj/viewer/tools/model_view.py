@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 from ..decor.toggles import PART_NAMES
-from ..panels.widgets import Widgets
 from ..session.tool import Tool
+from ..session.widgets import Widgets
 
 _SECOND = 8.6  # where a second widget of a line begins, of the text's height
 _WIDTH = 8.6  # of the list
@@ -33,7 +33,6 @@ class ModelView(Tool):
     order: ClassVar[int] = 75
 
     def build(self, ui: Widgets) -> None:
-        """See `Tool`."""
         if not ui.header("Model"):
             return
         toggles = self.shown.toggles

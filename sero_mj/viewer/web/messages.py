@@ -101,13 +101,14 @@ class Key(Message):
 
 
 class Card(Message):
-    """A click on a text over the picture: the kind and index of what it belongs to."""
+    """A click on text over the picture: what the text belongs to, and the pixel as in `Pointer`."""
 
     t: Literal["card"]
     kind: _Index
     item: _Index
+    x: _Pixel
+    y: _Pixel
     shift: bool = False
-    double: bool = False
 
 
 class Widget(Message):

@@ -9,10 +9,10 @@ from typing import Any
 
 from ...base.errors import UsageError
 from ..decor.geom_buffer import Kind
+from ..host.live import LiveHost
+from ..host.restoring import show_state
+from ..image.picking import Picked, Pixel, picked_of
 from ..session.input import Clicked, Event, Mouse, Moved
-from ..session.live import LiveHost
-from ..session.picking import Pixel, picked_of
-from ..session.restoring import show_state
 from ..session.view_state import ViewState
 from .messages import (
     Camera,
@@ -109,7 +109,7 @@ class PageInput:
         if said.kind == "leave":  # a finger was taken away: what was pressed is not released
             self._leave()
             return
-        at = said.x, self._page_view.size[1] - said.y
+        at = self._pixel(said)
         pointer = self._host.pointer
         pointer.at = at if self._is_inside(at) else None
         shift = said.shift or said.ctrl
@@ -124,15 +124,18 @@ class PageInput:
             self.is_dragging = False
             pointer.dragging.release()
 
+    def _pixel(self, said: Pointer | Card) -> Pixel:
+        return said.x, self._page_view.size[1] - said.y
+
     def _is_inside(self, at: Pixel) -> bool:
         width, height = self._page_view.size
         return 0 <= at[0] < width and 0 <= at[1] < height
 
-    def _click(self, clicked: Clicked) -> None:
+    def _click(self, clicked: Clicked, picked: Picked | None = None) -> None:
         if self._host.shows_help:
-            self._host.toggle_help()
+            self._host.toggle("shows_help")
         else:
-            self._host.pointer.click(clicked)
+            self._host.pointer.click(clicked, picked)
 
     def _wheel(self, said: Wheel) -> None:
         if self.is_dragging:
@@ -147,18 +150,15 @@ class PageInput:
     def _key(self, said: Key) -> None:
         if said.key == "escape":
             if self._host.shows_help:
-                self._host.toggle_help()
+                self._host.toggle("shows_help")
             else:
                 self._host.others.dismiss()
             return
         self._host.actions.press(said.key, is_repeat=said.repeat)
 
     def _card(self, said: Card) -> None:
-        """A click on text of the page, which stands for what it belongs to."""
         picked = picked_of(self._host.world, Kind(said.kind), said.item)
-        # Clicks in a row on one card are at one place, those on another one are elsewhere.
-        at = (1e5 * (1 + picked.index), 1e5 * said.kind)
-        self._host.pointer.click_item(picked, at, time.monotonic(), shift=said.shift)
+        self._click(Clicked(*self._pixel(said), time.monotonic(), said.shift), picked)
 
     def _widget(self, said: Widget) -> None:
         if said.tree == REQUEST and not self.sender.is_local:
@@ -169,7 +169,7 @@ class PageInput:
         self._panels.fold(said.tree, said.id, is_open=said.open)
 
     def _close(self, said: CloseArea) -> None:
-        for tool in self._host.areas:
+        for tool in self._host.tools.areas:
             if tool.area == said.area:
                 tool.shows_area = False
 

@@ -20,6 +20,7 @@ from ..decor.feature import Frame
 from ..decor.geom_buffer import GeomBuffer, Kind
 from ..decor.panels import Panels
 from ..decor.picture_view import PictureView
+from ..image.scene_decor import SceneDecor
 from ..player.capture import (
     body_opacity,
     body_poses,
@@ -33,7 +34,6 @@ from ..player.encode import METRE_STEP, ROTATION_STEP, arrow_looks, encode
 from ..player.items import poses, quaternions_of
 from ..player.labels import labels_of
 from ..player.soft import SoftParts
-from ..session.scene_decor import SceneDecor
 from .sections import Sections
 
 _KEYS = ["joint_angles"]  # values of joints that the page computes with

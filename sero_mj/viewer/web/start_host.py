@@ -11,9 +11,7 @@ from typing import Any, Self
 
 from ...base.errors import SeroError
 from ...data.drive.mirror import Mirror
-from ..panels.message import Message as Notice
-from ..session.recent_views import RecentView
-from ..session.start_page import (
+from ..host.start_page import (
     DROP_HINT,
     MORE_HINT,
     SEARCH_HINT,
@@ -24,6 +22,8 @@ from ..session.start_page import (
     PortMonitor,
     StartPage,
 )
+from ..panels.message import Message as Notice
+from ..session.recent_views import RecentView
 from .browsers import Browsers
 from .messages import ForStartPage, Left, Message, OpenShown, OpenTile, Sender
 from .sections import Sections

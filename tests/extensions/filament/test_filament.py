@@ -26,8 +26,8 @@ from sero_mj.extensions.filament.renderer import FilamentRenderer
 from sero_mj.extensions.photo.over import PhotoRenderer
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.surroundings import PALETTES
-from sero_mj.viewer.headless import renderer as renderer_choice
-from sero_mj.viewer.sky_light import linear, shown
+from sero_mj.viewer.image import renderer as renderer_choice
+from sero_mj.viewer.image.sky_light import linear, shown
 
 pytestmark = pytest.mark.gl
 

@@ -52,7 +52,7 @@ def compare(
     ends = 0
     for k, action in enumerate(actions):
         if k == break_at:
-            together.many.lanes[0].batch.bind("qvel")[1] = 1e12
+            together.many.lanes[0].plant.physics.batch.bind("qvel")[1] = 1e12
             alone.envs[1].unwrapped.environment.data.qvel[:] = 1e12
         found += [each.step(action) for each in both]
         (seen, *ours, infos), (expected, *theirs, their_infos) = found[-2:]
@@ -108,7 +108,7 @@ def test_torques_are_measured_as_well_where_a_robot_lies_on_the_floor() -> None:
     environment = sero_mj.make_environment("lwr/reach", **options)
     many = ManyEnvironments(environment, 4)
     many.reset(5 + np.arange(4))
-    batch = many.lanes[0].batch
+    batch = many.lanes[0].plant.physics.batch
     touches = False
     for _ in range(20):
         many.step(176.0 * np.tile(DOWN, (4, 1)))

@@ -20,9 +20,9 @@ from sero_mj.extensions.photo.footage import Video, at_rate, upright
 from sero_mj.extensions.photo.over import PhotoRenderer
 from sero_mj.extensions.photo.over_photo import PhotoPainter
 from sero_mj.extensions.photo.photo_camera import PhotoCamera, PhotoView, PlanePicture
-from sero_mj.viewer.headless.film import FilmWriter
-from sero_mj.viewer.headless.render import make_renderer
-from sero_mj.viewer.session.scene_decor import SceneDecor
+from sero_mj.viewer.image.film import FilmWriter
+from sero_mj.viewer.image.render import make_renderer
+from sero_mj.viewer.image.scene_decor import SceneDecor
 
 BOX = [-0.6, 0.9, -0.6, 0.6, 0.0, 1.1]  # of points about the robot, m
 

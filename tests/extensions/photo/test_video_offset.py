@@ -24,8 +24,8 @@ from sero_mj.extensions.photo.camera_file import write_camera
 from sero_mj.extensions.photo.footage import Video
 from sero_mj.extensions.photo.photo_camera import PhotoCamera, PlanePicture
 from sero_mj.extensions.photo.video_offset import correlate, match
-from sero_mj.viewer.headless.film import FilmWriter
-from sero_mj.viewer.headless.render import make_renderer
+from sero_mj.viewer.image.film import FilmWriter
+from sero_mj.viewer.image.render import make_renderer
 
 FPS, RATE, SECONDS = 25.0, 100.0, 20.0
 LAYOUT = Structure("7F")

@@ -18,7 +18,7 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.extensions.photo.background import open_feed
 from sero_mj.extensions.photo.camera_feed import CameraFeed, VideoFeed
 from sero_mj.extensions.photo.camera_file import write_camera
-from sero_mj.viewer.headless.film import FilmWriter
+from sero_mj.viewer.image.film import FilmWriter
 
 SETTINGS = (
     f"lwr.joint_angles={POSE}",

@@ -54,10 +54,12 @@ export class Input {
     addEventListener("wheel", (event) => this.#wheel(event), { capture: true, passive: false });
   }
 
-  /** @param {MouseEvent} event @returns {Pixel} */
-  #pixel({ clientX, clientY }) {
+  /** The pixel of an event, of its element's middle if a key has clicked. @param {MouseEvent} event @returns {Pixel} */
+  pixelOf({ clientX, clientY, detail, type, target }) {
     const { left, top } = this.canvas.getBoundingClientRect();
-    return { x: clientX - left, y: clientY - top };
+    if (type !== "click" || detail) return { x: clientX - left, y: clientY - top };
+    const box = /** @type {Element} */ (target).getBoundingClientRect();
+    return { x: (box.left + box.right) / 2 - left, y: (box.top + box.bottom) / 2 - top };
   }
 
   /** @param {string} kind @param {PointerEvent} event */
@@ -65,7 +67,7 @@ export class Input {
     if (!this.page.canAct()) return;
     if (kind !== "move") this.flush();
     this.isOver = kind !== "leave";
-    this.page.send({ t: "pointer", kind, ...this.#pixel(event), button: BUTTONS[event.button] ?? 0,
+    this.page.send({ t: "pointer", kind, ...this.pixelOf(event), button: BUTTONS[event.button] ?? 0,
       shift: event.shiftKey || event.ctrlKey || event.metaKey, ctrl: event.ctrlKey || event.metaKey });
   }
 
@@ -78,7 +80,7 @@ export class Input {
 
   /** @param {PointerEvent} event */
   #press(event) {
-    const isFinger = event.pointerType === "touch", at = this.#pixel(event);
+    const isFinger = event.pointerType === "touch", at = this.pixelOf(event);
     this.fingers.add(event.pointerId);
     if (this.fingers.size > 1) { // two fingers zoom
       this.#cancel(event);
@@ -104,7 +106,7 @@ export class Input {
   /** @param {PointerEvent} event */
   #move(event) {
     if (this.fingers.size > 1) return;
-    const { x, y } = this.#pixel(event);
+    const { x, y } = this.pixelOf(event);
     if (Math.hypot(x - this.from.x, y - this.from.y) > STILL) clearTimeout(this.hold);
     this.moved = event;
     this.page.wake();

@@ -1,0 +1,512 @@
+"""`Bag`: a recording of ROS as if it were one of ours; rosbag2 (MCAP, SQLite) and ROS 1 bags.
+
+The messages of several topics become the packets of one source, as when they are received.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import Path
+from typing import Any, ClassVar
+
+from mcap.writer import MCAP0_MAGIC
+
+from ...base.errors import Problem, RecordingError, UnknownName
+from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
+from ...data.receive.led_robot import LedJoint
+from ...data.receive.source import Source
+from ...data.record.formats import mcap_header, open_recording
+from ...data.record.mcap_reader import NOT_CLOSED
+from ...data.record.recording import PacketFile, RecordedSource
+from ...robots.declared.scene import Scene
+from ...robots.importers.imported_tables import first_of
+from .bag_scenes import led_by
+from .dds import Ros2
+from .described_scene import DESCRIPTION, described_scene, scenes_of_bag, shipped_robots_of
+from .joined_packets import FRAMES, TF, JoinedPackets
+from .json_mcap import JsonMcap, has_json
+from .mended_mcap import MendedMcap
+from .mended_sqlite import log_of, with_log
+from .messages import JOINT_STATE, ODOMETRY, TEXT, MalformedMessage, type_store
+from .ros_source import MOST_KEPT, TYPES, RosSource, is_tf
+
+_ENDINGS = (".bag", ".active", ".db3")  # a bag of ROS 1 is .bag.active until it is closed
+_METADATA = "metadata.yaml"  # in the folder of a rosbag2
+_FILES = ", ".join(f"NAME{ending}" for ending in BAG_ENDINGS)
+_SQLITE, _SQLITE_HEAD = b"SQLite format 3\0", 100  # bytes
+_ROS1 = b"#ROSBAG V2.0"
+_BEFORE = 0.5  # s before a time in which what was true at that time is looked for
+_EVERY_DEVICE = 2.0  # s in which every device should have published
+_LONGER = 8.0  # times as long, as long as nothing is found
+_FIELDS = frozenset(RosSource.model_fields) - {"name", "structure", "only_latest_packet"}
+_NEXT = 1e-9  # s, the resolution of times
+_MANY = 10  # topics in a message
+_NAMED = 3  # joints of a topic in a message
+_FIRST_TRANSFORMS = 200  # messages, in which all publishers should have sent one
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a file or folder is a recording of ROS, by its name; MCAP may be one as well."""
+    return path.suffix.lower() in _ENDINGS or (path / _METADATA).is_file()
+
+
+def open_bag(
+    path: Path,
+    topics: Mapping[str, Source] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> PacketFile | None:
+    """Opens a recording of ROS; see `data.record.formats.open_recording`."""
+    chosen = {name: each for name, each in (topics or {}).items() if isinstance(each, RosSource)}
+    if path.is_dir() and not is_bag(path):
+        files = bag_files_in(path)
+        if not files:
+            raise RecordingError(path, _why_no_bag(path))
+        return Bag(path, chosen, tell) if len(files) > 1 else open_recording(files[0], topics, tell)
+    if is_bag(path) or mcap_header(path)[0] == "ros2":
+        return Bag(path, chosen, tell)
+    return Bag(path, chosen, tell, is_json=True) if has_json(path) else None
+
+
+def _why_no_bag(folder: Path) -> str:
+    """Describes why a folder without metadata is no recording."""
+    found = sorted(each for each in folder.iterdir() if each.suffix.lower() in BAG_ENDINGS)
+    if not found:
+        return f"is a folder without {_METADATA} and without recordings, {_FILES}"
+    names = ", ".join(each.name for each in found[:_MANY])
+    return (
+        f"is a folder without {_METADATA}, and its files do not belong together; open one of them, "
+        f"{names}"
+    )
+
+
+def _reader_of_ros(path: Path) -> Any:
+    """Returns the class that reads recordings of ROS; raises RecordingError without `rosbags`."""
+    try:
+        from rosbags.highlevel import AnyReader
+    except ImportError as error:
+        reason = f"is a recording of ROS, which rosbags reads ({error}): "
+        raise RecordingError(path, f"{reason}pip install 'sero-mj[ros2]'") from error
+    return AnyReader
+
+
+def _lacks_its_end(file: Path) -> bool:
+    """Whether a file is the begin of an MCAP file."""
+    if file.suffix.lower() != ".mcap":
+        return False
+    with open_file(file) as opened:
+        magic = opened.read(len(MCAP0_MAGIC))
+        opened.seek(-min(file.stat().st_size, len(MCAP0_MAGIC)), os.SEEK_END)
+        return magic == MCAP0_MAGIC != opened.read()
+
+
+def _why_unreadable(path: Path, error: Exception) -> str:
+    """Why a recording cannot be read, by the error of rosbags."""
+    said = f"cannot be read: {error or type(error).__name__}"
+    with suppress(OSError):
+        file = (bag_file_in(path) if path.is_dir() else path) or path
+        with open_file(file) as opened:
+            begin = opened.read(_SQLITE_HEAD)
+        size = file.stat().st_size
+        if not begin:
+            return f"{file.name} is empty ({NOT_CLOSED})"
+        if file.suffix.lower() == ".db3" and begin.startswith(_SQLITE):
+            page, pages = int.from_bytes(begin[16:18]), int.from_bytes(begin[28:32])
+            whole = (page if page > 1 else 1 << 16) * pages
+            hint = "what is left may be saved with .recover of sqlite3"
+            if size < whole:
+                missing = f"{whole - size} of {whole} bytes are missing"
+                return f"is cut off ({NOT_CLOSED}): {missing}; {hint}"
+            return f"{said}; {hint}" if "malformed" in said else said
+        is_open = file.suffix.lower() == ".active" or "not indexed" in said
+        if begin.startswith(_ROS1) and is_open:
+            hint = f"`rosbag reindex {file}`, of ROS 1, writes it"
+            return f"was not closed ({NOT_CLOSED}), so it has no index; {hint}"
+        if begin.startswith(_ROS1) and "damaged" in said:
+            hint = "rosbag reindex, of ROS 1, may save what is left"
+            return f"is cut off or damaged ({NOT_CLOSED}), so its index cannot be read; {hint}"
+    return said
+
+
+class Bag(PacketFile):
+    """A recording of ROS. Times are s since its first message, of any topic.
+
+    Args:
+        path: the file, or the folder of a rosbag2.
+        topics: the name of a source to the topics that make its packets; those that the bag does
+            not have are left out. When None, each topic with the states of joints is a source of
+            its name (`/arm/joint_states` is `arm_joint_states`), of the joints that its first
+            message names.
+        tell: gets what a user should know of the messages, once or more.
+        is_json: whether it is MCAP with messages in JSON.
+
+    Raises:
+        RecordingError: it cannot be read, has no joint states, or a package is missing.
+
+    Attributes:
+        nameless: topics whose messages name no joints. They are sources only if `topics` has them.
+    """
+
+    names_joints: ClassVar[bool] = True
+    _why_unreadable: ClassVar[str] = "no message has the joints that are wanted"
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Mapping[str, RosSource] | None = None,
+        tell: Callable[[str], None] = lambda _: None,
+        *,
+        is_json: bool = False,
+    ) -> None:
+        self.path, self._tell, self._is_json = path, tell, is_json
+        self.about, self.lost, self.faults = {}, {}, []
+        self.nameless: list[str] = []
+        self._left_out: set[str] = set()  # reasons in `faults`
+        self._reader: Any = None
+        try:
+            if is_json:
+                self._reader = JsonMcap(path)
+                self.faults = self._reader.faults  # more are found when messages are read
+            else:
+                self._open(_reader_of_ros(path))
+            self._read_all_but_messages(topics)
+        except RecordingError:
+            self.close()
+            raise
+        except Exception as error:  # rosbags, its parsers and its decompressors raise many kinds
+            self.close()
+            raise RecordingError(path, _why_unreadable(path, error)) from error
+
+    def _open(self, reader: Any) -> None:
+        """Opens it, or what is whole of it; raises RecordingError and whatever rosbags raises."""
+        file = bag_file_in(self.path) if self.path.is_dir() else self.path
+        if file is None and not is_bag(self.path):
+            self._open_parts(reader, bag_files_in(self.path))
+            return
+        if file is not None and (log := log_of(file)) is not None:
+            self._reader = reader([with_log(file, log)], default_typestore=type_store())
+            self._reader.open()
+            self._tell_cut(
+                f"was not closed ({NOT_CLOSED}), so what is in {log.name} is read as well"
+            )
+            return
+        try:
+            self._reader = reader([self.path], default_typestore=type_store())
+            self._reader.open()
+        except Exception:
+            if file is None or not _lacks_its_end(file):
+                raise
+            mended = MendedMcap(file)
+            *others, cut = mended.faults
+            if not mended.has_topics:
+                reason = f"{cut}; nothing before that can be read"
+                raise RecordingError(self.path, reason) from None
+            self._reader = reader([mended], default_typestore=type_store())
+            self._reader.open()
+            self.faults += others
+            self._tell_cut(cut)
+
+    def _open_parts(self, reader: Any, files: list[Path]) -> None:
+        """Opens the files of a recording whose metadata are missing; raises as `_open` does."""
+        parts: list[Path | MendedMcap] = []
+        cut = ""
+        for file in files:
+            part = MendedMcap(file) if _lacks_its_end(file) else file
+            if isinstance(part, MendedMcap):
+                *others, cut = (f"{file.name}: {fault}" for fault in part.faults)
+                self.faults += others
+            if isinstance(part, Path) or part.has_topics:
+                parts.append(part)
+        self._reader = reader(parts, default_typestore=type_store())
+        self._reader.open()
+        if cut:
+            self._tell_cut(cut)
+
+    def _tell_cut(self, fault: str) -> None:
+        """Adds what is wrong with its end to the faults, with what there is of it."""
+        count = self._reader.message_count
+        seconds = max(self._reader.duration, 0) * 1e-9 if count else 0.0
+        messages = f"{count} message{'' if count == 1 else 's'}"
+        self.faults.append(f"{fault}; it has {messages}, of {seconds:.1f} s")
+
+    def _read_all_but_messages(self, topics: Mapping[str, RosSource] | None) -> None:
+        reader = self._reader
+        self._begin = min(reader.start_time, reader.end_time)
+        self.start = datetime.fromtimestamp(self._begin / 1e9, UTC)
+        states = [each.topic for each in reader.connections if each.msgtype == JOINT_STATE]
+        self._states = list(dict.fromkeys(states))
+        self._topics = self._found(topics) if topics else self._named_by_topic()
+        self.sources = {name: self._declared(name) for name in self._topics}
+        ends = [each.last for each in self.sources.values() if not math.isnan(each.last)]
+        self.duration = max(ends, default=0.0)
+
+    def _found(self, topics: Mapping[str, RosSource]) -> dict[str, RosSource]:
+        """Those of the declared sources whose topics there are."""
+        there = {each.topic for each in self._reader.connections}
+        found: dict[str, RosSource] = {}
+        for name, declared in topics.items():
+            source = declared
+            wanted = [topic for topic, tells in source.topics if tells != FRAMES]
+            if not there.intersection(wanted or [topic for topic, _ in source.topics]):
+                if len(self._states) != 1 or not source.is_default("joint_states"):
+                    continue
+                source = source.with_fields(joint_states=self._states[0])
+            if source.joint_states and not source.joint_names and not is_tf(source.joint_states):
+                source = source.with_fields(joints=self._joints_of(source.topics[0][0]))
+            found[name] = source
+        return found
+
+    def _joints_of(self, topic: str) -> list[str]:
+        """Names of joints in the messages of a topic: several devices may publish on it.
+
+        These are in its first messages. Messages that name a joint twice count only if there are
+        no others.
+        """
+        names: dict[str, None] = {}
+        doubtful: dict[str, None] = {}
+        end = math.inf
+        for time, connection, raw in self._raw([topic]):
+            if time > end:
+                break
+            with suppress(MalformedMessage):
+                found = list(getattr(self._decoded(connection, raw), "name", []))
+                is_clear = len(set(found)) == len(found)
+                (names if is_clear else doubtful).update(dict.fromkeys(found))
+            if names:
+                end = min(end, time + _EVERY_DEVICE)
+        return list(names or doubtful)
+
+    def _named_by_topic(self) -> dict[str, RosSource]:
+        """A source for each topic with the states of joints, or one for what else moves a robot."""
+        odometry = list(
+            dict.fromkeys(e.topic for e in self._reader.connections if e.msgtype == ODOMETRY)
+        )
+        base = odometry[0] if len(odometry) == 1 else ""
+        moves = [(each.topic, each.msgtype) for each in self._reader.connections]
+        if not self._states and ("/tf", TYPES[FRAMES]) in moves:
+            return {TF: Ros2(name=TF, joint_states=TF, odometry=base or TF)}
+        if not self._states and base:
+            name = base.strip("/").replace("/", "_")
+            return {name: Ros2(name=name, joint_states="", odometry=base)}
+        if not self._states:
+            kinds = {each.topic: each.msgtype for each in self._reader.connections}
+            listed = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(kinds)[:_MANY])
+            expected = f"one of {JOINT_STATE} or {ODOMETRY}, or /tf"
+            problem = Problem("", f"has the topics {listed}", expected=expected)
+            raise RecordingError(self.path, problem)
+        found: dict[str, RosSource] = {}
+        for topic in self._states:
+            name, names = topic.strip("/").replace("/", "_"), self._joints_of(topic)
+            if names:
+                source = Ros2(name=name, joint_states=topic, joints=names, odometry=base)
+                source.led_to([LedJoint(joint, math.nan) for joint in names])  # of no robot
+                found[name] = source
+            else:
+                self.nameless.append(topic)
+        return found
+
+    def _declared(self, name: str) -> RecordedSource:
+        source = self._topics[name]
+        leading = source.topics[0][0]
+        count = sum(each.msgcount for each in self._reader.connections if each.topic == leading)
+        first = next(self.packets(name), None) if count else None
+        last = self.last_before(name, math.inf) if first else None
+        return RecordedSource(
+            name,
+            source.kind,
+            source.decoding_fields(),
+            source.events,
+            source.size,
+            count,
+            first[0] if first else math.nan,
+            last[0] if last else math.nan,
+        )
+
+    def packets(
+        self, name: str, start: float = -math.inf, stop: float | None = None
+    ) -> Iterator[tuple[float, bytes]]:
+        """Iterates over a source's packets; see `PacketFile.packets`.
+
+        They begin with what messages up to half a second before `start` have told.
+        """
+        source = self._source(name)
+        joined, tells = source.joined(self._tell), dict(source.topics)
+        if math.isfinite(start) and start > 0.0:
+            self._take_still(joined, source, start)
+        for time, connection, raw in self._raw(list(tells), start - _BEFORE, stop):
+            packet = self._joined_with(joined, tells[connection.topic], connection, raw, time)
+            if packet is not None and time >= start:
+                yield time, packet
+
+    def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
+        """A source's newest packet at or before a time; see `PacketFile.last_before`."""
+        self._source(name)
+        end = (self._reader.end_time - self._begin) * 1e-9
+        t, back = min(t, end), _BEFORE
+        while True:
+            newest = deque(self.packets(name, t - back, t + _NEXT), maxlen=1)
+            if newest or t - back < 0.0:
+                return newest[0] if newest else None
+            back *= _LONGER
+
+    def why_no_source(self) -> str:
+        """Describes why no source is in it; see `PacketFile.why_no_source`."""
+        if not self.nameless:
+            return super().why_no_source()
+        return (
+            f"the messages of {', '.join(self.nameless)} do not name their joints; with a scene of "
+            "one robot that has as many (--replay, --scene), they are taken in its order"
+        )
+
+    def about_sources(self) -> str:
+        """Its sources in words: topics, numbers of messages, joints."""
+        found = []
+        for name, source in self.sources.items():
+            topic = self._topics[name].topics[0][0]
+            joints = first_of(source.declared.get("joints") or ["unknown"], _NAMED)
+            found.append(f"{name} (topic {topic}, {source.count} messages, joints {joints})")
+        return "; ".join(found)
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """The robot's description, if the bag has one."""
+        return (DESCRIPTION,) if self._descriptions() else ()
+
+    def read_attachment(self, name: str) -> bytes:
+        """Returns the robot's description; raises RecordingError and UnknownName."""
+        topics = self._descriptions()
+        if name != DESCRIPTION or not topics:
+            raise UnknownName("file in the recording", name, self.attachments)
+        for _, message in self._messages(topics):
+            return str(message.data).encode()
+        raise RecordingError(self.path, f"{topics[0]} has no message")
+
+    def parent_frames(self) -> dict[str, tuple[str, bool]]:
+        """The parent of every frame of the first transforms, and whether it is moved (`/tf`).
+
+        Names are the last parts, without a prefix.
+        """
+        found = {}
+        for topic in ("/tf_static", "/tf"):
+            for _, message in islice(self._messages([topic]), _FIRST_TRANSFORMS):
+                for each in message.transforms:
+                    names = (each.child_frame_id, each.header.frame_id)
+                    child, parent = (name.rpartition("/")[2] for name in names)
+                    found[child] = parent, topic == "/tf"
+        return found
+
+    def message_source(self, fields: Mapping[str, Any]) -> Ros2:
+        """Returns the receiver of topics with these fields."""
+        return Ros2(**fields)
+
+    def replay_table(self, name: str, source: Source | None) -> dict[str, Any]:
+        """Returns the table of a source that plays one of its sources, with its topics."""
+        table = super().replay_table(name, source)
+        if isinstance(source, RosSource):
+            fields = source.model_dump(include=_FIELDS, exclude_unset=True)
+            table["topics"] = {"joint_states": source.joint_states, **fields}
+        return table
+
+    def lead(self, scene: Scene, source: str | None = None) -> Scene:
+        """Returns a scene with its only robot led by this recording; see `PacketFile.lead`."""
+        return led_by(scene, self, self.nameless, self._read_parent_frames, source)
+
+    def _read_parent_frames(self) -> dict[str, tuple[str, bool]]:
+        with Bag(self.path, is_json=self._is_json) as opened:  # this one may be closed
+            return opened.parent_frames()
+
+    def scenes(
+        self, choose: str, source: str | None = None, wanted: Collection[str] = ()
+    ) -> Iterator[str]:
+        """Yields scenes of the robot that messages name; see `PacketFile.scenes`."""
+        return scenes_of_bag(self, choose, source, wanted)
+
+    def described_scene(self) -> Path | None:
+        """Writes a scene of the robot that the recording describes; None if it describes none."""
+        if DESCRIPTION not in self.attachments:
+            return None
+        return described_scene(self.read_attachment(DESCRIPTION).decode())
+
+    def shipped_robots(self, source: str | None = None) -> list[str]:
+        """Returns the shipped robots with the joints of it or of one of its sources."""
+        return shipped_robots_of(self, source)
+
+    def close(self) -> None:
+        """Closes the file; harmless when it is not open."""
+        if self._reader is not None and self._reader.stack is not None:
+            self._reader.close()
+
+    def _descriptions(self) -> list[str]:
+        """Topics with a robot's description."""
+        return [
+            each.topic
+            for each in self._reader.connections
+            if each.msgtype == TEXT and each.topic.endswith("/robot_description")
+        ]
+
+    def _source(self, name: str) -> RosSource:
+        if name not in self._topics:
+            raise UnknownName("source", name, self._topics)
+        return self._topics[name]
+
+    def _raw(
+        self, topics: list[str], start: float = -math.inf, stop: float | None = None
+    ) -> Iterator[tuple[float, Any, bytes]]:
+        """Messages of topics in order of time: when, s, the connection, and the bytes."""
+        chosen = [each for each in self._reader.connections if each.topic in topics]
+        if not chosen:
+            return
+        first = max(self._begin, self._nanoseconds(start)) if math.isfinite(start) else None
+        end = self._nanoseconds(stop) if stop is not None and math.isfinite(stop) else None
+        try:
+            for connection, when, raw in self._reader.messages(chosen, first, end):
+                yield (when - self._begin) * 1e-9, connection, raw
+        except Exception as error:  # as in the constructor
+            if (fault := f"it ends early: {error or type(error).__name__}") not in self.faults:
+                self.faults.append(fault)
+
+    def _nanoseconds(self, seconds: float) -> int:
+        return int(self._begin + round(seconds * 1e9))
+
+    def _messages(self, topics: list[str]) -> Iterator[tuple[str, Any]]:
+        """Topics and messages that can be decoded."""
+        for _, connection, raw in self._raw(topics):
+            try:
+                yield connection.topic, self._decoded(connection, raw)
+            except MalformedMessage as error:
+                if (fault := str(error)) not in self.faults:
+                    self.faults.append(fault)
+
+    def _decoded(self, connection: Any, raw: bytes) -> Any:
+        try:
+            return self._reader.deserialize(raw, connection.msgtype)
+        except Exception as error:  # as in the constructor
+            raise MalformedMessage(f"no {connection.msgtype}: {error}") from error
+
+    def _take_still(self, joined: JoinedPackets, source: RosSource, until: float) -> None:
+        """Takes frames that do not move, which are published once."""
+        if source.reads_transforms:
+            for time, connection, raw in self._raw(["/tf_static"], stop=until):
+                self._joined_with(joined, FRAMES, connection, raw, time)
+
+    def _joined_with(
+        self, joined: JoinedPackets, tells: str, connection: Any, raw: bytes, time: float
+    ) -> bytes | None:
+        """The packet that a message makes: its own bytes where it is malformed."""
+        try:
+            if connection.msgtype != TYPES[tells]:
+                raise MalformedMessage(f"{connection.topic} is of type {connection.msgtype}")
+            arrival = self._begin * 1e-9 + time
+            return joined.take(tells, self._decoded(connection, raw), arrival)
+        except MalformedMessage as error:
+            self.malformed = str(error)
+            reason = f"a message of {connection.topic} is left out: {error}"
+            if reason not in self.faults and len(self._left_out) < _MANY:
+                self._left_out.add(reason)
+                self.faults.append(reason)
+            return joined.layout.never(raw[:MOST_KEPT])

@@ -1,0 +1,360 @@
+"""Joins messages of ROS to packets: the newest values of all topics, in the order of the joints.
+
+Messages name their joints, in any order, and one robot's joints may come from several publishers
+(arm and gripper). A packet is made of each message that has the first of the joints; what others
+have told until then is in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import Array, frame, inverse, rotation_from_quat
+from ...data.receive.led_robot import LedJoint, LedLinks
+from ...data.receive.structure import Structure
+from ...data.record.csv_files import JOINT_EVENTS, prefix_before
+from .link_transforms import LinkTransforms
+from .messages import MalformedMessage
+
+JOINT_STATES, FORCES, COMMANDS, FRAMES = "joint states", "wrench", "commands", "transforms"
+ODOMETRY, POSE = "odometry", "pose"
+TF = "tf"  # in the place of a topic: what it would tell is solved from transforms
+_MANY = 8  # names in a message
+_PATIENCE = 2.0  # s in which every publisher of joints should have sent a message
+_FAR_TOO_MUCH = 3.0  # times the largest torque
+_UNIT_TOLERANCE = 1e-2  # of a quaternion's length
+
+
+class JoinedPackets:
+    """Packets of messages.
+
+    Angles are in rad (m), torques in Nm (N). What no message has told is NaN, but for angles, which
+    stay as the robot declares them.
+
+    Args:
+        joints: whose values are wanted, n.
+        names: joint to its name in messages, where that is another.
+        has_commands: whether torques are commanded on a topic.
+        has_forces: whether there is a topic of a wrench.
+        frames: names of frames that are wanted, k.
+        root: the frame in which they are wanted.
+        odometry: whether there is the pose of the base: `ODOMETRY` by its topic, `TF` by
+            transforms, empty for none.
+        has_pose: whether there is a topic of a pose.
+        joints_by: `TF` where transforms of links tell the angles; else empty.
+        links: of the robot, for transforms and odometry; None where it is unknown.
+        torque_constants: torque per unit of effort, one for all, or (n,).
+        tell: gets what a user should know, once.
+
+    Attributes:
+        structure: of the packets.
+        leads: the topic whose messages make packets.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[LedJoint],
+        names: Mapping[str, str],
+        *,
+        has_commands: bool = False,
+        has_forces: bool = False,
+        frames: Sequence[str] = (),
+        root: str = "",
+        odometry: str = "",
+        has_pose: bool = False,
+        joints_by: str = "",
+        links: LedLinks | None = None,
+        torque_constants: float | Sequence[float] | Array = 1.0,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._joints = list(joints)
+        self._wanted = [names.get(joint.name, joint.name) for joint in joints]
+        self._frames, self._root = list(frames), root
+        self._odometry, self._joints_by = odometry, joints_by
+        self._factors = np.broadcast_to(np.asarray(torque_constants, float), len(joints))
+        self._limits = np.array([joint.torque_limit for joint in joints])
+        self._tell = tell
+        count = len(joints)
+        parts = {"stamp:1d": 1}
+        if count:
+            events = JOINT_EVENTS if has_commands else JOINT_EVENTS[: 1 if joints_by == TF else 3]
+            parts |= {f"{event}:{count}d": count for event in events}
+        if has_forces:
+            parts |= {"force:1Vd": 3, "moment:1Vd": 3}
+        if odometry:
+            parts |= {"base_frame:1Td": 12}
+        if odometry == ODOMETRY:
+            parts |= {"base_velocity:1Vd": 3, "base_angular_velocity:1Vd": 3}
+        if has_pose:
+            parts |= {"pose:1Td": 12}
+        parts |= {f"{event_of_frame(name)}:1Td": 12 for name in frames}
+        self.structure = f"< {' '.join(parts)}"
+        ends = np.cumsum([*parts.values()]).tolist()
+        self._places = {
+            text.partition(":")[0]: slice(end - size, end)
+            for (text, size), end in zip(parts.items(), ends, strict=True)
+        }
+        self._values = np.full(ends[-1], np.nan)
+        if count:
+            self._values[self._places["joint_angles"]] = [joint.angle for joint in joints]
+        if odometry:
+            base = np.eye(4) if links is None else links.base
+            self._values[self._places["base_frame"]] = base[:3].T.ravel()
+        self._links = self._linked(links, [*{odometry, joints_by} & {TF}])
+        orders = {
+            JOINT_STATES: count and joints_by != TF,
+            FRAMES: joints_by == TF,
+            ODOMETRY: odometry == ODOMETRY,
+            POSE: has_pose,
+            FORCES: has_forces,
+        }
+        self.leads = next((topic for topic, is_wanted in orders.items() if is_wanted), FRAMES)
+        self._first = count  # the first joint that any message had so far
+        self._first_body = np.inf  # the same of bodies and transforms
+        self._awaited = set(self._wanted)  # joints without values so far
+        self._told_at = np.inf  # time, s, at which they are told
+        self._found: list[str] | None = None  # names in the last message
+        self._mine = self._theirs = np.arange(0)
+        self._has_doubts = False  # whether efforts are torques
+        self._parents: dict[str, tuple[str, Array]] = {}
+
+    def _linked(self, links: LedLinks | None, wanted: Sequence[str]) -> LinkTransforms | None:
+        """What solves joints and base; None where the robot's links are unknown."""
+        if links is None or len(links.joints) != len(self._joints or links.joints):
+            return None
+        if wanted and not links.poses:
+            self._tell(
+                "the robot does not say where the links of its original file are, so transforms "
+                "do not move it; a robot from URDF or MJCF does (link_frames)"
+            )
+        return LinkTransforms(links, self._tell)
+
+    @cached_property
+    def layout(self) -> MessageLayout:
+        """The decoder of its packets."""
+        return MessageLayout(self.structure)
+
+    def take(self, topic: str, message: Any, arrival: float) -> bytes | None:
+        """Takes a message; returns the packet that it makes, or None.
+
+        Args:
+            topic: what it tells: `JOINT_STATES` and so on.
+            message: as `messages.decode` returns it.
+            arrival: s since the epoch, in the place of stamps that are not set.
+
+        Raises:
+            MalformedMessage: it contradicts itself.
+        """
+        values = self._values.copy()
+        makes = topic == self.leads
+        if topic == JOINT_STATES:
+            makes = self._take_joints(values, message)
+            self._tell_awaited(arrival)
+        elif topic == COMMANDS:
+            self._take_commands(values, message)
+        elif topic == FORCES:
+            wrench = message.wrench
+            for event, vector in (("force", wrench.force), ("moment", wrench.torque)):
+                values[self._places[event]] = vector.x, vector.y, vector.z
+        elif topic in (ODOMETRY, POSE):
+            self._take_pose(values, message, topic)
+        else:
+            makes = self._take_frames(values, message) or (makes and self._joints_by != TF)
+        header = getattr(message, "header", None)
+        if makes:
+            stamp = 0.0 if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
+            values[0] = stamp or arrival
+        # Angles are kept only if they are finite, or unknown as before; the rest may be unknown.
+        angles = self._places.get("joint_angles", slice(0))
+        known, before = np.isfinite(values[angles]), np.isnan(self._values[angles])
+        if (known | before & np.isnan(values[angles])).all():
+            self._values = values
+        return values.tobytes() if makes else None
+
+    def _take_joints(self, values: Array, message: Any) -> bool:
+        """Takes the values of some joints; whether the first of all is among them."""
+        count = len(message.name)
+        if message.name != self._found:
+            self._match(message.name, len(message.position))
+        if not len(self._mine):
+            return False
+        given = (message.position, message.velocity, message.effort)
+        for event, numbers in zip(JOINT_EVENTS, given, strict=False):
+            into = values[self._places[event]]
+            if len(numbers) not in (0, count or len(self._joints)):
+                raise MalformedMessage(
+                    f"found {len(numbers)} values of {event} for {count} names of joints"
+                )
+            if len(numbers):
+                into[self._mine] = numbers[self._theirs]
+            elif event != "joint_angles":
+                into[self._mine] = np.nan
+        if len(message.effort):
+            torques = values[self._places["torques"]]
+            torques[self._mine] *= self._factors[self._mine]
+            self._check_torques(torques)
+        self._awaited.difference_update(self._wanted[joint] for joint in self._mine)
+        self._first = min(self._first, int(self._mine[0]))
+        return int(self._mine[0]) == self._first
+
+    def _match(self, names: list[str], count: int) -> None:
+        """Finds the joints in the names of a message."""
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise MalformedMessage(f"joint {twice} is named twice")
+        if not names:
+            matches = count == len(self._joints)
+            self._mine = np.arange(count if matches else 0)
+            self._theirs = self._mine
+            if count:
+                said = "taken in the robot's order" if matches else "not used"
+                self._tell(f"messages of {count} joints without names are {said}")
+            return
+        prefix = prefix_before(self._wanted, names)
+        places = {name: k for k, name in enumerate(names)}
+        pairs = [
+            (joint, places[prefix + name])
+            for joint, name in enumerate(self._wanted)
+            if prefix + name in places
+        ]
+        self._found = list(names)
+        self._mine = np.array([joint for joint, _ in pairs], np.intp)
+        self._theirs = np.array([place for _, place in pairs], np.intp)
+        if prefix:
+            self._tell(f"joints are named with {prefix!r} before the robot's names")
+        others = [name for k, name in enumerate(names) if k not in self._theirs]
+        if not pairs:
+            self._tell(
+                f"messages of the joints {_listed(names)} have none of {_listed(self._wanted)}; "
+                "joints = [...] says how they are named"
+            )
+        elif others:
+            self._tell(f"the robot has no {_listed(others)}: not used")
+
+    def _tell_awaited(self, arrival: float) -> None:
+        """Tells, once, of joints that no message has had, where others have been there for long."""
+        if not self._awaited or len(self._awaited) == len(self._wanted):
+            return
+        self._told_at = min(self._told_at, arrival + _PATIENCE)
+        if arrival >= self._told_at:
+            missing = [name for name in self._wanted if name in self._awaited]
+            self._tell(
+                f"no values of {_listed(missing)} in {_PATIENCE:g} s; they stay as declared until "
+                "messages have them"
+            )
+            self._awaited.clear()
+
+    def _check_torques(self, torques: Array) -> None:
+        """Tells, once, of torques that the robot's joints cannot have."""
+        if self._has_doubts:
+            return
+        with np.errstate(invalid="ignore"):
+            wrong = np.abs(torques) > _FAR_TOO_MUCH * self._limits
+        if wrong.any():
+            self._has_doubts, k = True, int(np.argmax(wrong))
+            self._tell(
+                f"the effort of {self._wanted[k]} is {torques[k]:.4g}, where the robot's limit is "
+                f"{self._limits[k]:g} Nm; is it in other units? effort_unit and torque_constants "
+                "convert it"
+            )
+
+    def _take_commands(self, values: Array, message: Any) -> None:
+        if len(message.data) != len(self._joints):
+            found = f"found {len(message.data)} commanded torques"
+            raise MalformedMessage(f"{found}; expected {len(self._joints)}, one for each joint")
+        values[self._places["commanded_torques"]] = message.data
+
+    def _take_pose(self, values: Array, message: Any, topic: str) -> None:
+        given = message.pose.pose if topic == ODOMETRY else message.pose
+        moved, turned = given.position, given.orientation
+        pose = _pose((moved.x, moved.y, moved.z), (turned.w, turned.x, turned.y, turned.z))
+        if pose is None:
+            raise MalformedMessage(f"the orientation of the {topic} is no unit quaternion")
+        if topic == POSE:
+            values[self._places["pose"]] = pose[:3].T.ravel()
+            return
+        for event, vector in (
+            ("base_velocity", message.twist.twist.linear),
+            ("base_angular_velocity", message.twist.twist.angular),
+        ):
+            values[self._places[event]] = vector.x, vector.y, vector.z
+        if self._links is not None:  # the pose of another link
+            angles = values[self._places["joint_angles"]] if self._joints else None
+            link = message.child_frame_id.lstrip("/")
+            pose = pose @ inverse(self._links.in_base(link, angles))
+        values[self._places["base_frame"]] = pose[:3].T.ravel()
+
+    def _take_frames(self, values: Array, message: Any) -> bool:
+        """Takes transforms; whether the first of all bodies is moved, the base last."""
+        bodies: list[float] = []
+        for transform in message.transforms:
+            parent, child = transform.header.frame_id, transform.child_frame_id
+            moved, turned = transform.transform.translation, transform.transform.rotation
+            pose = _pose((moved.x, moved.y, moved.z), (turned.w, turned.x, turned.y, turned.z))
+            if pose is None:
+                raise MalformedMessage(f"the rotation of {child} is no unit quaternion")
+            self._parents[child.lstrip("/")] = parent.lstrip("/"), pose
+            if self._links is not None:
+                body = self._links.take(parent.lstrip("/"), child.lstrip("/"), pose)
+                bodies += [] if body is None else [body or np.inf]
+        if self._links is not None:
+            self._solve(values, self._links)
+        for name in self._frames:
+            pose = self._in_root(name)
+            if pose is not None:
+                values[self._places[event_of_frame(name)]] = pose[:3].T.ravel()  # column-major
+        self._first_body = min([self._first_body, *bodies])
+        return self.leads == FRAMES and self._first_body in bodies
+
+    def _solve(self, values: Array, links: LinkTransforms) -> None:
+        """Takes what the transforms of links tell of joints and base."""
+        if self._joints_by == TF:
+            values[self._places["joint_angles"]] = links.solve()
+        if self._odometry == TF and (base := links.base(self._root)) is not None:
+            values[self._places["base_frame"]] = base[:3].T.ravel()
+
+    def _in_root(self, name: str) -> Array | None:
+        """The pose of a frame in the root; None while it is unknown."""
+        pose, at = np.eye(4), name
+        for _ in range(len(self._parents)):
+            if at == self._root or at not in self._parents:
+                break
+            at, step = self._parents[at]
+            pose = step @ pose
+        return pose if at == self._root else None
+
+
+class MessageLayout(Structure):
+    """The layout of packets that are made of messages."""
+
+    message = "message"
+
+    def describe_wrong_size(self, packet: bytes, length: int) -> str:
+        """Describes why a message makes no packet; see `Structure.describe_wrong_size`."""
+        return self.fault or f"{length} bytes that are no {self.message}"
+
+    def never(self, message: bytes) -> bytes:
+        """The bytes of a malformed message, of another length than packets have."""
+        return message + b"\0" * (len(message) == self.size)
+
+
+def event_of_frame(name: str) -> str:
+    """The event with the pose of a frame."""
+    return "tf_" + "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
+
+
+def _pose(position: Sequence[float], quaternion: Sequence[float]) -> Array | None:
+    """A pose (4, 4) from a position, m, and a quaternion w, x, y, z; None if it is none."""
+    length = float(np.linalg.norm(quaternion))
+    if not np.isfinite(position).all() or not abs(length - 1.0) <= _UNIT_TOLERANCE:
+        return None
+    return frame(rotation_from_quat(np.array(quaternion)), np.array(position))
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MANY} more" if len(names) > _MANY else ""
+    return ", ".join(names[:_MANY]) + more

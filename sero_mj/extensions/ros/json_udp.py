@@ -1,0 +1,106 @@
+"""`JsonUdp`: states of joints in JSON, a message in each UDP packet."""
+
+from __future__ import annotations
+
+import time as clock
+from typing import ClassVar
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from ...base.errors import Problem, SourceError
+from ...base.frames import Array, Ints
+from ...data.receive.intake import pad_packets
+from ...data.receive.structure import Rows
+from ...data.receive.udp import UdpReceiver
+from .dds import Ros2
+from .joined_packets import JOINT_STATES, JoinedPackets
+from .json_messages import joint_state_of, message_of
+from .messages import MalformedMessage
+from .ros_source import MOST_KEPT, Listener, RosSource
+
+
+class JsonUdp(UdpReceiver, RosSource):
+    """Receives states of joints in JSON, in the forms of `json_messages`, by UDP.
+
+    The joints are matched by their names, as of sources of ROS. Several devices may send to one
+    port, each for some of the joints.
+    """
+
+    name: str = "json"
+    structure: str = ""
+    time: str = "stamp"
+    commands: ClassVar[str] = ""  # type: ignore[misc]
+    wrench: ClassVar[str] = ""  # type: ignore[misc]
+    odometry: ClassVar[str] = ""  # type: ignore[misc]
+    pose: ClassVar[str] = ""  # type: ignore[misc]
+    frames: ClassVar[list[str]] = []  # type: ignore[misc]
+    root: ClassVar[str] = ""  # type: ignore[misc]
+    namespace: ClassVar[str] = ""  # type: ignore[misc]
+    joint_states: ClassVar[str] = "joint_states"  # type: ignore[misc]
+
+    _fixed_by: ClassVar[str] = "JSON"
+    _structure_is: ClassVar[str] = "made of what the messages tell"
+    _most_bytes: ClassVar[int] = 1 << 16  # of a UDP packet
+    _joined: JoinedPackets | None = PrivateAttr(None)
+
+    @property
+    def about(self) -> str:
+        """Kind and address, as shown to the user."""
+        return f"JSON, {super().about}"
+
+    def open(self) -> None:
+        """Binds the socket and starts the thread.
+
+        Raises:
+            SourceError: the port is in use, the address is not one of this machine, or it is not
+                known which joints are wanted.
+        """
+        if not self.joint_names:
+            problem = Problem("joints", "no route says which", expected="the names of joints")
+            raise SourceError(self.name, problem)
+        self._joined = self.joined()
+        super().open()
+
+    @property
+    def of_messages(self) -> RosSource:
+        """What reads the same joints from a recording of ROS."""
+        fields = RosSource.model_fields.keys() & type(self).model_fields.keys()
+        source = Ros2(**{key: getattr(self, key) for key in fields & self.model_fields_set})
+        source.led_to(self._led)
+        source._links = self._links
+        return source
+
+    def message_of(self, packet: bytes) -> bytes:
+        """The message in JSON that makes a packet."""
+        values = self.layout.decode(packet)
+        constants = 1.0 if self.torque_constants is None else self.torque_constants
+        efforts = values["torques"] / (self.torque_sign * np.asarray(constants, float))
+        velocities = values["joint_velocities"]
+        if not velocities.any():  # nothing leads to them
+            velocities = np.full(len(velocities), np.nan)
+        stamp = float(values["stamp"][0])
+        return message_of(self.joint_names, stamp, values["joint_angles"], velocities, efforts)
+
+    def _subscribe(self, listener: Listener) -> None:
+        """Does nothing: the socket receives all messages."""
+
+    def _accept(
+        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
+    ) -> None:
+        """Accepts messages in rows, as the packets that they make."""
+        assert self._joined is not None
+        packets, kept = [], []
+        for k, (row, length) in enumerate(zip(rows, lengths.tolist(), strict=True)):
+            raw = row[:length].tobytes()
+            try:
+                packet = self._joined.take(JOINT_STATES, joint_state_of(raw), clock.time())
+            except MalformedMessage as error:
+                self.layout.fault = str(error)
+                packet = self.layout.never(raw[:MOST_KEPT])
+            if packet is not None:
+                packets.append(packet)
+                kept.append(k)
+        if packets:
+            joined = pad_packets(packets, self.size)
+            super()._accept(*joined, arrivals[kept], None if senders is None else senders[kept])

@@ -1,0 +1,171 @@
+"""`LinkTransforms`: joint values and the base's pose, solved from the poses of links in `tf`.
+
+What robot_state_publisher publishes determines every joint: the transform between the links that
+a joint connects is T_p,i(q) = T_p,i(0) A R(q) A^-1, with z of A along the joint's axis and R a
+rotation about z, or a translation along it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+
+import numpy as np
+
+from ...base.frames import Array, Ints, inverse, rotation_about, rotation_angles
+from ...data.receive.led_robot import LedLinks
+
+_ANGLE, _DISTANCE = 0.02, 0.01  # rad and m by which transforms and robot may differ
+_TURN = 2 * np.pi
+
+
+class LinkTransforms:
+    """The newest transforms between frames, of which some are links of a robot.
+
+    Links that are fixed to each other are one node, so static transforms inside a robot may be
+    missing. Names may have a prefix that ends with a slash (`left/base_link`).
+
+    Args:
+        links: of the robot.
+        tell: gets what a user should know, once.
+    """
+
+    def __init__(self, links: LedLinks, tell: Callable[[str], None]) -> None:
+        self._links, self._tell = links, tell
+        self._prefix = ""  # of the first such name
+        self._angles = links.home.copy()  # the last ones
+        self._above: dict[Hashable, tuple[Hashable, Array]] = {}
+        tree = links.tree
+        at_zero, axes = tree.link_transforms(np.zeros(len(tree))), tree.axis_frames
+        self._before = inverse(at_zero @ axes)
+        self._axes = axes
+        self._parents, self._joints = tree.carriers.tolist(), links.joints.tolist()
+        self._nodes: dict[str, tuple[Hashable, Array, Array]] = {}
+        self._told = False
+
+    def take(self, parent: str, child: str, T_parent_child: Array) -> int | None:
+        """Takes a transform (4, 4), m; returns the body that it moves, or None."""
+        above, T_above, _ = self._node(parent)
+        below, _, T_back = self._node(child)
+        if above == below:
+            return None
+        known = self._above.get(below)
+        if known is not None and self._is_joint(known[0], below) > self._is_joint(above, below):
+            return None  # of two fixed links, that which the joint moves
+        self._above[below] = above, T_above @ T_parent_child @ T_back
+        return below if isinstance(below, int) else None
+
+    def _node(self, name: str) -> tuple[Hashable, Array, Array]:
+        """The body or frame that a name refers to, T_node_name, and its inverse."""
+        if name in self._nodes:
+            return self._nodes[name]
+        poses, known = self._links.poses, name
+        before, slash, own = name.rpartition("/")
+        if slash and name not in poses and own in poses:
+            self._prefix = self._prefix or before
+            known = own if before == self._prefix else name
+        node, T = poses.get(known, (name, np.eye(4)))
+        self._nodes[name] = node, T, inverse(T)
+        return self._nodes[name]
+
+    def _is_joint(self, above: Hashable, below: Hashable) -> bool:
+        """Whether a joint connects two nodes."""
+        if not isinstance(below, int) or below == 0:
+            return False
+        return bool(self._parents[below - 1] == above)
+
+    def solve(self) -> Array:
+        """Returns the values of the independent joints, (k,), the last ones where unknown."""
+        poses: dict[Hashable, tuple[Hashable, Array]] = {}
+        known: list[int] = []
+        transforms: list[Array] = []
+        for k, joint in enumerate(self._joints):
+            parent, edge = self._parents[joint], self._above.get(joint + 1)
+            if edge is None:
+                continue
+            T = edge[1]
+            if edge[0] != parent:
+                (one, T_one), (other, T_other) = (
+                    self._in_root(node, poses) for node in (parent, joint + 1)
+                )
+                if one != other:
+                    continue
+                T = inverse(T_one) @ T_other
+            known.append(k)
+            transforms.append(T)
+        if known:
+            self._angles[known] = self._values(np.array(known), np.array(transforms))
+        return self._angles
+
+    def _values(self, known: Ints, transforms: Array) -> Array:
+        """The values of joints by the transforms of the links that they move in their parents."""
+        joints = self._links.joints[known]
+        moved = self._before[joints] @ transforms @ self._axes[joints]
+        turns = self._links.tree.revolute[joints]
+        sine, cosine = moved[:, 1, 0] - moved[:, 0, 1], moved[:, 0, 0] + moved[:, 1, 1]
+        angles = np.where(turns, np.arctan2(sine, cosine), 0.0)
+        rest = moved[:, :3, 3].copy()
+        rest[~turns, 2] = 0.0
+        self._check(joints, rest, moved[:, :3, :3] @ rotation_about(2, -angles))
+        # A transform does not tell whole turns.
+        angles += _TURN * np.round((self._angles[known] - angles) / _TURN)
+        return np.where(turns, angles, moved[:, 2, 3])
+
+    def _check(self, joints: Ints, rest: Array, rotations: Array) -> None:
+        """Tells, once, of transforms that the robot's links cannot have."""
+        if self._told:
+            return
+        far, angles = np.linalg.norm(rest, axis=1), rotation_angles(rotations)
+        wrong = (far > _DISTANCE) | (angles > _ANGLE)
+        if wrong.any():
+            self._told, k = True, int(np.argmax(wrong))
+            joint = int(joints[k])
+            link = next(name for name, (i, _) in self._links.poses.items() if i == joint + 1)
+            self._tell(
+                f"the transform of {link} is {far[k]:.3g} m and {np.rad2deg(angles[k]):.3g} deg "
+                "off what its joint allows; is it another robot?"
+            )
+
+    def base(self, root: str) -> Array | None:
+        """Returns T_root_base (4, 4), m; None while it is unknown.
+
+        If transforms do not have the base itself, as of a robot whose base is the world and whose
+        first joints move a platform, another link tells it, at the last joint values.
+
+        Args:
+            root: the frame in which it is wanted; the topmost one when empty.
+        """
+        bodies = sorted(node for node in self._above if isinstance(node, int))
+        body = next((each for each in bodies if not isinstance(self._above[each][0], int)), 0)
+        node, T = self._in_root(body, {}, root)
+        if isinstance(node, int) or (root and node != root):
+            return None
+        return np.asarray(T @ inverse(self._body_in_base(body, self._angles)))
+
+    def _in_root(
+        self, node: Hashable, known: dict[Hashable, tuple[Hashable, Array]], root: str = ""
+    ) -> tuple[Hashable, Array]:
+        """The topmost node above another one, and the pose of this one in it."""
+        if node in known:
+            return known[node]
+        at, T, passed = node, np.eye(4), set[Hashable]()
+        while at in self._above and at not in passed and not (root and at == root):
+            passed.add(at)
+            at, step = self._above[at]
+            T = step @ T
+        known[node] = at, T
+        return at, T
+
+    def in_base(self, link: str, angles: Array | None) -> Array:
+        """Returns T_base_link (4, 4), m; identity for an unknown link.
+
+        Args:
+            link: its name.
+            angles: of the independent joints, (k,), rad or m; the last ones when None.
+        """
+        node, T, _ = self._node(link)
+        if not isinstance(node, int):
+            return np.eye(4)
+        return np.asarray(self._body_in_base(node, self._angles if angles is None else angles) @ T)
+
+    def _body_in_base(self, body: int, angles: Array) -> Array:
+        return self._links.tree.frame(body, self._links.positions(angles))

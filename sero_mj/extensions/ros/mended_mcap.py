@@ -1,0 +1,211 @@
+"""`MendedMcap`: an MCAP file whose end is missing, as one that rosbags reads.
+
+rosbags wants an end with an index. Here an index of the whole chunks stands behind the last whole
+record, as if it were in the file.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import ChunkIndex, Footer, Statistics
+from mcap.writer import MCAP0_MAGIC
+
+from ...base.paths import open_file
+from ...data.record.mcap_reader import (
+    BROKEN,
+    RECORD_HEAD,
+    fault_of_end,
+    mcap_reason,
+    read_record,
+    records_in,
+    unpack_chunk,
+    walk_records,
+)
+
+_REMEMBERED = 8  # files; each is opened several times until it is shown
+_NUMBER = 2  # bytes of the number with which schemas, channels and messages begin
+_INDEX_HEAD, _INDEX_ENTRY = 15, 16  # bytes of the index of a channel's messages in a chunk
+
+
+class MendedMcap:
+    """A path in the sense of rosbags (`RPath`).
+
+    Args:
+        path: of the file, whose end is missing.
+
+    Attributes:
+        faults: what is left out, a sentence each.
+        has_topics: whether anything can be read.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self.suffix, self.stem = path, ".mcap", path.stem
+        status = path.stat()
+        found = _whole_part(path, status.st_size, status.st_mtime_ns)
+        self._end, self._behind = found.end, found.behind
+        self.faults, self.has_topics = list(found.faults), bool(found.channels)
+
+    def __str__(self) -> str:
+        return str(self._path)
+
+    def exists(self) -> bool:
+        """Whether it is there."""
+        return self._path.exists()
+
+    def is_dir(self) -> bool:
+        """False: it is a file."""
+        return False
+
+    def open(self, *_: Any, **__: Any) -> BinaryIO:
+        """Opens it for reading."""
+        return io.BufferedReader(_Joined(open_file(self._path), self._end, self._behind))
+
+
+class _Joined(io.RawIOBase):
+    """The first bytes of a file, and others behind them."""
+
+    def __init__(self, file: BinaryIO, end: int, behind: bytes) -> None:
+        super().__init__()
+        self._file, self._end, self._behind, self._at = file, end, behind, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        begins = {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._end + len(self._behind)}
+        self._at = max(begins[whence] + offset, 0)
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        if self._at < self._end:
+            self._file.seek(self._at)
+            found = self._file.read(min(len(buffer), self._end - self._at))
+        else:
+            begin = self._at - self._end
+            found = self._behind[begin : begin + len(buffer)]
+        buffer[: len(found)] = found
+        self._at += len(found)
+        return len(found)
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+
+@dataclass
+class _WholePart:
+    """What is whole of a file: up to which byte, and what has to stand behind that."""
+
+    end: int = len(MCAP0_MAGIC)
+    behind: bytes = b""
+    faults: list[str] = field(default_factory=list)
+    schemas: dict[bytes, bytes] = field(default_factory=dict)  # number to record
+    channels: dict[bytes, bytes] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)  # of messages in chunks, by channel
+
+    def note(self, opcode: int, record: bytes) -> None:
+        """Keeps a schema or a channel; the record has its head."""
+        kept = {Opcode.SCHEMA: self.schemas, Opcode.CHANNEL: self.channels}.get(Opcode(opcode))
+        if kept is not None:
+            kept.setdefault(record[RECORD_HEAD.size : RECORD_HEAD.size + _NUMBER], record)
+
+    def add_chunk(self, file: BinaryIO, offset: int, length: int) -> None:
+        """Takes the chunk of a record; one that is damaged is left out."""
+        try:
+            self._index_chunk(read_record(file, offset, length).getvalue(), offset, length)
+        except BROKEN as error:
+            why = f"is damaged ({mcap_reason(error)}) and left out"
+            self.faults.append(f"the chunk at byte {offset} {why}")
+
+    def _index_chunk(self, record: bytes, offset: int, length: int) -> None:
+        chunk, data = unpack_chunk(record)
+        counts: dict[int, int] = {}
+        for opcode, begin, end in records_in(data):
+            if opcode == Opcode.MESSAGE:
+                number = begin + RECORD_HEAD.size
+                channel = int.from_bytes(data[number : number + _NUMBER], "little")
+                counts[channel] = counts.get(channel, 0) + 1
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self.note(opcode, data[begin:end])
+        # rosbags takes the numbers of messages from the places of their indices.
+        places, at = {}, offset + length
+        for channel, count in counts.items():
+            self.counts[channel] = self.counts.get(channel, 0) + count
+            places[channel] = at
+            at += _INDEX_HEAD + _INDEX_ENTRY * count
+        self.chunks.append(
+            ChunkIndex(
+                chunk_length=length,
+                chunk_start_offset=offset,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
+                message_index_length=at - offset - length,
+                message_index_offsets=places,
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+
+    def make_end(self) -> bytes:
+        """The end of the file; without chunks it has no index, and rosbags looks for messages."""
+        built = RecordBuilder()
+        for record in (*self.schemas.values(), *self.channels.values()) if self.chunks else ():
+            built.write(record)
+        for chunk in self.chunks:
+            chunk.write(built)
+        if self.chunks:
+            Statistics(
+                attachment_count=0,
+                channel_count=len(self.channels),
+                channel_message_counts=self.counts,
+                chunk_count=len(self.chunks),
+                message_count=sum(self.counts.values()),
+                message_end_time=max(chunk.message_end_time for chunk in self.chunks),
+                message_start_time=min(chunk.message_start_time for chunk in self.chunks),
+                metadata_count=0,
+                schema_count=len(self.schemas),
+            ).write(built)
+        Footer(
+            summary_start=self.end if self.chunks else 0, summary_offset_start=0, summary_crc=0
+        ).write(built)
+        built.write(MCAP0_MAGIC)
+        return bytes(built.end())
+
+
+@lru_cache(_REMEMBERED)
+def _whole_part(path: Path, size: int, changed: int) -> _WholePart:
+    """Looks through a file of a size, bytes, which was changed at a time."""
+    found, is_whole = _WholePart(), False
+    with open_file(path) as file:
+        try:
+            for opcode, offset, length in walk_records(file, size):
+                if opcode == Opcode.DATA_END:
+                    is_whole = True
+                    break
+                if opcode == Opcode.CHUNK:
+                    found.add_chunk(file, offset, length)
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    file.seek(offset)
+                    found.note(opcode, file.read(length))
+                found.end = offset + length
+        except BROKEN:
+            pass  # up to here, then
+    found.faults.append(fault_of_end(found.end, size, is_whole=is_whole))
+    found.behind = found.make_end()
+    return found

@@ -1,0 +1,352 @@
+"""`RosSource`: the common base of sources whose packets are joined from messages of ROS."""
+
+from __future__ import annotations
+
+import time as clock
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, PrivateAttr, field_validator, model_validator
+
+from ...base.errors import Problem, SourceError
+from ...data.receive.led_robot import LedJoint, LedLinks
+from ...data.receive.source import Source
+from ...data.receive.structure import TorqueSign
+from ...data.record.csv_files import JOINT_EVENTS
+from . import messages
+from .joined_packets import (
+    COMMANDS,
+    FORCES,
+    FRAMES,
+    JOINT_STATES,
+    ODOMETRY,
+    POSE,
+    TF,
+    JoinedPackets,
+    MessageLayout,
+    event_of_frame,
+)
+from .messages import MalformedMessage
+
+# What a topic tells, and the type of its messages.
+TYPES = {
+    JOINT_STATES: messages.JOINT_STATE,
+    FORCES: messages.WRENCH,
+    COMMANDS: messages.NUMBERS,
+    FRAMES: messages.TRANSFORMS,
+    ODOMETRY: messages.ODOMETRY,
+    POSE: messages.POSE,
+}
+MOST_KEPT = 2048  # bytes of a malformed message
+_MOST_NAMED = 5  # topics in a text
+
+
+class RosSource(Source):
+    """Packets from topics of ROS 2; also the base of sources by other ways.
+
+    Events are `stamp` and, for the n joints, `joint_angles`, `joint_velocities` and `torques`, each
+    NaN where no message tells it (angles: as the robot declares them); where they are asked for,
+    `commanded_torques`, `force` and `moment`, `base_frame` with `base_velocity` and
+    `base_angular_velocity` in the frame of the base, `pose`, and `tf_NAME` of each frame.
+
+    Attributes:
+        joint_states: topic of `sensor_msgs/JointState`, or `tf` for angles that are solved from the
+            transforms of the robot's links; empty for none.
+        joints: names of the joints in messages: a list in the robot's order, or a table from the
+            robot's names to those that differ. Without it they have the robot's names, or these
+            with one prefix.
+        commands: topic of `std_msgs/Float64MultiArray` with commanded torques; empty for none.
+        wrench: topic of `geometry_msgs/WrenchStamped`; empty for none.
+        odometry: topic of `nav_msgs/Odometry` with the pose of the robot's base, or `tf` for that
+            pose from transforms; empty for none.
+        pose: topic of `geometry_msgs/PoseStamped`; empty for none.
+        frames: names of frames of `tf` and `tf_static` to receive.
+        root: the frame in which these and a base from `tf` are wanted; for the base the topmost one
+            when empty.
+        namespace: stands before topics that do not begin with `/`.
+        effort_unit: of efforts: `Nm`, or `A` with `torque_constants`.
+        torque_constants: torque per ampere, Nm/A, one for all joints or one for each.
+        torque_sign: factor of efforts, 1 or -1, for drivers that publish the torque of the load on
+            the drive (default: 1, efforts are taken as published).
+    """
+
+    name: str = "ros"
+    joint_states: str = "joint_states"
+    joints: list[str] | dict[str, str] = []
+    commands: str = ""
+    wrench: str = ""
+    odometry: str = ""
+    pose: str = ""
+    frames: list[str] = []
+    root: str = ""
+    namespace: str = ""
+    effort_unit: Literal["Nm", "A"] = "Nm"
+    torque_constants: float | list[float] | None = Field(None)
+    torque_sign: TorqueSign = 1
+    structure: str = ""
+    time: str = "stamp"
+
+    _fixed_by: ClassVar[str] = "ROS"
+    _structure_is: ClassVar[str] = "made of what the topics tell"
+    # As long as the routes are unknown, whatever a driver does not publish may be missing.
+    _nan_allowed: frozenset[str] = PrivateAttr(
+        frozenset(
+            (
+                "joint_velocities",
+                "torques",
+                "commanded_torques",
+                "force",
+                "moment",
+                "base_velocity",
+                "base_angular_velocity",
+                "pose",
+            )
+        )
+    )
+    _led: list[LedJoint] = PrivateAttr(default_factory=list)
+    _links: LedLinks | None = PrivateAttr(None)
+    _kinds: dict[str, str] = PrivateAttr(default_factory=dict)
+
+    @field_validator("joints")
+    @classmethod
+    def _joints_differ(cls, joints: list[str] | dict[str, str]) -> list[str] | dict[str, str]:
+        names = list(joints if isinstance(joints, list) else joints.values())
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise Problem("", f"found {twice[0]} twice", expected="each joint once").error()
+        return joints
+
+    @field_validator("frames", check_fields=False)  # messages of JSON have none
+    @classmethod
+    def _frames_differ(cls, frames: list[str]) -> list[str]:
+        events = [event_of_frame(name) for name in frames]
+        twice = [name for name in frames if events.count(event_of_frame(name)) > 1]
+        if twice:
+            expected = "names that differ in letters or digits"
+            raise Problem("", f"found {', '.join(twice)}", expected=expected).error()
+        return frames
+
+    @model_validator(mode="after")
+    def _fields_fit_each_other(self) -> RosSource:
+        has_constants = self.torque_constants is not None
+        if has_constants != (self.effort_unit == "A"):
+            found = "without" if self.effort_unit == "A" else "with"
+            problem = Problem("torque_constants", f"effort_unit is {self.effort_unit} {found} them")
+            raise problem.error()
+        if not (self.joint_states or self.wrench or self.frames or self.odometry or self.pose):
+            raise Problem("joint_states", "no topic is read", expected="the name of one").error()
+        if self.frames and not self.root:
+            expected = "the frame in which they are wanted, base_link say"
+            raise Problem("root", "frames are read without it", expected=expected).error()
+        self._nan_allowed |= {event_of_frame(name) for name in self.frames}
+        return self
+
+    def led_to(self, joints: Sequence[LedJoint]) -> None:
+        """Takes the joints that routes lead to; those of `joints` stay if they are a list."""
+        self._led = list(joints)
+        self.__dict__.pop("layout", None)
+
+    def led_to_links(self, links: LedLinks) -> None:
+        """Takes the links of the robot that routes lead to."""
+        self._links = links
+        self.__dict__.pop("layout", None)
+
+    def needs_joints(self, event: str) -> bool:
+        """Whether an event is not there because it is not known which joints are wanted."""
+        return not self.joint_names and event in JOINT_EVENTS
+
+    @property
+    def joint_names(self) -> list[str]:
+        """Names of the joints in messages, in the order of the events, n."""
+        if isinstance(self.joints, list) and self.joints:
+            return self.joints
+        names = self.joints if isinstance(self.joints, dict) else {}
+        return [names.get(joint.name, joint.name) for joint in self._led]
+
+    def joined(self, tell: Callable[[str], None] | None = None) -> JoinedPackets:
+        """Returns what joins messages from now on.
+
+        Args:
+            tell: gets what the user should know; logged once when None.
+        """
+        led = self._led
+        if isinstance(self.joints, list) and self.joints:
+            if len(led) != len(self.joints):
+                led = [LedJoint(name) for name in self.joints]
+            pairs = zip(led, self.joints, strict=True)
+            led = [joint._replace(name=name) for joint, name in pairs]
+        constants = 1.0 if self.torque_constants is None else self.torque_constants
+        return JoinedPackets(
+            led if self.joint_states else [],
+            self.joints if isinstance(self.joints, dict) else {},
+            has_commands=bool(self.commands),
+            has_forces=bool(self.wrench),
+            frames=self.frames,
+            root=self.root,
+            odometry=self.odometry and (TF if is_tf(self.odometry) else ODOMETRY),
+            has_pose=bool(self.pose),
+            joints_by=TF if is_tf(self.joint_states) else "",
+            links=self._links,
+            torque_constants=self.torque_sign * np.asarray(constants, float),
+            tell=self.tell_once if tell is None else tell,
+        )
+
+    @cached_property
+    def layout(self) -> MessageLayout:
+        """The decoder."""
+        return self.joined().layout
+
+    def decoding_fields(self) -> dict[str, Any]:
+        """The fields that determine the meaning of packets; for recordings."""
+        kept = {"joint_states", "commands", "wrench", "odometry", "pose", "frames", "root"}
+        fields = self.model_dump(mode="json", include=kept, exclude_defaults=True)
+        return {**fields, **self._place_fields(), "joints": self.joint_names}
+
+    def _place_fields(self) -> Mapping[str, Any]:
+        """The required fields that say where messages come from; for recordings."""
+        required = {key for key, field in type(self).model_fields.items() if field.is_required()}
+        return dict(self.model_dump(mode="json", include=required))
+
+    @property
+    def topics(self) -> list[tuple[str, str]]:
+        """What is read: topics by their full names, and what each tells."""
+        declared = {
+            JOINT_STATES: self.joint_states,
+            ODOMETRY: self.odometry,
+            POSE: self.pose,
+            FORCES: self.wrench,
+            COMMANDS: self.commands,
+        }
+        found = [
+            (self._full(topic), tells)
+            for tells, topic in declared.items()
+            if topic and not is_tf(topic)
+        ]
+        if self.reads_transforms:
+            found += [("/tf", FRAMES), ("/tf_static", FRAMES)]
+        return found
+
+    @property
+    def reads_transforms(self) -> bool:
+        """Whether it reads `tf` and `tf_static`."""
+        return bool(self.frames) or is_tf(self.joint_states) or is_tf(self.odometry)
+
+    def _full(self, topic: str) -> str:
+        if topic.startswith("/"):
+            return topic
+        before = self.namespace.strip("/")
+        return f"/{before}/{topic}" if before else f"/{topic}"
+
+    def is_default(self, field: str) -> bool:
+        """Whether a field is as it is where it is not declared."""
+        return bool(getattr(self, field) == type(self).model_fields[field].default)
+
+    def with_fields(self, **fields: Any) -> RosSource:
+        """Another one that differs in some fields."""
+        own = {key: self.__dict__[key] for key in type(self).model_fields}
+        other = type(self)(**{**own, **fields})
+        other.led_to(self._led)
+        other._links = self._links
+        return other
+
+    @property
+    def of_messages(self) -> RosSource:
+        """What reads the same from a recording of ROS."""
+        return self
+
+    @property
+    def trouble(self) -> str:
+        """Why no packets arrive, as shown to the user; empty when unknown."""
+        return "" if self.receiving else self._trouble
+
+    def note_trouble(self, trouble: str) -> None:
+        """Sets `trouble`; for what reads the messages."""
+        self._trouble = trouble
+
+    def open(self) -> None:
+        """Starts to receive; publishers need not be there.
+
+        Raises:
+            SourceError: a package is missing, or it is not known which joints are wanted.
+        """
+        self.close()
+        if self.joint_states and not self.joint_names:
+            problem = Problem("joints", "no route says which", expected="the names of joints")
+            raise SourceError(self.name, problem)
+        self.reset()
+        messages.type_store()
+        self._subscribe(Listener(self))
+
+    def close(self) -> None:
+        """Stops receiving; harmless when it is not open."""
+        self.stop_receiving()
+
+    @abstractmethod
+    def _subscribe(self, listener: Listener) -> None:
+        """Begins to pass the messages of `topics` to the listener; raises SourceError."""
+
+
+class Listener:
+    """Decodes messages, and hands a source the packets that they make; on one thread.
+
+    Args:
+        source: its `accept` gets the packets.
+    """
+
+    def __init__(self, source: RosSource) -> None:
+        self._source = source
+        self._joined = source.joined()
+
+    def hear(self, received: Sequence[tuple[str, bytes, bytes]]) -> None:
+        """Takes messages that have come together.
+
+        Args:
+            received: what each tells, its bytes in CDR, and its publisher's number, if known.
+        """
+        source, now = self._source, clock.time()
+        packets: list[bytes] = []
+        senders: list[bytes] = []
+        for tells, raw, sender in received:
+            try:
+                packet = self._joined.take(tells, messages.decode(raw, TYPES[tells]), now)
+            except MalformedMessage as error:
+                source.layout.fault = str(error)
+                packet = source.layout.never(raw[:MOST_KEPT])
+            if packet is not None:
+                packets.append(packet)
+                senders.append(sender)
+        if packets:
+            rows = np.frombuffer(b"".join(s.ljust(8, b"\0") for s in senders), np.uint8)
+            source.accept(packets, senders=rows.reshape(len(packets), 8))
+
+
+def wrong_with(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> str:
+    """What is wrong with a topic, in words; empty when nothing is.
+
+    Args:
+        topic: with a `/` before it.
+        kind: type of its messages, as ROS has it.
+        published: topics that are there, and their types.
+    """
+    published = list(published)
+    kinds = [other for each, other in published if each == topic]
+    if not kinds:
+        if topic in ("/tf", "/tf_static"):  # of which one may be missing
+            return ""
+        fitting = sorted({each for each, other in published if other == kind})
+        instead = f"; of its type are {', '.join(fitting[:_MOST_NAMED])}" if fitting else ""
+        return f"nobody publishes {topic}{instead}"
+    return "" if kind in kinds else f"{topic} is of type {kinds[0]}; expected {kind}"
+
+
+def is_tf(topic: str) -> bool:
+    """Whether a topic is that of transforms."""
+    return topic.lstrip("/") == TF
+
+
+def ros_type(name: str) -> str:
+    """A type's name in ROS, from that in DDS."""
+    return name.replace("::dds_::", "::").replace("::", "/").removesuffix("_")

@@ -1,0 +1,268 @@
+"""`LiveHost`: the common base of window and web page."""
+
+from __future__ import annotations
+
+import logging
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Self
+
+import mujoco
+
+from ...base.errors import SeroError
+from ...base.paths import without_temporary
+from ...data.drive.mirror import LiveWorld
+from ..decor.quantities import joint_name
+from ..decor.toggles import Toggles
+from ..image.camera import Navigator
+from ..image.clicks import KEYS, press_toggle
+from ..image.film import Pixels
+from ..image.picture_options import DEFAULT_SIZE
+from ..image.sampling import recorded_poses
+from ..image.scene_decor import SceneDecor
+from ..panels.message import Message
+from ..panels.robot_panel import RobotPanel
+from ..panels.status_line import SourcesPanel
+from ..session.clock import Clock
+from ..session.tool import (
+    Action,
+    DrawnTool,
+    Tools,
+)
+from ..session.view_state import ViewState, view_state_of
+from ..session.widgets import Widgets
+from .actions import Actions
+from .camera_control import CameraControl
+from .other_scenes import OtherScenes
+from .pointer import Pointer
+
+log = logging.getLogger(__name__)
+
+_JUMP = 1.0  # s
+SECTION = "section "  # before the names of sections, among those of visible parts
+_MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
+
+
+class LiveHost(ABC):
+    """Shows a mirror, and passes user input to clock, switches and tools.
+
+    Args:
+        folder: of saved files, pictures and films; the current one when None.
+
+    Attributes:
+        joint: the selected joint, its index in the world.
+        command: arguments of a command that shows this scene: its name or file, and options; from
+            the scene when None.
+        notice: the last message to the user.
+        folds: see `Widgets`; the same for all panels.
+        work: time spent by sero-mj for the last frame, s: input, sources, decor, plots and panels,
+            without rendering.
+    """
+
+    decor: SceneDecor
+
+    def __init__(
+        self, mirror: LiveWorld, folder: Path | None = None, camera: str | None = None
+    ) -> None:
+        world = mirror.world
+        self.navigator = Navigator(world, camera)
+        # Before anything listens to packets.
+        self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
+        self.mirror, self.world, self.data = mirror, world, mirror.data
+        self.toggles = Toggles(world)
+        self.clock = clock = Clock(mirror)
+        if clock.is_live:
+            clock.on_moment = self._watch
+        self.folder = folder
+        self.joint = 0
+        self.command: Sequence[str] | None = None
+        self.notice = Message()
+        self.folds: dict[str, bool] = {}
+        self.shows_status, self.shows_help, self.shows_panel = True, False, False
+        self.work = 0.0
+        self._advanced = time.monotonic()
+        self._sources = SourcesPanel()
+        self._robots = RobotPanel(world, self.toggles)
+        self._robots.on_select = self.select
+        self.tools: Tools = Tools(self)
+        self.camera_control = CameraControl(self.navigator, self.data, lambda: self.decor, self.say)
+        self.pointer = Pointer(self)
+        self.others = OtherScenes(self.say, self.request_close)
+        own: dict[str, Action] = {
+            "pause": clock.pause,
+            "step": clock.step,
+            "step_back": lambda: clock.step(-1),
+            "slower": lambda: clock.faster(-1),
+            "faster": lambda: clock.faster(1),
+            "reset": clock.reset,
+            "back": lambda: clock.seek(clock.time - _JUMP),
+            "on": lambda: clock.seek(clock.time + _JUMP),
+            "end": clock.go_live,
+            "next_joint": lambda: self._select(1),
+            "last_joint": lambda: self._select(-1),
+            "follow": self.pointer.follow,
+            "help": partial(self.toggle, "shows_help"),
+            "status_line": partial(self.toggle, "shows_status"),
+            "panel": partial(self.toggle, "shows_panel"),
+            **{
+                f"camera_{number}": partial(self.camera_control.choose, number)
+                for number in range(10)
+            },
+            **{f"switch_{key}": partial(self._switch, key) for key in KEYS},
+        }
+        self.actions = Actions(own, self.tools, self.say)
+
+    @property
+    @abstractmethod
+    def is_open(self) -> bool: ...
+
+    @property
+    def is_seen(self) -> bool:
+        return True
+
+    @property
+    @abstractmethod
+    def is_due(self) -> bool: ...
+
+    @abstractmethod
+    def frame(self, *, wait: bool = True) -> bool:
+        """Shows one frame.
+
+        Returns:
+            whether it is still open.
+        """
+
+    @property
+    @abstractmethod
+    def picture_size(self) -> tuple[int, int]: ...
+
+    @abstractmethod
+    def picture(self) -> Pixels:
+        """Returns the current picture, (height, width, 3), uint8, without the host's own text."""
+
+    @property
+    def view_camera(self) -> mujoco.MjvCamera:
+        return self.navigator.camera
+
+    @property
+    def is_following(self) -> bool:
+        return self.navigator.following is not None
+
+    @abstractmethod
+    def to_clipboard(self, text: str) -> None: ...
+
+    @abstractmethod
+    def request_close(self) -> None: ...
+
+    def close(self) -> None:
+        self.tools.ask(lambda tool: tool.close())
+
+    # ---- frames
+
+    def run(self) -> None:
+        while self.frame():
+            pass
+
+    def _use(self, decor: SceneDecor) -> None:
+        for tool in self.tools.values():
+            decor.add(DrawnTool(tool, self.tools))
+
+    def _advance(self, advance: Callable[[], object]) -> None:
+        now = time.monotonic()
+        passed, self._advanced = now - self._advanced, now
+        self.pointer.dragging.advance()
+        self.tools.ask(lambda tool: tool.advance(passed))
+        if not self.clock.is_live:
+            is_close = any(self.tools.ask(lambda tool: tool.watches_closely))
+            self.clock.on_moment = self._watch if is_close else None
+        try:
+            advance()
+        except SeroError as error:  # for example a deleted file; the display does not change
+            self.clock.is_paused = True
+            self.say(str(error), is_bad=True)
+        if not (self.clock.is_live or self.clock.is_paused):
+            self._watch()
+        found = self.tools.first(lambda tool: tool.next_message())
+        if found is not None:
+            self.say(*found[1])
+
+    def _watch(self) -> None:
+        self.tools.ask(lambda tool: tool.watch())
+
+    # ---- messages, panel and keys
+
+    def say(self, text: str, is_bad: bool = False) -> None:
+        """Shows a message for a few seconds; errors are shown longer, an empty one not at all."""
+        seconds = (_ERROR_TIME if is_bad else _MESSAGE_TIME) if text else 0.0
+        self.notice = Message(without_temporary(text), is_bad, time.monotonic() + seconds)
+
+    def toggle(self, part: str) -> None:
+        """Shows or hides a part: `shows_help`, `shows_status` or `shows_panel`."""
+        setattr(self, part, not getattr(self, part))
+
+    @property
+    def has_time_line(self) -> bool:
+        return self.clock.is_playing and self.clock.can_go_back
+
+    def build_panel(self, ui: Widgets, *, unfolds_sources: bool) -> None:
+        """Builds what the panels of all hosts have in common."""
+        sources = self.mirror.sources.values()
+        self._sources.build(ui, self.clock, sources, is_open=unfolds_sources)
+        self.others.build(ui)
+        self.tools.ask(lambda tool: tool.build(ui))
+        self._robots.build(ui)
+
+    def _switch(self, key: str) -> str:
+        return press_toggle(key, self.world, self.data, self.toggles)
+
+    def _select(self, places: int) -> str:
+        names = self.world.joints.names
+        if not names:
+            return "no joint"
+        self.select((self.joint + places) % len(names))
+        return f"selected: {joint_name(self.world, self.joint)}"
+
+    def select(self, joint: int) -> None:
+        self.joint = self.toggles.selected = joint
+
+    # ---- the view, as it is kept
+
+    @property
+    def layout(self) -> dict[str, bool]:
+        areas = {name: tool.shows_area for name, tool in self.tools.items() if tool.area}
+        sections = {f"{SECTION}{name}": is_open for name, is_open in self.folds.items()}
+        return {"status": self.shows_status, "panel": self.shows_panel, **areas, **sections}
+
+    def show_layout(self, layout: Mapping[str, bool]) -> None:
+        self.shows_status = layout.get("status", self.shows_status)
+        self.shows_panel = layout.get("panel", self.shows_panel)
+        for name, tool in self.tools.items():
+            tool.shows_area = layout.get(name, tool.shows_area)
+        for name, is_open in layout.items():
+            if name.startswith(SECTION):
+                self.folds[name.removeprefix(SECTION)] = is_open
+
+    def view_state(self) -> ViewState:
+        return view_state_of(self.world, self.view_camera, self.toggles, self.clock)
+
+    def render_words(self) -> list[str]:
+        """Scene, camera, switches and selected joint as arguments of `sero-mj render`."""
+        words = [*(self.command or [self.world.scene.argument])]
+        state = self.view_state()
+        for of_tool in self.tools.ask(lambda tool: tool.render_words()):
+            words += of_tool
+        if not self.decor.fixed:  # by a photo that is drawn over, which no option can say
+            words += ["--camera", state.camera]
+        for name, digits in state.switches.items():
+            words += ["--show", f"{name}={digits}"]
+        words += ["--select", state.joint] * bool(state.joint)
+        return words
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()

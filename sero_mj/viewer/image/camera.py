@@ -1,0 +1,232 @@
+"""Cameras: the scene's named ones, a free one by azimuth, elevation and distance, moved ones."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from itertools import chain
+
+import mujoco
+import numpy as np
+
+from ...base.errors import Problem, UnknownName, UsageError
+from ...base.frames import Array
+from ...robots.assemble.world_view import WorldView
+from .following import Follower
+from .framing import MARGIN, Framing, axes, bounding_sphere, declared_data
+
+_DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
+_STEEPEST_DEG = 89.0
+_PER_NOTCH = 0.9  # change of distance for one step of the wheel
+_NEAREST, _FARTHEST = 0.02, 500.0  # m
+_MOST = 1e6  # of the numbers of a camera
+_FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+_EXPECTED = (
+    "a name or azimuth,elevation,distance (degrees, degrees, m above 0), e.g. 150,-15,2.2; with "
+    ",x,y,z of what it looks at (m)"
+)
+
+
+def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera:
+    """Returns a camera for rendering.
+
+    Args:
+        wanted: a camera's name; `azimuth,elevation,distance` (degrees, degrees, m), and if it does
+            not look at the middle `,x,y,z` (m) of what it looks at; or None for the scene's
+            `view`. In a narrow picture it stands farther away, see `needed_aspect`.
+
+    Raises:
+        UsageError: not a text, neither three nor six numbers, or the distance is not positive.
+    """
+    if wanted is not None and not isinstance(wanted, str):
+        raise UsageError(Problem("camera", found=wanted, expected=_EXPECTED))
+    view = world.scene.view
+    name = view.camera if wanted is None else wanted
+    camera = mujoco.MjvCamera()
+    if name is not None and "," not in name:
+        index = mujoco.mj_name2id(world.model, mujoco.mjtObj.mjOBJ_CAMERA, name)
+        if index < 0:
+            raise UnknownName("camera", name, list_cameras(world))
+        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        camera.fixedcamid = index
+        return camera
+    mujoco.mjv_defaultFreeCamera(world.model, camera)
+    centre, radius = bounding_sphere(world)
+    camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
+    half_fovy = np.deg2rad(world.model.vis.global_.fovy) / 2
+    camera.distance = view.distance or MARGIN * radius / np.sin(half_fovy)
+    camera.lookat = centre if view.look_at is None else view.look_at
+    if wanted is not None:
+        numbers = _numbers(wanted)
+        camera.azimuth, camera.elevation, camera.distance = numbers[:3]
+        if len(numbers) == 6:
+            camera.lookat = numbers[3:]
+    return camera
+
+
+def list_cameras(world: WorldView) -> list[str]:
+    """Returns the names of the world's cameras, including those of MJCF pieces."""
+    return [world.model.camera(i).name for i in range(world.model.ncam)]
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (3, 6) or not np.isfinite(numbers).all() or numbers[2] <= 0:
+        raise UsageError(Problem("camera", found=text, expected=_EXPECTED))
+    if np.abs(numbers).max() >= _MOST:
+        raise UsageError(Problem("camera", found=text, expected=f"numbers below {_MOST:g}"))
+    return numbers
+
+
+class Navigator:
+    """A camera that the user moves.
+
+    Drags are in units of the window's height, so that they act the same at all sizes.
+
+    Attributes:
+        following: the robot, group or frame that it follows; None for none.
+
+    Raises:
+        UnknownName: no camera of that name.
+    """
+
+    def __init__(self, world: WorldView, wanted: str | None = None) -> None:
+        self.camera = find_camera(world, wanted)
+        self._world = world
+        self._start = wanted
+        self._framing = Framing(world, self.camera, wanted)
+        self._held: mujoco.MjvCamera | None = None
+        self._follow_as_declared()
+
+    def hold(self, poses: Iterator[mujoco.MjData], size: tuple[int, int]) -> None:
+        """Moves the initial view so that robots are in it in all of some poses, if there are any.
+
+        One that follows something stays; see `Framing.hold`.
+        """
+        if self.following is not None or (first := next(poses, None)) is None:
+            return
+        self._framing.hold(self.camera, chain([first], poses), size)
+        self._held = mujoco.MjvCamera()
+        copy_camera(self.camera, self._held)
+
+    @property
+    def needed(self) -> float:
+        return self._framing.needed
+
+    def _follow_as_declared(self) -> None:
+        self.following = followed(self._world, self.camera)
+        self._follower: Follower | None = None
+        if self.following is not None:
+            data = declared_data(self._world)
+            self._follower = Follower(self._world, self.following, data)
+
+    def orbit(self, right: float, down: float) -> None:
+        camera = self.camera
+        azimuth = camera.azimuth - _DEGREES_PER_HEIGHT * right
+        camera.azimuth = (azimuth + 180.0) % 360.0 - 180.0
+        camera.elevation = float(
+            np.clip(
+                camera.elevation - _DEGREES_PER_HEIGHT * down,
+                min(-_STEEPEST_DEG, camera.elevation),
+                max(_STEEPEST_DEG, camera.elevation),
+            )
+        )
+
+    def pan(self, right: float, down: float, tan_half_fovy: float, depth: float) -> None:
+        """Moves parallel to the picture, so that the look-at point follows the pointer.
+
+        Args:
+            tan_half_fovy: tangent of half the vertical field of view.
+        """
+        camera = self.camera
+        _, to_right, to_up = axes(camera.azimuth, camera.elevation)
+        height = 2.0 * tan_half_fovy * depth
+        camera.lookat = camera.lookat + height * (down * to_up - right * to_right)
+
+    def zoom(self, notches: float) -> None:
+        """Reduces the distance by steps of the wheel, or increases it."""
+        distance = self.camera.distance * _PER_NOTCH ** np.clip(notches, -100.0, 100.0)
+        self.camera.distance = float(np.clip(distance, _NEAREST, _FARTHEST))
+
+    def free(self, position: Array, forward: Array) -> None:
+        """Replaces a fixed camera of the scene by a free one with the same pose."""
+        if self.camera.type == _FREE:
+            return
+        self.camera.type = _FREE
+        self.camera.fixedcamid = -1
+        self.camera.azimuth = float(np.rad2deg(np.arctan2(forward[1], forward[0])))
+        self.camera.elevation = float(np.rad2deg(np.arcsin(np.clip(forward[2], -1, 1))))
+        self.camera.lookat = position + self.camera.distance * forward
+
+    def choose(self, number: int) -> str:
+        """Selects a camera by number, 1 for the first; 0 for the scene's own view."""
+        names = list_cameras(self._world)
+        if number == 0:
+            self.camera = find_camera(self._world, self._start)
+            if self._held is None:
+                self._framing = Framing(self._world, self.camera, self._start)
+            else:
+                copy_camera(self._held, self.camera)
+            self._follow_as_declared()
+            return "initial view"
+        if number > len(names):
+            count = f"{len(names)} cameras" if len(names) != 1 else "one camera"
+            return f"no camera {number}: the scene has {count if names else 'none'}"
+        distance, lookat = self.camera.distance, self.camera.lookat.copy()
+        self.camera = find_camera(self._world, names[number - 1])
+        self.camera.distance, self.camera.lookat = distance, lookat
+        self.following = None
+        return f"camera {names[number - 1]}"
+
+    def follow(self, data: mujoco.MjData, frame: str | None) -> str:
+        """Starts following a robot, group or frame; stops for None, or the one that it follows.
+
+        Raises:
+            UnknownName: nothing has this name.
+        """
+        if frame is None or frame == self.following:
+            self.following = None
+            return "follows nothing"
+        self._follower = Follower(self._world, frame, data)
+        self.following = frame
+        return f"follows {frame}"
+
+    def advance(self, data: mujoco.MjData) -> None:
+        """Moves with what it follows, see `Follower`.
+
+        As long as nobody has moved the camera, it moves back where robots are out of the picture.
+        """
+        if self.following is None or self._follower is None:
+            self._framing.fit(self.camera, data)
+            return
+        # In real time, so that it arrives also where a time line stands still.
+        moved = self._follower.displacement(data, time.monotonic())
+        if self.camera.type == _FREE:
+            self.camera.lookat = self.camera.lookat + moved
+
+
+def followed(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None) -> str | None:
+    """Returns what a camera follows: what is wanted, else what the view of the scene does.
+
+    A fixed camera does not follow what the view does.
+
+    Raises:
+        UsageError: a fixed camera is wanted to follow something.
+    """
+    if camera.type == _FREE:
+        return world.scene.view.follow if wanted is None else wanted
+    if wanted is not None:
+        name = world.model.camera(camera.fixedcamid).name
+        reason = f"is for the free camera; camera '{name}' of the scene stands where it is"
+        raise UsageError(Problem("follow", reason, found=wanted))
+    return None
+
+
+def copy_camera(camera: mujoco.MjvCamera, to: mujoco.MjvCamera) -> None:
+    """Gives a camera the pose, or the frame, of another one."""
+    to.type, to.fixedcamid, to.trackbodyid = camera.type, camera.fixedcamid, camera.trackbodyid
+    to.lookat[:], to.distance = camera.lookat, camera.distance
+    to.azimuth, to.elevation = camera.azimuth, camera.elevation

@@ -1,0 +1,240 @@
+"""How far a camera has to stand for robots to be in its picture, of whatever shape that is."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Sequence
+
+import mujoco
+import numpy as np
+
+from ...base.errors import DeclarationError
+from ...base.frames import Array, Bools
+from ...data.drive.place import Placer
+from ...robots.assemble.parts import robots_of_bodies
+from ...robots.assemble.solids import geom_boxes, geom_corners
+from ...robots.assemble.world_view import WorldView
+from ...robots.declared.double import OUT_OF_SIGHT
+
+MARGIN = 1.12  # margin around the robots
+_WIDEST = 4 / 3  # width over height, at and above which no camera stands back for a sphere
+_DECLARED_FOR = 1.6  # width over height of the pictures that scenes declare their view for
+_FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+
+
+def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]:
+    """Returns the unit vectors forward, right and up (3,) of a free camera."""
+    azimuth, elevation = np.deg2rad([azimuth_deg, elevation_deg])
+    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    forward = np.array([ca * ce, sa * ce, se])
+    right = np.array([sa, -ca, 0.0])
+    up = np.array([-ca * se, -sa * se, ce])
+    return forward, right, up
+
+
+def bounding_sphere(world: WorldView) -> tuple[Array, float]:
+    """Returns centre (3,), m, and radius, m, of a sphere about the scene without its floor.
+
+    Objects that a route attaches to a robot's flange count at the flange.
+    """
+    return _sphere(*_boxes(world, declared_data(world)))
+
+
+def declared_data(world: WorldView) -> mujoco.MjData:
+    """Returns data of the declared pose, with what routes attach to robots in its place."""
+    data = world.make_data()
+    if world.scene.routes:
+        # Invalid routes are reported elsewhere, when they are wired.
+        with contextlib.suppress(DeclarationError):
+            Placer(world).place(data)
+    return data
+
+
+def _boxes(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
+    solid = world.geoms_in_view() & _is_in_sight(data)
+    lows, highs = geom_boxes(world.model, data)
+    return lows[solid], highs[solid]
+
+
+def _is_in_sight(data: mujoco.MjData) -> Bools:
+    return np.asarray(data.geom_xpos[:, 2] > OUT_OF_SIGHT[2] / 2)
+
+
+def _sphere(lows: Array, highs: Array) -> tuple[Array, float]:
+    if not len(lows):
+        return np.zeros(3), 1.0
+    low, high = lows.min(axis=0), highs.max(axis=0)
+    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+
+
+def _tan_half_fovy(world: WorldView) -> float:
+    return float(np.tan(np.deg2rad(world.model.vis.global_.fovy) / 2))
+
+
+class Framing:
+    """Moves a camera back where data show robots outside of the picture of their declared pose.
+
+    A robot that is mirrored stands anywhere. `fit` acts when a coordinate, or the position of a
+    base, first leaves its declared value, so that a picture does not move with a robot that is in
+    it; and only until the camera is moved, on one that neither the scene nor the user has placed.
+    `hold` is for poses that are known before the first picture; only a camera that the user has
+    placed stays where it is.
+    """
+
+    def __init__(
+        self, world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None
+    ) -> None:
+        view = world.scene.view
+        is_placed = wanted is not None or view.distance is not None or view.look_at is not None
+        self._world = world
+        self._placed = _pose(camera)
+        self._is_wanted = wanted is not None
+        self._acts = not is_placed and camera.type == _FREE
+        self.needed = needed_aspect(world, camera, wanted)
+        self._declared = declared_data(world)
+        self._bases = [part.mocap for part in world.robots.values() if part.mocap >= 0]
+        self._moved = np.zeros(world.model.nq + len(self._bases), bool)
+
+    def fit(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
+        """Moves the camera where a state needs it."""
+        if not self._acts:
+            return
+        at = (each.mocap_pos[self._bases] for each in (data, self._declared))
+        bases_moved = np.not_equal(*at).any(axis=1)
+        moved = np.append(data.qpos != self._declared.qpos, bases_moved)
+        if not (moved & ~self._moved).any():
+            return
+        self._moved |= moved
+        if _pose(camera) != self._placed:
+            self._acts = False
+            return
+        lows, highs = _boxes(self._world, data)
+        half_fovy = np.deg2rad(self._world.model.vis.global_.fovy) / 2
+        seen = camera.distance * np.sin(half_fovy)  # m, radius of the sphere in the picture
+        farthest = np.abs((lows + highs) / 2 - camera.lookat) + (highs - lows) / 2
+        if not (np.linalg.norm(farthest, axis=1) > seen).any():
+            return
+        if not bases_moved.any():  # where robots were declared nothing may be any more
+            declared = _boxes(self._world, self._declared)
+            lows, highs = np.vstack((lows, declared[0])), np.vstack((highs, declared[1]))
+        centre, radius = _sphere(lows, highs)
+        camera.lookat, camera.distance = centre, MARGIN * radius / np.sin(half_fovy)
+        self._placed = _pose(camera)
+
+    def hold(
+        self,
+        camera: mujoco.MjvCamera,
+        poses: Iterable[mujoco.MjData],
+        size: tuple[int, int],
+        turns: Sequence[float] = (0.0,),
+    ) -> None:
+        """Moves the camera so that robots and doubles are in the picture in all of some poses.
+
+        What the view of the declared pose leaves out may stay out. Nothing happens if all is in the
+        picture, or the camera has been placed by the user.
+        """
+        if self._is_wanted or camera.type != _FREE or _pose(camera) != self._placed:
+            return
+        aspect, tangent = size[0] / size[1], _tan_half_fovy(self._world)
+        matters = _of_robots(self._world)
+        back = standing_back(*size, self.needed) * camera.distance
+        declared = geom_corners(self._world.model, self._declared)
+        at = _Eye(camera).look(declared - camera.lookat)
+        left_out = _is_in_sight(self._declared) & ~_is_inside(at, back, tangent, aspect).all(axis=1)
+        matters &= ~left_out
+        corners = [declared[matters & _is_in_sight(self._declared)].reshape(-1, 3)]
+        for data in poses:
+            shown = matters & _is_in_sight(data)
+            corners.append(geom_corners(self._world.model, data, shown).reshape(-1, 3))
+        points = np.concatenate(corners)
+        if not len(points):
+            return
+        eyes = [_Eye(camera, turn) for turn in turns]
+        seen = (_is_inside(eye.look(points - camera.lookat), back, tangent, aspect) for eye in eyes)
+        if all(each.all() for each in seen):
+            return
+        centre = (points.min(axis=0) + points.max(axis=0)) / 2
+        found = [eye.look(points - centre) for eye in eyes]
+        distance = max(_distance(each, tangent, _WIDEST) for each in found)
+        camera.lookat, camera.distance = centre, max(distance, camera.distance)
+        self.needed = max(_needed(each, camera.distance, tangent) for each in found)
+        self._placed = _pose(camera)
+
+
+class _Eye:
+    """Coordinates of a free camera: right, up and forward, about what it looks at."""
+
+    def __init__(self, camera: mujoco.MjvCamera, turn_deg: float = 0.0) -> None:
+        forward, right, up = axes(camera.azimuth + turn_deg, camera.elevation)
+        self._axes = np.stack([right, up, forward], axis=1)
+
+    def look(self, points: Array) -> Array:
+        return np.asarray(points @ self._axes)
+
+
+def _is_inside(at: Array, distance: float, tangent: float, aspect: float) -> Bools:
+    depth = distance + at[..., 2]
+    high = tangent * depth
+    return np.asarray(
+        (depth > 0) & (np.abs(at[..., 0]) < aspect * high) & (np.abs(at[..., 1]) < high)
+    )
+
+
+def _distance(at: Array, tangent: float, aspect: float) -> float:
+    across = np.maximum(np.abs(at[:, 0]) / aspect, np.abs(at[:, 1]))
+    return float((MARGIN * across / tangent - at[:, 2]).max())
+
+
+def _needed(at: Array, distance: float, tangent: float) -> float:
+    depth = np.minimum(distance, np.maximum(distance + at[:, 2], 1e-3 * distance))
+    return float((np.abs(at[:, 0]) / (tangent * depth)).max())
+
+
+def _of_robots(world: WorldView) -> Bools:
+    model = world.model
+    of_robot = robots_of_bodies(model, world.robots) >= 0
+    for double in world.doubles.values():
+        of_robot[double.bodies.ravel()] = True
+    return np.asarray(of_robot[model.geom_bodyid] & world.geoms_in_view())
+
+
+def _pose(camera: mujoco.MjvCamera) -> tuple[float, ...]:
+    return (camera.type, camera.distance, camera.azimuth, camera.elevation, *camera.lookat)
+
+
+def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None) -> float:
+    """Returns the width of a picture over its height that a free camera needs.
+
+    It shows a sphere about the declared scene without its floor, or is 4/3 if that is less, since a
+    view may be of a part. Distances are those of pictures that are as wide; in narrower ones the
+    camera stands back. A scene's own view is for pictures of 1280x800, whose robots it shows in
+    narrower ones as well.
+    """
+    data, tangent = declared_data(world), _tan_half_fovy(world)
+    centre, radius = _sphere(*_boxes(world, data))
+    radius = MARGIN * radius + float(np.linalg.norm(centre - camera.lookat))
+    half = np.arcsin(min(radius / camera.distance, 1.0))
+    needed = float(min(np.tan(min(half, np.pi / 3)) / tangent, _WIDEST))
+    if wanted is not None:
+        return needed
+    corners = geom_corners(world.model, data, _of_robots(world) & _is_in_sight(data))
+    at = _Eye(camera).look(corners.reshape(-1, 3) - camera.lookat)
+    at = at[_is_inside(at, camera.distance, tangent, _DECLARED_FOR)]
+    if not len(at):
+        return needed
+    return max(needed, min(_needed(at, camera.distance, tangent), _DECLARED_FOR))
+
+
+def standing_back(width: float, height: float, needed: float) -> float:
+    """Returns by how much farther away a free camera stands in a narrow picture; 1 in others."""
+    return max(needed * height / max(width, 1.0), 1.0)
+
+
+def stand_back(
+    scene: mujoco.MjvScene, camera: mujoco.MjvCamera, width: float, height: float, needed: float
+) -> None:
+    """Moves the camera of a scene back for a narrow picture, see `standing_back`."""
+    back = (standing_back(width, height, needed) - 1.0) * camera.distance
+    if back > 0.0 and camera.type == _FREE:
+        for eye in scene.camera:
+            eye.pos = np.array(eye.pos) - back * np.array(eye.forward)

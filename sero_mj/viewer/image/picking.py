@@ -1,0 +1,404 @@
+"""Finds the item at a pixel, independent of the host.
+
+Robots, doubles and objects are found by `mj_ray`, decor by intersection with its boxes, triangles
+and arrows; the item closest to the camera is returned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools
+from ...robots.assemble.parts import RobotPart, robots_of_bodies
+from ...robots.assemble.world_view import WorldView
+from ..decor.geom_buffer import ARROW_SIZE_OF_LENGTH, GeomBuffer, Kind
+from ..decor.handles import HANDLE_NAMES
+from ..decor.picture_view import PictureView
+
+PickedKind = Literal[
+    "link",
+    "double",
+    "object",
+    "arrow",
+    "billboard",
+    "axes",
+    "name",
+    "vector",
+    "card",
+    "check",
+    "handle",
+    "limb",
+]
+
+Pixel = tuple[float, float]  # x to the right and y up from the lower left corner of a picture
+
+TOUCH_TOLERANCE = 12.0  # tolerance for a touch screen, pixels
+# An arrow geom in MuJoCo's renderers (`mjGEOM_ARROW`): the cone is a third of its length.
+_SHAFT, _HEAD_WIDTH = 2 / 3, 1.75
+_SLICES = 5  # cylinders that stand for the cone
+_TYPES = mujoco.mjtGeom
+# Arrays are compared with numbers a hundred times faster than with members of an enum.
+_BOX, _TRIANGLE, _ARROW = map(int, (_TYPES.mjGEOM_BOX, _TYPES.mjGEOM_TRIANGLE, _TYPES.mjGEOM_ARROW))
+_MAX_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
+_STEP = 1e-6  # m beyond the surface of one of them
+
+
+@dataclass(frozen=True)
+class Picked:
+    """The item at a pixel.
+
+    Attributes:
+        name: e.g. `lwr/A4` for a joint's arrow or billboard, `lwr/link3`, `table`.
+        owner: the robot or double it belongs to; empty for other items.
+        index: joint of the world for links, doubles, arrows and billboards, frame for axes and
+            names, smart arrow for vectors and cards, robot for checks; -1 for objects and paths.
+        own_name: of a link, with its name in the robot's own file; as `name` else.
+    """
+
+    kind: PickedKind
+    name: str
+    owner: str
+    index: int
+    distance: float
+    own_name: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.own_name:
+            object.__setattr__(self, "own_name", self.name)
+
+
+def pick(
+    world: WorldView,
+    data: mujoco.MjData,
+    buffer: GeomBuffer,
+    view: PictureView,
+    pixel: Pixel,
+    tolerance: float = 0.0,
+) -> Picked | None:
+    """Returns the item at a pixel, or None for the sky and the floor.
+
+    Args:
+        buffer: the decor of the displayed frame.
+        pixel: x to the right and y up from the lower left corner of the picture.
+        tolerance: maximum distance from decor if none is hit exactly, pixels; see
+            `TOUCH_TOLERANCE`.
+    """
+    origin = view.position
+    direction = _through(view, pixel)
+    decor = _pick_decor(world, buffer, view, origin, direction, 0.0)
+    solid = _pick_solid(world, data, buffer, origin, direction)
+    if decor is None and tolerance:
+        decor = _pick_decor(world, buffer, view, origin, direction, tolerance)
+    if decor is None or solid is None:
+        return decor or solid
+    return decor if decor.distance <= solid.distance else solid
+
+
+def _through(view: PictureView, pixel: Pixel) -> Array:
+    direction = view.at(np.array(pixel, float), 1.0) - view.position
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def point_at(
+    world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: PictureView, pixel: Pixel
+) -> Array | None:
+    """Returns the world point (3,), m, at a pixel, including the floor; None for the sky."""
+    direction = _through(view, pixel)
+    picked = pick(world, data, buffer, view, pixel)
+    if picked is not None:
+        return np.asarray(view.position + picked.distance * direction)
+    geom = np.full(1, -1, np.int32)
+    distance = mujoco.mj_ray(world.model, data, view.position, direction, None, 1, -1, geom, None)
+    return None if geom[0] < 0 else np.asarray(view.position + distance * direction)
+
+
+def link_at(
+    world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: PictureView, pixel: Pixel
+) -> tuple[str, Array] | None:
+    """Returns the frame of the robot's link at a pixel, and the world point there, (3,), m.
+
+    It looks through decor and doubles; None for anything else in front.
+    """
+    direction = _through(view, pixel)
+    model = world.model
+    hidden = np.zeros(model.ngeom, bool) if buffer.hidden is None else buffer.hidden.copy()
+    for double in world.doubles.values():
+        hidden |= np.isin(model.geom_bodyid, double.bodies)
+    hit, distance = _ray(model, data, hidden, view.position, direction)
+    body = int(model.geom_bodyid[hit]) if hit >= 0 else 0
+    number = int(robots_of_bodies(model, world.robots)[body])
+    found = _link_of(world, list(world.robots.values())[number], body) if number >= 0 else None
+    return None if found is None else (found[0], view.position + distance * direction)
+
+
+def handle_at(
+    buffer: GeomBuffer, view: PictureView, pixel: Pixel, tolerance: float = 0.0
+) -> int | None:
+    """Returns the handle at a pixel, see `viewer.decor.handles`; None for none."""
+    handles = buffer.kinds[: buffer.count] == Kind.HANDLE
+    if not handles.any():
+        return None
+    direction = _through(view, pixel)
+    for margin in (0.0, tolerance):
+        found = _nearest_decor(handles, buffer, view, view.position, direction, margin)
+        if found is not None:
+            return int(buffer.items[found[0]])
+    return None
+
+
+def _pick_decor(
+    world: WorldView,
+    buffer: GeomBuffer,
+    view: PictureView,
+    origin: Array,
+    direction: Array,
+    tolerance: float,
+) -> Picked | None:
+    of_something = buffer.kinds[: buffer.count] != Kind.NONE
+    found = _nearest_decor(of_something, buffer, view, origin, direction, tolerance)
+    if found is None:
+        return None
+    nearest, distance = found
+    kind = Kind(int(buffer.kinds[nearest]))
+    return picked_of(world, kind, int(buffer.items[nearest]), distance)
+
+
+def picked_of(world: WorldView, kind: Kind, item: int, distance: float = 0.0) -> Picked:
+    """Returns what was clicked on, by the kind and index of an item of decor.
+
+    Args:
+        distance: from the camera, m.
+
+    Raises:
+        ValueError: there is no such item.
+    """
+    counts = {
+        Kind.AXES: len(world.frames.names),
+        Kind.NAME: len(world.frames.names),
+        Kind.VECTOR: len(world.arrows.names),
+        Kind.CARD: len(world.arrows.names),
+        Kind.HANDLE: len(HANDLE_NAMES),
+        Kind.CHECK: len(world.robots),
+        Kind.PART: 0,
+    }
+    if kind == Kind.NONE or not 0 <= item < counts.get(kind, len(world.joints.names)):
+        raise ValueError(f"found {kind.name} {item}; expected an item of decor")
+    name, owner = _name_of(world, kind, item)
+    what = cast("PickedKind", kind.name.lower())
+    return Picked(what, name, owner, item, distance)
+
+
+def _nearest_decor(
+    among: Bools,
+    buffer: GeomBuffer,
+    view: PictureView,
+    origin: Array,
+    direction: Array,
+    tolerance: float,
+) -> tuple[int, float] | None:
+    """Returns the row of the nearest box, triangle or arrow along a ray, and its distance, m."""
+    rows = buffer.rows[: buffer.count]
+    types = rows["type"]
+    is_solid = (types == _BOX) | (types == _TRIANGLE) | (types == _ARROW)
+    index = (among & is_solid).nonzero()[0]
+    if not len(index):
+        return None
+    rows = rows[index]
+    centre, half = rows["pos"].astype(float), rows["size"].astype(float)
+    mat = rows["mat"].astype(float)
+    depth = np.maximum((centre - origin) @ view.forward, view.near)
+    margin = tolerance * view.pixel_size(1.0) * depth
+    distance = ray_boxes(origin, direction, centre, mat, half + margin[:, None])
+    flat = rows["type"] == _TRIANGLE
+    edges = mat[flat, :, :2] * half[flat, None, :2]
+    distance[flat] = ray_triangles(origin, direction, centre[flat], edges, margin[flat])
+    for i in (rows["type"] == _ARROW).nonzero()[0]:
+        distance[i] = ray_arrow(origin, direction, centre[i], mat[i], half[i], margin[i])
+    nearest = int(np.argmin(distance))
+    if not np.isfinite(distance[nearest]):
+        return None
+    return int(index[nearest]), float(distance[nearest])
+
+
+def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
+    if kind in (Kind.AXES, Kind.NAME):
+        name = world.frames.names[item]
+        return name, name.partition("/")[0] if "/" in name else ""
+    if kind in (Kind.VECTOR, Kind.CARD):
+        return world.arrows.names[item], ""
+    if kind == Kind.HANDLE:
+        return HANDLE_NAMES[item], ""
+    if kind == Kind.CHECK:
+        robot = list(world.robots)[item]
+        return f"{robot}/flange", robot
+    owner = list(world.owners)[world.joints.owner[item]]
+    return f"{owner}/{world.joints.names[item]}", owner
+
+
+def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: Array) -> Array:
+    """Returns the distance along a ray to boxes (k,), m, inf for a miss (slab method)."""
+    start = np.einsum("kij,ki->kj", mat, origin - centre)
+    along = np.einsum("kij,i->kj", mat, direction)
+    along = np.where(np.abs(along) < 1e-12, 1e-12, along)
+    one, other = (-half - start) / along, (half - start) / along
+    enter = np.minimum(one, other).max(axis=1)
+    leave = np.maximum(one, other).min(axis=1)
+    hit = (enter <= leave) & (leave > 0)
+    return np.where(hit, np.maximum(enter, 0.0), np.inf)
+
+
+def ray_triangles(
+    origin: Array, direction: Array, corner: Array, edges: Array, margin: Array
+) -> Array:
+    """Returns the distance along a ray to triangles (k,), m, inf for a miss.
+
+    Both sides are hit. Source: Moeller and Trumbore, "Fast, minimum storage ray-triangle
+    intersection", Journal of Graphics Tools 2(1), 1997.
+
+    Args:
+        margin: how far the ray may pass beside them, (k,), m.
+    """
+    u, v, start = edges[..., 0], edges[..., 1], origin - corner
+    across, turned = np.cross(direction, v), np.cross(start, u)
+    with np.errstate(divide="ignore", invalid="ignore"):  # seen along its plane: no hit
+        scale = 1.0 / np.einsum("ki,ki->k", u, across)
+        along_u = scale * np.einsum("ki,ki->k", start, across)
+        along_v = scale * (turned @ direction)
+        distance = scale * np.einsum("ki,ki->k", v, turned)
+        hit = (along_u >= 0.0) & (along_v >= 0.0) & (along_u + along_v <= 1.0) & (distance > 0.0)
+    distance = np.where(hit, distance, np.inf)
+    if not margin.any():
+        return distance
+    # The point of every side that is closest to the ray, seen along it.
+    begin = np.stack([-start, -start, u - start])
+    side = np.stack([u, v, v - u])
+    depth, deeper = begin @ direction, side @ direction
+    flat, flat_side = begin - depth[..., None] * direction, side - deeper[..., None] * direction
+    length = np.maximum(np.einsum("ski,ski->sk", flat_side, flat_side), 1e-18)
+    share = np.clip(-np.einsum("ski,ski->sk", flat, flat_side) / length, 0.0, 1.0)
+    beside = np.linalg.norm(flat + share[..., None] * flat_side, axis=-1)
+    depth += share * deeper
+    near = np.where((beside <= margin) & (depth > 0), depth, np.inf)
+    return np.asarray(np.minimum(distance, near.min(axis=0)))
+
+
+def ray_arrow(
+    origin: Array, direction: Array, start: Array, mat: Array, size: Array, margin: float = 0.0
+) -> float:
+    """Returns the distance along a ray to an arrow geom, m, inf for a miss.
+
+    Args:
+        size: as in `MjvGeom`: radii of the shaft, and length times `ARROW_SIZE_OF_LENGTH`, m.
+        margin: by which it is thicker and longer, m.
+    """
+    length = size[2] / ARROW_SIZE_OF_LENGTH
+    cone = (np.arange(_SLICES) + 0.5) / _SLICES  # middle of every slice, from base to tip
+    middles = length * np.append(_SHAFT / 2, _SHAFT + (1 - _SHAFT) * cone)
+    halves = length * np.append(_SHAFT / 2, np.full(_SLICES, (1 - _SHAFT) / 2 / _SLICES))
+    radii = size[0] * np.append(1.0, _HEAD_WIDTH * (1 - cone))
+    nearest = np.inf
+    for middle, half, radius in zip(middles, halves + margin, radii + margin, strict=True):
+        centre, cylinder = start + middle * mat[:, 2], np.array([radius, half, 0.0])
+        distance = mujoco.mju_rayGeom(
+            centre, mat.ravel(), cylinder, origin, direction, _TYPES.mjGEOM_CYLINDER
+        )
+        if 0 <= distance < nearest:
+            nearest = distance
+    return float(nearest)
+
+
+def _pick_solid(
+    world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, origin: Array, direction: Array
+) -> Picked | None:
+    model = world.model
+    hit, distance = _ray(model, data, buffer.hidden, origin, direction)
+    drawn = _pick_drawn_double(world, buffer, origin, direction)
+    if drawn is not None and (hit < 0 or drawn.distance < distance):
+        return drawn
+    if hit < 0 or model.geom_type[hit] == mujoco.mjtGeom.mjGEOM_PLANE:
+        return None
+    return picked_geom(world, hit, distance)
+
+
+def picked_geom(world: WorldView, geom: int, distance: float = 0.0) -> Picked:
+    """Returns what a geom of the model is part of: a link, a double's link, or an object."""
+    model = world.model
+    body = int(model.geom_bodyid[geom])
+    for name, double in world.doubles.items():
+        if (double.bodies == body).any():
+            link = int((double.bodies == body).nonzero()[1][0])
+            label = f"{name}/link{link}" if link else f"{name}/base"
+            own = double.of.robot.link_names
+            shown = label if own is None else f"{name}/{own[link]}"
+            joint = -1 if name not in world.owners else double.joints.start + max(link - 1, 0)
+            return Picked("double", label, name, joint, distance, shown)
+    number = int(robots_of_bodies(model, world.robots)[body])
+    if number >= 0:
+        name, part = list(world.robots.items())[number]
+        of_robot = _link_of(world, part, body)
+        if of_robot is not None:
+            label, joint = of_robot
+            shown = dict(zip(part.link_names, part.own_link_names, strict=True)).get(label, label)
+            return Picked("link", label, name, part.joints.start + joint, distance, shown)
+    return Picked("object", model.geom(geom).name, "", -1, distance)
+
+
+def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | None:
+    while body:  # children of a link belong to it
+        found = (part.bodies == body).nonzero()[0]
+        if len(found):
+            link = int(found[0])
+            return part.link_names[link], max(link - 1, 0)
+        if body == part.flange_body:
+            return part.flange_name, int(part.chain[-1])
+        body = int(world.model.body_parentid[body])
+    return None
+
+
+def _pick_drawn_double(
+    world: WorldView, buffer: GeomBuffer, origin: Array, direction: Array
+) -> Picked | None:
+    nearest = None
+    for drawn in buffer.drawn_doubles:
+        hit, distance = _ray(drawn.model, drawn.data, drawn.opacity == 0, origin, direction)
+        if hit < 0 or (nearest is not None and nearest.distance <= distance):
+            continue
+        nearest = picked_drawn(world, drawn.double, hit, distance) or nearest
+    return nearest
+
+
+def picked_drawn(world: WorldView, name: str, geom: int, distance: float = 0.0) -> Picked | None:
+    """Returns the link of a double that a geom is part of, see `picked_geom`; None for none."""
+    double = world.doubles[name]
+    link = _link_of(world, double.of, int(world.model.geom_bodyid[geom]))
+    if link is None:
+        return None
+    label = f"{name}/{link[0].partition('/')[2]}"
+    joint = -1 if double.path is not None else double.joints.start + link[1]
+    return Picked("double", label, name, joint, distance)
+
+
+def _ray(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    hidden: Bools | None,
+    origin: Array,
+    direction: Array,
+) -> tuple[int, float]:
+    geom = np.full(1, -1, np.int32)
+    travelled = 0.0
+    for _ in range(_MAX_HIDDEN):
+        start = origin + travelled * direction
+        distance = mujoco.mj_ray(model, data, start, direction, None, 1, -1, geom, None)
+        hit = int(geom[0])
+        if hit < 0:
+            return -1, 0.0
+        travelled += distance
+        if hidden is None or not hidden[hit]:
+            return hit, travelled
+        travelled += _STEP
+    return -1, 0.0

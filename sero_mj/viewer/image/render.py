@@ -1,0 +1,483 @@
+"""Renders pictures and films without a window, of a world or of a scene with its live sources.
+
+A film of a live robot must show real time, but software rendering may be slower than that. So a
+thread samples the state at exactly the film's rate, and frames are rendered from these samples at
+any speed.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, Self, get_args
+
+import mujoco
+import numpy as np
+from PIL import Image
+
+from ...base.errors import Problem, RenderError, UsageError
+from ...base.frames import Array, Ints
+from ...data.drive.mirror import Mirror
+from ...robots.assemble.solids import geom_corners
+from ...robots.assemble.world_view import WorldView
+from ...robots.declared.scene import Scene
+from ..decor.font import line_height
+from ..decor.picture_view import PictureView
+from .added_surroundings import added_surroundings
+from .backend import adopt_backend, backend_problem
+from .camera import find_camera, followed
+from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
+from .film_frames import film_frames
+from .following import Follower
+from .framing import (
+    Framing,
+    bounding_sphere,
+    declared_data,
+    stand_back,
+)
+from .held_torques import HeldTorques
+from .motion_blur import SUBFRAMES, Exposure
+from .mujoco_private import context_of
+from .painter import Painter, perform_clicks
+from .pass_files import check_pass_file, save_depth, save_segmentation
+from .passes import PassRenderer
+from .picking import Pixel
+from .picture_options import (
+    DEFAULT_SIZE,
+    EYE_DISTANCE,
+    FilmOptions,
+    Pass,
+    PictureOptions,
+    Quality,
+    Stereo,
+)
+from .renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
+from .scene_decor import SceneDecor
+from .stereo import (
+    anaglyph,
+    check_stereo,
+    each_eye,
+    looked_at,
+)
+from .switches import apply_switches
+from .textures import upload_textures, without_textures
+from .typesetting import Typesetter, compose
+
+log = logging.getLogger(__name__)
+
+MAX_SIDE = 16384  # pixels; the limit of Mesa's software renderer
+QUALITIES: tuple[str, ...] = get_args(Quality)
+SUPERSAMPLING = 2  # a side, of the quality `fine`
+PRINT_DPI = 300
+
+
+def check_size(what: str, width: int, height: int) -> None:
+    """Checks the size of a picture or window.
+
+    Raises:
+        RenderError: the size is out of range.
+    """
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        expected = f"1 to {MAX_SIDE} pixels a side"
+        problem = Problem(f"{what} size", found=(width, height), expected=expected)
+        raise RenderError(problem)
+
+
+@contextmanager
+def offscreen_size(
+    model: mujoco.MjModel,
+    width: int,
+    height: int,
+    *,
+    samples: int | None = None,
+    is_draft: bool = False,
+) -> Iterator[None]:
+    """Sets the offscreen buffer of the OpenGL contexts that are created in this context.
+
+    MuJoCo reads it from the model. The model is restored afterwards, since it may be the user's.
+
+    Args:
+        model: changed temporarily.
+    """
+    size, quality = model.vis.global_, model.vis.quality
+    before = size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
+    size.offwidth, size.offheight = width, height
+    if samples is not None:
+        quality.offsamples = samples
+    if is_draft:
+        quality.offsamples = quality.shadowsize = 0
+    try:
+        yield
+    finally:
+        size.offwidth, size.offheight, quality.offsamples, quality.shadowsize = before
+
+
+class ClassicRenderer(mujoco.Renderer):  # type: ignore[misc]
+    """A `SceneRenderer` that is MuJoCo's renderer on OpenGL."""
+
+    def follow(self, data: mujoco.MjData) -> None: ...
+
+
+class HeadlessRenderer(Painter):
+    """Renders a world into arrays.
+
+    Args:
+        quality: `draft` is quick where OpenGL is software, `fine` is for print.
+        stereo: `side-by-side` for a half of the picture for each eye, the left one on the left;
+            `anaglyph` for red-cyan glasses.
+        eye_distance: between the eyes, m.
+        follow: the robot, group or frame that the free camera moves with; that of the scene's view
+            when None.
+        renderer: `classic` for OpenGL, or the name of a `Renderer` of an extension; None for one
+            that is meant for the quality `fine`, if asked for, else `classic`. Where it does not
+            run, the classic renderer draws, and a warning is logged that says why.
+
+    Raises:
+        RenderError: no OpenGL, the size or the eyes' distance is out of range, or there is no such
+            quality, renderer or stereo.
+        UnknownName: no camera of that name, or nothing to follow.
+        UsageError: a fixed camera is to follow something.
+    """
+
+    def __init__(
+        self,
+        world: WorldView,
+        width: int = DEFAULT_SIZE[0],
+        height: int = DEFAULT_SIZE[1],
+        camera: str | None = None,
+        quality: Quality = "normal",
+        stereo: Stereo | None = None,
+        eye_distance: float = EYE_DISTANCE,
+        follow: str | None = None,
+        renderer: str | None = None,
+        frames: int = 1,
+    ) -> None:
+        check_stereo(stereo, eye_distance)
+        if quality not in QUALITIES:
+            raise RenderError(Problem("quality", found=quality, expected=", ".join(QUALITIES)))
+        self._scale = SUPERSAMPLING if quality == "fine" else 1
+        check_size("picture", width * self._scale, height * self._scale)
+        self.world = world
+        self.camera = find_camera(world, camera)
+        self._framing = Framing(world, self.camera, camera)
+        follow = followed(world, self.camera, follow)
+        self._follower = None
+        if follow is not None:
+            self._follower = Follower(world, follow, declared_data(world))
+        self.size = (width, height)
+        self._stereo, self._eye_distance = stereo, eye_distance
+        # What one eye sees.
+        self._half = (width // 2, height) if stereo == "side-by-side" else (width, height)
+        check_size("half of the picture", *self._half)
+        self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
+        self.decor = SceneDecor(world, with_text=False)
+        drawn, tall = self._half[0] * self._scale, height * self._scale
+        is_draft = quality == "draft"
+        self.renderer = choose_renderer(renderer, quality, drawn, tall)
+        self._renderer: SceneRenderer
+        if self.renderer == CLASSIC:
+            classic = self._renderer = make_renderer(world, drawn, tall, is_draft=is_draft)
+            # A new renderer's OpenGL context is the current one.
+            self._surroundings = added_surroundings(world, context_of(classic))
+        else:
+            self._renderer, self._surroundings = renderers()[self.renderer].make(
+                world, drawn, tall, quality, frames=frames
+            )
+        if is_draft:
+            self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        self._typesetter = Typesetter(line_height(world, *self._half))
+        self._passes: PassRenderer | None = None
+
+    @classmethod
+    def of_scene(cls, mirror: Mirror, options: PictureOptions, frames: int = 1) -> Self:
+        """Returns a renderer for pictures of a mirrored scene as they were chosen."""
+        return cls(
+            mirror.world,
+            *options.size,
+            options.camera,
+            options.quality,
+            options.stereo,
+            options.eye_distance,
+            options.follow,
+            options.renderer,
+            frames,
+        )
+
+    def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
+        """Renders one frame.
+
+        Args:
+            out: output array, (height, width, 3), uint8; None for a new one.
+        """
+        self.decor.draw(data, self._look(data), self._renderer.scene)
+        self._renderer.follow(data)
+        text = self._typesetter.place(self.decor.panels)
+        if self._stereo is None and self._scale == 1:
+            pixels: Pixels = self._renderer.render(out=out)
+            compose(pixels, text)
+            return pixels if out is not None else pixels.view(Picture)
+        pixels = np.zeros((*self.size[::-1], 3), np.uint8) if out is None else out
+        if self._stereo == "anaglyph":
+            pixels[:] = anaglyph(*self._eyes())
+            compose(pixels, text)  # it stands where both eyes see the same
+        elif self._stereo == "side-by-side":
+            width = self._half[0]
+            for k, half in enumerate(self._eyes()):
+                compose(half, text)
+                pixels[:, k * width : (k + 1) * width] = half
+        else:
+            pixels[:] = self._drawn()
+            compose(pixels, text)
+        return pixels if out is not None else pixels.view(Picture)
+
+    def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None:
+        """Moves the camera so that robots are in the picture in all of some poses.
+
+        One that follows something stays; see `Framing.hold`.
+        """
+        if self._follower is None:
+            self._framing.hold(self.camera, poses, self._half, turns)
+
+    def follow_nothing(self) -> None:
+        self._follower = None
+
+    def segmentation(self, data: mujoco.MjData) -> Ints:
+        """Renders which part every pixel shows, with neither decor nor stereo.
+
+        Returns:
+            numbers of parts (height, width), int32, top row first; `part_names` names them.
+        """
+        return self._filled(data).segmentation(self.decor.buffer)
+
+    def depth(self, data: mujoco.MjData) -> Array:
+        """Renders the depth of every pixel, with neither decor nor stereo.
+
+        Returns:
+            distances from the camera along the viewing direction (height, width), float32, m, top
+            row first; infinite for the sky.
+        """
+        return self._filled(data).depth(self.decor.buffer)
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of parts by their numbers in `segmentation`, see `passes.Parts`."""
+        return self._pass_renderer().parts.names
+
+    def _pass_renderer(self) -> PassRenderer:
+        if self._passes is None:
+            self._passes = PassRenderer(
+                self.world, make_renderer(self.world, *self.size, is_draft=True)
+            )
+        return self._passes
+
+    def _filled(self, data: mujoco.MjData) -> PassRenderer:
+        passes = self._pass_renderer()
+        self._lay_out(data)
+        self._fill(passes.scene, data, self.size)
+        return passes
+
+    def close(self) -> None:
+        if self._passes is not None:
+            self._passes.close()
+        super().close()
+
+    def render_blurred(self, moments: Iterable[mujoco.MjData], out: Pixels | None = None) -> Pixels:
+        """Renders one frame as the mean of moments, as an open shutter sees what moves.
+
+        Text is that of the first moment, and stays sharp. There is one eye.
+        """
+        exposure, text, scene = Exposure(), None, self._renderer.scene
+        for data in moments:
+            view = self._look(data)
+            if not exposure.moves(view, geom_corners(self.world.model, data)):
+                exposure.add()
+                continue
+            self.decor.draw(data, view, scene)
+            text = self._typesetter.place(self.decor.panels) if text is None else text
+            exposure.add(self._drawn())
+        pixels = np.zeros((*self.size[::-1], 3), np.uint8) if out is None else out
+        pixels[:] = exposure.picture()
+        if text is not None:
+            compose(pixels, text)
+        return pixels if out is not None else pixels.view(Picture)
+
+    def _drawn(self) -> Pixels:
+        drawn: Pixels = self._renderer.render()
+        if self._scale == 1:
+            return drawn
+        return np.array(Image.fromarray(drawn).reduce(self._scale))
+
+    def _eyes(self) -> list[Pixels]:
+        scene = self._renderer.scene
+        distance = looked_at(scene, self.camera, self._centre)
+        return [self._drawn() for _ in each_eye(scene, self._eye_distance, distance)]
+
+    def _look(self, data: mujoco.MjData) -> PictureView:
+        scene = self._renderer.scene
+        if self._follower is not None:
+            self.camera.lookat = self.camera.lookat + self._follower.displacement(data)
+        else:
+            self._framing.fit(self.camera, data)
+        self._fill(scene, data, self._half)
+        return PictureView.of_scene(scene, *self._half, self._typesetter.font)
+
+    def _fill(self, scene: mujoco.MjvScene, data: mujoco.MjData, size: tuple[int, int]) -> None:
+        self.decor.fill(data, self.camera, scene)
+        stand_back(scene, self.camera, *size, self._framing.needed)
+        if self._surroundings is not None:
+            self._surroundings.add(scene)
+
+    def _pixel(self, x: float, y: float) -> Pixel:
+        width = self._half[0]
+        is_right = self._stereo == "side-by-side" and x >= width
+        return self.decor.from_above(x - width if is_right else x, y)
+
+
+def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) -> Any:
+    """Returns MuJoCo's renderer with an OpenGL context for pictures of a size.
+
+    Raises:
+        RenderError: there is no OpenGL, or no picture so large.
+    """
+    model = world.model
+    adopt_backend()
+    try:
+        with offscreen_size(model, width, height, is_draft=is_draft):
+            if not is_draft:
+                return ClassicRenderer(model, height, width)
+            with without_textures(model) as textures:
+                renderer = ClassicRenderer(model, height, width)
+        upload_textures(model, context_of(renderer), textures)
+        return renderer
+    except Exception as error:  # every GL backend raises errors of its own
+        doctor = "`sero-mj check` lists what is missing"
+        why = backend_problem() or f"{error or type(error).__name__}; {doctor}"
+        raise RenderError(f"no picture of {width}x{height} can be made: {why}") from error
+
+
+NEXT_WITHIN = 0.5  # s in which a live source should send its next packet
+MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
+OnProgress = Callable[[int, int], None]
+
+
+def render_picture(
+    scene: Scene,
+    path: Path | str,
+    options: PictureOptions | None = None,
+    *,
+    at: float = 0.0,
+    painter: Callable[[Mirror, PictureOptions], Painter] = HeadlessRenderer.of_scene,
+    **keywords: Any,
+) -> list[str]:
+    """Renders a picture of the current state of a scene.
+
+    Args:
+        path: the file; .png, or another format of Pillow.
+        **keywords: of `PictureOptions`: `size` (width, height), `quality`, `camera`, `stereo`,
+            `eye_distance`, `follow`, `clicks`, `shown`, `selected`, `render_pass`, `wait`.
+
+    Returns:
+        names of the sources without data; their robots have the declared pose.
+
+    Raises:
+        SeroError: a problem of the scene, its sources, the camera, an option or the file.
+    """
+    path, options = Path(path), options or PictureOptions(**keywords)
+    if options.render_pass != "colour":
+        check_pass_file(path)
+    with Mirror(scene) as mirror:
+        check_writable(path)
+        with painter(mirror, options) as drawn:
+            silent = mirror.wait(options.wait)
+            mirror.wait_fresh(min(options.wait, NEXT_WITHIN), at)
+            apply_switches(mirror.world, drawn.toggles, options.shown, options.selected)
+            held = HeldTorques(mirror, drawn.toggles)
+            held.update(mirror.data)
+            perform_clicks(drawn, mirror.data, options.clicks)
+            held.update(mirror.data)  # clicks switch billboards on
+            if isinstance(drawn, HeadlessRenderer):
+                drawn.hold([mirror.data])
+            if options.render_pass != "colour":
+                _save_pass(path, drawn, mirror.data, options.render_pass)
+                return silent
+            dpi = PRINT_DPI if options.quality == "fine" else None
+            save_picture(path, drawn.render(mirror.data), dpi)
+    return silent
+
+
+def _save_pass(path: Path, drawn: Painter, data: mujoco.MjData, which: Pass) -> None:
+    if not isinstance(drawn, HeadlessRenderer):
+        raise UsageError(f"--pass {which} is for pictures of a scene, not over photos")
+    if which == "segmentation":
+        save_segmentation(path, drawn.segmentation(data), drawn.part_names)
+    else:
+        save_depth(path, drawn.depth(data))
+
+
+def render_film(
+    scene: Scene,
+    path: Path | str,
+    options: FilmOptions | None = None,
+    *,
+    on_progress: OnProgress | None = None,
+    **keywords: Any,
+) -> list[str]:
+    """Renders a film of a scene, in real time when it has live sources.
+
+    Args:
+        path: the file; .mp4, .webm or .gif.
+        **keywords: of `FilmOptions`: `duration` (s), `fps`, `orbit` (degrees), `camera_path` (a
+            file), and all of `render_picture`; clicks are performed before the first frame.
+
+    Returns:
+        names of the sources without data.
+
+    Raises:
+        SeroError: a problem of the scene, its sources, the camera, an option or the file.
+    """
+    path, options = Path(path), options or FilmOptions(**keywords)
+    if options.render_pass != "colour":
+        expected = "a picture: films change colours, by which parts and depths are told"
+        raise RenderError(Problem(file=str(path), found=options.render_pass, expected=expected))
+    fps = options.fps or default_fps(path)
+    count = max(round(options.duration * fps), 1)
+    if count > MAX_FRAMES:
+        raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")
+    drawn = count * (SUBFRAMES if options.quality == "fine" else 1)
+    with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options, drawn) as renderer:
+        clicks = partial(perform_clicks, renderer, clicks=options.clicks)
+        held = HeldTorques(mirror, renderer.toggles)
+        frames = film_frames(mirror, renderer, count, fps, options, clicks, held.update)
+        return write_film(
+            mirror, renderer, path, frames,
+            fps=fps, count=count, options=options, on_progress=on_progress,
+        )  # fmt: skip
+
+
+def write_film(
+    mirror: Mirror,
+    painter: Painter,
+    path: Path,
+    frames: Iterable[Pixels],
+    *,
+    fps: float,
+    count: int,
+    options: PictureOptions,
+    on_progress: OnProgress | None,
+) -> list[str]:
+    """Writes frames that a painter draws as a film.
+
+    Returns:
+        names of the sources without data.
+    """
+    with FilmWriter(path, *painter.size, fps) as film:
+        silent = mirror.wait(options.wait)
+        apply_switches(mirror.world, painter.toggles, options.shown, options.selected)
+        for frame in frames:
+            film.add(frame)
+            if on_progress is not None:
+                on_progress(film.frames, max(count, film.frames))
+    return silent

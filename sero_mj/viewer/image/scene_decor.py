@@ -1,0 +1,140 @@
+"""`SceneDecor`: lays out decor, adds it to an `MjvScene`, and takes clicks on it, for all hosts."""
+
+from __future__ import annotations
+
+import logging
+
+import mujoco
+
+from ...base.frames import Array
+from ...robots.assemble.world_view import WorldView
+from ..decor.draw import Decor
+from ..decor.feature import Drawn
+from ..decor.geom_buffer import CAPACITY, GeomBuffer
+from ..decor.model_drawing import ModelDrawing
+from ..decor.panels import Panels
+from ..decor.picture_view import PictureView
+from ..decor.round_arrows import ARROW_GEOMS
+from ..decor.scene_writer import SceneWriter
+from ..decor.toggles import Toggles
+from .clicks import Gesture, click, hover
+from .picking import Picked, Pixel, handle_at, link_at, pick, point_at
+
+log = logging.getLogger(__name__)
+
+
+class SceneDecor:
+    """The decor of a world in a host.
+
+    Args:
+        toggles: what is shown; the scene's own when None.
+        with_text: whether scenes get panels and labels; otherwise the host sets `panels`.
+
+    Attributes:
+        view: of the last frame; None before the first.
+        dropped: number of geoms of the last frame that exceeded the scene's capacity.
+    """
+
+    def __init__(
+        self,
+        world: WorldView,
+        toggles: Toggles | None = None,
+        capacity: int = CAPACITY,
+        arrow_geoms: int = ARROW_GEOMS,
+        *,
+        with_text: bool = True,
+    ) -> None:
+        self.world = world
+        self.toggles = Toggles(world) if toggles is None else toggles
+        self.view: PictureView | None = None
+        self.dropped = 0
+        self.drawing = ModelDrawing(world)
+        self._decor = Decor(world, capacity, arrow_geoms)
+        self._host: tuple[mujoco.MjvScene, SceneWriter] | None = None
+        self._has_warned = False
+        self._with_text = with_text
+
+    @property
+    def buffer(self) -> GeomBuffer:
+        return self._decor.buffer
+
+    def add(self, feature: Drawn) -> None:
+        self._decor.features.append(feature)
+
+    @property
+    def fixed(self) -> str:
+        """What to tell who wants to move the camera; empty where that can be moved."""
+        return ""
+
+    @property
+    def panels(self) -> list[Panels]:
+        return self._decor.panels
+
+    def fill(self, data: mujoco.MjData, camera: mujoco.MjvCamera, scene: mujoco.MjvScene) -> None:
+        self.drawing.fill(data, self.toggles, camera, scene)
+
+    def lay_out(self, data: mujoco.MjData, view: PictureView) -> None:
+        self.view = view
+        self._decor.draw(data, self.toggles, view)
+
+    def draw(self, data: mujoco.MjData, view: PictureView, scene: mujoco.MjvScene) -> int:
+        """Lays out one frame and adds it to a scene that MuJoCo has filled."""
+        self.lay_out(data, view)
+        if self._host is None or self._host[0] is not scene:
+            self._host = (scene, SceneWriter(scene))
+        dropped = self._host[1].add(self.buffer, with_text=self._with_text)
+        self.dropped = self.buffer.dropped + dropped
+        if self.dropped and not self._has_warned:
+            self._has_warned = True
+            log.warning(
+                "%d decor geoms are not shown: the scene's capacity is %d",
+                self.dropped,
+                scene.maxgeom,
+            )
+        return self.dropped
+
+    def from_above(self, x: float, y: float) -> Pixel:
+        """Returns the centre of a pixel, y up, of a pixel counted from the upper left corner."""
+        assert self.view is not None
+        return x + 0.5, self.view.height - y - 0.5
+
+    def pick(self, data: mujoco.MjData, pixel: Pixel, tolerance: float = 0.0) -> Picked | None:
+        """Returns the item at a pixel of the last frame; None for no item.
+
+        Args:
+            pixel: x to the right and y up from the lower left corner.
+        """
+        if self.view is None:
+            return None
+        return pick(self.world, data, self.buffer, self.view, pixel, tolerance)
+
+    def point_at(self, data: mujoco.MjData, pixel: Pixel) -> Array | None:
+        if self.view is None:
+            return None
+        return point_at(self.world, data, self.buffer, self.view, pixel)
+
+    def link_at(self, data: mujoco.MjData, pixel: Pixel) -> tuple[str, Array] | None:
+        if self.view is None:
+            return None
+        return link_at(self.world, data, self.buffer, self.view, pixel)
+
+    def handle_at(self, pixel: Pixel, tolerance: float = 0.0) -> int | None:
+        if self.view is None:
+            return None
+        return handle_at(self.buffer, self.view, pixel, tolerance)
+
+    def click(
+        self,
+        data: mujoco.MjData,
+        pixel: Pixel,
+        gesture: Gesture = "click",
+        tolerance: float = 0.0,
+    ) -> Picked | None:
+        picked = self.pick(data, pixel, tolerance)
+        click(self.world, self.toggles, picked, gesture)
+        return picked
+
+    def hover(self, data: mujoco.MjData, pixel: Pixel) -> Picked | None:
+        picked = self.pick(data, pixel)
+        hover(self.toggles, picked, pixel)
+        return picked

@@ -1,0 +1,91 @@
+"""Pictures for two eyes: side by side, or in one as a red-cyan anaglyph.
+
+Both eyes look in the same direction, with off-axis frustums: points at the distance of the look-at
+point are at the same pixel for both. All text is drawn at that distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import get_args
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.errors import RenderError, shown
+from .picture_options import Stereo
+
+STEREO: tuple[str, ...] = get_args(Stereo)
+_MOST_APART = 1.0  # m
+_LAID_OUT = 2.0  # times the near plane; see `viewer.decor.panels`
+# Of red, green and blue for the left eye (red filter) and the right one (cyan), rows by column.
+# Source: Dubois, A projection method to generate anaglyph stereo images, ICASSP 2001, as
+# published for common filters and screens.
+_LEFT = np.array([[0.437, 0.449, 0.164], [-0.062, -0.062, -0.024], [-0.048, -0.050, -0.017]])
+_RIGHT = np.array([[-0.011, -0.032, -0.007], [0.377, 0.761, 0.009], [-0.026, -0.093, 1.234]])
+Pixels = NDArray[np.uint8]
+
+
+def check_stereo(stereo: str | None, eye_distance: float) -> None:
+    """Raises RenderError for an unknown kind of stereo, or a distance out of range."""
+    if stereo is not None and stereo not in STEREO:
+        raise RenderError(f"found stereo {shown(stereo)}; expected {' or '.join(STEREO)}")
+    if not 0 < eye_distance <= _MOST_APART:
+        expected = f"expected a distance above 0, up to {_MOST_APART:g} m"
+        raise RenderError(f"found {eye_distance:g} m between the eyes; {expected}")
+
+
+def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> Iterator[None]:
+    """Moves the camera of a scene to the left eye, then to the right one, and yields at each.
+
+    Args:
+        scene: that `mjv_updateScene` and decor have filled; afterwards it is as before.
+        distance: along the viewing direction, m, of points at the same pixel for both.
+    """
+    first = scene.camera[0]
+    middle = (np.array(first.pos, np.float64) + np.array(scene.camera[1].pos)) / 2
+    forward = np.array(first.forward, np.float64)
+    to_right = np.cross(forward, np.array(first.up, np.float64))
+    # What is laid out in pixels, leaders of panels, is just behind the near plane.
+    laid_out = []
+    for geom in scene.geoms[: scene.ngeom]:
+        position = np.array(geom.pos, np.float64)
+        depth = float((position - middle) @ forward)
+        if 0.0 < depth < _LAID_OUT * first.frustum_near:
+            laid_out.append((geom, position, 1.0 - depth / distance))
+    for eye in (-eye_distance / 2, eye_distance / 2):
+        for camera in scene.camera:
+            camera.pos = middle + eye * to_right
+            camera.frustum_center = -eye * camera.frustum_near / distance
+        for geom, position, share in laid_out:
+            geom.pos = position + share * eye * to_right
+        yield
+    for camera in scene.camera:
+        camera.pos, camera.frustum_center = middle, 0.0
+    for geom, position, _ in laid_out:
+        geom.pos = position
+
+
+def looked_at(
+    scene: mujoco.MjvScene, camera: mujoco.MjvCamera, centre: NDArray[np.float64]
+) -> float:
+    """Returns the distance of what a camera looks at, m.
+
+    Args:
+        centre: of the scene, (3,), m; used for a camera of the model.
+    """
+    near = float(scene.camera[0].frustum_near)
+    is_free = camera.type == mujoco.mjtCamera.mjCAMERA_FREE
+    eyes = (np.array(scene.camera[0].pos) + np.array(scene.camera[1].pos)) / 2
+    at = np.array(camera.lookat) if is_free else centre
+    ahead = float((at - eyes) @ np.array(scene.camera[0].forward, np.float64))
+    return max(ahead, (2.0 if is_free else 10.0) * near)
+
+
+def anaglyph(left: Pixels, right: Pixels) -> Pixels:
+    """Mixes pictures (height, width, 3) of both eyes for red-cyan glasses, red on the left eye."""
+    # In linear light, where the filters of glasses work.
+    tables = (np.arange(256) / 255.0) ** 2.2
+    mixed = tables[left] @ _LEFT.T + tables[right] @ _RIGHT.T
+    return np.asarray((np.clip(mixed, 0.0, 1.0) ** (1 / 2.2) * 255.0).round(), np.uint8)

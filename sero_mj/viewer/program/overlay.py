@@ -1,0 +1,347 @@
+"""`overlay`: arrows, billboards, doubles and axes on any compiled MuJoCo model."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.errors import Problem, UsageError
+from ...base.frames import Array
+from ...robots.declared.cartesian import SmartArrow
+from ...robots.declared.double import Double
+from ...robots.declared.scene import SceneToggles
+from ...robots.external.model_world import ModelWorld
+from ...robots.importers.mjcf_file import as_spec, is_mjcf_object
+from ..decor.font import DEFAULT_FONT, Font
+from ..decor.picture_view import PictureView
+from ..decor.toggles import Toggles
+from ..image.backend import adopt_backend
+from ..image.camera import find_camera
+from ..image.clicks import Gesture
+from ..image.film import Picture
+from ..image.mujoco_private import context_of
+from ..image.picking import Picked, Pixel
+from ..image.picture_options import DEFAULT_SIZE
+from ..image.render import HeadlessRenderer
+from ..image.scene_decor import SceneDecor
+from .robot_inputs import RobotInputs
+
+log = logging.getLogger(__name__)
+
+_NOTEBOOK_SIZE = (960, 600)
+_SCENE_SIZE = (640, 480)  # of the picture of a scene that has none
+
+
+class Overlay:
+    """Decor for the user's model and data, which are never changed.
+
+    Attributes:
+        data: the user's; frames show its current state, so call `mj_step` or `mj_forward` before.
+    """
+
+    def __init__(self, world: ModelWorld) -> None:
+        self.model, self.data, self.world = world.model, world.data, world
+        self._decor = SceneDecor(world)
+        self._drawn = self._decor  # the last drawn decor: this one, or that of `image`
+        self._renderer: HeadlessRenderer | None = None
+        self._is_told = False  # that there are no frames
+
+    @property
+    def toggles(self) -> Toggles:
+        return self._decor.toggles
+
+    @property
+    def view(self) -> PictureView | None:
+        return self._drawn.view
+
+    @property
+    def dropped(self) -> int:
+        return self._drawn.dropped
+
+    @property
+    def robots(self) -> dict[str, list[str]]:
+        return {name: part.robot.names for name, part in self.world.robots.items()}
+
+    @property
+    def not_finite(self) -> int:
+        """Number of NaN, infinite and implausible values that were set; these are not shown."""
+        return self.world.not_finite
+
+    def set(self, target: str, values: Any) -> None:
+        """Sets an input: joint values, a double's joint angles, an arrow's vector, or a toggle.
+
+        Args:
+            target: `arm.commanded_torques`, `arm.torques`, `goal.joint_angles`, `push.vector`,
+                `arm.show_axes`, ...
+            values: of the input's shape, SI units; for joint values also a vector of the whole
+                model, (nv,), and for joints a mapping from joint names.
+
+        Raises:
+            UnknownName: no such input or joint; suggests the nearest name.
+            ValueError: the values do not fit the input.
+        """
+        self.world.set_input(self.data, target, values)
+
+    def robot(self, name: str) -> RobotInputs:
+        """Returns the inputs of a robot or double as attributes: `robot("arm").torques = ...`.
+
+        Raises:
+            UnknownName: no robot or double of that name; suggests the nearest one.
+        """
+        return RobotInputs(self, name)
+
+    def clear(self, target: str) -> None:
+        """Clears an input; torques and accelerations are then those of the model again."""
+        self.world.clear_input(target)
+
+    def frame(self, name: str) -> Array:
+        """Returns T_world_name (4, 4) of a frame (`arm/hand`), translation in m.
+
+        Raises:
+            UnknownName: no such frame.
+        """
+        return self.world.frame(self.data, name)
+
+    def draw(self, target: Any, camera: Any = None, size: tuple[int, int] | None = None) -> int:
+        """Adds the decor to a scene that MuJoCo has filled.
+
+        Args:
+            target: a `mujoco.Renderer` after `update_scene`, the viewer of
+                `mujoco.viewer.launch_passive` (whose `user_scn` is cleared first), or an
+                `MjvScene`.
+            camera: where the scene has none: an `MjvCamera`, a camera's name, or
+                `azimuth,elevation,distance` (degrees, degrees, m).
+
+        Returns:
+            number of geoms that exceeded the scene's capacity; also in `dropped`.
+
+        Raises:
+            UsageError: the target is none of these, or its camera is unknown.
+        """
+        scene, font, own_camera, own_size = _canvas_of(target)
+        camera = own_camera if camera is None else camera
+        width, height = size or own_size
+        if not (width > 0 and height > 0):
+            found = f"found {width} x {height}"
+            raise UsageError(Problem("size", found, expected="pixels above 0"))
+        if camera is not None:
+            look = find_camera(self.world, camera) if isinstance(camera, str) else camera
+            mujoco.mjv_updateCamera(self.model, self.data, look, scene)
+        elif not scene.camera[0].frustum_near > 0:
+            raise UsageError(
+                "the scene has no camera yet: call update_scene before draw, or give draw a camera"
+            )
+        self.check_frames()
+        self._drawn = self._decor
+        view = PictureView.of_scene(scene, width, height, font)
+        return self._decor.draw(self.data, view, scene)
+
+    def pick(self, x: float, y: float, tolerance: float = 0.0) -> Picked | None:
+        """Returns the item at a pixel of the last frame, counted from the upper left corner.
+
+        Args:
+            tolerance: maximum distance from decor if none is hit exactly, pixels.
+
+        Raises:
+            UsageError: nothing was drawn yet.
+        """
+        return self._drawn.pick(self.data, self._from_above(x, y), tolerance)
+
+    def click(
+        self, x: float, y: float, gesture: Gesture = "click", tolerance: float = 0.0
+    ) -> Picked | None:
+        return self._drawn.click(self.data, self._from_above(x, y), gesture, tolerance)
+
+    def hover(self, x: float, y: float) -> Picked | None:
+        return self._drawn.hover(self.data, self._from_above(x, y))
+
+    def _from_above(self, x: float, y: float) -> Pixel:
+        if self.view is None:
+            raise UsageError("nothing was drawn yet: call draw or image before")
+        return self._drawn.from_above(x, y)
+
+    def image(
+        self,
+        width: int = DEFAULT_SIZE[0],
+        height: int = DEFAULT_SIZE[1],
+        camera: str | mujoco.MjvCamera | None = None,
+    ) -> Picture:
+        """Renders a picture without a window; notebooks display it, `.save("out.png")` writes it.
+
+        Args:
+            camera: a camera's name, `azimuth,elevation,distance` (degrees, degrees, m), an
+                `MjvCamera`, or None for a view of all robots.
+
+        Raises:
+            RenderError: no OpenGL, or the size is out of range.
+            UsageError: the size is no number.
+            UnknownName: no camera of that name.
+        """
+        for key, value in (("width", width), ("height", height)):
+            if not isinstance(value, int | np.integer):
+                raise UsageError(Problem(key, found=value, expected="a number of pixels"))
+        self.check_frames()
+        renderer = self._renderer
+        if renderer is None or renderer.size != (width, height):
+            self.close()
+            renderer = self._renderer = HeadlessRenderer(self.world, width, height)
+            renderer.toggles = self.toggles
+        named = camera is None or isinstance(camera, str)
+        renderer.camera = find_camera(self.world, camera) if named else camera
+        picture: Picture = renderer.render(self.data).view(Picture)
+        self._drawn = renderer.decor
+        return picture
+
+    def check_frames(self) -> None:
+        """Warns, once, where nothing has computed the frames of the data before it is shown."""
+        if not self._is_told and not self.data.xmat.any():
+            self._is_told = True
+            log.warning(
+                "the data of %s has no frames yet, so nothing is at its place: call "
+                "mujoco.mj_forward(model, data) before a picture",
+                self.world.scene.name,
+            )
+
+    def _repr_png_(self) -> bytes | None:
+        return self.image(*_NOTEBOOK_SIZE)._repr_png_()
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{name} ({len(joints)} joints)" for name, joints in self.robots.items())
+        return f"Overlay of {found}"
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def __enter__(self) -> Overlay:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def _canvas_of(target: Any) -> tuple[mujoco.MjvScene, Font, Any, tuple[int, int]]:
+    if isinstance(target, mujoco.MjvScene):
+        return target, DEFAULT_FONT, None, _SCENE_SIZE
+    if isinstance(target, mujoco.Renderer):
+        return (
+            target.scene,
+            Font.of_context(context_of(target)),
+            None,
+            (target.width, target.height),
+        )
+    if getattr(target, "user_scn", None) is not None and hasattr(target, "cam"):
+        view = target.viewport
+        size = _SCENE_SIZE if view is None else (int(view.width), int(view.height))
+        target.user_scn.ngeom = 0  # clears the geoms of the last frame; MuJoCo does not
+        return target.user_scn, DEFAULT_FONT, target.cam, size
+    expected = "a mujoco.Renderer, a viewer of mujoco.viewer.launch_passive, or a mujoco.MjvScene"
+    raise UsageError(Problem("", f"found {type(target).__name__}", expected=expected))
+
+
+def overlay(
+    model: Any,
+    data: mujoco.MjData | None = None,
+    *,
+    robots: Mapping[str, Mapping[str, Any]] | None = None,
+    doubles: Sequence[Double] = (),
+    arrows: Sequence[SmartArrow] = (),
+    frames: Sequence[str] = (),
+    toggles: SceneToggles | None = None,
+    surroundings: bool = True,
+    name: str = "overlay",
+) -> Overlay:
+    """Finds the robots in a compiled model and returns their decor.
+
+    A robot is a kinematic tree, one child of the world with its descendants, that has a hinge or
+    slide joint and, if the model has actuators, is driven by one or named in `robots`. Limbs of a
+    trunk that is fused with the world are one robot. It is named after the root body, or after the
+    model if that is a `base_link` or the like. Its arrows show `data.qfrc_actuator`, the
+    actuator forces at the joints, until `ROBOT.torques` is set; `ROBOT.commanded_torques` has no
+    default. Full width of an arrow is the limit of the joint or of its actuators; without one, the
+    gravity load of the joint. Free and ball joints have no single axis and no arrow.
+
+    Args:
+        model: a `mujoco.MjModel`, which is not changed; or a source to compile: a
+            `mujoco.MjSpec`, a PyMJCF `RootElement`, a dm_control composer entity.
+        data: of that model, not changed; None for new data, in the overlay's `data`.
+        robots: fields of robots that override the model, by name: `torque_limits`,
+            `arrow_radius`, `axes_size`, `billboard_lines`, `show_axes`, ... as in `SerialRobot`.
+        doubles: transparent doubles of its robots.
+        arrows: Cartesian vectors at frames (`arm/hand`).
+        frames: other bodies and sites whose axes are shown.
+        toggles: initial toggles of the whole scene.
+        surroundings: whether `image` and windows show a floor, a sky and lights where the model
+            has none; what you draw with a renderer of your own, and a page, has those of the model.
+        name: in the window's title.
+
+    Raises:
+        UsageError: `data` belongs to another model, or an argument has another type.
+        DeclarationError: the model has no hinge or slide joint, or a field does not fit it.
+        UnknownName: no robot, body or site of that name; suggests the nearest name.
+    """
+    if is_mjcf_object(model):
+        model = as_spec(model, Path()).compile()
+    _check_model(model)
+    if robots is not None and not isinstance(robots, Mapping):
+        expected = "fields by robot, as {'arm': {'arrow_radius': 0.06}}"
+        raise UsageError(Problem("robots", found=robots, expected=expected))
+    if isinstance(frames, str):
+        frames = [frames]
+    adopt_backend()  # also for a renderer of the user's own
+    if data is None:
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+    _check_data(model, data)
+    return Overlay(
+        ModelWorld(
+            model,
+            data,
+            robots=robots,
+            doubles=doubles,
+            arrows=arrows,
+            frames=frames,
+            toggles=toggles,
+            surroundings=surroundings,
+            name=name,
+        )
+    )
+
+
+def _check_model(model: Any) -> None:
+    if not isinstance(model, mujoco.MjModel):
+        expected = (
+            "a compiled mujoco.MjModel, as of mujoco.MjModel.from_xml_path, or an MjSpec or a "
+            "PyMJCF model"
+        )
+        raise UsageError(Problem("model", f"found {type(model).__name__}", expected=expected))
+
+
+def _check_data(model: mujoco.MjModel, data: Any) -> None:
+    if not isinstance(data, mujoco.MjData):
+        found = f"found {type(data).__name__}"
+        raise UsageError(Problem("data", found, expected="mujoco.MjData(model)"))
+    other = data.model
+    if other is model:
+        return
+    for field in ("nq", "nv", "nbody", "njnt", "nsite", "ngeom", "nmocap"):
+        found, expected = getattr(other, field), getattr(model, field)
+        if found != expected:
+            problem = Problem(
+                "data",
+                f"found that of a model with {field} =",
+                found=found,
+                expected=f"{expected}: mujoco.MjData(model) of the same model",
+            )
+            raise UsageError(problem)
+    for field in ("jnt_type", "jnt_bodyid", "body_parentid"):
+        if not np.array_equal(getattr(other, field), getattr(model, field)):
+            found = f"found that of a model with another {field}"
+            expected = "mujoco.MjData(model) of the same model"
+            raise UsageError(Problem("data", found, expected=expected))

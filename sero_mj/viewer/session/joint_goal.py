@@ -1,0 +1,164 @@
+"""`JointGoal`: where the user of a window or page wants the joints of a robot to be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from ...base.frames import Array, frame
+from ...robots.declared.inverse_kinematics import (
+    ITERATIONS,
+    Reached,
+    frame_place,
+    independent_limits,
+    reach,
+)
+from ...robots.declared.robot import SerialRobot
+
+_FAR = 0.005  # m, from which on it is shown where a frame was wanted
+_TURNED = np.deg2rad(2.0)  # rad, likewise
+_PER_DRAG = 12  # iterations for a move of the pointer; what is left is made up in the next
+_NO_NUMBER = "found no finite number; it stays where it was"
+
+
+class JointGoal:
+    """Angles that are set joint by joint, by the flange's pose, or by a point of a link.
+
+    Angles stay within the position limits. What cannot be is approached, and `trouble` says why.
+
+    Attributes:
+        trouble: why the last wish is not fulfilled; empty where it is.
+        mark: where a frame was wanted and where it is, (2, 3), m; None where that is one.
+        is_led: whether a program sets the angles just now, so that no wish would last.
+    """
+
+    def __init__(self, robot: SerialRobot, angles: Array) -> None:
+        self.robot = robot
+        self._coupled = robot.coupled
+        self._limits, self._ranges = independent_limits(robot), robot.display_ranges
+        self._free: Array = np.array(angles, float)[self._coupled.independent]
+        self._posture = self._free.copy()
+        self.trouble = ""
+        self.mark: Array | None = None
+        self.is_led = False
+
+    @property
+    def angles(self) -> Array:
+        return self._coupled.positions(self._free)
+
+    def range_of(self, joint: int) -> tuple[float, float]:
+        """Returns the ends of a joint's slider, lower and upper, rad or m."""
+        low, high = self._ranges[joint].tolist()
+        return low, high
+
+    def follow(self, angles: Array) -> None:
+        self._free = np.array(angles, float)[self._coupled.independent]
+        self.trouble, self.mark = "", None
+
+    def set_all(self, angles: Array) -> None:
+        self._set(np.array(angles, float)[self._coupled.independent])
+
+    def set_joint(self, joint: int, angle: float) -> None:
+        free = self._free.copy()
+        index = int(np.flatnonzero(self._coupled.independent == joint)[0])
+        free[index] = angle
+        self._set(free)
+
+    def _set(self, free: Array) -> None:
+        if not np.isfinite(free).all():
+            self.trouble = _NO_NUMBER
+            return
+        self.mark, self.trouble = None, ""
+        kept = free
+        if self._limits is not None:
+            kept = np.clip(free, self._limits[:, 0], self._limits[:, 1])
+            beyond = np.flatnonzero(np.abs(kept - free) > 1e-9)
+            if len(beyond):
+                self.trouble = ", ".join(self._limit_text(int(i), kept) for i in beyond[:3])
+        self._free = kept
+
+    def _limit_text(self, index: int, free: Array) -> str:
+        joint = int(self._coupled.independent[index])
+        name, turns = self.robot.names[joint], self.robot.types[joint] == "revolute"
+        value = np.rad2deg(free[index]) if turns else free[index]
+        return f"limit of {name} reached, {value:.4g} {'deg' if turns else 'm'}"
+
+    def hold_posture(self) -> None:
+        """Draws the null space to the angles of now, from the beginning of a drag on."""
+        self._posture = self._free.copy()
+
+    def flange(self, base: Array) -> Array:
+        """T_world_flange (4, 4) at these angles."""
+        return np.asarray(base @ self.robot.fwd_kin_base_to_flange(self.angles))
+
+    def move_flange(self, base: Array, pose: Array, *, at_once: bool = False) -> None:
+        """Moves the flange to a pose, or as near as it gets.
+
+        Args:
+            at_once: whether the pose was typed: only what is reached counts then.
+        """
+        if not np.isfinite(pose).all():
+            self.trouble = _NO_NUMBER
+            return
+        place = frame_place(self.robot, base, self.robot.flange_link, self.robot.T_n_flange)
+        found = reach(
+            place,
+            pose,
+            self._free,
+            self._limits,
+            posture=self._posture,
+            iterations=ITERATIONS if at_once else _PER_DRAG,
+        )
+        if at_once and not found.is_there:
+            self._refuse(found, pose[:3, 3], place(self._free)[0][:3, 3])
+            self.trouble += "; it stays where it was"
+            return
+        self._take(found, pose[:3, 3], place(found.angles)[0][:3, 3])
+
+    def move_point(self, base: Array, link: int, point: Array, wanted: Array) -> None:
+        """Moves a point of a link to another place, or as near as it gets.
+
+        Args:
+            link: that carries the point, 0 for the base, up to n.
+        """
+        place = frame_place(self.robot, base, link, frame(np.eye(3), point))
+        goal = frame(np.eye(3), wanted)
+        found = reach(
+            place,
+            goal,
+            self._free,
+            self._limits,
+            turns=False,
+            posture=self._posture,
+            iterations=_PER_DRAG,
+        )
+        self._take(found, wanted, place(found.angles)[0][:3, 3])
+
+    def _take(self, found: Reached, wanted: Array, there: Array) -> None:
+        self._free = found.angles
+        if found.distance > _FAR or found.angle > _TURNED:
+            self._refuse(found, wanted, there)
+        else:
+            self.trouble, self.mark = "", None
+
+    def _refuse(self, found: Reached, wanted: Array, there: Array) -> None:
+        left = f"{1e3 * found.distance:.0f} mm"
+        if found.angle > _TURNED:
+            left += f" and {np.rad2deg(found.angle):.0f} deg"
+        joints = np.flatnonzero(found.at_limit)
+        why = ", ".join(self._limit_text(int(i), found.angles) for i in joints[:3])
+        self.trouble = (
+            f"not reached, {left} away: {why or 'out of reach, or a singularity in the way'}"
+        )
+        self.mark = np.array([wanted, there])
+
+    def let_go(self) -> None:
+        self.trouble, self.mark = "", None
+
+
+def set_goals(goals: Mapping[str, JointGoal], angles: Iterable[tuple[str, bytes]]) -> None:
+    """Sets the angles of goals to those of before, float64 as bytes, where they are others."""
+    for name, wanted in angles:
+        if name in goals and goals[name].angles.tobytes() != wanted:
+            goals[name].set_all(np.frombuffer(wanted))

@@ -1,0 +1,250 @@
+"""Messages of ROS joined to packets: what is good is taken, what is not is counted and told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ros_tools import JOINT_STATE, STORE, encoded, joint_state
+
+from sero_mj.data.receive.led_robot import LedJoint
+from sero_mj.extensions.ros.dds import Ros2
+from sero_mj.extensions.ros.joined_packets import JOINT_STATES, JoinedPackets, prefix_before
+from sero_mj.extensions.ros.messages import MOST_BYTES, MalformedMessage, decode
+from sero_mj.extensions.ros.network import robots_with
+from sero_mj.extensions.ros.ros_source import Listener
+
+ARM = ("shoulder", "elbow")
+JOINTS = [LedJoint("shoulder", 0.5, 50.0), LedJoint("elbow", -0.5, 20.0)]
+GOOD = joint_state(ARM, (1, 2), (3, 4), (5, 6), stamp=10**9)
+
+
+class Heard(Listener):
+    """A source that is told messages, and what it says of them."""
+
+    def __init__(self, **fields: Any) -> None:
+        self.source = Ros2(**{"name": "ros", "domain": 1, **fields})
+        self.source.led_to(JOINTS)
+        self.source.reset()
+        super().__init__(self.source)
+        self.said: list[str] = []
+        self._joined._tell = self.said.append
+
+    def tell(self, *given: Any) -> None:
+        self.hear([(JOINT_STATES, each if isinstance(each, bytes) else encoded(each), b"")
+                   for each in given])  # fmt: skip
+
+    @property
+    def values(self) -> dict[str, list[float]]:
+        packet = self.source.latest()
+        assert packet is not None
+        return {key: value.tolist() for key, value in packet.values.items() if key != "stamp"}
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        (joint_state(ARM, (1,)), "found 1 values of joint_angles for 2 names of joints"),
+        (joint_state(ARM, (1, 2), (1, 2, 3)), "found 3 values of joint_velocities for 2 names"),
+        (joint_state(("elbow", "elbow"), (1, 2)), "joint elbow is named twice"),
+        (joint_state(ARM, (np.nan, 2)), "joint_angles[0] is nan"),
+        (joint_state(ARM, (1, np.inf)), "joint_angles[1] is inf"),
+        (encoded(GOOD)[:-3], "smaller"),
+        (encoded(GOOD)[:20], "no sensor_msgs/msg/JointState"),
+        (b"", "no sensor_msgs/msg/JointState"),
+        (b"\0\1\0\0" + b"\xff" * 100, "no sensor_msgs/msg/JointState"),
+        (
+            encoded(joint_state([f"j{i}" for i in range(60_000)], np.zeros(60_000))),
+            "bytes; expected",
+        ),
+    ],
+)
+def test_malformed_messages_are_counted_told_and_survived(message: Any, said: str) -> None:
+    heard = Heard()
+    heard.tell(GOOD)
+    heard.tell(message)
+    assert heard.source.counters.malformed == 1
+    assert said in heard.source.counters.last_fault
+    assert heard.values["joint_angles"] == [1, 2]
+    heard.tell(joint_state(ARM, (7, 8)))
+    assert heard.values["joint_angles"] == [7, 8]
+
+
+def test_what_a_message_does_not_tell_is_unknown() -> None:
+    heard = Heard()
+    heard.tell(joint_state(ARM, (), (), (5, 6)))  # some drivers have nothing else
+    assert heard.values["joint_angles"] == [0.5, -0.5]
+    assert heard.values["torques"] == [5, 6]
+    assert np.isnan(heard.values["joint_velocities"]).all()
+    heard.tell(joint_state(ARM, (1, 2)))
+    assert np.isnan(heard.values["torques"]).all()
+    heard.tell(joint_state(ARM, (1, 2), (), (np.nan, 3)))
+    assert heard.values["torques"][1] == 3
+    assert heard.source.counters.blanked == 3
+
+
+def test_joints_without_names_are_taken_in_order_and_others_are_not() -> None:
+    heard = Heard()
+    heard.tell(joint_state((), (1, 2)))
+    assert heard.values["joint_angles"] == [1, 2]
+    heard.tell(joint_state((), (1, 2, 3)))
+    assert heard.source.receive_trigger == 1
+    assert [text for text in heard.said if "3 joints without names are not used" in text]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("left_shoulder", "left_elbow"), "'left_'"),
+        (("elbow", "finger"), "has no finger"),
+        (("a", "b"), "have none of shoulder, elbow"),
+    ],
+)
+def test_names_that_differ_are_told(names: tuple[str, ...], said: str) -> None:
+    heard = Heard()
+    heard.tell(joint_state(names, (1, 2)))
+    assert any(said in text for text in heard.said), heard.said
+
+
+def test_joints_that_no_message_has_are_told_once_others_could_have_them() -> None:
+    def said_by(messages: list[tuple[float, tuple[str, ...]]]) -> list[str]:
+        said: list[str] = []
+        joined = JoinedPackets([LedJoint(name) for name in ARM], {}, tell=said.append)
+        for when, names in messages:
+            joined.take(JOINT_STATES, joint_state(names, np.ones(len(names))), when)
+        return said
+
+    beginning = [(100.0, ("elbow",)), (101.9, ("elbow",))]
+    missing = "no values of shoulder in 2 s; they stay as declared until messages have them"
+    assert said_by(beginning) == []
+    assert said_by([*beginning, (102.1, ("elbow",)), (105.0, ("elbow",))]) == [missing]
+    assert said_by([*beginning, (101.95, ("shoulder",)), (105.0, ("elbow",))]) == []
+
+
+def test_names_may_change_and_their_order() -> None:
+    heard = Heard()
+    heard.tell(joint_state(ARM, (1, 2)))
+    heard.tell(joint_state(ARM[::-1], (3, 4)))
+    assert heard.values["joint_angles"] == [4, 3]
+    heard.tell(joint_state(("x_elbow", "x_shoulder"), (5, 6)))
+    assert heard.values["joint_angles"] == [6, 5]
+
+
+@pytest.mark.parametrize("joints", [["s", "e"], {"shoulder": "s", "elbow": "e"}])
+def test_a_list_or_a_table_says_how_joints_are_named(joints: Any) -> None:
+    heard = Heard(joints=joints)
+    heard.tell(joint_state(("e", "s"), (1, 2)))
+    assert heard.values["joint_angles"] == [2, 1]
+
+
+def test_amperes_become_torques() -> None:
+    heard = Heard(effort_unit="A", torque_constants=[10.0, 5.0])
+    heard.tell(joint_state(ARM, (1, 2), (), (2, 3)))
+    assert heard.values["torques"] == [20, 15]
+
+
+@pytest.mark.parametrize(
+    ("fields", "factors"),
+    [({}, (-1, -1)), ({"effort_unit": "A", "torque_constants": [10.0, 5.0]}, (-10, -5))],
+)
+def test_efforts_of_the_load_on_the_drive_get_another_sign(
+    fields: dict[str, Any], factors: tuple[int, int]
+) -> None:
+    heard = Heard(torque_sign=-1, **fields)
+    heard.tell(joint_state(ARM, (1, 2), (), (2, 3)))
+    assert heard.values["torques"] == [2 * factors[0], 3 * factors[1]]
+
+
+def test_efforts_that_no_joint_can_have_are_told_once() -> None:
+    heard = Heard()
+    for k in range(3):
+        heard.tell(joint_state(ARM, (1, 2), (), (0, 2000 + k)))
+    (said,) = heard.said
+    assert "the effort of elbow is 2000, where the robot's limit is 20 Nm" in said
+
+
+def test_stamps_that_go_back_are_late() -> None:
+    heard = Heard()
+    for stamp in (100, 200, 150, 300):
+        heard.tell(joint_state(ARM, (1, 2), stamp=stamp * 10**6))
+    assert heard.source.counters.late == 1
+    heard.tell(joint_state(ARM, (1, 2), stamp=0))  # not set: when it came
+    packet = heard.source.latest()
+    assert packet is not None
+    assert packet.values["stamp"][0] > 1.7e9
+
+
+@settings(max_examples=examples(400))
+@given(data=st.data())
+def test_any_bytes_are_taken_or_counted(data: st.DataObject) -> None:
+    raw = bytearray(encoded(GOOD))
+    for _ in range(data.draw(st.integers(0, 4))):
+        raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
+    cut = data.draw(st.integers(0, len(raw)))
+    heard = Heard()
+    heard.tell(bytes(raw[:cut]) if data.draw(st.booleans()) else bytes(raw))
+    counters = heard.source.counters
+    packet = heard.source.latest()
+    assert packet is None or np.isfinite(packet.values["joint_angles"]).all()
+    assert counters.received <= 1
+    heard.tell(GOOD)
+    assert heard.values["joint_angles"] == [1, 2] or counters.late == 1
+
+
+def test_decoding_agrees_with_the_bytes_written_by_hand() -> None:
+    """Little-endian CDR: strings have a length with their 0, and doubles are aligned to 8."""
+    by_hand = b"\0\1\0\0" + bytes.fromhex(
+        "0100000002000000"
+        "02000000"
+        "6200"
+        "0000"
+        "01000000"
+        "02000000"
+        "6100"
+        "0000"
+        "01000000"
+        "000000000000f83f"
+        "00000000"
+        "00000000"
+    )
+    message = decode(by_hand, JOINT_STATE)
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 2)
+    assert (message.header.frame_id, message.name, message.position.tolist()) == ("b", ["a"], [1.5])
+    assert by_hand == encoded(STORE.types[JOINT_STATE](message.header, ["a"], np.array([1.5]),
+                                                       np.zeros(0), np.zeros(0)))  # fmt: skip
+
+
+def test_a_message_may_not_be_endless() -> None:
+    with pytest.raises(MalformedMessage, match=f"expected at most {MOST_BYTES}"):
+        decode(bytes(MOST_BYTES + 1), JOINT_STATE)
+
+
+@pytest.mark.parametrize(
+    ("names", "prefix"),
+    [
+        (["fr3_joint1", "fr3_joint2", "fr3_finger_joint1"], "fr3_"),
+        (["joint1", "joint2"], ""),
+        (["a_joint1", "a_joint2", "b_joint1", "b_joint2"], ""),
+        (["a_joint1", "b_joint2"], ""),
+        ([], ""),
+    ],
+)
+def test_one_prefix_may_stand_before_all_names(names: list[str], prefix: str) -> None:
+    assert prefix_before(["joint1", "joint2"], names) == prefix
+
+
+def test_shipped_robots_are_known_by_their_joints() -> None:
+    assert robots_with([f"fr3_joint{i}" for i in range(7, 0, -1)]) == ["fr3"]
+    assert set(robots_with([f"shoulder_{x}_joint" for x in ("pan", "lift")])) == set()
+    assert "iiwa14" in robots_with([f"lbr_A{i}" for i in range(1, 8)])
+
+
+def test_packets_hold_the_newest_of_all_topics() -> None:
+    joined = JoinedPackets(JOINTS, {})
+    first = joined.take(JOINT_STATES, GOOD, 0.0)
+    assert first is not None
+    assert len(first) == joined.layout.size == 8 * 7
