@@ -289,7 +289,7 @@ class SensorRows:
     def update(self) -> None:
         """Determines what every reading takes, after changes."""
         errors = self.errors
-        self._has_noise: Bools = errors["noise"].any(axis=(1, 2))
+        self._has_noise: Bools = np.asarray(errors["noise"].any(axis=(1, 2)))
         self._coarse: Bools = errors["resolution"] > 0
         self._is_coarse = bool(self._coarse.any())
         self._grid = np.where(self._coarse, errors["resolution"], 1.0)
@@ -300,7 +300,7 @@ class SensorRows:
             is_off |= errors[key] != right
         if self._differentiates:
             is_off[...] = True
-        self.is_idle: Bools = np.logical_not(is_off.any(axis=(1, 2)))
+        self.is_idle: Bools = np.logical_not(np.asarray(is_off.any(axis=(1, 2))))
         self._counts = (~self.is_idle).astype(np.intp)
         self.is_perfect = bool(self.is_idle.all())
 
