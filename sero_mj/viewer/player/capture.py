@@ -1,7 +1,6 @@
 """Collects what a player shows of a scene: poses, values and decor of every frame, without OpenGL.
 
-Bodies, joints and decor are those that windows draw. What depends on the camera, such as places of
-cards, is left to the player.
+What depends on the camera, such as places of cards, is left to the player.
 """
 
 from __future__ import annotations
@@ -48,14 +47,14 @@ _SIZE = (1280, 800)  # pixels; some decor asks for a picture
 
 @dataclass(frozen=True)
 class Mark:
-    """Something on the time line.
+    """An event on the timeline.
 
     Attributes:
-        begin: s since the start of the page.
-        end: s; the same for a moment.
-        text: what.
-        kind: `push` and `fault` were done, `finding` was found by a monitor, `bookmark` was set by
-            a user, an expectation has `held` or `failed`.
+        begin: time since the start of the page, s.
+        end: the same as `begin` for an instant, s.
+        text: description.
+        kind: `push` or `fault` of a scenario, `finding` of a monitor, `bookmark` of a user, or
+            whether an expectation has `held` or `failed`.
     """
 
     begin: float
@@ -66,11 +65,11 @@ class Mark:
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """A geom of decor through all frames.
+    """A geom of decor through F frames.
 
     Attributes:
-        kind: of what it shows.
-        item: index of that, see `Kind`.
+        kind: kind of item that it belongs to.
+        item: index of that item, see `Kind`.
         rows: the geom in every frame, (F,) of `GEOM`.
         visible: whether it is drawn, (F,) bool.
     """
@@ -83,39 +82,25 @@ class Item:
 
 @dataclass(eq=False)
 class Capture:
-    """What a player shows of a scene, F frames long.
+    """What a player shows of a scene in F frames; arrays as in `CapturedFrame`, frames first.
 
     Attributes:
-        world: the compiled scene.
         fps: frames per second.
         begin: time of the first frame, s.
-        toggles: what is shown at first.
-        camera: of the first picture.
+        toggles: initial switches.
+        camera: initial camera.
         lines: of the card of every joint, (N,).
-        details: lines of the values of every joint, (N,).
+        details: lines of all values of every joint, (N,).
         bodies: ids of the bodies that carry something visible, (B,).
-        positions: of the bodies, (F, B, 3), m.
-        rotations: of the bodies, unit quaternions (F, B, 4).
-        opacity: of the bodies, 0 where they are out of sight, (F, B).
-        grey: whether bodies are drawn grey, because their data are stale, (F, B) bool.
-        values: of the joints by name, (F, N); NaN for no data.
-        arrows: what the round arrows show, (F, N).
+        copies: bodies of doubles, (G,), which follow the others in poses, opacity and greyness.
         limit: value of an arrow of full width, (N,); inf for none.
-        stale: joints without fresh data, (F, N) bool.
-        soft: tendons and flexes.
-        items: decor besides arrows of joints, and text.
-        labels: text at places, see `labels_of`.
-        notes: text in the corners, by frame, without the legend.
-        legend: what arrows mean, by frame: of those that are seen there, if they are switched on.
-        cards: of the smart arrows: index to text by frame, empty where there is none.
-        marks: on the time line.
+        cards: texts by frame of each smart arrow's card.
+        marks: on the timeline.
         silent: names of the sources without data.
-        meanings: of labels on cards, by label: the file that `A` is, say.
-        copies: G more bodies, of doubles; poses, opacity and greyness have them after the B.
-        needed: width over height of a picture that the camera needs, see `needed_aspect`; that of
-            the declared pose when None.
-        path: by how far the free camera has moved with what it follows, (F, 3), m; None where it
-            follows nothing.
+        meanings: meaning of labels on cards, such as the file that `A` is.
+        needed: aspect ratio that the camera needs, see `needed_aspect`; that of the declared pose
+            if None.
+        path: displacement of the free camera with what it follows, (F, 3), m; None for none.
     """
 
     world: WorldView
@@ -149,17 +134,14 @@ class Capture:
 
     @property
     def frames(self) -> int:
-        """How many frames there are."""
         return len(self.positions)
 
     @property
     def joint_names(self) -> list[str]:
-        """Name of every joint with its robot, `lwr/A4`, (N,)."""
         return [joint_name(self.world, i) for i in range(len(self.world.joints.names))]
 
     @property
     def geoms(self) -> Ints:
-        """Ids of the geoms of the model that are drawn, without our floor."""
         return visible_geoms(self.world.model)
 
 
@@ -167,13 +149,6 @@ class FrameCapturer:
     """Captures states of a world one by one, by a decor of its own.
 
     The player makes all arrows of joints.
-
-    Args:
-        world: the compiled scene.
-        camera: of the first picture.
-
-    Attributes:
-        toggles: of what is captured.
     """
 
     def __init__(self, world: WorldView, camera: mujoco.MjvCamera) -> None:
@@ -190,14 +165,12 @@ class FrameCapturer:
         self._view: PictureView | None = None
 
     def take(self, data: mujoco.MjData) -> CapturedFrame:
-        """Captures a state, with everything up to date that is drawn of it."""
         if self._view is None:
             self._view = _view(self._world.model, data, self._camera)
         self._decor.draw(data, self.toggles, self._view)
         return self._taker.take(data)
 
     def pose(self, data: mujoco.MjData) -> CapturedFrame:
-        """Captures a pose without decor and values."""
         count, taker = len(self._world.joints.names), self._taker
         nothing = np.full(count, np.nan)
         poses, faint = body_poses(data, taker.bodies, taker.copies, None)
@@ -228,17 +201,7 @@ class FrameCapturer:
         toggles: Toggles | None = None,
         needed: float | None = None,
     ) -> Capture:
-        """Returns frames as one; at least one.
-
-        Args:
-            frames: of this world, in their order.
-            fps: of them.
-            begin: time of the first one, s.
-            marks: on the time line.
-            silent: names of the sources without data.
-            toggles: what is shown at first; as declared when None.
-            needed: see `Capture`.
-        """
+        """Returns one or more frames as a run; without toggles it begins as declared."""
         world = self._world
         poses = np.array([each.poses for each in frames])
         opacity = np.array([each.opacity for each in frames])
@@ -290,18 +253,18 @@ def capture(
     marks: Sequence[Mark] = (),
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Capture:
-    """Collects a scene as it moves; live sources in real time, others as fast as it goes.
+    """Collects a scene as it moves; live sources in real time, others as fast as possible.
 
     Args:
         scene: what to show.
-        seconds: how long, at most to the end of its sources; to there when None.
+        seconds: maximum duration; to the end of the sources if None.
         begin: time of the first frame, s; 0 for live sources.
         fps: frames per second.
         camera: see `find_camera`.
-        follow: what the free camera moves with, see `Follower`; what the view does when None.
-        wait: how long to wait for the first packet of every source, s.
-        marks: on the time line.
-        on_progress: called with the number of frames until now, and of all frames.
+        follow: what the free camera follows, see `Follower`; as the scene's view declares if None.
+        wait: maximum time to wait for the first packet of every source, s.
+        marks: on the timeline.
+        on_progress: called with the number of finished frames and of all frames.
 
     Raises:
         SeroError: a problem of the scene, its sources or the camera; or it is too long for a page.
@@ -342,26 +305,18 @@ def capture_pose(
     camera: mujoco.MjvCamera,
     needed: float | None = None,
 ) -> Capture:
-    """Collects one pose without decor and values, which a live page is sent for every picture.
-
-    Args:
-        world: the compiled scene.
-        data: its state, with frames up to date.
-        camera: of the first picture.
-        needed: see `Capture`.
-    """
+    """Collects one pose without decor and values, which a server sends for every frame."""
     capturer = FrameCapturer(world, camera)
     return capturer.result([capturer.pose(data)], fps=DEFAULT_FPS, needed=needed)
 
 
 def longest(world: World, fps: float) -> float:
-    """Returns how long a page of a world may be, s."""
+    """Returns the maximum duration of a page of a world, s."""
     of_frame = 28 * len(shown_bodies(world)) + 32 * len(world.joints.names) + 64
     return MAX_BYTES / (of_frame + bytes_of_frame(world.model)) / fps
 
 
 def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float) -> int:
-    """How many frames there are; raises RenderError where they are too many."""
     ends = [source.end for source in mirror.sources.values() if source.end is not None]
     left = max(ends) - begin if ends else None
     if ends and max(ends) <= 0:
@@ -382,7 +337,6 @@ def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float
 
 
 def _view(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera) -> PictureView:
-    """Returns a view of a state, for decor that depends on a picture's."""
     scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 64)
     everything = int(mujoco.mjtCatBit.mjCAT_ALL)
     option, perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
@@ -411,9 +365,9 @@ def _continuous(rotations: Array) -> Array:
 def _lines(
     world: WorldView, values: dict[str, Array], toggles: Toggles
 ) -> tuple[list[list[Line]], list[list[Line]]]:
-    """The lines of the cards of all joints, and those of what arrows show.
+    """Returns the lines of the cards of all joints, and of all their values.
 
-    Angles give way to torques where there are some, and these to what arrows show.
+    Angles give way to torques if there are some, and these to what arrows show.
     """
     are_errors = shows_errors(toggles)
     formats = joint_formats(world)
@@ -430,7 +384,7 @@ def _lines(
 
 
 def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[Item]:
-    """Sorts the geoms of all frames by what they show, so that each has a place of its own."""
+    """Sorts the geoms of all frames by their item."""
     found: dict[tuple[int, int, int, int], Item] = {}
     for k, (geoms, kinds, items) in enumerate(rows):
         count: dict[tuple[int, int, int], int] = {}

@@ -66,12 +66,8 @@ class FrameTaker:
         own_arrows: joints whose arrows the player makes from their values, (N,).
 
     Attributes:
-        bodies: ids of the bodies that carry something visible, (B,).
-        copies: bodies of doubles, G of them.
-        corners: whether it is of the legend, and its lines, of every text in the corners.
-        cards: beside the robots.
-        beside: other text that belongs to a pixel.
-        frame: that was drawn last; None before the first one.
+        corners: lines of each text in a corner, and whether it belongs to the legend.
+        beside: text that belongs to a pixel, except cards.
     """
 
     def __init__(self, world: WorldView, own_arrows: Bools) -> None:
@@ -99,7 +95,7 @@ class FrameTaker:
         self.frame = frame
 
     def take(self, data: mujoco.MjData) -> CapturedFrame:
-        """Returns what was drawn last, which was of this state."""
+        """Returns the frame that was drawn last, which must be of this state."""
         world, frame = self._world, self.frame
         assert frame is not None
         buffer, model = frame.buffer, world.model

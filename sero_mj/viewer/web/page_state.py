@@ -32,11 +32,7 @@ _TEXT_DIGITS = 4  # of places of text, m
 
 
 class PageState(FrameTaker):
-    """Collects frames of a world's decor, as the last of its features, and puts them on a page.
-
-    Args:
-        world: the compiled scene.
-        sections: of the page.
+    """Puts what a page draws of each frame into its sections.
 
     Attributes:
         count: number of geoms of decor in the last frame.
@@ -52,14 +48,7 @@ class PageState(FrameTaker):
     def begin(
         self, data: mujoco.MjData, camera: mujoco.MjvCamera, needed: float, title: str
     ) -> None:
-        """Puts what does not change: shapes, joints, cameras.
-
-        Args:
-            data: the world's state, with frames up to date.
-            camera: of the first picture.
-            needed: width over height of a picture that it needs, see `needed_aspect`.
-            title: of the page.
-        """
+        """Puts what does not change: shapes, joints and cameras."""
         self._sections.put("valueKeys", _KEYS)
         self._sections.put("run", encode(capture_pose(self._world, data, camera, needed), title))
 
@@ -71,12 +60,7 @@ class PageState(FrameTaker):
         self._shown_cards = [card for group in self.cards for card in self._cards_of(frame, group)]
 
     def put(self, data: mujoco.MjData, decor: SceneDecor) -> None:
-        """Puts the frame that decor has drawn last.
-
-        Args:
-            data: the world's state, with frames up to date.
-            decor: of the page.
-        """
+        """Puts the frame that decor has drawn last."""
         frame, put = self.frame, self._sections.put
         if frame is None:  # decor was not drawn: there is no picture yet
             return
@@ -151,18 +135,16 @@ class PageState(FrameTaker):
         )
 
     def _in_world(self, view: PictureView, pixel: Array) -> Array:
-        """A place in the world at a pixel, as far away as the robots."""
+        """Returns the place at a pixel, as far away as the robots."""
         return view.at(np.asarray(pixel, float), self._depth)
 
     def _sites(self, data: mujoco.MjData) -> bytes:
-        """Poses of the centres of all joints, which are no sites of the model."""
         state, rows = self._world.state(data), self._world.joints.centre_site
         turns = quaternions_of(np.asarray(state.site_xmat[rows]))
         parts = [state.site_xpos[rows], turns]
         return b"".join(each.astype(np.float32).tobytes() for each in parts)
 
     def _cards_of(self, frame: Frame, cards: Cards) -> list[dict[str, Any]]:
-        """What the page shows of cards: text, the place in the world, and how important it is."""
         joints, found = self._world.joints, []
         is_of_joint = cards.kind == Kind.BILLBOARD
         for k, item in enumerate(cards.items.tolist()):
@@ -191,7 +173,7 @@ class PageState(FrameTaker):
 
 
 def card_lines(texts: list[bytes]) -> tuple[str, list[list[str]]]:
-    """Returns title, and label and value of every line, of a card's text.
+    """Returns the title of a card's text, and label and value of every line.
 
     The first line begins with the title; columns are two spaces apart or more.
     """
