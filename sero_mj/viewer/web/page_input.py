@@ -113,7 +113,8 @@ class PageInput:
         elif isinstance(found, Moved):
             places = (found.pulls_from, found.pressed)
             self.is_dragging |= pointer.dragging.take(found, at, *places)
-        if not self._mouse.is_down:
+        is_click = isinstance(found, Clicked) and not self.is_dragging
+        if not (self._mouse.is_down or is_click):
             self.is_dragging = False
             pointer.dragging.release()
 
