@@ -13,25 +13,20 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import ClassVar
 
 import mujoco
 import numpy as np
 
 from ...base.frames import Bools
-from ...robots.assemble.world_view import WorldView
 from ...robots.declared.surroundings import PALETTES
 from ...viewer.decor.geom_buffer import GEOM
 from ...viewer.decor.scene_writer import struct_view
-from ...viewer.image.added_surroundings import AddedSurroundings, added_surroundings
 from ...viewer.image.film import Pixels
 from ...viewer.image.mujoco_private import filament
 from ...viewer.image.picture_options import Quality
-from ...viewer.image.renderer import Renderer
 from .flat_triangles import blend, corners_of, is_flat
 from .geoms import GeomPool, seen_rgba
 from .light import SceneLights, options_model
-from .probe import PACKAGES, filament_problem
 
 log = logging.getLogger(__name__)
 
@@ -203,32 +198,3 @@ def _quiet() -> Iterator[list[str]]:
             os.close(kept)
             file.seek(0)
             said.append(file.read().decode("utf-8", "replace"))
-
-
-class Filament(Renderer):
-    """Soft shadows, occlusion and materials, on Vulkan."""
-
-    title: ClassVar[str] = "Filament"
-    is_for_fine: ClassVar[bool] = True
-    packages: ClassVar[str] = PACKAGES
-
-    def problem(self, width: int, height: int) -> str | None:
-        return filament_problem(width, height)
-
-    def make(
-        self, world: WorldView, width: int, height: int, quality: Quality, *, frames: int = 1
-    ) -> tuple[FilamentRenderer, AddedSurroundings | None]:
-        """Its context has no OpenGL, so the floor and the sky are a model of their own."""
-        surroundings = added_surroundings(world, None)
-        renderer = FilamentRenderer(
-            world.model, width, height, look=world.scene.view.look, doubles=_doubles(world),
-            surroundings=None if surroundings is None else surroundings.model, quality=quality,
-            frames=frames,
-        )  # fmt: skip
-        return renderer, surroundings
-
-
-def _doubles(world: WorldView) -> Bools:
-    bodies = [double.bodies.ravel() for double in world.doubles.values()]
-    found = np.concatenate(bodies) if bodies else np.zeros(0, np.intp)
-    return np.asarray(np.isin(world.model.geom_bodyid, found))
