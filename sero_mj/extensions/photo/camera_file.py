@@ -55,7 +55,6 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
     """Reads a camera with its pose in the world.
 
     Args:
-        path: the file.
         size: width and height of its picture, pixels; None for the file's.
 
     Raises:
@@ -101,8 +100,6 @@ def _checked(path: Path, camera: PhotoCamera, place: Array) -> PhotoCamera:
 
 
 def _table(path: Path) -> dict[str, Any]:
-    """The keys of a file, by our names."""
-
     def wrong(message: str, key: str = "", line: int | None = None) -> DeclarationError:
         return Problem(key, message, str(path), line).error()
 
@@ -165,7 +162,6 @@ def _yaml(path: Path) -> dict[str, Any]:
 
 
 def _numbers(value: Any) -> Array:
-    """An array of a list, or of `rows`, `cols` and `data`; raises ValueError."""
     if isinstance(value, Mapping):
         if "data" not in value:
             raise ValueError(f"found {', '.join(map(str, value))}; expected rows, cols and data")
@@ -185,7 +181,6 @@ def _numbers(value: Any) -> Array:
 def _camera(
     path: Path, table: dict[str, Any], size: tuple[int, int] | None, problems: list[Problem]
 ) -> PhotoCamera | None:
-    """Its lens; what is wrong is added to `problems`."""
     matrix = _matrix(table, problems)
     model, distortion = _distortion(table, problems)
     sides: list[int] = []
@@ -306,16 +301,7 @@ def _place(table: dict[str, Any], problems: list[Problem]) -> Array | None:
 
 
 def write_camera(path: Path, camera: PhotoCamera, note: str = "") -> None:
-    """Writes a camera file, TOML or YAML in ROS's layout with our `frame`.
-
-    Args:
-        path: the file, which is replaced.
-        camera: what to write.
-        note: lines of a comment.
-
-    Raises:
-        UsageError: the file cannot be written, or has another ending.
-    """
+    """Writes a camera file, TOML or YAML in ROS's layout with our `frame`."""
     if path.suffix.lower() not in ENDINGS:
         raise UsageError(f"{path}: expected a name that ends in {', '.join(ENDINGS)}")
     text = "".join(f"# {line}\n" for line in note.splitlines())

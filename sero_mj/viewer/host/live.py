@@ -50,28 +50,14 @@ class LiveHost(ABC):
     """Shows a mirror, and passes user input to clock, switches and tools.
 
     Args:
-        mirror: must be open; driven by the host's clock.
         folder: of saved files, pictures and films; the current one when None.
 
     Attributes:
-        mirror: the mirror.
-        world: the compiled scene.
-        data: its state.
-        toggles: visibility of features.
-        clock: pause, speed and time line.
-        tools: by name.
-        actions: of keys and menus.
-        pointer: mouse or finger.
-        others: scenes to be shown instead.
-        folder: as given.
         joint: the selected joint, its index in the world.
         command: arguments of a command that shows this scene: its name or file, and options; from
             the scene when None.
-        decor: of the last frame; pixels of the pointer are those of its picture, y up.
         notice: the last message to the user.
         folds: see `Widgets`; the same for all panels.
-        shows_status: whether status line or panel are shown.
-        shows_help: whether the help is shown.
         work: time spent by sero-mj for the last frame, s: input, sources, decor, plots and panels,
             without rendering.
     """
@@ -124,25 +110,19 @@ class LiveHost(ABC):
 
     @property
     @abstractmethod
-    def is_open(self) -> bool:
-        """Whether the user has not closed it."""
+    def is_open(self) -> bool: ...
 
     @property
     def is_seen(self) -> bool:
-        """Whether anybody may see it now."""
         return True
 
     @property
     @abstractmethod
-    def is_due(self) -> bool:
-        """Whether it is time for the next frame."""
+    def is_due(self) -> bool: ...
 
     @abstractmethod
     def frame(self, *, wait: bool = True) -> bool:
         """Shows one frame.
-
-        Args:
-            wait: whether to wait until it is due.
 
         Returns:
             whether it is still open.
@@ -150,8 +130,7 @@ class LiveHost(ABC):
 
     @property
     @abstractmethod
-    def picture_size(self) -> tuple[int, int]:
-        """Width and height of screenshots and films, pixels."""
+    def picture_size(self) -> tuple[int, int]: ...
 
     @abstractmethod
     def picture(self) -> Pixels:
@@ -171,40 +150,32 @@ class LiveHost(ABC):
 
     @property
     @abstractmethod
-    def view_camera(self) -> mujoco.MjvCamera:
-        """The camera of the view; can be changed."""
+    def view_camera(self) -> mujoco.MjvCamera: ...
 
     @property
     @abstractmethod
-    def is_following(self) -> bool:
-        """Whether the camera follows a frame."""
+    def is_following(self) -> bool: ...
 
     @abstractmethod
-    def to_clipboard(self, text: str) -> None:
-        """Copies a text to the user's clipboard."""
+    def to_clipboard(self, text: str) -> None: ...
 
     @abstractmethod
-    def request_close(self) -> None:
-        """Requests to close after the next frame."""
+    def request_close(self) -> None: ...
 
     def close(self) -> None:
-        """Closes the host, after its tools have."""
         self.tools.ask(lambda tool: tool.close())
 
     # ---- frames
 
     def run(self) -> None:
-        """Shows frames until the user closes it."""
         while self.frame():
             pass
 
     def _use(self, decor: SceneDecor) -> None:
-        """Adds the tools to a decor; called when it is created."""
         for tool in self.tools.values():
             decor.add(DrawnTool(tool, self.tools))
 
     def _advance(self, advance: Callable[[], object]) -> None:
-        """Updates the mirror to the current time; errors pause it and are shown."""
         now = time.monotonic()
         passed, self._advanced = now - self._advanced, now
         self.pointer.dragging.advance()
@@ -229,7 +200,6 @@ class LiveHost(ABC):
 
     @property
     def ticks(self) -> list[Tick]:
-        """What is marked on the time line."""
         return [tick for ticks in self.tools.ask(lambda tool: tool.ticks()) for tick in ticks]
 
     # ---- messages, panel and keys
@@ -240,25 +210,20 @@ class LiveHost(ABC):
         self.notice = Message(without_temporary(text), is_bad, time.monotonic() + seconds)
 
     def toggle_help(self) -> None:
-        """Shows or hides the help."""
         self.shows_help = not self.shows_help
 
     @abstractmethod
-    def open_panel(self) -> None:
-        """Shows the panel."""
+    def open_panel(self) -> None: ...
 
     def toggle_status(self) -> None:
-        """Shows or hides status line or panel."""
         self.shows_status = not self.shows_status
 
     @property
     def has_time_line(self) -> bool:
-        """Whether there is a time to go back to."""
         return self.clock.is_playing and self.clock.can_go_back
 
     @property
     def areas(self) -> list[Tool]:
-        """The tools that show an area of their own, in their order."""
         return [tool for tool in self.tools.values() if tool.area and tool.shows_area]
 
     @property
@@ -268,12 +233,7 @@ class LiveHost(ABC):
         return None if found is None else found[1]
 
     def build_panel(self, ui: Widgets, *, unfolds_sources: bool) -> None:
-        """Builds what the panels of all hosts have in common.
-
-        Args:
-            ui: takes it.
-            unfolds_sources: whether sources are unfolded at first: no status line tells of them.
-        """
+        """Builds what the panels of all hosts have in common."""
         sources = self.mirror.sources.values()
         self._sources.build(ui, self.clock, sources, is_open=unfolds_sources)
         self.others.build(ui)
@@ -291,7 +251,6 @@ class LiveHost(ABC):
         return f"selected: {joint_name(self.world, self.joint)}"
 
     def select(self, joint: int) -> None:
-        """Selects a joint: it is highlighted, and its torques are plotted."""
         self.joint = self.toggles.selected = joint
 
     @property
@@ -300,7 +259,6 @@ class LiveHost(ABC):
         return any(self.tools.ask(lambda tool: tool.takes_pictures))
 
     def _give_picture(self, draw: Callable[[], Pixels]) -> None:
-        """Gives the current picture to the tools that want it."""
         now = time.monotonic()
         wants = self.tools.ask(lambda tool: tool if tool.wants_picture(now) else None)
         wanting = [tool for tool in wants if tool is not None]
@@ -313,13 +271,11 @@ class LiveHost(ABC):
 
     @property
     def layout(self) -> dict[str, bool]:
-        """Visible parts of the window or page, by name, and the panel's unfolded sections."""
         areas = {name: tool.shows_area for name, tool in self.tools.items() if tool.area}
         sections = {f"{SECTION}{name}": is_open for name, is_open in self.folds.items()}
         return {"status": self.shows_status, **areas, **sections}
 
     def show_layout(self, layout: Mapping[str, bool]) -> None:
-        """Restores the visible parts."""
         self.shows_status = layout.get("status", self.shows_status)
         for name, tool in self.tools.items():
             tool.shows_area = layout.get(name, tool.shows_area)
@@ -343,7 +299,6 @@ class LiveHost(ABC):
                     self.tools[name].take_kept(of_tool)
 
     def view_state(self) -> ViewState:
-        """The user's settings of the view, as text; a free camera to 0.1 mm and 1e-4 deg."""
         return view_state_of(self.world, self.view_camera, self.toggles, self.clock)
 
     def render_words(self) -> list[str]:

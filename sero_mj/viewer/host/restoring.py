@@ -15,12 +15,7 @@ def keep(host: LiveHost) -> None:
 
 
 def restore(host: LiveHost, *, with_camera: bool = True) -> None:
-    """Restores the saved view of a scene, if any.
-
-    Args:
-        host: that shows it.
-        with_camera: whether to restore its camera.
-    """
+    """Restores the saved view of a scene, if any."""
     try:
         found = find_view(host.world.scene)
     except UsageError as error:

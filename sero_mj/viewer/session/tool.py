@@ -45,68 +45,54 @@ class Shown(Protocol):
 
     Attributes:
         mirror: the displayed mirror, with its sources and routes.
-        world: the compiled scene.
         data: its state; frames are up to date when `draw` and the pointer's methods are called.
-        toggles: visibility of features.
         clock: pause, speed and time line.
         decor: of the last frame: items at pixels, and the camera's view.
-        folder: of the user's files; the current folder when None.
         joint: the selected joint, its index in the world.
-        view_camera: the camera; can be changed.
-        is_following: whether the camera follows a frame.
-        picture_size: width and height of screenshots, pixels.
-        tools: all of them by name.
     """
 
     @property
-    def mirror(self) -> LiveWorld: ...  # noqa: D102
+    def mirror(self) -> LiveWorld: ...
     @property
-    def world(self) -> WorldView: ...  # noqa: D102
+    def world(self) -> WorldView: ...
     @property
-    def data(self) -> mujoco.MjData: ...  # noqa: D102
+    def data(self) -> mujoco.MjData: ...
     @property
-    def toggles(self) -> Toggles: ...  # noqa: D102
+    def toggles(self) -> Toggles: ...
     @property
-    def clock(self) -> Clock: ...  # noqa: D102
+    def clock(self) -> Clock: ...
     @property
-    def decor(self) -> SceneDecor: ...  # noqa: D102
+    def decor(self) -> SceneDecor: ...
     @property
-    def folder(self) -> Path | None: ...  # noqa: D102
+    def folder(self) -> Path | None: ...
     @property
-    def joint(self) -> int: ...  # noqa: D102
+    def joint(self) -> int: ...
     @property
-    def view_camera(self) -> mujoco.MjvCamera: ...  # noqa: D102
+    def view_camera(self) -> mujoco.MjvCamera: ...
     @property
-    def is_following(self) -> bool: ...  # noqa: D102
+    def is_following(self) -> bool: ...
     @property
-    def picture_size(self) -> tuple[int, int]: ...  # noqa: D102
+    def picture_size(self) -> tuple[int, int]: ...
     @property
-    def tools(self) -> Tools: ...  # noqa: D102
+    def tools(self) -> Tools: ...
 
-    def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Shows a message for a few seconds."""
+    def say(self, text: str, *, is_bad: bool = False) -> None: ...
 
-    def select(self, joint: int) -> None:
-        """Selects a joint: it is highlighted, and its torques are plotted."""
+    def select(self, joint: int) -> None: ...
 
-    def view_state(self) -> ViewState:
-        """Camera, switches, selection and time, as text."""
+    def view_state(self) -> ViewState: ...
 
-    def render_words(self) -> list[str]:
-        """Scene, camera, switches and selected joint as arguments of `sero-mj render`."""
+    def render_words(self) -> list[str]: ...
 
-    def to_clipboard(self, text: str) -> None:
-        """Copies a text to the user's clipboard."""
+    def to_clipboard(self, text: str) -> None: ...
 
-    def open_panel(self) -> None:
-        """Shows the panel."""
+    def open_panel(self) -> None: ...
 
 
 class Grab(NamedTuple):
     """The effect of a drag that begins at a pixel.
 
     Attributes:
-        text: for the user.
         is_refused: whether the text says why nothing is dragged there.
     """
 
@@ -119,14 +105,10 @@ class Tool:
 
     Pixels are those of the picture, y up.
 
-    Args:
-        shown: where it works.
-
     Attributes:
         order: of panels from top to bottom, and of priority for drags and keys. Those of sero-mj
             have 10 to 90.
         keys: what keys do: `Key`, or name of an action and text for the help.
-        area: title of an area of its own beside the picture; empty for none.
         shows_area: whether that is shown; users see it again at the next start.
     """
 
@@ -150,12 +132,7 @@ class Tool:
     # ---- the pointer
 
     def click(self, picked: Picked | None, at: Pixel) -> str | None:
-        """Handles a click; returns a message, or None to leave it to others.
-
-        Args:
-            picked: the item there; None for the background.
-            at: the pixel.
-        """
+        """Handles a click; returns a message, or None to leave it to others."""
         return None
 
     def hover(self, at: Pixel | None) -> bool:
@@ -178,15 +155,13 @@ class Tool:
         """Describes what `grab` would do there."""
         return None
 
-    def move(self, at: Pixel) -> None:
-        """Moves the pointer of the drag."""
+    def move(self, at: Pixel) -> None: ...
 
     def drag(self) -> str:
         """Applies the drag, in every frame; returns what obstructs it, or an empty text."""
         return ""
 
-    def release(self) -> None:
-        """Ends the drag."""
+    def release(self) -> None: ...
 
     def wheel(self, notches: float) -> str | None:
         """Handles the wheel while this tool drags; returns a message, or None to zoom as usual."""
@@ -205,24 +180,19 @@ class Tool:
         """Whether it needs states of recordings and simulations between frames, too."""
         return False
 
-    def lay_out(self, frame: Frame) -> None:
-        """Adds panels to a frame, see `decor.feature.Feature`."""
+    def lay_out(self, frame: Frame) -> None: ...
 
-    def draw(self, frame: Frame) -> None:
-        """Adds geoms to a frame, see `decor.feature.Feature`."""
+    def draw(self, frame: Frame) -> None: ...
 
-    def build(self, ui: Widgets) -> None:
-        """Builds its part of the panel."""
+    def build(self, ui: Widgets) -> None: ...
 
-    def build_area(self, ui: Widgets) -> None:
-        """Builds the area of its own."""
+    def build_area(self, ui: Widgets) -> None: ...
 
     def ongoing(self) -> Piece | None:
         """Words over the picture while something goes on, and their mood; None for none."""
         return None
 
     def ticks(self) -> Sequence[Tick]:
-        """What is marked on the time line."""
         return ()
 
     def next_message(self) -> tuple[str, bool] | None:
@@ -309,7 +279,6 @@ class Tools(Mapping[str, Tool]):
 
     @contextmanager
     def _guarding(self, name: str, kind: type[Tool]) -> Iterator[None]:
-        """Catches errors of a tool of another package."""
         try:
             yield
         except Exception as error:
@@ -336,7 +305,6 @@ class Tools(Mapping[str, Tool]):
         return answers
 
     def first(self, act: Callable[[Tool], Found | None]) -> tuple[Tool, Found] | None:
-        """The first tool with a result, and the result; None for none."""
         for name, tool in [*self._tools.items()]:
             with self._guarding(name, type(tool)):
                 answer = act(tool)
@@ -346,23 +314,16 @@ class Tools(Mapping[str, Tool]):
 
 
 class DrawnTool:
-    """Lets a tool draw in every frame; one that fails is reported and removed.
-
-    Args:
-        tool: of these.
-        tools: all of them.
-    """
+    """Lets a tool draw in every frame; one that fails is reported and removed."""
 
     def __init__(self, tool: Tool, tools: Tools) -> None:
         self._tool, self._tools = tool, tools
 
     def lay_out(self, frame: Frame) -> None:
-        """See `Tool`."""
         if self._tool in self._tools.values():
             self._tools.call(self._tool, lambda tool: tool.lay_out(frame))
 
     def draw(self, frame: Frame) -> None:
-        """See `Tool`."""
         if self._tool in self._tools.values():
             self._tools.call(self._tool, lambda tool: tool.draw(frame))
 

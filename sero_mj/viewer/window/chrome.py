@@ -39,13 +39,7 @@ _HANDLE_FLAGS = _BAR_FLAGS | _FLAGS.no_background | _FLAGS.always_auto_resize
 class Chrome(ImguiLayer):
     """What a window shows besides its picture.
 
-    Args:
-        gl: the window.
-        host: what is shown of it.
-        columns: of the help.
-
     Attributes:
-        shows_panel: whether the panel is shown.
         covered: width of what covers the left edge of the picture, pixels.
     """
 
@@ -57,7 +51,6 @@ class Chrome(ImguiLayer):
         self.covered = 0.0
 
     def places(self, size: tuple[int, int]) -> Places:
-        """Returns where the parts of a window of that size are."""
         host = self._host
         return arrange(
             size,
@@ -81,10 +74,7 @@ class Chrome(ImguiLayer):
         """Builds everything for a frame.
 
         Args:
-            size: of the window, pixels.
             places: of the window's parts.
-            picture: where it is, which may be smaller than its place.
-            pieces: of the status line.
         """
         self.frame(size, lambda: self._build(places, picture, pieces))
 
@@ -118,7 +108,6 @@ class Chrome(ImguiLayer):
 
     @contextmanager
     def _part(self, name: str, rect: Rect, beside: float, above: float) -> Iterator[None]:
-        """A part of the window, with so much of the text's height between it and its contents."""
         unit = self.text_height
         padding = ImVec2(round(beside * unit), round(above * unit))
         imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
@@ -133,7 +122,6 @@ class Chrome(ImguiLayer):
         imgui.end()
 
     def _note(self, name: str, piece: Piece, picture: mujoco.MjrRect, top: float) -> None:
-        """Builds words in the middle of the picture's free width, in several lines if need be."""
         room = picture.width - self.covered - self._line
         padding = 2 * imgui.get_style().window_padding.x
         wide = min(imgui.calc_text_size(piece[0]).x + padding + 1, max(room, 1.0))
@@ -191,15 +179,7 @@ class Chrome(ImguiLayer):
         imgui.end()
 
     def _dialog(self, title: str, width: float) -> tuple[bool, bool]:
-        """Begins a dialog in the middle of the window, which scrolls if the window is too small.
-
-        Args:
-            title: of the dialog.
-            width: in units of the text's height.
-
-        Returns:
-            whether its contents are visible, and whether its user keeps it open.
-        """
+        """Begins a dialog in the middle of the window, which scrolls if the window is too small."""
         wide, high = self.size
         margin = round(0.4 * self.text_height)
         width = min(width * self.text_height, wide - 2 * margin)

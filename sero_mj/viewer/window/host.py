@@ -40,17 +40,7 @@ _MORE = 2000  # additional capacity for geoms that MuJoCo adds to those of the m
 
 
 class Viewport(SceneDecor):
-    """The picture of a world in a rectangle of a window.
-
-    Args:
-        world: the compiled scene.
-        toggles: what is shown.
-        context: of the window, current.
-
-    Attributes:
-        rect: of the last picture in the window.
-        needed: see `camera.needed_aspect`.
-    """
+    """The picture of a world in a rectangle of a window."""
 
     def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
         super().__init__(world, toggles, with_text=False)
@@ -62,7 +52,6 @@ class Viewport(SceneDecor):
 
     @property
     def pieces(self) -> list[Piece]:
-        """What it adds to the status line."""
         return []
 
     def update(
@@ -76,10 +65,6 @@ class Viewport(SceneDecor):
         """Lays out scene and decor.
 
         Args:
-            data: the world's state, with frames up to date.
-            camera: of the picture.
-            rect: of the picture in the window.
-            typesetter: of its panels.
             covered: width of what covers its left edge, pixels; numbers stay beside it.
         """
         scene = self._scene
@@ -98,12 +83,7 @@ class Viewport(SceneDecor):
         return int(self.rect.width)
 
     def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
-        """Renders the picture in a window.
-
-        Args:
-            gl: the window.
-            quickly: whether without multisampling and shadows.
-        """
+        """Renders the picture in a window."""
         if quickly:
             gl.render_quickly(self.rect, self._scene)
         else:
@@ -111,12 +91,10 @@ class Viewport(SceneDecor):
         self._draw_panels(gl, int(self.rect.left))
 
     def _draw_panels(self, gl: GlWindow, left: int) -> None:
-        """Draws the panels over the picture that begins at a pixel of the window."""
         if self._typesetter is not None:
             gl.blender.draw(self._typesetter.place(self.panels), left, self.rect.bottom)
 
     def to_picture(self, x: float, y: float) -> Pixel | None:
-        """Converts a pixel of the window to one of the picture; None outside of it."""
         x, y = x - self.rect.left, y - self.rect.bottom
         if not (0 <= x < self.rect.width and 0 <= y < self.rect.height):
             return None
@@ -137,15 +115,12 @@ class Pace:
         self._moved = float("-inf")  # when the view did, or the user did anything
 
     def took(self, seconds: float) -> None:
-        """Adds the time of a frame of full quality, s, to a running mean."""
         self._time += 0.15 * (seconds - self._time)
 
     def act(self, now: float) -> None:
-        """Notes an action of the user, s: its effect is to be visible at once."""
         self._moved = now
 
     def is_quick(self, view: tuple[float, ...], now: float) -> bool:
-        """Whether to reduce the quality of a frame, by the camera's position and direction."""
         if self._view and not np.allclose(view, self._view, rtol=0.0, atol=_SAME_VIEW):
             self._moved = now
         self._view = view
@@ -158,16 +133,9 @@ class Window(LiveHost):
     It never waits for a packet: every frame shows the latest one.
 
     Args:
-        mirror: must be open; is driven by the window's clock.
-        size: of the window, in screen coordinates.
-        camera: see `find_camera`.
         full_screen: whether it covers the screen.
-        folder: where screenshots and films go; the current one when None.
-        make_viewport: makes the picture's viewport of world, toggles and OpenGL context.
 
     Attributes:
-        navigator: moves the camera.
-        gamepad: moves it as well, and presses keys.
         is_quick: whether the last frame was drawn without multisampling and shadows, since the
             view moves, or the user acts, and the machine is slow.
 
@@ -217,7 +185,6 @@ class Window(LiveHost):
 
     @property
     def is_open(self) -> bool:
-        """Whether the user has not closed the window."""
         return not self.gl.is_closing
 
     @property
@@ -232,7 +199,6 @@ class Window(LiveHost):
         return time.monotonic() - self._end >= max(1.0 / self.gl.refresh_rate - 1e-3 - took, took)
 
     def frame(self, *, wait: bool = True) -> bool:
-        """Shows one frame, see `LiveHost.frame`."""
         begin = time.monotonic()
         passed, self._last = begin - self._last, begin
         self._interval += 0.1 * (passed - self._interval)
@@ -287,11 +253,9 @@ class Window(LiveHost):
 
     @property
     def picture_size(self) -> tuple[int, int]:
-        """See `LiveHost`: that of the picture in the window."""
         return int(self.decor.rect.width), int(self.decor.rect.height)
 
     def picture(self) -> Pixels:
-        """Renders the last frame again, without what lies over it, (height, width, 3)."""
         rect = self.decor.rect
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
         self.decor.update(self.data, self.navigator.camera, rect, typesetter)
@@ -300,15 +264,12 @@ class Window(LiveHost):
 
     @property
     def has_panel(self) -> bool:
-        """Whether the panel is shown."""
         return self._chrome.shows_panel
 
     def open_panel(self) -> None:
-        """Shows the panel."""
         self._chrome.shows_panel = True
 
     def toggle_panel(self) -> None:
-        """Shows or hides the panel."""
         self._chrome.shows_panel = not self._chrome.shows_panel
 
     def _place_pointer(self) -> None:
@@ -316,7 +277,6 @@ class Window(LiveHost):
         self.pointer.at = None if at is None else self.decor.to_picture(*at)
 
     def _take(self, event: Event, height: int) -> None:
-        """Handles an event."""
         if event.kind == "drop":
             self.others.open_file(Path(event.key))
             return
@@ -352,7 +312,6 @@ class Window(LiveHost):
         self._turn(moved.how, moved.right / height, down)
 
     def _turn(self, how: str, right: float, down: float) -> None:
-        """Turns, pans or zooms the view, by heights of the picture or notches of the wheel."""
         view, navigator = self.decor.view, self.navigator
         if view is None or self.decor.fixed:
             return
@@ -385,39 +344,31 @@ class Window(LiveHost):
 
     @property
     def layout(self) -> dict[str, bool]:
-        """See `LiveHost`."""
         return {**super().layout, "panel": self.has_panel}
 
     def show_layout(self, layout: Mapping[str, bool]) -> None:
-        """See `LiveHost`."""
         super().show_layout(layout)
         if layout.get("panel", False) != self.has_panel:
             self.toggle_panel()
 
     @property
     def view_camera(self) -> mujoco.MjvCamera:
-        """See `LiveHost`."""
         return self.navigator.camera
 
     @property
     def is_following(self) -> bool:
-        """See `LiveHost`."""
         return self.navigator.following is not None
 
     def to_clipboard(self, text: str) -> None:
-        """See `LiveHost`."""
         self.gl.set_clipboard(text)
 
     def choose_camera(self, number: int) -> str:
-        """Selects a camera by number, 1 for the first, 0 for the initial view."""
         return self.decor.fixed or self.navigator.choose(number)
 
     def follow(self, frame: str | None) -> str:
-        """Starts following a frame with the camera, or stops; returns a message for the user."""
         return self.decor.fixed or self.navigator.follow(self.data, frame)
 
     def centre(self, point: Array) -> None:
-        """Makes a point (3,), m, the camera's look-at point."""
         view = self.decor.view
         assert view is not None  # there is a picture of the point
         if self.decor.fixed:
@@ -427,11 +378,9 @@ class Window(LiveHost):
         self.navigator.camera.lookat = point
 
     def request_close(self) -> None:
-        """Lets the next frame be the last."""
         self.gl.request_close()
 
     def close(self) -> None:
-        """Closes the window, after its tools."""
         super().close()
         self._chrome.close()
         self.gl.close()
