@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 import urllib.parse
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,7 @@ from ..host.live import LiveHost
 from ..image.film import Pixels
 from ..image.picture_options import DEFAULT_SIZE
 from ..image.scene_decor import SceneDecor
-from ..player.page import look_asked_for
+from ..player.page import live_page, look_asked_for, player_files
 from .browsers import Browsers
 from .messages import ForScene
 from .page_input import PageInput
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from ..image.render import HeadlessRenderer
 
 RATE = 60.0  # frames per second
-_PLAYER = files("sero_mj.viewer.player") / "static"
 
 
 class WebHost(LiveHost):
@@ -86,12 +84,9 @@ class WebHost(LiveHost):
         self._panels = PagePanels(self, self._sections)
         self._input = PageInput(self, self.view, self._panels)
         self._dropped: list[Path] = []
-        page = (_PLAYER / "live.html").read_text("utf-8").replace("%%TITLE%%", "sero-mj")
-        page = page.replace("%%LOOK%%", look_asked_for(world.scene))
-        own = {name: (_PLAYER / name).read_bytes() for name in ("player.js", "player.css")}
         self.server = PageServer(
-            page,
-            own,
+            live_page(look_asked_for(world.scene)),
+            player_files(),
             self.browsers.talk,
             "/live",
             self._may_upload,
