@@ -17,8 +17,8 @@ from ...base.frames import Array
 from ...robots.declared.inputs import Input
 from ...robots.declared.scene import Scene
 from ...robots.importers.joint_names import identifiers
-from ._units import robot_of, units_of, wrong_unit
 from .route import Route
+from .units import robot_of, units_of, wrong_unit
 from .values import Value, joined
 
 _MAX_LISTED = 8  # joints in a message

@@ -9,7 +9,7 @@ expression = numbers, names, `+ - * /`, parentheses, lists `[a, b]`, indices `a[
 Names may contain `-`, `.` and `/`, so as operators `-` and `/` need spaces around them. Python
 parses a text in which each token is replaced by a cell of fixed width.
 
-`values` computes expressions of routes, and `conditions` conditions, of routes and triggers alike.
+`evaluator` computes them.
 """
 
 from __future__ import annotations

@@ -25,9 +25,9 @@ from ..record.recorder import SIGNALS_RATE, Recorder
 from ..record.recording_format import Signals, media_type
 from ..record.scene_files import attached_files
 from ..record.triggered_recorder import TriggeredRecorder
-from ._units import robot_of
 from .route import Route
 from .trigger import Trigger
+from .units import robot_of
 from .wiring import wire
 
 Shapes = Mapping[str, tuple[int, ...]]

@@ -11,7 +11,7 @@ origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.tor
        | frame                   lwr/flange: its pose in the world
        | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
 
-`language` has the grammar of expressions, `values` and `conditions` their meaning.
+`language` has the grammar of expressions, `evaluator` their meaning.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from ...base.errors import (
     UnknownName,
     collect,
     did_you_mean,
+    mismatch,
     nearest,
     problems_of,
 )
@@ -51,8 +52,7 @@ from ...robots.declared.route_text import NOT, names_in, parts_of_origin
 from ...robots.declared.scene import Scene
 from ..receive.led_robot import LedJoint, LedLinks
 from ..receive.source import SIGNALS, Source, make_source
-from ._units import UNITS, robot_of, units_of, wrong_unit
-from .conditions import condition_of
+from .evaluator import condition_of, evaluate
 from .joint_routes import (
     JointPart,
     joint_parts,
@@ -64,7 +64,8 @@ from .joint_routes import (
 from .language import Expression, parse
 from .model_torques import MODEL_TORQUES, model_output, origins_of, why_unknown
 from .route import FrameRoute, Origin, Route
-from .values import Value, constant, evaluate, joined, numbers_of
+from .units import UNITS, robot_of, units_of, wrong_unit
+from .values import Value, constant, joined, numbers_of
 
 FWD_KIN = "fwd_kin_base_to_flange"
 # Readable values of robots, doubles and arrows: their inputs except switches and poses.
@@ -339,12 +340,7 @@ class _RouteChecker:
         parts = parts_of_origin(origin)
         if dot or parts[0][1] is not None:
             if dot and parts[0][1] is not None:
-                raise Problem(
-                    "",
-                    "found joints for the limb",
-                    found=limb,
-                    expected=f"them for {name}.{of_limb}",
-                ).error()
+                raise mismatch(limb, f"them for {name}.{of_limb}", "found joints for the limb")
             if dot:
                 key, parts = of_limb, [(origin, [limb])]
             return self._parts(name, key, parts)

@@ -20,7 +20,9 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
-from ...base.errors import Problem
+from ...base.errors import (
+    mismatch,
+)
 from .receiving_thread import ClosedHere, Disconnected
 from .source import Source
 
@@ -37,7 +39,7 @@ def is_address(expected: str) -> Callable[[str], str]:
 
     def validate(host: str) -> str:
         if not host or any(character.isspace() for character in host):
-            raise Problem(found=host, expected=expected).error()
+            raise mismatch(host, expected)
         return host
 
     return validate

@@ -13,7 +13,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...base.errors import Problem, UnknownName
+from ...base.errors import (
+    Problem,
+    UnknownName,
+    mismatch,
+)
 from ...base.frames import Array, Ints
 from .checksum import compute
 from .language import Item, limits, parse
@@ -85,9 +89,9 @@ class Structure:
         signs: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         if alignment not in _ALIGNMENTS:
-            raise Problem("alignment", found=alignment, expected="1, 2, 4 or 8").error()
+            raise mismatch(alignment, "1, 2, 4 or 8", key="alignment")
         if not 0.0 < scale < math.inf:
-            raise Problem("scale", found=scale, expected="a finite number above 0").error()
+            raise mismatch(scale, "a finite number above 0", key="scale")
         self.text = text
         self.is_double = is_double
         self.column_major = column_major
@@ -188,9 +192,7 @@ class Structure:
             ValueError: the packet is not `size` bytes long.
         """
         if len(packet) != self.size:
-            raise Problem(
-                found=len(packet), of="bytes", expected=f"{self.size} for '{self.text}'"
-            ).error()
+            raise mismatch(len(packet), f"{self.size} for '{self.text}'", of="bytes")
         values = {}
         if self._is_plain:  # without the cost of `errstate`
             for name, dtype, offset, count, _ in self._plan:
@@ -432,7 +434,7 @@ class Structure:
             allowed = [item.shape, item.shape[1:]] if item.count == 1 else [item.shape]
             if array.shape not in allowed:
                 expected = " or ".join(map(str, allowed))
-                raise Problem(name, found=array.shape, expected=expected).error()
+                raise mismatch(array.shape, expected, key=name)
             _numbers(packet, item)[:] = self._to_write(item, array.reshape(item.shape)).ravel()
         for item, constant in self._constants:
             if item.name in values and _is_wrong(packet, item, constant).any():
@@ -470,7 +472,7 @@ class Structure:
             unscaled = array / self._factor(item)
         if (wrong := np.isinf(unscaled) & np.isfinite(array)).any():
             expected = f"less, for scale {self.scale:g}"
-            raise Problem(item.name, found=array[wrong].flat[0], expected=expected).error()
+            raise mismatch(array[wrong].flat[0], expected, key=item.name)
         return unscaled
 
 
@@ -558,5 +560,5 @@ def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
         fitted = (whole != 0) if item.is_bool else whole
         expected = f"whole numbers from {low} to {high}"
     if not fits.all():
-        raise Problem(item.name, found=array[~fits].flat[0], expected=expected).error()
+        raise mismatch(array[~fits].flat[0], expected, key=item.name)
     return fitted

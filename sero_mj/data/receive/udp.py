@@ -13,7 +13,9 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_validator
 
-from ...base.errors import Problem
+from ...base.errors import (
+    mismatch,
+)
 from .connecting import is_address
 from .reception import log
 from .scheduling import request_short_slices
@@ -206,10 +208,7 @@ def split_sender(text: str) -> tuple[str, int]:
                 f"found {text!r}, which no sender has; leave it out to accept every sender"
             )
     if not 0 <= number <= 65535:
-        raise Problem(
-            found=text,
-            expected="an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234",
-        ).error()
+        raise mismatch(text, "an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234")
     return host, number
 
 

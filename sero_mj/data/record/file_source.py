@@ -12,7 +12,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr
 
-from ...base.errors import Problem, RecordingError, SourceError
+from ...base.errors import (
+    RecordingError,
+    SourceError,
+    mismatch,
+)
 from ...base.frames import Array
 from ..receive.intake import Intake
 from ..receive.mailbox import Packets
@@ -27,7 +31,7 @@ _BATCH = 4096  # packets
 def _as_path(file: Any) -> Path:
     if isinstance(file, str | Path) and str(file):
         return Path(file)
-    raise Problem(found=file, expected="the name of a recording, REC.mcap say").error()
+    raise mismatch(file, "the name of a recording, REC.mcap say")
 
 
 class FileSource(Source):

@@ -24,7 +24,9 @@ from mcap.reader import FOOTER_SIZE, SeekingReader
 from mcap.records import Channel, Chunk, Metadata
 from mcap.stream_reader import MAGIC_SIZE
 
-from ...base.errors import Problem
+from ...base.errors import (
+    mismatch,
+)
 
 MAX_CHUNK_BYTES = 64 << 20  # decompressed; writers make chunks of 1 to 4 MiB
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time
@@ -319,9 +321,7 @@ def _decompressed(chunk: Chunk) -> bytes:
 
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
     elif chunk.compression:
-        raise Problem(
-            "", "compression", found=chunk.compression, expected="zstd, lz4 or none"
-        ).error()
+        raise mismatch(chunk.compression, "zstd, lz4 or none", "compression")
     else:
         data = chunk.data
     if len(data) != size:

@@ -41,7 +41,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import __version__
-from ...base.errors import Problem
+from ...base.errors import (
+    mismatch,
+)
 from .joint_state_messages import CDR_HEAD, RULE, JointStates
 
 FORMAT = 2
@@ -85,7 +87,7 @@ class RecordingClock:
             ValueError: the time is out of the file's range.
         """
         if not math.isfinite(arrival):
-            raise Problem("arrival", found=arrival, expected="seconds on time.monotonic").error()
+            raise mismatch(arrival, "seconds on time.monotonic", key="arrival")
         log_time = round(arrival * 1e9) - self.monotonic_ns + self.epoch_ns
         if not 0 <= log_time <= _MAX_NS:
             raise ValueError(f"arrival: found {arrival}, which is before 1970 or after 2554")

@@ -13,9 +13,9 @@ from pydantic import PrivateAttr, ValidationInfo, field_validator
 from ...base.errors import (
     DeclarationError,
     PluginError,
-    Problem,
     RecordingError,
     did_you_mean,
+    mismatch,
 )
 from ...base.plugins import SOURCES, load_plugin, plugins
 from ..receive.led_robot import LedJoint, LedLinks
@@ -100,7 +100,7 @@ class Replay(FileSource):
         else:
             begin, word = _first_of(look_into(info.data["file"])), "where its first packet came"
         if not begin < stop < np.inf:
-            raise Problem(found=stop, expected=f"more than {begin:g}, {word}, in s").error()
+            raise mismatch(stop, f"more than {begin:g}, {word}, in s")
         return stop
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:

@@ -19,7 +19,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...base.errors import CsvError, Problem, did_you_mean
+from ...base.errors import (
+    CsvError,
+    did_you_mean,
+    mismatch,
+)
 from ...base.frames import Array
 from ...base.paths import open_file
 from .csv_files import TIME
@@ -141,7 +145,7 @@ def read_table(
         ValueError: a rate that is not above 0.
     """
     if rate is not None and not 0.0 < rate < math.inf:
-        raise Problem("rate", found=rate, expected="rows per s, above 0").error()
+        raise mismatch(rate, "rows per s, above 0", key="rate")
     path = Path(path)
     encoding = "utf-8-sig"
     while True:

@@ -8,7 +8,11 @@ from typing import Any, ClassVar, Self
 
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
-from ...base.errors import CsvError, Problem
+from ...base.errors import (
+    CsvError,
+    Problem,
+    mismatch,
+)
 from ...base.frames import Array
 from ..receive.led_robot import LedJoint
 from ..receive.source import Source
@@ -63,9 +67,9 @@ class TableReplay(FileSource):
             raise ValueError("structure and columns: expected one of them")
         begin, end = self.start or 0.0, float(table.times[-1] - table.times[0])
         if begin > end:
-            raise Problem("start", found=begin, expected=f"at most {end:g}, where it ends").error()
+            raise mismatch(begin, f"at most {end:g}, where it ends", key="start")
         if self.stop is not None and not begin < self.stop:
-            raise Problem("stop", found=self.stop, expected=f"more than {begin:g}, in s").error()
+            raise mismatch(self.stop, f"more than {begin:g}, in s", key="stop")
         return self
 
     @property

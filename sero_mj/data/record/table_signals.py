@@ -15,7 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.errors import CsvError, Problem, did_you_mean
+from ...base.errors import (
+    CsvError,
+    Problem,
+    did_you_mean,
+    mismatch,
+)
 from ...base.frames import Array
 from .csv_files import TIME
 from .table import Table, split_unit
@@ -192,11 +197,11 @@ def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
         match = _SIGNAL.fullmatch(key)
         if match is None:
             expected = "a signal, with or without a unit: joint_angles [deg]"
-            raise Problem("columns", found=key, expected=expected).error()
+            raise mismatch(key, expected, key="columns")
         signal, unit = match[1], match[2] or ""
         if signal == TIME:
             expected = "time without a unit, which the name of its column has: time = 'Zeit [ms]'"
-            raise Problem("columns", found=key, expected=expected).error()
+            raise mismatch(key, expected, key="columns")
         if unit and unit not in _FACTORS:
             of = f"in {key}"
             raise Problem("columns", "no unit", found=unit, of=of, available=_FACTORS).error()

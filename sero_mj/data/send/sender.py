@@ -18,7 +18,11 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from ...base.errors import Problem, SourceError, reason_of
+from ...base.errors import (
+    SourceError,
+    mismatch,
+    reason_of,
+)
 from ..receive.shm_block import Block, block_path
 from ..receive.structure import Rows, Structure
 
@@ -137,7 +141,7 @@ class ShmWriter:
             ValueError: the packet is not as long as the structure says.
         """
         if len(packet) != self._size:
-            raise Problem(found=len(packet), of="bytes", expected=self._size).error()
+            raise mismatch(len(packet), self._size, of="bytes")
         block, offset, field = self._block, self._offset, self._lock
         if field is None:
             block.write(packet, offset)
