@@ -181,7 +181,6 @@ class Evaluator:
         return self._joined(at, _ARITHMETIC[sign], left, right)
 
     def _joined(self, at: int, function: Callable[[Any, Any], Any], a: Rows, b: Rows) -> Rows:
-        """Applies a function to the broadcast numbers of the operands of the operator `at`."""
         left, right = _same_rank(a.values, b.values)
         try:
             np.broadcast(left, right)
@@ -264,7 +263,6 @@ class Evaluator:
         return Rows(picked, labels, found.is_frames)
 
     def _position(self, node: ast.expr, values: Any, name: str, last: int | None = None) -> int:
-        """Returns an index of the first axis, at most `last`, by default that of the last entry."""
         number, length = self._whole(node), values.shape[1]
         last = length - 1 if last is None else last
         if not -length <= number <= last:
@@ -379,7 +377,6 @@ def _value_of(rows: Rows) -> Value:
 
 
 def _finite(value: Value, expression: Expression, names: Mapping[str, Value]) -> Value:
-    """Returns a value with the sizes of its origins; refuses non-finite numbers."""
     for entry in value.entries.flat:
         if not all(map(isfinite, (entry.offset, *(times for _, _, times in entry.terms)))):
             raise RouteError(expression.text, 0, "expected finite numbers", len(expression.text))
@@ -400,7 +397,6 @@ def _flat(values: Array) -> Array:
 
 
 def _same_rank(a: Array, b: Array) -> tuple[Array, Array]:
-    """Adds axes behind the first one, so that numpy broadcasts the numbers of each row."""
     rank = max(a.ndim, b.ndim)
     left, right = (
         each.reshape(len(each), *[1] * (rank - each.ndim), *each.shape[1:]) for each in (a, b)

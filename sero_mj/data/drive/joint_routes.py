@@ -144,7 +144,6 @@ def joint_parts(
 
 
 def _follows(place: Place, places: Set[Place]) -> bool:
-    """Whether a joint is coupled to another one of these."""
     coupled = place.to.coupled
     if coupled is None:
         return False
@@ -181,7 +180,6 @@ def whole_route(scene: Scene, parts: Sequence[JointPart]) -> Route:
 
 
 def _declared_values(scene: Scene, item: Input) -> Array:
-    """Values of the joints of an input without a route, (n,)."""
     robot, double = robot_of(scene, item), scene.doubles.get(item.name)
     declared = getattr(robot if double is None else double, item.key, None)
     if declared is None:

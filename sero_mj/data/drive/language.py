@@ -138,7 +138,6 @@ def _sign_of(word: Token, is_condition: bool) -> str:
 
 
 def _tree_of(signs: Sequence[str]) -> ast.expr | None:
-    """The tree of an expression; None for anything else."""
     try:
         cells = "".join(sign.ljust(_CELL) for sign in signs)
         tree = ast.parse(f"({cells})", mode="eval").body
@@ -177,7 +176,6 @@ def _is_whole(node: ast.AST) -> bool:
 
 
 def _is_beginning(signs: Sequence[str]) -> bool:
-    """Whether an expression can begin with these words."""
     opened: list[str] = []
     for sign in signs:
         if sign in "([":
@@ -188,8 +186,6 @@ def _is_beginning(signs: Sequence[str]) -> bool:
 
 
 def _expected(before: Sequence[str], found: Token) -> str:
-    """What is expected after the previous words."""
-
     def fits(sign: str) -> bool:
         return _is_beginning([*before, sign])
 

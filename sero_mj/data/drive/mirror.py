@@ -262,7 +262,6 @@ class Mirror:
         return bool(fresh)
 
     def _values(self, fresh: Set[str]) -> dict[str, dict[str, Array]]:
-        """The latest values of every source, and whether it receives."""
         values: dict[str, dict[str, Array]] = {}
         for name, source in self.sources.items():
             packet = self._latest.get(name)
@@ -294,22 +293,18 @@ def restore(world: World, data: mujoco.MjData, state: Array) -> None:
 
 
 class _SourceStates:
-    """Writes the slots `sources.<name>` of a world's user data, see `SOURCE_FIELDS`."""
-
     def __init__(self, world: WorldView) -> None:
         self._slots = world.slots
         self._link: dict[str, tuple[tuple[int, ...], float]] = {}
         self._foreign: dict[str, tuple[int, float]] = {}
 
     def forget(self) -> None:
-        """Resets, when the sources are opened."""
         self._link.clear()
         self._foreign.clear()
 
     def write(
         self, data: mujoco.MjData, sources: Mapping[str, Source], latest: Mapping[str, Packet]
     ) -> None:
-        """Writes the current counters of every source."""
         for name, source in sources.items():
             packet, counters, now = latest.get(name), source.counters, source.now()
             data.userdata[self._slots[f"sources.{name}"]] = (

@@ -93,7 +93,6 @@ class Placer:
         data.userdata[self._world.flags[target]] = SET_BY_SOURCE
 
     def _place_received(self, data: mujoco.MjData, name: str) -> None:
-        """Places a received frame, or hides it while none has been received."""
         world = self._world
         T = data.userdata[world.slots[f"{name}.frame"]].reshape(4, 4)
         if data.userdata[world.flags[f"{name}.frame"]] <= 0 or not np.isfinite(T).all():
@@ -132,14 +131,7 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
 def _targets(
     world: WorldView, data: mujoco.MjData, name: str, known: dict[str, Array | None]
 ) -> Array | None:
-    """Returns the frames of a double, (rows, n + 1, 4, 4), base first; None without a pose.
-
-    Args:
-        world: the compiled scene.
-        data: its state.
-        name: of the double.
-        known: cache of frames of doubles that others are mounted on.
-    """
+    """Returns the frames of a double, (rows, n + 1, 4, 4), base first; None without a pose."""
     if name in known:
         return known[name]
     part = world.doubles[name]
@@ -161,7 +153,6 @@ def _targets(
 
 
 def _base(data: mujoco.MjData, robot: RobotPart) -> Array:
-    """Returns T_world_base (4, 4) of a robot: as received, or by its carrier."""
     if robot.mocap >= 0:
         return frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
     body = robot.bodies[0]
@@ -242,15 +233,12 @@ class Router:
     def _numbers_if_there(
         self, data: mujoco.MjData, packets: LatestValues, origin: Origin
     ) -> Array:
-        """Returns the numbers of an origin, NaN without data."""
         if self._has(data, packets, origin):
             return self._numbers(data, packets, origin)
         return np.full(self._sizes[origin], np.nan)
 
 
 class _InputWriter:
-    """Writes an input of the world."""
-
     def __init__(self, world: WorldView, route: Route) -> None:
         item = route.to
         self._world = world
@@ -265,7 +253,6 @@ class _InputWriter:
         self._qpos = None if robot is None else robot.qpos
 
     def put(self, data: mujoco.MjData, values: Array) -> None:
-        """Writes the numbers; overflow is no data, and never moves anything."""
         if self._condition is not None:
             values = self._condition(values)
         if self._negated:

@@ -139,7 +139,6 @@ def record_last(
 def _connected(
     recorder: Recorder | TriggeredRecorder, sources: Mapping[str, Source], scene: Scene | None
 ) -> Iterator[None]:
-    """Connects sources to a recorder, and adds the scene's files to its recordings."""
     routes = [] if scene is None else wire(scene).routes
     try:
         files = {} if scene is None else attached_files(scene, scene.files())

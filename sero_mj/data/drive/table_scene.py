@@ -67,7 +67,6 @@ def robots_in(
 
 
 def _columns_of(name: str, robots: Mapping[str, SerialRobot], columns: Columns) -> Columns:
-    """The declared columns of one of the robots."""
     own = {key: value for key, value in columns.items() if "." not in key and len(robots) == 1}
     for key, value in columns.items():
         robot, dot, signal = key.rpartition(".")
@@ -132,7 +131,6 @@ def lead_by_table(
 
 
 def _packets_in(table: Table, scene: Scene, name: str) -> dict[str, Any]:
-    """How rows are packets of a source; empty if no column is called like their numbers."""
     events: Mapping[str, tuple[int, ...]] = {}
     with suppress(SeroError):  # a source that is declared wrongly is reported where it is used
         source = wired_source(scene, name, scene.sources[name])

@@ -148,7 +148,6 @@ class Trigger:
         return all(f"{robot}.{key}" in self._routes for key in ("torques", "commanded_torques"))
 
     def _check(self, word: int, name: str) -> None:
-        """Refuses unknown names of signals."""
         names = self.names
         if name in names:
             self._check_velocities(word, name)
@@ -165,7 +164,6 @@ class Trigger:
         self._expression.refuse(word, reason, len(name))
 
     def _check_velocities(self, word: int, name: str) -> None:
-        """Refuses a name that needs velocities where none are received."""
         todo, seen = [name], set[str]()
         while todo:
             output = todo.pop()
@@ -181,14 +179,11 @@ class Trigger:
 
 
 class _Reader:
-    """Signals during the examination of packets of one source."""
-
     def __init__(self, trigger: Trigger, events: Mapping[str, Events], count: int) -> None:
         self._trigger, self._events, self._count = trigger, events, count
         self._inputs: dict[str, Array] = {}
 
     def signal(self, name: str) -> Rows:
-        """Returns a signal, (T, ...), with T = 1 if it is constant meanwhile."""
         trigger = self._trigger
         owner, _, key = name.partition(".")
         if name in trigger._routes:

@@ -71,7 +71,6 @@ class Velocities:
 
 
 def _sources(routes: Mapping[str, Route], target: str) -> frozenset[str]:
-    """The sources whose values lead to a target, also through other routes."""
     found, todo, seen = set[str](), [target], set[str]()
     while todo:
         route = routes.get(at := todo.pop())

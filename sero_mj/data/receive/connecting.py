@@ -104,7 +104,6 @@ class ConnectingSource(Source):
         """
 
     def _receive(self, wake: socket.socket) -> None:
-        """Connects and receives once; see `Source.start_receiving`."""
         place = f"{self.host}:{self.port}"
         try:
             self._converse(wake)
@@ -191,11 +190,7 @@ def addresses(host: str, port: int, wake: socket.socket) -> list[tuple[Any, ...]
 
 
 def _wait(wake: socket.socket, sock: socket.socket, event: int, timeout: float | None) -> bool:
-    """Waits for an event of a socket; returns whether it came within `timeout` s.
-
-    Raises:
-        ClosedHere: `wake` can be read.
-    """
+    """Returns whether an event came within `timeout` s; raises ClosedHere if `wake` is readable."""
     with selectors.DefaultSelector() as selector:
         selector.register(wake, selectors.EVENT_READ)
         selector.register(sock, event)

@@ -301,7 +301,6 @@ class Intake:
         places: NDArray[np.int8],
         begins: int | None,
     ) -> None:
-        """Measures the timing of well-formed packets since the last restart."""
         timed = good.copy()
         restarts = np.flatnonzero(places == RESTARTED)
         self._tally.restarts += len(restarts)
@@ -316,7 +315,6 @@ class Intake:
     def _are_frames(
         self, rows: Rows, arrivals: Array, finite: NDArray[np.bool_], events: Collection[str]
     ) -> NDArray[np.bool_]:
-        """Which packets have only valid frames in these events; NaN is checked elsewhere."""
         layout = self.layout
         values = layout.decode_rows(rows, events)
         matrices = np.concatenate([values[event] for event in events], axis=1)
@@ -339,7 +337,6 @@ class Intake:
     def _are_plausible(
         self, rows: Rows, arrivals: Array, before: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Which packets have no number beyond its limit; NaN and infinity are checked elsewhere."""
         good = np.ones(len(rows), bool)
         found = self.layout.decode_rows(rows, self.limits)
         for event, limit in self.limits.items():
@@ -359,7 +356,6 @@ class Intake:
     def _follow(
         self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Rows | None
     ) -> NDArray[np.int8]:
-        """The positions of packets by their numbers or time stamps, (n,)."""
         places = np.zeros(len(rows), np.int8)
         if not self._sequence and stamps is None:
             return places
@@ -407,7 +403,6 @@ class Intake:
 
 
 def _describe_not_finite(values: Mapping[str, Array], but: Collection[str]) -> str:
-    """Describes the first NaN or infinity outside the events `but`; empty for none."""
     for event, array in values.items():
         if event in but:
             continue
@@ -419,7 +414,6 @@ def _describe_not_finite(values: Mapping[str, Array], but: Collection[str]) -> s
 
 
 def _describe_implausible(values: Mapping[str, Array], limits: Mapping[str, Array]) -> str:
-    """Describes the first number beyond its limit."""
     for event, array in values.items():
         limit = limits[event].reshape(array.shape)
         beyond = np.isfinite(array) & (np.abs(array) > limit)
@@ -433,10 +427,7 @@ def _describe_implausible(values: Mapping[str, Array], limits: Mapping[str, Arra
 def _blank_not_finite(
     values: MutableMapping[str, Array], events: Collection[str], matrices: Collection[str]
 ) -> None:
-    """Replaces infinities in these events, and matrices with NaN or infinity, by NaN.
-
-    Changed arrays are copied; `values` are those of one packet or of many.
-    """
+    """Replaces infinities, and whole matrices with NaN or infinity, by NaN in copies."""
     for event in events:
         array = values.get(event)
         if array is None:

@@ -63,7 +63,6 @@ class PacketDeclaration(Declaration):
 
     @classmethod
     def _fixed(cls, field: str) -> Collection[Any]:
-        """The values of a field that the protocol can have."""
         return (cls.model_fields[field].default,)
 
     @field_validator("structure")
@@ -150,7 +149,6 @@ class PacketDeclaration(Declaration):
         return {key: value for key, value in fields.items() if value != ""}
 
     def _judge(self) -> Intake:
-        """Checks each packet separately, and counts for nobody."""
         return Intake(self.layout, nan_allowed=self._nan_allowed)
 
     def decode(self, packet: bytes) -> dict[str, Array] | None:

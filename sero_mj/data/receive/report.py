@@ -75,7 +75,6 @@ def error_text(source: Source) -> str:
 
 
 def _clock(source: Source) -> float | None:
-    """How far a sender's clock is behind ours, s; None where its stamps are not of the time."""
     behind = source.timing.fastest + time.time() - time.monotonic()
     return behind if source.is_live and abs(behind) < _SAME_DAY else None
 

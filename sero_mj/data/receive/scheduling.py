@@ -51,7 +51,6 @@ def request_short_slices() -> bool:
 
 
 def _read() -> _Attributes | None:
-    """The scheduling attributes of the calling thread; None if unknown."""
     if sys.platform != "linux" or platform.machine() not in _CALLS:
         return None
     attributes = _Attributes()
@@ -74,7 +73,6 @@ class _ShortTurns:
         self._lock = threading.Lock()
 
     def begin(self, receiver: object) -> None:
-        """Shortens the interval."""
         with self._lock:
             if not self._answering:
                 self._usual = sys.getswitchinterval()
@@ -82,7 +80,6 @@ class _ShortTurns:
             self._answering.add(id(receiver))
 
     def end(self, receiver: object) -> None:
-        """Restores the interval if no other receiver answers."""
         with self._lock:
             was_answering = id(receiver) in self._answering
             self._answering.discard(id(receiver))

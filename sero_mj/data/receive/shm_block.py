@@ -129,7 +129,6 @@ class Block:
             raise _last_error()
 
     def _mapped(self) -> mmap.mmap | None:
-        """The block in memory; None while it has no size."""
         size = self.size
         if self._map is not None and len(self._map) != size:
             self._map.close()

@@ -191,7 +191,6 @@ def guess_layouts(rows: Rows) -> list[Guess]:
 
 
 def _with_checksum(guess: Guess, found: Recognized) -> Guess:
-    """A layout with a checksum behind it."""
     orders = [each for each in guess.structure if each in "<>"]
     mark = "" if found.width == 1 or found.order == (orders or ["<"])[-1] else found.order
     covers = f"[{found.begin}:]" if found.begin else ""
@@ -201,7 +200,6 @@ def _with_checksum(guess: Guess, found: Recognized) -> Guess:
 
 
 def _guess_layouts(rows: Rows, size: int) -> list[Guess]:
-    """Layouts of packets (n, k) that have `size` bytes with what follows."""
     header, begin = find_header(rows, size)
     first = ">" if header.startswith(">") else "<"  # the default if both fit
     fits = {}
@@ -239,7 +237,6 @@ def known_packets() -> dict[int, tuple[str, str]]:
 
 
 def _mixed(rows: Rows) -> list[Guess]:
-    """A layout of several types, if there is one."""
     found = mixed_layout(rows)
     if found is None:
         return []
@@ -278,7 +275,6 @@ def _of(ranked: tuple[tuple[float, ...], Guess]) -> float:
 def _with_body(
     rows: Rows, header: str, start: int, type_: str, word: str
 ) -> tuple[tuple[float, ...], Guess]:
-    """A layout with numbers of one type after a header, and its rank."""
     numbers = rows[:, start:].view(type_)
     plausible, seen = plausibility(numbers)
     body, column_major, words = _body(numbers)
@@ -304,7 +300,6 @@ def plausibility(numbers: NDArray[np.floating]) -> tuple[float, int]:
 
 
 def _body(numbers: NDArray[np.floating]) -> tuple[str, bool, str]:
-    """Structure of these numbers (n, k) without a header, `column_major`, and a description."""
     places, column_major = find_frames(numbers)
     ends = [*places, numbers.shape[1]]
     parts, words, at = [], [], 0
@@ -373,7 +368,6 @@ def find_header(rows: Rows, size: int) -> tuple[str, int]:
 
 
 def _header_in(rows: Rows, size: int, order: str) -> tuple[str, int]:
-    """The header in one byte order."""
     count, at, parts, is_counted = rows.shape[1], 0, [], False
     while at < 16:
         for letter, each in (("Q", 8), ("I", 4), ("H", 2)):
@@ -401,7 +395,6 @@ def _header_in(rows: Rows, size: int, order: str) -> tuple[str, int]:
 
 
 def _second(numbers: NDArray[np.integer], order: str) -> NDArray[np.integer]:
-    """The last two of four bytes."""
     return numbers >> 16 if order == "<" else numbers & 0xFFFF
 
 

@@ -178,7 +178,6 @@ class Structure:
         return None if is_plain and self._factor(item) == 1.0 else item
 
     def _factor(self, item: Item) -> float:
-        """The factor between the numbers in a packet and their values."""
         is_scaled = item.is_float and item.constant is None
         return self.signs.get(item.name, 1.0) * (self.scale if is_scaled else 1.0)
 
@@ -449,7 +448,6 @@ class Structure:
         return packet.tobytes()
 
     def _to_write(self, item: Item, array: NDArray[Any]) -> NDArray[Any]:
-        """An event's array in the layout and type of the packet."""
         if len(item.shape) == 3:
             array = np.array(array, np.float64)
             if self._factor(item) != 1.0:
@@ -496,7 +494,6 @@ def _numbers(rows: Rows, item: Item) -> NDArray[Any]:
 
 
 def _checksums(rows: Rows, item: Item) -> NDArray[np.uint64]:
-    """What a checksum must be in each packet, (n,)."""
     begin, end = item.covers
     covered = rows[:, begin:end]
     if begin <= item.offset < end:
@@ -506,14 +503,12 @@ def _checksums(rows: Rows, item: Item) -> NDArray[np.uint64]:
 
 
 def _is_wrong(rows: Rows, item: Item, constant: Any) -> NDArray[np.bool_]:
-    """Which numbers of an item are not its constant, (n, k)."""
     numbers = _numbers(rows, item)
     wrong: NDArray[np.bool_] = (numbers != 0 if item.is_bool else numbers) != constant
     return wrong
 
 
 def _shown(number: Any) -> str:
-    """A number as text; integers also in hexadecimal."""
     if isinstance(number, np.integer) and number > 9:
         return f"{number} (0x{int(number):x})"
     return str(number)
@@ -540,11 +535,6 @@ def _limit(item: Item) -> float:
 
 
 def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
-    """The array converted to an item's type.
-
-    Raises:
-        ValueError: a number is out of its range.
-    """
     low, high = (0, 255) if item.is_bool else limits(item)
     if item.is_float:
         with np.errstate(over="ignore", invalid="ignore"):

@@ -167,7 +167,6 @@ class UdpReceiver(Source):
         return not self._allowed or _is_among(sender, self._allowed)
 
     def _take_in(self, batch: Batch) -> None:
-        """Accepts a batch, without packets of other senders than `sender`."""
         rows, lengths, arrivals, senders = batch.rows, batch.lengths, batch.arrivals, batch.senders
         if self._allowed:
             if (senders == senders[0]).all():

@@ -139,7 +139,6 @@ class Datagrams:
             self._prepare()
 
     def _prepare(self) -> None:
-        """Lays out the headers once; each call resets only what the kernel changes."""
         self._controls = np.zeros((BATCH, _CONTROL_BYTES), np.uint8)
         self._vectors = np.zeros(BATCH, np.dtype(_Iovec))
         self._vectors["base"], self._vectors["length"] = _places(self._rows), self._rows.shape[1]
@@ -233,7 +232,6 @@ class Datagrams:
         return count
 
     def _arrivals(self, count: int) -> Array:
-        """The kernel's arrival times of the packets, on the monotonic clock."""
         now, wall = _both_clocks()
         stamps = self._stamps[:count]
         if not (stamps["kind"] == _SO_TIMESTAMPNS).all():
@@ -269,7 +267,6 @@ class Datagrams:
         return BATCH - first
 
     def _receive_into(self, row: memoryview) -> tuple[int, Any]:
-        """Reads one packet; returns its length and its sender."""
         if hasattr(self._socket, "recvmsg_into"):
             length, _, flags, sender = self._socket.recvmsg_into([row])
             return (len(row) + 1 if flags & socket.MSG_TRUNC else length), sender
@@ -282,7 +279,6 @@ class Datagrams:
 
 
 def _places(rows: NDArray[Any]) -> Ints:
-    """Memory addresses of an array's rows."""
     return np.asarray(rows.ctypes.data + rows.strides[0] * np.arange(len(rows)))
 
 
@@ -313,7 +309,6 @@ def unpack_address(packed: bytes) -> tuple[str, int]:
 
 
 def _as_tuple(packed: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
-    """One of `Batch.senders` in the form of Python's sockets."""
     host, port = unpack_address(packed)
     if ":" not in host:
         return host, port
@@ -403,7 +398,6 @@ def _set_buffer(sock: socket.socket, size: int) -> None:
 
 
 def _join(sock: socket.socket, group: str, port: int, interface: str) -> None:
-    """Joins a multicast group; several programs of one machine may listen to it."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     if sock.family == socket.AF_INET6:
         address, _, zone = group.partition("%")

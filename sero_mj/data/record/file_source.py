@@ -232,7 +232,6 @@ class FileSource(Source):
             return super().take()
 
     def _go_to(self, position: float) -> None:
-        """Seeks: discards played packets, and plays the last packet before that time."""
         assert self._recording is not None
         self._intake = self._new_intake()
         self._position, self._beyond = position, 0.0
@@ -265,7 +264,6 @@ class FileSource(Source):
         self._log_faults()
 
     def _log_faults(self) -> None:
-        """Logs errors of the recording when they are found."""
         assert self._recording is not None
         faults = self._recording.faults
         for fault in faults[self._faults_told :] if self.debug_level else []:

@@ -122,7 +122,6 @@ def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
 
 
 def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
-    """Reads the summary; None without one; raises one of BROKEN if it is damaged."""
     ending = FOOTER_SIZE + MAGIC_SIZE
     if size < MAGIC_SIZE + ending:
         return None
@@ -227,7 +226,6 @@ def walk_records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
 
 
 def _note(file: BinaryIO, opcode: int, offset: int, length: int, index: FileIndex) -> None:
-    """Adds a record to the index; the file position is after the record's head."""
     if opcode == Opcode.CHANNEL:
         found = Channel.read(ReadDataStream(read_record(file, offset, length)))
         index.channels[found.id] = found
@@ -305,7 +303,6 @@ def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """The contents of a chunk; memory is bounded by the size stated in the chunk."""
     size = chunk.uncompressed_size
     if size > MAX_CHUNK_BYTES:
         most = f"expected at most {MAX_CHUNK_BYTES}"

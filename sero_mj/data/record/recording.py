@@ -306,7 +306,6 @@ class Recording(PacketFile):
         self.duration = max(ends, default=0.0)
 
     def _declarations(self, index: FileIndex) -> dict[int, SourceDeclaration]:
-        """Raw channel to the declaration of its source."""
         found = {}
         for number, channel in index.channels.items():
             text = channel.metadata.get(SOURCE_KEY)
@@ -354,7 +353,6 @@ class Recording(PacketFile):
         return counts
 
     def _ends(self, channel: int) -> tuple[float, float]:
-        """Arrival of the first and the last packet in the file."""
         first = next((found[0][0] for _, found in self._of(channel, self._chunks)), None)
         backwards = reversed(self._chunks)
         last = next((found[-1][0] for _, found in self._of(channel, backwards)), None)
@@ -437,7 +435,6 @@ class Recording(PacketFile):
     def _of(
         self, channel: int, chunks: Iterator[ChunkPlace] | list[ChunkPlace]
     ) -> Iterator[tuple[ChunkPlace, list[tuple[int, bytes]]]]:
-        """The chunks with messages of a channel, and the messages."""
         for chunk in chunks:
             if chunk.channels is None or channel in chunk.channels:
                 found = self._messages(chunk, channel)
@@ -445,7 +442,6 @@ class Recording(PacketFile):
                     yield chunk, found
 
     def _messages(self, chunk: ChunkPlace, channel: int) -> list[tuple[int, bytes]]:
-        """A chunk's messages of a channel: log time in ns, and data; empty if it is damaged."""
         with self._lock:
             if self._cached[:2] == (chunk.offset, channel):
                 return self._cached[2]

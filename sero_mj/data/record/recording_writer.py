@@ -169,8 +169,6 @@ def _why(error: Exception) -> str:
 
 @dataclass
 class _Channels:
-    """The numbers of a source's channels, what the decoded ones hold, and the next packet's."""
-
     raw: int
     decoded: int
     signals: Signals
@@ -392,7 +390,6 @@ class RecordingWriter:
         return channels
 
     def _add(self, channel: int, data: bytes, log_time: int, number: int) -> None:
-        """Adds a message to the chunk, and writes the chunk when it is full."""
         if self._file.error is not None:
             raise self._file.error
         if not self._waiting:

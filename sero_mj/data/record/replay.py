@@ -198,7 +198,6 @@ def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
 
 
 def _first_of(recording: PacketFile) -> float:
-    """Arrival of the first packet of any source, s since the recording began."""
     firsts = [each.first for each in recording.sources.values()]
     return min((first for first in firsts if not np.isnan(first)), default=0.0)
 

@@ -161,14 +161,7 @@ def read_table(
 
 
 class _Rows:
-    """Reads the rows of one table.
-
-    Args:
-        path: for messages.
-        rate: see `read_table`.
-        time: likewise.
-        instead: likewise.
-    """
+    """Reads the rows of one table; see `read_table`."""
 
     def __init__(self, path: Path, rate: float | None, time: str, instead: str) -> None:
         self._path, self._rate, self._wanted, self._instead = path, rate, time, instead
@@ -205,7 +198,6 @@ class _Rows:
         return Table(self._path, self._time, times, columns, self._wrong)
 
     def _filled_rows(self, reader: Reader) -> Iterator[tuple[int, list[str], list[str]]]:
-        """Line and cells of every non-empty row, and cells of the comment above the first."""
         comment: list[str] = []
         try:
             for cells in reader:
@@ -220,7 +212,6 @@ class _Rows:
     def _name_columns(
         self, line: int, cells: list[str], comment: list[str], number: _Number
     ) -> bool:
-        """Names the columns by the first row; whether that row only names them."""
         dates = [_date(cell) is not None for cell in cells]
         is_header = _is_count(cells) or any(
             number(cell) is None and not is_date for cell, is_date in zip(cells, dates, strict=True)
@@ -245,7 +236,6 @@ class _Rows:
         return is_header
 
     def _find_time(self) -> None:
-        """Finds the column of the times, and the factor to s where it is known."""
         names, wanted = self._names, self._wanted
         if wanted and wanted not in names:
             near = did_you_mean(wanted, names)
@@ -275,7 +265,6 @@ class _Rows:
         return value
 
     def _of_columns(self, line: int, cells: list[str]) -> list[str]:
-        """The cells of the columns, without an index, and without an empty one at the end."""
         wanted = len(self._names) + self._has_index
         if self._open_line and len(cells) == wanted + 1 and cells.pop().strip():
             reason = f"column {wanted + 1} has no name"
@@ -298,7 +287,6 @@ def time_column(names: Sequence[str]) -> str:
 
 
 def _time_unit(name: str) -> tuple[str, str | None]:
-    """A name without a unit of time, and that unit, "" for none; None where it has another one."""
     stem, unit = split_unit(name)
     if unit:
         return stem, unit if unit in _TIME_UNITS else None
@@ -367,7 +355,6 @@ def _is_count(cells: list[str]) -> bool:
 
 
 def _number(cell: str) -> float | None:
-    """The number in a cell, NaN if it is empty; None for anything else."""
     try:
         return float(cell) if cell.strip() else math.nan
     except ValueError:

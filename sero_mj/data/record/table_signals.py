@@ -86,14 +86,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns that differ by a number, or by the name of a joint.
-
-    Attributes:
-        stem: what is left of their names, in lower case.
-        unit: of them; empty for none.
-        pattern: their name with `*` for what differs.
-        names: of the columns, in order.
-    """
+    """Columns that differ by a number or by the name of a joint, `*` in their pattern."""
 
     stem: str
     unit: str
@@ -189,7 +182,6 @@ def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
 
 
 def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
-    """The columns that are declared."""
     found = {}
     for key, wanted in columns.items():
         if key == TIME:
@@ -214,7 +206,6 @@ def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
 
 
 def _matching(table: Table, pattern: str) -> list[str]:
-    """The columns of a name, or those that are called so with something for its `*`, in order."""
     if pattern in table.columns or pattern in table.wrong or "*" not in pattern:
         table.column(pattern)
         return [pattern]
@@ -230,7 +221,6 @@ def _matching(table: Table, pattern: str) -> list[str]:
 def _recognised(
     names: Sequence[str], joints: Sequence[str], robot: str, counts: Sequence[int]
 ) -> dict[str, Selection]:
-    """The columns that are recognised, by signal."""
     groups = [
         group for group in _groups(names, joints, robot) if not counts or len(group.names) in counts
     ]

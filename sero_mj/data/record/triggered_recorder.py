@@ -58,8 +58,6 @@ class RecordedEvent:
 
 @dataclass(eq=False)
 class _Block:
-    """Packets of one source, up to as many as it has room for."""
-
     name: str
     rows: Rows
     lengths: Ints
@@ -76,8 +74,6 @@ class _Block:
 
 
 class _Ring:
-    """The packets of the last seconds."""
-
     def __init__(self, seconds: float, most_bytes: int) -> None:
         self.size = 0
         self.forgotten = 0  # packets that were not old enough, but too many
@@ -86,7 +82,6 @@ class _Ring:
         self._open: dict[str, _Block] = {}
 
     def add(self, name: str, rows: Rows, lengths: Ints, arrivals: Array) -> None:
-        """Keeps packets, which are copied, and forgets those that are too old."""
         while len(rows):
             block = self._open.get(name)
             is_full = block is not None and block.count == len(block.rows)
@@ -122,7 +117,6 @@ class _Ring:
             self._blocks.popleft()
 
     def since(self, begin: float) -> list[tuple[float, str, bytes]]:
-        """Arrival, source and bytes of the packets from a time on, in the order of arrival."""
         found = []
         for block in self._blocks:
             for k in np.flatnonzero(block.arrivals[: block.count] >= begin).tolist():
@@ -375,7 +369,6 @@ def _part(batch: Batch, rows: slice) -> Batch:
 
 
 def _joined(batches: list[Batch]) -> list[Batch]:
-    """Joins batches of one source that follow each other."""
     found: list[Batch] = []
     for _, group in groupby(batches, key=lambda each: (each.name, each.rows.shape[1])):
         parts = list(group)

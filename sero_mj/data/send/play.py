@@ -127,7 +127,6 @@ class MotionPackets:
         self._model = ModelTorques(scene.robots)
 
     def _check_size(self, route: Route) -> None:
-        """Whether the structure has all the numbers that a route takes."""
         for term in route.value.terms:
             if term.origin.name != self.source.name or not term.origin.is_event:
                 continue
@@ -141,7 +140,6 @@ class MotionPackets:
                 )
 
     def _asked(self, routes: Sequence[Route]) -> list[Input]:
-        """The inputs of routes, and those that they read of robots, doubles and arrows."""
         todo = [route.to.target for route in routes]
         todo += [each for route in routes for each in self._origins(route)]
         seen: dict[str, Input] = {}
@@ -153,7 +151,6 @@ class MotionPackets:
         return list(seen.values())
 
     def _origins(self, route: Route) -> list[str]:
-        """The inputs that a route reads, also by the models of robots."""
         found = []
         for output in route.outputs:
             name, _, key = output.partition(".")
@@ -162,7 +159,6 @@ class MotionPackets:
         return [each for each in found if each in self._inputs]
 
     def _robot_of(self, item: Input) -> str | None:
-        """The robot whose motion determines an input."""
         if item.kind in ("angles", "values") or item.key == "flange_check":
             double = self._scene.doubles.get(item.name)
             return item.name if double is None else double.of
@@ -198,7 +194,6 @@ class MotionPackets:
         return self.structure.encode(values)
 
     def _output(self, target: str, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
-        """An output of a robot, a double or an arrow at time t."""
         if target not in self._inputs:
             name, _, key = target.partition(".")
 
@@ -223,7 +218,6 @@ class MotionPackets:
         return np.zeros(item.count) if value is None else np.asarray(value, np.float64)
 
     def _value(self, item: Input, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
-        """The value of an input at time t."""
         scene, robot = self._scene, self._robot_of(item)
         if robot is not None:
             # A double gets the command that its robot will follow.
@@ -242,7 +236,6 @@ class MotionPackets:
         return self._frame(item, t)
 
     def _frame(self, item: Input, t: float) -> Array:
-        """The declared frame of a base, an object or a camera; received frames move in a circle."""
         scene = self._scene
         if item.name in scene.robots:
             return scene.robots[item.name].base_frame
@@ -257,10 +250,7 @@ class MotionPackets:
 
 
 def _connected(routes: Sequence[Route], source: str, events: Collection[str]) -> list[Route]:
-    """Routes that take something from a source, or from what shares a route with it.
-
-    Those that take from the source an event that is not among `events` are left out.
-    """
+    """Returns routes that take events from a source or from what shares a route with it."""
     taking = [
         route
         for route in routes
@@ -281,7 +271,6 @@ def _connected(routes: Sequence[Route], source: str, events: Collection[str]) ->
 
 
 def _nothing_to_send(routes: Sequence[Route], source: str, structure: Structure) -> str:
-    """Why: no route leads from the source, or none takes what the structure has."""
     taken = {
         o.key: None for r in routes for o in r.value.origins if o.is_event and o.name == source
     }
@@ -336,7 +325,6 @@ class RouteInverse:
         return [origin for origin in self._columns if origin.is_event]
 
     def _rows(self, route: Route, width: int) -> Array:
-        """What each number of a route takes of each number of the events, (n, width)."""
         rows = np.zeros((len(route.value.offset), width))
         for term in route.value.terms:
             if term.origin.is_event:

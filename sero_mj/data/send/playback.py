@@ -57,7 +57,6 @@ class Playback(ABC):
             return None
 
     def _note_absent(self, events: Collection[str]) -> None:
-        """Notes the values sent for events of the structure that are missing here."""
         blank = self.structure.decode(self.structure.encode({}))  # constants are not zero
         absent = [
             event
@@ -216,12 +215,7 @@ class JointRows(Playback):
 
 
 class _RowPlayer:
-    """Gives the signals in the row of a time; of those that a table lacks zeros.
-
-    Args:
-        times: of the rows, s, (T,).
-        signals: by name, (T, n).
-    """
+    """Gives the signals (T, n) in the row of a time; zeros for missing ones."""
 
     def __init__(self, times: Array, signals: Mapping[str, Array]) -> None:
         angles = signals["joint_angles"]
@@ -263,13 +257,11 @@ def timed(
 
 
 def _identities(structure: Structure) -> dict[str, Array]:
-    """Identity frames for all matrices of a structure, because zeros would be invalid."""
     shapes = {event: structure.events[event] for event in structure.matrices}
     return {event: np.broadcast_to(np.eye(4), shape) for event, shape in shapes.items()}
 
 
 def _is_same(one: Structure, other: Structure) -> bool:
-    """Whether two structures mean the same by the same bytes."""
     return type(one) is type(other) and all(
         getattr(one, key) == getattr(other, key)
         for key in ("fields", "column_major", "alignment", "scale")
@@ -277,11 +269,6 @@ def _is_same(one: Structure, other: Structure) -> bool:
 
 
 def _common(to: Structure, events: Mapping[str, tuple[int, ...]], of: str) -> list[str]:
-    """The events that a structure shares with others.
-
-    Raises:
-        UsageError: there is none, or one has another shape.
-    """
     common = [event for event in to.events if event in events]
     if not common:
         has, wanted = ", ".join(events), ", ".join(to.events)

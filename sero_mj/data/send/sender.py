@@ -228,7 +228,6 @@ class PacketBuffer:
         return True
 
     def _make(self) -> None:
-        """Computes one packet and interpolates those up to the next."""
         start = time.perf_counter()
         step, made = self._step, self._made
         here = self._compute(made) if self._last is None else self._last

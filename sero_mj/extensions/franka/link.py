@@ -277,7 +277,6 @@ class FciLink(Link):
             self._host.connected()
 
     def _drop(self, why: str) -> None:
-        """Ends the connection to the client."""
         if self._client is not None:
             self._client.close()
         was_connected = self._peer is not None

@@ -137,7 +137,6 @@ class Desired:
                     "commanded torque with gravity is", "Nm")  # fmt: skip
 
     def _move(self, angles: Array, velocities: Array, motion: Motion) -> None:
-        """Takes angles, (7,), rad, reached at velocities, (7,), rad/s."""
         before, model = "joint_motion_generator", self._model
         self._check_finite(np.concatenate([angles, velocities]), "motion",
                            f"{before}_velocity_discontinuity")  # fmt: skip

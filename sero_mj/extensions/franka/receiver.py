@@ -148,7 +148,6 @@ def state_size(version: int) -> int:
 
 
 def _picker(version: int) -> struct.Struct:
-    """What reads the fields of `EVENTS` from a state, and skips the others."""
     kinds = (
         kind.replace("?", "s") if name in EVENTS else f"{struct.calcsize(f'<{kind}')}x"
         for name, (_, kind) in state_fields(version).items()
@@ -251,7 +250,6 @@ class FrankaReceiver(ConnectingSource):
             self._receive_states(connection, states, peer, version)
 
     def _ask(self, connection: Connection, port: int) -> tuple[int, int]:
-        """Asks for states; returns the status and the server's version."""
         number = 1
         size = _HEAD.size + _QUESTION.size
         question = _HEAD.pack(CONNECT, number, size) + _QUESTION.pack(self._version, port)
@@ -283,7 +281,6 @@ class FrankaReceiver(ConnectingSource):
     def _receive_states(
         self, connection: Connection, states: socket.socket, peer: str, version: int
     ) -> NoReturn:
-        """Receives states until the connection ends."""
         expected = canonical_address(pack_address(peer, 0))[0]
         datagrams = Datagrams(states, _LONGEST_STATE + 1)
         connection.watch(states)
@@ -305,7 +302,6 @@ class FrankaReceiver(ConnectingSource):
                 raise Nonsense("says what it was not asked", connection.read())
 
     def _take_in(self, batch: Batch, expected: bytes) -> bool:
-        """Accepts what the robot has sent; returns whether there was any."""
         rows, lengths, arrivals = batch.rows, batch.lengths, batch.arrivals
         known = np.array([canonical_address(s.tobytes())[0] == expected for s in batch.senders])
         if not known.all():
@@ -350,11 +346,9 @@ class FrankaLayout(Structure):
 
 
 def _mode(state: float) -> str:
-    """The robot's mode in words."""
     known = 0 <= state < len(ROBOT_MODES)
     return ROBOT_MODES[int(state)] if known else f"in mode {state:.0f}"
 
 
 def _errors(flags: Array) -> list[str]:
-    """Names of the errors that are set."""
     return [ERRORS[i] for i in np.flatnonzero(flags)]

@@ -42,13 +42,11 @@ class FrankaState:
             self.set_frame(name, np.eye(4))
 
     def __setitem__(self, field: str, values: Array | Sequence[float] | float) -> None:
-        """Writes a field, where this version has it."""
         view = self.views.get(field)
         if view is not None:
             view[:] = values
 
     def __getitem__(self, field: str) -> Any:
-        """The numbers of a field."""
         return self.views[field]
 
     def set_frame(self, name: str, pose: Array) -> None:

@@ -162,7 +162,6 @@ class FriController:
     def _packets(
         self, sock: socket.socket, duration: float | None
     ) -> Iterator[tuple[float, bytes]]:
-        """Time and bytes of each packet passed on by the network."""
         start = time.perf_counter()
         total = None if duration is None else max(round(duration / self.cycle), 1)
         count = 0
@@ -179,7 +178,6 @@ class FriController:
             pass
 
     def _listen(self, sock: socket.socket, until: float) -> bool:
-        """Waits for an answer until a time of `time.perf_counter`, s; whether one came."""
         left = until - time.perf_counter()
         if not select.select([sock], [], [], max(left, 0.0))[0]:
             return False
@@ -193,8 +191,6 @@ class FriController:
 
 @dataclass
 class _Sent:
-    """A packet: its counter, send time, and answer latency, s."""
-
     counter: int
     time: float
     latency: float | None = None
@@ -227,7 +223,6 @@ class AnswerStatistics:
                 packet.latency = max(time - packet.time, 0.0)
 
     def _latencies(self) -> list[float]:
-        """Latencies of answers to the last 100 packets that may have been answered."""
         judged = list(self._sent)[:-_MAX_UNANSWERED]
         return [packet.latency for packet in judged if packet.latency is not None]
 

@@ -102,7 +102,6 @@ def read_fields(message: bytes) -> Fields:
 
 
 def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """A whole number and where it ends."""
     value = shift = 0
     while at < len(message) and shift < 70:
         byte = message[at]
@@ -377,7 +376,6 @@ def per_joint(number: int, values: Array) -> bytes:
 
 @lru_cache(maxsize=1024)
 def _encoded(value: int) -> bytes:
-    """A whole number in groups of 7 bits, the lowest first."""
     groups = []
     while value > 0x7F:
         groups.append(value & 0x7F | 0x80)

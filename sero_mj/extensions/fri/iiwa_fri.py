@@ -184,7 +184,6 @@ class IiwaFri(FriRobot):
             self._own.wrench[:] = turn @ added[_ABOUT_XYZ]
 
     def _numbers(self, what: str, field: int, count: int) -> Array:
-        """What a command asks for; raises ValueError where it is not there, or not finite."""
         if field not in self._asked:
             raise ValueError(f"a command has not {what}")
         numbers = np.array(read_numbers(self._asked, field, count))

@@ -156,7 +156,6 @@ class FriRobot(ABC):
         self._make_holder()
 
     def _exchange(self, sensed: Sensed) -> None:
-        """Sends a packet, and takes the command that answers it."""
         link, time, declared = self._link, sensed.time, self._declared
         self._time = time
         self.quality = self._statistics.quality
@@ -188,7 +187,6 @@ class FriRobot(ABC):
         link.check(time)
 
     def _take(self, size: int) -> bool:
-        """Takes what is in the buffer if it is a command; whether it answers the last packet."""
         reflected = self._read(memoryview(self._link.buffer)[:size])
         if reflected is None:
             self.wrong += 1
@@ -201,7 +199,6 @@ class FriRobot(ABC):
         return is_last
 
     def _hold_again(self, why: str) -> None:
-        """Ends the command state; the robot stays where it is commanded to."""
         log.warning("%s: command ends at %.3f s: %s", self._model.name, self._time, why)
         self._base += self._offset
         self._offset[:] = self._extra[:] = 0.0
@@ -217,7 +214,6 @@ class FriRobot(ABC):
             log.warning("%s: %s", self._model.name, text)
 
     def _command_angles(self, angles: Array, most: Array) -> bool:
-        """Takes commanded angles, (n,), rad, unless they are faster than `most`, (n,), rad/s."""
         offset = angles - self._base
         speeds = np.abs(offset - self._offset) / self._cycle
         if (speeds > most).any():
@@ -243,7 +239,6 @@ class FriRobot(ABC):
             self._holder = self._cartesian.make(self._model, self._timestep)
 
     def _act(self, sensed: Sensed, out: Array) -> None:
-        """Writes the torques of the robot's own control, (n,)."""
         wanted = self._base + self._offset
         if self._declared.control != "joint_impedance":
             self._own.angles[:] = self._own.posture[:] = wanted

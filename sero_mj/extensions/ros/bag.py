@@ -74,7 +74,6 @@ def open_bag(
 
 
 def _why_no_bag(folder: Path) -> str:
-    """Describes why a folder without metadata is no recording."""
     found = sorted(each for each in folder.iterdir() if each.suffix.lower() in BAG_ENDINGS)
     if not found:
         return f"is a folder without {_METADATA} and without recordings, {_FILES}"
@@ -86,7 +85,6 @@ def _why_no_bag(folder: Path) -> str:
 
 
 def _reader_of_ros(path: Path) -> Any:
-    """Returns the class that reads recordings of ROS; raises RecordingError without `rosbags`."""
     try:
         from rosbags.highlevel import AnyReader
     except ImportError as error:
@@ -96,7 +94,6 @@ def _reader_of_ros(path: Path) -> Any:
 
 
 def _lacks_its_end(file: Path) -> bool:
-    """Whether a file is the begin of an MCAP file."""
     if file.suffix.lower() != ".mcap":
         return False
     with open_file(file) as opened:
@@ -106,7 +103,6 @@ def _lacks_its_end(file: Path) -> bool:
 
 
 def _why_unreadable(path: Path, error: Exception) -> str:
-    """Why a recording cannot be read, by the error of rosbags."""
     said = f"cannot be read: {error or type(error).__name__}"
     with suppress(OSError):
         file = (bag_file_in(path) if path.is_dir() else path) or path
@@ -228,7 +224,6 @@ class Bag(PacketFile):
             self._tell_cut(cut)
 
     def _tell_cut(self, fault: str) -> None:
-        """Adds what is wrong with its end to the faults, with what there is of it."""
         count = self._reader.message_count
         seconds = max(self._reader.duration, 0) * 1e-9 if count else 0.0
         messages = f"{count} message{'' if count == 1 else 's'}"
@@ -246,7 +241,6 @@ class Bag(PacketFile):
         self.duration = max(ends, default=0.0)
 
     def _found(self, topics: Mapping[str, RosSource]) -> dict[str, RosSource]:
-        """Those of the declared sources whose topics there are."""
         there = {each.topic for each in self._reader.connections}
         found: dict[str, RosSource] = {}
         for name, declared in topics.items():
@@ -282,7 +276,6 @@ class Bag(PacketFile):
         return list(names or doubtful)
 
     def _named_by_topic(self) -> dict[str, RosSource]:
-        """A source for each topic with the states of joints, or one for what else moves a robot."""
         odometry = list(
             dict.fromkeys(e.topic for e in self._reader.connections if e.msgtype == ODOMETRY)
         )
@@ -442,7 +435,6 @@ class Bag(PacketFile):
             self._reader.close()
 
     def _descriptions(self) -> list[str]:
-        """Topics with a robot's description."""
         return [
             each.topic
             for each in self._reader.connections
@@ -474,7 +466,6 @@ class Bag(PacketFile):
         return int(self._begin + round(seconds * 1e9))
 
     def _messages(self, topics: list[str]) -> Iterator[tuple[str, Any]]:
-        """Topics and messages that can be decoded."""
         for _, connection, raw in self._raw(topics):
             try:
                 yield connection.topic, self._decoded(connection, raw)
@@ -497,7 +488,6 @@ class Bag(PacketFile):
     def _joined_with(
         self, joined: JoinedPackets, tells: str, connection: Any, raw: bytes, time: float
     ) -> bytes | None:
-        """The packet that a message makes: its own bytes where it is malformed."""
         try:
             if connection.msgtype != TYPES[tells]:
                 raise MalformedMessage(f"{connection.topic} is of type {connection.msgtype}")

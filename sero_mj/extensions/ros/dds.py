@@ -111,7 +111,6 @@ class Readers:
             self._listener.hear(received)
 
     def _look(self) -> None:
-        """Finds out why nothing comes."""
         source = self._source
         if source.receiving:
             source.note_trouble("")
@@ -129,7 +128,6 @@ class Readers:
         source.note_trouble("; ".join(wrong) or "its publisher is silent")
 
     def _wrong_with(self, topic: str, kind: str, published: list[Publication]) -> list[str]:
-        """What is wrong with a topic, in words."""
         wrong = wrong_with(topic, kind, ((each.topic, each.kind) for each in published))
         if wrong:
             return [wrong]
@@ -323,8 +321,6 @@ class Participant:
 
 
 class _Raw:
-    """A message as it came."""
-
     def __init__(self, data: bytes) -> None:
         self.data = data
         self.sample_info: Any = None
@@ -340,7 +336,6 @@ def domain_number(domain: int | None) -> int:
 
 
 def _cyclone(owner: str) -> tuple[Any, Any]:
-    """Cyclone DDS's modules `core` and `qos`."""
     try:
         from cyclonedds import core, qos
     except ImportError as error:
@@ -356,7 +351,6 @@ _lock = threading.Lock()
 
 
 def _configure(number: int, host: str, owner: str) -> None:
-    """Configures a domain, which a process can do once for each."""
     from cyclonedds.domain import Domain, DomainParticipant
 
     with _lock:
@@ -371,7 +365,6 @@ def _configure(number: int, host: str, owner: str) -> None:
 
 
 def _configuration(host: str) -> str:
-    """The configuration of Cyclone DDS; what CYCLONEDDS_URI has goes over it."""
     multicast = "default" if host == SUBNET else "false"
     peer = "127.0.0.1" if host == LOCALHOST else host
     peers = "" if host == SUBNET else f"<Peers><Peer Address={quoteattr(peer)}/></Peers>"
@@ -415,7 +408,6 @@ def _idl_type(kind: str) -> Any:
 
 
 def _idl_field(what: Any) -> Any:
-    """The type of a field, from its node in a definition."""
     from cyclonedds.idl import types
     from rosbags.interfaces import Nodetype
 

@@ -74,8 +74,6 @@ class Foxglove(RosSource):
 
 
 class _Channel(BaseModel):
-    """What a server tells of a topic."""
-
     id: int
     topic: str
     encoding: str
@@ -83,7 +81,6 @@ class _Channel(BaseModel):
 
     @property
     def kind(self) -> str:
-        """Type of its messages, as ROS 2 has it."""
         package, _, name = ros_type(self.schema_name).rpartition("/")
         return f"{package}/{name}" if package.endswith("/msg") else f"{package}/msg/{name}"
 
@@ -151,7 +148,6 @@ class Client:
         raise Disconnected(f"{url}: {reason}")
 
     def _connect(self, wake: socket.socket) -> None:
-        """Connects, and receives until the connection ends."""
         from websockets.exceptions import InvalidHandshake
         from websockets.sync.client import connect
         from websockets.typing import Subprotocol
@@ -207,7 +203,6 @@ class Client:
                 due = clock.monotonic() + _LOOKS
 
     def _take(self, received: bytes) -> None:
-        """Passes a message on."""
         self._acknowledge()
         if received and received[0] != _DATA:
             return
@@ -234,7 +229,6 @@ class Client:
             lever.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
 
     def _hear(self, text: str, connection: ClientConnection) -> None:
-        """Takes what the server tells."""
         try:
             operation = json.loads(text).get("op")
             if operation == "advertise":
@@ -251,7 +245,6 @@ class Client:
             )
 
     def _advertise(self, channels: list[_Channel], connection: ClientConnection) -> None:
-        """Subscribes to the topics that are wanted."""
         self._source.note_trouble("")
         wanted = []
         for channel in channels:
@@ -278,7 +271,6 @@ class Client:
         }
 
     def _look(self) -> None:
-        """Finds out why nothing comes."""
         if self._source.receiving:
             self._source.note_trouble("")
             return
@@ -289,7 +281,6 @@ class Client:
             self._source.note_trouble("; ".join(filter(None, wrong)) or "its publisher is silent")
 
     def _wrong_with(self, topic: str, kind: str) -> str:
-        """What is wrong with a topic, in words."""
         channels = self._channels.values()
         if wrong := wrong_with(topic, kind, ((each.topic, each.kind) for each in channels)):
             return wrong

@@ -123,7 +123,6 @@ class JoinedPackets:
         self._parents: dict[str, tuple[str, Array]] = {}
 
     def _linked(self, links: LedLinks | None, wanted: Sequence[str]) -> LinkTransforms | None:
-        """What solves joints and base; None where the robot's links are unknown."""
         if links is None or len(links.joints) != len(self._joints or links.joints):
             return None
         if wanted and not links.poses:
@@ -202,7 +201,6 @@ class JoinedPackets:
         return int(self._mine[0]) == self._first
 
     def _match(self, names: list[str], count: int) -> None:
-        """Finds the joints in the names of a message."""
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
             raise MalformedMessage(f"joint {twice} is named twice")
@@ -236,7 +234,6 @@ class JoinedPackets:
             self._tell(f"the robot has no {_listed(others)}: not used")
 
     def _tell_awaited(self, arrival: float) -> None:
-        """Tells, once, of joints that no message has had, where others have been there for long."""
         if not self._awaited or len(self._awaited) == len(self._wanted):
             return
         self._told_at = min(self._told_at, arrival + _PATIENCE)
@@ -249,7 +246,6 @@ class JoinedPackets:
             self._awaited.clear()
 
     def _check_torques(self, torques: Array) -> None:
-        """Tells, once, of torques that the robot's joints cannot have."""
         if self._has_doubts:
             return
         with np.errstate(invalid="ignore"):
@@ -289,7 +285,6 @@ class JoinedPackets:
         values[self._places["base_frame"]] = pose[:3].T.ravel()
 
     def _take_frames(self, values: Array, message: Any) -> bool:
-        """Takes transforms; whether the first of all bodies is moved, the base last."""
         bodies: list[float] = []
         for transform in message.transforms:
             parent, child = transform.header.frame_id, transform.child_frame_id
@@ -311,14 +306,12 @@ class JoinedPackets:
         return self.leads == FRAMES and self._first_body in bodies
 
     def _solve(self, values: Array, links: LinkTransforms) -> None:
-        """Takes what the transforms of links tell of joints and base."""
         if self._joints_by == TF:
             values[self._places["joint_angles"]] = links.solve()
         if self._odometry == TF and (base := links.base(self._root)) is not None:
             values[self._places["base_frame"]] = base[:3].T.ravel()
 
     def _in_root(self, name: str) -> Array | None:
-        """The pose of a frame in the root; None while it is unknown."""
         pose, at = np.eye(4), name
         for _ in range(len(self._parents)):
             if at == self._root or at not in self._parents:

@@ -157,7 +157,6 @@ class JsonMcap:
 
 
 def _index_of(file: BinaryIO) -> FileIndex:
-    """Returns the index of a file; without its end, channels are found in its chunks."""
     index = read_index(file)
     for chunk in [] if index.channels else index.chunks:
         with suppress(*BROKEN):
@@ -171,7 +170,6 @@ def _index_of(file: BinaryIO) -> FileIndex:
 
 
 def _kind_of(raw: bytes, topic: str) -> str:
-    """Returns the type of ROS that a message is, or a description of what it is instead."""
     try:
         joint_state_of(raw)
     except MalformedMessage as error:

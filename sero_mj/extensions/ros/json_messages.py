@@ -115,7 +115,6 @@ def _numbers(key: str, values: Any) -> Array:
 
 
 def _stamp(found: Any) -> Any:
-    """The time of a message; zero, which means unknown, where it has none."""
     parts = [0, 0]
     if isinstance(found, Mapping):
         nanoseconds = next((found[key] for key in _NANOSECONDS if key in found), 0)

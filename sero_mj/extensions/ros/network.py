@@ -159,7 +159,6 @@ def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
 
 
 def _rate(times: Sequence[float]) -> float:
-    """Messages per second, from when they came; 0 for none, or a single one."""
     span = times[-1] - times[0] if len(times) > 1 else 0.0
     return (len(times) - 1) / span if span > 0.0 else 0.0
 
@@ -206,13 +205,6 @@ def find_robot(address: Address, seconds: float) -> Found:
 
 
 class _Heard:
-    """What a network has told of its robots.
-
-    Args:
-        participant: of its domain.
-        address: where they are.
-    """
-
     def __init__(self, participant: Participant, address: Address) -> None:
         self._participant, self._address = participant, address
         self._before = f"/{address.namespace}" if address.namespace else ""
@@ -225,7 +217,6 @@ class _Heard:
         return bool(self._joints and (self._described or self._address.robot))
 
     def look(self, seconds: float) -> None:
-        """Subscribes to what is published by now, and waits for messages."""
         for each in self._participant.published():
             if each.topic not in self._readers and self._tells_of_robot(each):
                 is_kept = each.kind == TEXT and each.is_kept
@@ -248,7 +239,6 @@ class _Heard:
         return is_description or each.kind == JOINT_STATE
 
     def robot(self, seconds: float) -> Found:
-        """The robot, after so many seconds; raises UsageError."""
         if not (self._described or self._joints):
             raise UsageError(f"{self._place} {self._why_none(seconds)}")
         wanted = self._before + _DESCRIPTION

@@ -73,7 +73,6 @@ def run(options: Ros2Options) -> int:
 
 
 def _rest(options: Ros2Options, description: str) -> str:
-    """What follows `ros2://` in the address of a robot that a topic describes."""
     namespace = description.removesuffix("/robot_description")
     host = "" if options.host == "localhost" and options.domain is None else options.host
     return host + ("" if options.domain is None else f":{options.domain}") + namespace

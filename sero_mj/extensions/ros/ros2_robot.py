@@ -245,11 +245,9 @@ class RosLink(Link):
         return f": {wrong}" if wrong else ""
 
     def _take_any(self, take: Callable[[int], object]) -> bool:
-        """Passes on what has come, until something is taken."""
         return any([take(self._numbers(raw)) for raw, _ in self._reader.take()])
 
     def _numbers(self, raw: bytes) -> int:
-        """Writes the numbers of a command into the buffer; returns their bytes, 0 for none."""
         try:
             message = messages.decode(raw, messages.NUMBERS)
         except MalformedMessage as error:
@@ -329,7 +327,6 @@ class TrajectoryLink(RosLink):
         return True
 
     def _take_any(self, take: Callable[[int], object]) -> bool:
-        """Takes motions that have come; passes on the answer to the state that was sent last."""
         for raw, _ in self._reader.take():
             self._begin(raw, take)
         if self._motion is None:

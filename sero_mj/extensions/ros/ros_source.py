@@ -206,7 +206,6 @@ class RosSource(Source):
         return {**fields, **self._place_fields(), "joints": self.joint_names}
 
     def _place_fields(self) -> Mapping[str, Any]:
-        """The required fields that say where messages come from; for recordings."""
         required = {key for key, field in type(self).model_fields.items() if field.is_required()}
         return dict(self.model_dump(mode="json", include=required))
 

@@ -435,7 +435,6 @@ class RtdeServer:
             self._do(peer, peer.greet)
 
     def _do(self, peer: Peer, act: Callable[[], None]) -> None:
-        """Lets a client act, and drops it where that fails."""
         try:
             act()
         except BlockingIOError:

@@ -152,7 +152,6 @@ class RtdeState:
         return pose
 
     def _jacobian(self) -> Array:
-        """(6, n), in the directions of the base."""
         back = self._model.base()[:3, :3].T
         return np.kron(np.eye(2), back) @ self._model.jacobian()
 
