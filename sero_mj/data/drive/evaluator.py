@@ -81,7 +81,6 @@ class Evaluator:
     """Computes the parts of an expression.
 
     Args:
-        expression: result of `parse`.
         leaf: gives the numbers of names, constants, and other known parts.
         is_route: whether only multiples of received numbers are allowed.
 
@@ -289,15 +288,7 @@ class Evaluator:
 
 
 def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
-    """Evaluates the expression of a route.
-
-    Args:
-        expression: result of `parse`.
-        names: values by name.
-
-    Raises:
-        RouteError: points at the invalid part, with the reason.
-    """
+    """Evaluates the expression of a route; raises RouteError."""
     with np.errstate(all="ignore"):  # non-finite numbers are refused below
         rows = _of_route(expression, names).numbers(expression.tree)
     return _finite(_value_of(rows), expression, names)
@@ -308,7 +299,6 @@ def condition_of(expression: Expression, names: Mapping[str, Value]) -> tuple[Va
 
     Args:
         expression: result of `parse`, a condition.
-        names: values by name.
 
     Raises:
         RouteError: points at the invalid part, with the reason.

@@ -107,7 +107,6 @@ def joint_parts(
     """Returns the values of an origin for joints, a part for each robot.
 
     Args:
-        scene: the declaration.
         value: of the origin.
         text: of the origin.
         places: the joints, in the order of the values; values of joints coupled to others of them

@@ -87,11 +87,7 @@ class Expression:
 
 
 def parse(text: str) -> Expression:
-    """Parses an origin.
-
-    Raises:
-        RouteError: points at the first invalid word.
-    """
+    """Parses an origin; raises RouteError."""
     words = list(tokens_of(text))
     if len(words) > _MAX_WORDS:
         word, found = words[_MAX_WORDS], f"{len(words)} numbers, names and signs"

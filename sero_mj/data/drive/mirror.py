@@ -88,7 +88,6 @@ class Mirror:
         scene: what to compile and follow.
 
     Attributes:
-        world: the compiled scene.
         data: its state.
         routes: the routes of numbers in force.
         sources: those with routes.

@@ -59,11 +59,7 @@ def output_now(world: WorldView, data: mujoco.MjData, name: str, key: str) -> Ar
 
 
 class ModelTorques:
-    """Computes outputs of robots from what leads to them, over time.
-
-    Args:
-        robots: by name.
-    """
+    """Computes outputs of robots from what leads to them, over time."""
 
     def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
         self._robots = robots

@@ -27,7 +27,6 @@ class Placer:
     """Computes all frames of a world from its data.
 
     Args:
-        world: the compiled scene.
         wiring: result of `wire` for its scene; created when None.
 
     Raises:
@@ -52,7 +51,6 @@ class Placer:
         First, routes from other robots' outputs are applied.
 
         Args:
-            data: the world's state.
             packets: the latest values by source and event, for routes that need several.
         """
         self._late.apply(data, packets or {})
@@ -175,12 +173,7 @@ def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:
 
 
 class Router:
-    """Applies routes to a world's data.
-
-    Args:
-        world: the compiled scene.
-        routes: each after the routes to its own origins.
-    """
+    """Applies routes to a world's data. `routes`: each after the routes to its own origins."""
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world
@@ -198,7 +191,6 @@ class Router:
         joints, only their joints.
 
         Args:
-            data: the world's state.
             packets: the newest values by source and event.
         """
         if not self._routes:

@@ -209,7 +209,6 @@ def joint_states_of(
     """Which values are the states of robots' joints.
 
     Args:
-        robots: by name.
         keys: of the values, `lwr.joint_angles` say.
         key_of: the key of a robot's quantity, by the names of both.
     """

@@ -37,7 +37,6 @@ def robots_in(
 
     Args:
         table: that was read.
-        robots: by name.
         columns: signal of the only robot, or `ROBOT.SIGNAL`, to its columns; see `signals_of`.
 
     Returns:
@@ -89,7 +88,6 @@ def lead_by_table(
 
     Args:
         scene: is changed.
-        file: the table.
         columns: see `robots_in`.
         start: where to begin, s after the first row.
         source: the only source that may be replaced.

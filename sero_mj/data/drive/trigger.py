@@ -99,7 +99,6 @@ class Trigger:
         """Returns in which of the packets of a source the condition holds.
 
         Args:
-            source: its name.
             events: event to its numbers, (T, ...), of good packets in their order.
         """
         count = len(next(iter(events.values()), np.empty(0)))

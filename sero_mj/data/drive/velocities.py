@@ -21,7 +21,6 @@ class Velocities:
     zero where these are more than half a second apart.
 
     Args:
-        world: the compiled scene.
         routes: all routes of numbers.
     """
 

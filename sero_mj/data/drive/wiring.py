@@ -146,7 +146,6 @@ def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) 
     """Builds a source of a scene, which is told the joints that its routes lead to.
 
     Args:
-        scene: the declaration.
         name: of the source.
         declared: its table, or the source itself.
 
@@ -320,7 +319,7 @@ class _RouteChecker:
         self._events: dict[Origin, Value] = {}  # cached: an event may have 65,000 numbers
 
     def check(self, target: str, origin: str) -> list[Route | FrameRoute | JointPart]:
-        """Returns the routes: one for each robot or part; empty if the error is reported elsewhere."""
+        """Returns the routes of an entry; empty if its error is reported elsewhere."""
         name, _, key = target.partition(".")
         limb, dot, of_limb = key.partition(".")
         dot = "" if f"{name}.{limb}" in self._inputs else dot  # lwr.torques.0 is not a limb

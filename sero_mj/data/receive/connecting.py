@@ -78,19 +78,16 @@ class ConnectingSource(Source):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         state = f", {self._state}" if self._state else ""
         return f"{self._link} of {self.host}:{self.port}{state}"
 
     def open(self) -> None:
-        """Starts the thread that connects; the controller need not be there."""
         self.close()
         self.reset()
         self._state = ""
         self.start_receiving(self._receive, name=f"{self._link} {self.name}")
 
     def close(self) -> None:
-        """Ends the connection; harmless when it is not open."""
         self.stop_receiving()
 
     @abstractmethod

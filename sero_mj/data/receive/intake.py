@@ -125,8 +125,6 @@ class Intake:
         on_fault: called with a line about the last fault of a batch.
 
     Attributes:
-        nan_allowed: as above.
-        on_fault: as above.
         counters: what came in.
         timing: rate, jitter and delay.
     """

@@ -134,7 +134,6 @@ class PacketDeclaration(Declaration):
 
         Args:
             state: as in `link_state`.
-            quality: likewise.
         """
         return []
 

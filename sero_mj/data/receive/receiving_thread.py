@@ -54,7 +54,6 @@ class ReceivingThread:
     source's `trouble`, any other exception its `error`.
 
     Args:
-        source: the source.
         name: of the thread.
         receive: receives packets until `source.closing` is set; its argument becomes readable then.
         interrupt: called by `end`, for a `receive` that waits for something else than the socket.

@@ -99,17 +99,14 @@ class ShmReader(Source):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         return f"shared memory {block_path(self.block)}"
 
     @property
     def memory(self) -> tuple[str, str, int]:
-        """Name of the block, event that locks it (or ""), and offset in bytes."""
         return self.block, self.lock, self.offset
 
     @property
     def trouble(self) -> str:
-        """Why no packets arrive, as shown to the user; empty when unknown."""
         return self._trouble or (self._packets.trouble if self._packets is not None else "")
 
     def open(self) -> None:
@@ -136,7 +133,6 @@ class ShmReader(Source):
         self.start_receiving(self._receive, self._wake.release, name=f"shm {self.name}")
 
     def close(self) -> None:
-        """Stops the thread and closes the block; harmless when it is not open."""
         self.stop_receiving()
         with self._reading:
             if self._block is not None:

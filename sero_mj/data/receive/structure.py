@@ -56,11 +56,6 @@ class Structure:
 
     Attributes:
         text: the structure string.
-        is_double: see above.
-        column_major: see above.
-        alignment: see above.
-        scale: see above.
-        signs: see above.
         fields: all items of the string in order, with their offsets.
         events: event name to the shape of its array.
         matrices: names of the events that are matrices.

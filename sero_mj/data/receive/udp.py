@@ -80,7 +80,6 @@ class UdpReceiver(Source):
 
     @property
     def place(self) -> tuple[str, int]:
-        """Address and port it listens on."""
         return self.host, self.udpport
 
     @property
@@ -90,7 +89,6 @@ class UdpReceiver(Source):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         return f"UDP {self.host}:{self.port}"
 
     def open(self) -> None:
@@ -112,7 +110,6 @@ class UdpReceiver(Source):
         self.start_receiving(self._receive, name=f"udp {self.name}")
 
     def close(self) -> None:
-        """Stops the thread and closes the socket; harmless when it is not open."""
         self.stop_receiving()
         if self._socket is not None:
             self._socket.close()

@@ -35,7 +35,6 @@ def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[W
     written to directly.
 
     Args:
-        path: the table.
         failed: message on failure, before the reason.
 
     Raises:
@@ -107,7 +106,6 @@ def export_csv(
 
     Args:
         recording: to export.
-        name: the source.
         path: the file to write.
         decode: a packet to its events; None, or ValueError, for a malformed one.
         joints: names of the joints that messages tell of, in the order of the packets.

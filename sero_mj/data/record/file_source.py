@@ -88,17 +88,14 @@ class FileSource(Source):
 
     @cached_property
     def layout(self) -> Structure:
-        """The decoder."""
         return self.original.layout
 
     @property
     def events(self) -> Mapping[str, tuple[int, ...]]:
-        """Event name to its shape, as when it was recorded."""
         return self.original.events
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         if self.recorded.is_unreadable:
             return f"replay of {self.file}, none of whose {self.recorded.count} packets can be used"
         return f"replay of {self.file}, {self.duration:.1f} s"
@@ -116,7 +113,6 @@ class FileSource(Source):
 
     @property
     def trouble(self) -> str:
-        """That it has ended, as shown to the user; empty while it plays."""
         return super().trouble or ("the recording has ended" if self._beyond > 0.0 else "")
 
     @property
@@ -126,25 +122,20 @@ class FileSource(Source):
 
     @property
     def is_live(self) -> bool:
-        """False: packets follow `advance_to`."""
         return False
 
     @property
     def end(self) -> float | None:
-        """Its duration, s; None for a loop."""
         return None if self.loop else self.duration / self.speed
 
     def now(self) -> float:
-        """The time on the recording's clock, which continues after the end without packets."""
         return self._position + self._beyond
 
     def allow_nan(self, events: Collection[str]) -> None:
-        """Lets NaN and infinity mean `no data` in these events; see `Source.allow_nan`."""
         super().allow_nan(events)
         self.original.allow_nan(events)  # whose decoder this is
 
     def limit(self, limits: Mapping[str, Array]) -> None:
-        """Sets the largest magnitudes of numbers; see `Source.limit`."""
         super().limit(limits)
         self.original.limit(limits)  # whose decoder this is
 
@@ -171,14 +162,12 @@ class FileSource(Source):
         self._go_to(self._begin)
 
     def close(self) -> None:
-        """Closes the file; harmless when it is not open."""
         if self._recording is not None:
             self._recording.close()
         self._recording, self._held = None, None
         self._coming = iter(())
 
     def wait(self, timeout: float) -> bool:
-        """Whether there are packets at all; returns immediately."""
         return self.recorded.count > 0
 
     def advance_to(self, time: float) -> None:
@@ -227,7 +216,6 @@ class FileSource(Source):
         self._anchor = (clock, self._position)
 
     def take(self) -> Packets | None:
-        """Returns the good packets since the last call, or None when there is none."""
         with self._lock:
             return super().take()
 

@@ -74,7 +74,6 @@ class PacketWriter(RecordingWriter):
     """Writes packets as they came, and the decoded values of some of them, for other programs.
 
     Args:
-        path: the file.
         signals_rate: of how many packets per second and source the values are written.
         **options: of `RecordingWriter`.
     """
@@ -110,15 +109,11 @@ class Recorder(PacketWorker):
     file as well.
 
     Args:
-        path: the file.
         about: what it is a recording of, e.g. `{"scene": "lwr_udp"}`.
         overwrite: write over a file that exists; else that is an error.
         queue_bytes: how much may wait to be written.
         signals_rate: of how many packets per second and source the decoded values are kept as well,
             for other programs; 0 for none. All packets are kept as they came.
-
-    Attributes:
-        path: the file.
 
     Raises:
         RecordingError: the file exists already, or cannot be written.
@@ -179,7 +174,6 @@ class Recorder(PacketWorker):
             )
 
     def _next(self) -> list[Batch] | None:
-        """The next batch, as soon as there is one."""
         with self._writing:
             due = self._writer.flush_if_old()
         with self._changed:

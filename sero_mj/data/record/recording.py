@@ -72,7 +72,6 @@ class PacketFile(ABC):
     """A file with the packets of sources. Times are s since it begins.
 
     Attributes:
-        path: the file.
         about: description of the recorded scene.
         start: when it began, UTC.
         duration: s from its beginning to its last packet.
@@ -135,7 +134,6 @@ class PacketFile(ABC):
         """Iterates over a source's packets in file order; reads only the required chunks.
 
         Args:
-            name: the source.
             start: first time, s since the recording began.
             stop: end time, exclusive, likewise; None for the end.
 
@@ -152,7 +150,6 @@ class PacketFile(ABC):
         """Returns a source's newest packet at or before a time, or None; used by seeking.
 
         Args:
-            name: the source.
             t: s since the recording began.
 
         Returns:
@@ -246,9 +243,6 @@ class Recording(PacketFile):
 
     Damaged chunks, which are detected when they are read, are left out and reported in `faults`,
     like all other tolerable errors.
-
-    Args:
-        path: the file.
 
     Raises:
         RecordingError: it cannot be read, or is not a recording.
@@ -363,7 +357,6 @@ class Recording(PacketFile):
     def packets(
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
-        """Iterates over a source's packets; see `PacketFile.packets`."""
         channel = self._find(name)
         begin, end = self._log_time(start), self._log_time(math.inf if stop is None else stop)
         # After the last chunk entirely before the start, and before the first one entirely after
@@ -379,7 +372,6 @@ class Recording(PacketFile):
                     yield self._seconds(log_time), data
 
     def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
-        """A source's newest packet at or before a time; see `PacketFile.last_before`."""
         channel, at = self._find(name), self._log_time(t)
         best: tuple[int, bytes] | None = None
         for i in range(bisect_right(self._earliest, at) - 1, -1, -1):
@@ -393,11 +385,9 @@ class Recording(PacketFile):
 
     @property
     def attachments(self) -> tuple[str, ...]:
-        """Names of the files in the recording."""
         return tuple(self._index.attachments)
 
     def read_attachment(self, name: str) -> bytes:
-        """Returns a file that is in the recording; raises RecordingError and UnknownName."""
         if name not in self._index.attachments:
             raise UnknownName("file in the recording", name, self._index.attachments)
         offset, length = self._index.attachments[name]
@@ -416,7 +406,6 @@ class Recording(PacketFile):
             raise self._unreadable(error) from error
 
     def close(self) -> None:
-        """Closes the file."""
         self._file.close()
 
     def _find(self, name: str) -> int:

@@ -71,11 +71,9 @@ class McapStream:
     """A stream for `mcap.writer.Writer`: buffers records until `flush` writes them with an ending.
 
     Args:
-        path: the file.
         overwrite: write over a file that exists; else that is an error.
 
     Attributes:
-        path: the file.
         size: bytes of the file.
         kept: description of the data up to the last `flush`, for the error; empty for none.
         error: why nothing more can be written, or None.
@@ -185,7 +183,6 @@ class RecordingWriter:
     7 MB in an hour of chunks that are flushed every 0.4 s.
 
     Args:
-        path: the file.
         about: what it is a recording of, e.g. `{"scene": "lwr_udp"}`.
         overwrite: write over a file that exists; else that is an error.
         chunk_bytes: a chunk is written when its messages are larger than this.

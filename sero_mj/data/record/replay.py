@@ -104,14 +104,12 @@ class Replay(FileSource):
         return stop
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:
-        """Takes the joints that routes lead to, for recordings whose messages name them."""
         if joints and (source := self._messages_of_source(is_led=True)) is not None:
             self._of_messages = source
             source.led_to(joints)
             self._forget_original()
 
     def led_to_links(self, links: LedLinks) -> None:
-        """Takes the links of the robot that routes lead to, for transforms in messages."""
         source = self._of_messages or self._messages_of_source(is_led=False)
         if source is not None:
             self._of_messages = source
@@ -131,7 +129,6 @@ class Replay(FileSource):
 
     @property
     def of_messages(self) -> Source | None:
-        """What it reads of messages, once its joints are known; None for packets."""
         return self._of_messages
 
     @property
@@ -142,12 +139,10 @@ class Replay(FileSource):
 
     @cached_property
     def recorded(self) -> RecordedSource:
-        """The source as it was recorded."""
         return look_into(self.file, self._wanted).sources[self.source]
 
     @cached_property
     def original(self) -> Source:
-        """The receiver as it was recorded; never opened, it only decodes."""
         receiver = receiver_of(self.file, self.recorded, self.name)
         receiver.only_latest_packet = self.only_latest_packet
         return receiver
@@ -159,7 +154,6 @@ class Replay(FileSource):
         return _first_of(look_into(self.file, self._wanted))
 
     def open_recording(self) -> PacketFile:
-        """Opens the file as this source reads it; raises RecordingError."""
         return open_recording(self.file, self._wanted, self.tell_once)
 
 
@@ -171,7 +165,6 @@ def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
     """The receiver that a recording declares; never opened, it only decodes.
 
     Args:
-        file: the recording.
         recorded: its source.
         name: of the receiver.
 

@@ -73,7 +73,6 @@ class Table:
     """The numbers of a table.
 
     Attributes:
-        path: the file.
         time: name of the column with the times; empty where a rate was given.
         times: of the rows, s, (T,), non-decreasing; those since 1970 count from there.
         columns: name to values, (T,), of the other columns; NaN and infinity are read as such,
@@ -135,7 +134,6 @@ def read_table(
     ms.
 
     Args:
-        path: the file.
         rate: rows per s, instead of a column of times, which is then left out.
         time: name of the column of the times; found as above when empty.
         instead: how a rate can be given, for the message about missing times.

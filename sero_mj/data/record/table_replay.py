@@ -80,7 +80,6 @@ class TableReplay(FileSource):
         )
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:
-        """Takes the names of the joints that routes lead to, which columns may be called like."""
         self._joints = [joint.name for joint in joints]
         self.__dict__.pop("_events_of_rows", None)
         for key in ("recorded", "original", "layout"):
@@ -102,7 +101,6 @@ class TableReplay(FileSource):
 
     @cached_property
     def original(self) -> Source:
-        """A receiver of the packets that rows become; never opened, it only decodes."""
         packets, rows = self._packets, self._events_of_rows
         if not self.structure:
             counts = {event: each.shape[1] for event, each in rows.items()}
@@ -113,7 +111,6 @@ class TableReplay(FileSource):
 
     @cached_property
     def recorded(self) -> RecordedSource:
-        """The rows as a source that was recorded."""
         return self.open_recording().sources[SOURCE]
 
     @cached_property

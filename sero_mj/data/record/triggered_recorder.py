@@ -39,7 +39,6 @@ class RecordedEvent:
         number: from 1.
         time: when it began, s on the clock of arrivals.
         what: what fulfilled the condition: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`.
-        path: the recording.
         began: when the recording begins, s on the clock of arrivals.
         ended: when it ends, likewise; NaN while it goes on.
         packets: how many it has.
@@ -238,7 +237,6 @@ class TriggeredRecorder(PacketWorker):
             )
 
     def _next(self) -> list[Batch] | None:
-        """What has come, soon after the first packet of it."""
         with self._changed:
             if not (self._queue or self._asked or self._closing):
                 self._changed.wait(_POLL if self._writer is not None else None)

@@ -176,7 +176,6 @@ class CommonMotion:
         """Position, velocity, acceleration, torques and target position of a robot, (5, n).
 
         Args:
-            robot: its name.
             t: s.
             lead: s by which the target is ahead.
         """

@@ -77,7 +77,6 @@ class RecordedPackets(Playback):
     """One source of a recording: bit for bit, or in another structure.
 
     Args:
-        file: the recording.
         source: which of its sources; may be empty where it has one only.
         structure: to send in; events keep their names, and those that the recording has not are
             zero, frames the identity. None for what was recorded.
@@ -116,7 +115,6 @@ class RecordedPackets(Playback):
             self._note_absent(self._events)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
-        """When each packet is due, s after the first, and its bytes; malformed ones too if raw."""
         recorded = self._replay.recorded
         with open_recording(self.file) as recording:
             for arrival, packet in recording.packets(recorded.name):
@@ -147,7 +145,6 @@ class TablePackets(Playback):
     out as a whole.
 
     Args:
-        file: the table.
         structure: of the packets.
         rate: rows per s, instead of a column `time`.
 
@@ -164,7 +161,6 @@ class TablePackets(Playback):
         self._note_absent(self._columns)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
-        """When each row is due, s after the first, and its packet."""
         for k, time in enumerate((self._times - self._times[0]).tolist()):
             packet = self._encode({event: rows[k] for event, rows in self._columns.items()})
             if packet is not None:
@@ -204,7 +200,6 @@ class JointRows(Playback):
         super().__init__(self._packets.structure, f"{table.path}, {about}", count, duration)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
-        """When each row is due, s after the first, and its packet."""
         for time in self._times.tolist():
             try:
                 packet = self._packets.at(time)

@@ -58,7 +58,6 @@ class FrankaClient(Reachable):
     damping: Ratio = np.array([1.0])
 
     def make(self, model: RobotModel, timestep: float) -> FrankaRobot:
-        """The controller; the robot listens, and the program is started, with its first step."""
         if model.n != JOINTS:
             reason = f"FCI is for {JOINTS} joints; {model.name} has {model.n}"
             raise Problem("kind", reason).error()

@@ -109,7 +109,6 @@ class Messages:
         """An answer.
 
         Args:
-            request: its name.
             number: its id.
             status: of the answer.
             more: what follows the status.

@@ -50,7 +50,6 @@ class Motion:
     Attributes:
         number: id of the request that asked for it.
         controller: as requests number it.
-        generator: likewise.
         since: s, when it began on the clock's time.
         is_commanded: whether a first command has come.
         lost: commands in a row that have not come.

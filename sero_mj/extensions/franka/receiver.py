@@ -190,31 +190,26 @@ class FrankaReceiver(ConnectingSource):
 
     @cached_property
     def layout(self) -> Structure:
-        """The decoder."""
         return FrankaLayout(self.torque_sign)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot, in words."""
         said = [f"robot {_mode(float(values['robot_mode'][0]))}", *_errors(values["errors"])]
         if not values["errors"].any():
             said += [f"last: {name}" for name in _errors(values["reflex_reasons"])]
         return ", ".join(said)
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """A packet's `robot_mode`, and which of `ERRORS` is the first, counted from 1; 0: none."""
         errors = values["errors"] != 0
         first = 1 + int(np.argmax(errors)) if errors.any() else 0
         return float(values["robot_mode"][0]), float(first)
 
     def link_faults(self, state: float, quality: float) -> list[str]:
-        """What keeps the robot from moving, one per line."""
         if state in _GOOD and quality <= 0:
             return []
         error = f": {ERRORS[int(quality) - 1]}" if 1 <= quality <= len(ERRORS) else ""
         return [f"robot {_mode(state)}{error}"]
 
     def _converse(self, wake: socket.socket) -> None:
-        """Connects and receives; see `ConnectingSource`."""
         asked = set[int]()
         while True:
             with Connection(self.host, self.port, wake) as connection:
@@ -329,7 +324,6 @@ class FrankaLayout(Structure):
         super().__init__(STRUCTURE, signs={**own, **external})
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
-        """Turns states into packets; see `Structure.unpack`."""
         packets = np.zeros((len(rows), self.size), np.uint8)
         sizes = np.full(len(rows), -1)
         for i, length in enumerate(lengths.tolist()):
@@ -340,7 +334,6 @@ class FrankaLayout(Structure):
         return packets, sizes
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        """Describes why a packet is none; see `Structure.describe_wrong_size`."""
         sizes = ", ".join(map(str, sorted(_PICKERS)))
         return f"{length} bytes; a {self.message} of the robot has {sizes}"
 

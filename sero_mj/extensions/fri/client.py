@@ -53,7 +53,6 @@ class FriClient(FriSession):
         return self
 
     def make(self, model: RobotModel, timestep: float) -> FriRobot:
-        """The controller; the program is started with its first step."""
         if model.n != JOINTS:
             reason = f"FRI is for {JOINTS} joints; {model.name} has {model.n}"
             raise Problem("kind", reason).error()

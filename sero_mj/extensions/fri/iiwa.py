@@ -240,7 +240,6 @@ class IiwaLayout(Structure):
         self.version = version
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
-        """Turns messages into packets; see `Structure.unpack`."""
         packets = np.zeros((len(rows), self.size), np.uint8)
         sizes = np.zeros(len(rows), np.intp)
         for k, (row, length) in enumerate(zip(rows, lengths.tolist(), strict=True)):
@@ -253,7 +252,6 @@ class IiwaLayout(Structure):
         return packets, sizes
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        """Describes why a packet is no message; see `Structure.describe_wrong_size`."""
         if length > len(packet):
             return f"{length} bytes that are no {self.message}: it is too long"
         try:
@@ -263,11 +261,6 @@ class IiwaLayout(Structure):
         return f"{length} bytes that are no {self.message}"
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """A packet's `state` and `quality`, see `STATES` and `QUALITIES`.
-
-        Args:
-            values: event name to its array, of one packet.
-        """
         return float(values["state"][0]), float(values["quality"][0])
 
     def link_words(self, state: float, quality: float) -> tuple[str, str]:

@@ -69,7 +69,6 @@ class IiwaFri(FriRobot):
         self._asked: fri_iiwa.Fields = {}  # what a command has besides its header
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, see `FriRobot`."""
         self._observer.update(sensed)
         super().torques(sensed, target, out)
         self._torques[:] = out

@@ -323,10 +323,6 @@ class Bag(PacketFile):
     def packets(
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
-        """Iterates over a source's packets; see `PacketFile.packets`.
-
-        They begin with what messages up to half a second before `start` have told.
-        """
         source = self._source(name)
         joined, tells = source.joined(self._tell), dict(source.topics)
         if math.isfinite(start) and start > 0.0:
@@ -337,7 +333,6 @@ class Bag(PacketFile):
                 yield time, packet
 
     def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
-        """A source's newest packet at or before a time; see `PacketFile.last_before`."""
         self._source(name)
         end = (self._reader.end_time - self._begin) * 1e-9
         t, back = min(t, end), _BEFORE
@@ -348,7 +343,6 @@ class Bag(PacketFile):
             back *= _LONGER
 
     def why_no_source(self) -> str:
-        """Describes why no source is in it; see `PacketFile.why_no_source`."""
         if not self.nameless:
             return super().why_no_source()
         return (
@@ -357,7 +351,6 @@ class Bag(PacketFile):
         )
 
     def about_sources(self) -> str:
-        """Its sources in words: topics, numbers of messages, joints."""
         found = []
         for name, source in self.sources.items():
             topic = self._topics[name].topics[0][0]
@@ -367,11 +360,9 @@ class Bag(PacketFile):
 
     @property
     def attachments(self) -> tuple[str, ...]:
-        """The robot's description, if the bag has one."""
         return (DESCRIPTION,) if self._descriptions() else ()
 
     def read_attachment(self, name: str) -> bytes:
-        """Returns the robot's description; raises RecordingError and UnknownName."""
         topics = self._descriptions()
         if name != DESCRIPTION or not topics:
             raise UnknownName("file in the recording", name, self.attachments)
@@ -394,11 +385,9 @@ class Bag(PacketFile):
         return found
 
     def message_source(self, fields: Mapping[str, Any]) -> Ros2:
-        """Returns the receiver of topics with these fields."""
         return Ros2(**fields)
 
     def replay_table(self, name: str, source: Source | None) -> dict[str, Any]:
-        """Returns the table of a source that plays one of its sources, with its topics."""
         table = super().replay_table(name, source)
         if isinstance(source, RosSource):
             fields = source.model_dump(include=_FIELDS, exclude_unset=True)
@@ -406,7 +395,6 @@ class Bag(PacketFile):
         return table
 
     def lead(self, scene: Scene, source: str | None = None) -> Scene:
-        """Returns a scene with its only robot led by this recording; see `PacketFile.lead`."""
         return led_by(scene, self, self.nameless, self._read_parent_frames, source)
 
     def _read_parent_frames(self) -> dict[str, tuple[str, bool]]:
@@ -416,21 +404,17 @@ class Bag(PacketFile):
     def scenes(
         self, choose: str, source: str | None = None, wanted: Collection[str] = ()
     ) -> Iterator[str]:
-        """Yields scenes of the robot that messages name; see `PacketFile.scenes`."""
         return scenes_of_bag(self, choose, source, wanted)
 
     def described_scene(self) -> Path | None:
-        """Writes a scene of the robot that the recording describes; None if it describes none."""
         if DESCRIPTION not in self.attachments:
             return None
         return described_scene(self.read_attachment(DESCRIPTION).decode())
 
     def shipped_robots(self, source: str | None = None) -> list[str]:
-        """Returns the shipped robots with the joints of it or of one of its sources."""
         return shipped_robots_of(self, source)
 
     def close(self) -> None:
-        """Closes the file; harmless when it is not open."""
         if self._reader is not None and self._reader.stack is not None:
             self._reader.close()
 

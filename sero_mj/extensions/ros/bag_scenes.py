@@ -117,13 +117,7 @@ def _first_pose(scene: Scene, source: str) -> dict[str, Any]:
 
 
 def source_routes(robot: str, source: str, declared: Mapping[str, Any]) -> dict[str, str]:
-    """The routes from a source of ROS to a robot.
-
-    Args:
-        robot: its name.
-        source: its name.
-        declared: its table.
-    """
+    """The routes from a source of ROS to a robot. `declared`: its table."""
     states = declared.get("joint_states", "joint_states")
     events = ["joint_angles"] if states else []
     if states and not is_tf(states):

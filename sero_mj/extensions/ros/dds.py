@@ -52,7 +52,6 @@ class Ros2(RosSource):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         topics = ", ".join(dict.fromkeys(topic for topic, _ in self.topics))
         return f"ROS 2 {topics}, domain {domain_number(self.domain)} of {self.host}"
 
@@ -63,7 +62,6 @@ class Ros2(RosSource):
         self.start_receiving(readers.receive, readers.participant.wake, f"ros2 {self.name}")
 
     def close(self) -> None:
-        """Leaves the domain; harmless when it is not open."""
         super().close()
         if self._readers is not None:
             self._readers.participant.close()
@@ -383,11 +381,7 @@ def _configuration(host: str) -> str:
 
 @cache
 def raw_type(kind: str) -> Any:
-    """A type of Cyclone DDS whose messages stay as they are: in CDR.
-
-    Args:
-        kind: as ROS has it.
-    """
+    """A type of Cyclone DDS whose messages stay as they are: in CDR. `kind`: as ROS has it."""
     made = _idl_type(kind)
     made.deserialize = staticmethod(lambda data, **_: _Raw(data))
     made.deserialize_key = staticmethod(lambda data, **_: _Raw(b""))

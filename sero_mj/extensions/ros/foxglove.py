@@ -64,7 +64,6 @@ class Foxglove(RosSource):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         topics = ", ".join(dict.fromkeys(topic for topic, _ in self.topics))
         return f"ROS 2 {topics}, Foxglove at {self.url}"
 

@@ -327,7 +327,6 @@ class MessageLayout(Structure):
     message = "message"
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        """Describes why a message makes no packet; see `Structure.describe_wrong_size`."""
         return self.fault or f"{length} bytes that are no {self.message}"
 
     def never(self, message: bytes) -> bytes:

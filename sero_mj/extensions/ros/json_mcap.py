@@ -46,7 +46,6 @@ class JsonTopic:
 
     Attributes:
         channel: its number.
-        topic: its name.
         msgtype: the type of ROS that its messages are, or what they are instead.
         msgcount: number of its messages.
     """
@@ -59,9 +58,6 @@ class JsonTopic:
 
 class JsonMcap:
     """Reads the messages; has what `Bag` needs of `rosbags.highlevel.AnyReader`.
-
-    Args:
-        path: the file.
 
     Attributes:
         connections: its channels of messages in JSON.

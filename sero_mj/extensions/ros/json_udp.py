@@ -46,7 +46,6 @@ class JsonUdp(UdpReceiver, RosSource):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         return f"JSON, {super().about}"
 
     def open(self) -> None:
@@ -64,7 +63,6 @@ class JsonUdp(UdpReceiver, RosSource):
 
     @property
     def of_messages(self) -> RosSource:
-        """What reads the same joints from a recording of ROS."""
         fields = RosSource.model_fields.keys() & type(self).model_fields.keys()
         source = Ros2(**{key: getattr(self, key) for key in fields & self.model_fields_set})
         source.led_to(self._led)
@@ -72,7 +70,6 @@ class JsonUdp(UdpReceiver, RosSource):
         return source
 
     def message_of(self, packet: bytes) -> bytes:
-        """The message in JSON that makes a packet."""
         values = self.layout.decode(packet)
         constants = 1.0 if self.torque_constants is None else self.torque_constants
         efforts = values["torques"] / (self.torque_sign * np.asarray(constants, float))
@@ -88,7 +85,6 @@ class JsonUdp(UdpReceiver, RosSource):
     def _accept(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
     ) -> None:
-        """Accepts messages in rows, as the packets that they make."""
         assert self._joined is not None
         packets, kept = [], []
         for k, (row, length) in enumerate(zip(rows, lengths.tolist(), strict=True)):

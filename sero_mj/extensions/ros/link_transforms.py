@@ -154,7 +154,6 @@ class LinkTransforms:
         """Returns T_base_link (4, 4), m; identity for an unknown link.
 
         Args:
-            link: its name.
             angles: of the independent joints, (k,), rad or m; the last ones when None.
         """
         node, T, _ = self._node(link)

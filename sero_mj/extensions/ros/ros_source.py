@@ -145,17 +145,14 @@ class RosSource(Source):
         return self
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:
-        """Takes the joints that routes lead to; those of `joints` stay if they are a list."""
         self._led = list(joints)
         self.__dict__.pop("layout", None)
 
     def led_to_links(self, links: LedLinks) -> None:
-        """Takes the links of the robot that routes lead to."""
         self._links = links
         self.__dict__.pop("layout", None)
 
     def needs_joints(self, event: str) -> bool:
-        """Whether an event is not there because it is not known which joints are wanted."""
         return not self.joint_names and event in JOINT_EVENTS
 
     @property
@@ -196,11 +193,9 @@ class RosSource(Source):
 
     @cached_property
     def layout(self) -> MessageLayout:
-        """The decoder."""
         return self.joined().layout
 
     def decoding_fields(self) -> dict[str, Any]:
-        """The fields that determine the meaning of packets; for recordings."""
         kept = {"joint_states", "commands", "wrench", "odometry", "pose", "frames", "root"}
         fields = self.model_dump(mode="json", include=kept, exclude_defaults=True)
         return {**fields, **self._place_fields(), "joints": self.joint_names}
@@ -253,12 +248,10 @@ class RosSource(Source):
 
     @property
     def of_messages(self) -> RosSource:
-        """What reads the same from a recording of ROS."""
         return self
 
     @property
     def trouble(self) -> str:
-        """Why no packets arrive, as shown to the user; empty when unknown."""
         return "" if self.receiving else self._trouble
 
     def note_trouble(self, trouble: str) -> None:
@@ -280,7 +273,6 @@ class RosSource(Source):
         self._subscribe(Listener(self))
 
     def close(self) -> None:
-        """Stops receiving; harmless when it is not open."""
         self.stop_receiving()
 
     @abstractmethod

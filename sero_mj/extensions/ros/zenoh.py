@@ -60,7 +60,6 @@ class Zenoh(RosSource):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         topics = ", ".join(dict.fromkeys(topic for topic, _ in self.topics))
         domain = domain_number(self.domain)
         return f"ROS 2 {topics}, domain {domain}, zenoh at {self.place_of_router}"

@@ -38,7 +38,6 @@ class RtdeClient(RtdeSession):
         return self
 
     def make(self, model: RobotModel, timestep: float) -> RtdeRobot:
-        """The controller; it listens from its first step on."""
         if model.n != JOINTS:
             reason = f"RTDE is for {JOINTS} joints; {model.name} has {model.n}"
             raise Problem("kind", reason).error()

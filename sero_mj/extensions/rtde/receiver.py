@@ -107,27 +107,22 @@ class RtdeReceiver(ConnectingSource):
 
     @cached_property
     def layout(self) -> Structure:
-        """The decoder."""
         return RtdeLayout(self.torque_sign)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot's controller, in words."""
         said = _modes(*self.link_state(values))
         if values["torques_are_commanded"][0]:
             said.append("torques are commanded, not measured")
         return ", ".join(said)
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """A packet's `robot_mode` and `safety_mode`; the latter is -1 where it is unknown."""
         return float(values["robot_mode"][0]), max(float(values["safety_mode"][0]), -1.0)
 
     def link_faults(self, state: float, quality: float) -> list[str]:
-        """What keeps the robot from moving, one per line."""
         good = state in (_RUNNING, UNKNOWN) and (quality < 0 or quality in _SAFE)
         return [] if good else [", ".join(_modes(state, quality))]
 
     def _converse(self, wake: socket.socket) -> None:
-        """Connects and receives; see `ConnectingSource`."""
         left_out = frozenset[str]()
         while True:  # once more without what the controller lacks, as UR's own client does it
             with _Connection(self.host, self.port, wake) as connection:
@@ -217,7 +212,6 @@ class RtdeLayout(Structure):
         super().__init__(STRUCTURE, signs=signs)
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        """Describes why a packet is none; see `Structure.describe_wrong_size`."""
         return f"{length} bytes that are no {self.message} as agreed"
 
 

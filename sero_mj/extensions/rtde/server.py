@@ -143,7 +143,6 @@ class RtdePeer(Peer):
         self._has_version = False
 
     def hear(self, received: bytes) -> bytes:
-        """See `Peer`."""
         at = 0
         while len(received) - at >= HEAD.size:
             size, kind = HEAD.unpack_from(received, at)
@@ -262,7 +261,6 @@ class DashboardPeer(Peer):
         self.send(b"Connected: Universal Robots Dashboard Server\n")
 
     def hear(self, received: bytes) -> bytes:
-        """See `Peer`."""
         *lines, rest = received.split(b"\n")
         if len(rest) > _MOST_BYTES:
             raise Nonsense("sent no line")
@@ -298,7 +296,6 @@ class ScriptPeer(Peer):
     """A client that sends URScript, of which no more than the end is seen."""
 
     def hear(self, received: bytes) -> bytes:
-        """See `Peer`."""
         if received.rstrip().endswith((b"\nend", b"\r\nend")):  # others in it are indented
             self.server.desk.take_script(received)
             return b""
@@ -377,11 +374,7 @@ class RtdeServer:
         self._selector = None
 
     def serve(self, seconds: float = 0.0) -> bool:
-        """Takes what has come; whether anything had.
-
-        Args:
-            seconds: to wait for something.
-        """
+        """Takes what has come; whether anything had. `seconds`: to wait for something."""
         if self._selector is None:
             return False
         ready = self._selector.select(max(seconds, 0.0))

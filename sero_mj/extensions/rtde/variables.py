@@ -127,11 +127,7 @@ class Recipe:
         return self._struct.pack(*numbers)
 
     def unpack(self, data: bytes) -> dict[str, Any]:
-        """Name to value of `size` bytes.
-
-        Raises:
-            ValueError: a number is not finite.
-        """
+        """Name to value of `size` bytes; raises ValueError if a number is not finite."""
         numbers = self._struct.unpack(data)
         if not np.isfinite(numbers).all():
             raise ValueError("not finite")
