@@ -43,7 +43,6 @@ class Rows:
 
     Attributes:
         values: (T, ...).
-        labels: of the numbers in a row, if there are several.
         is_frames: whether these are frames of a route, which cannot be combined.
     """
 
@@ -57,12 +56,10 @@ class Compared:
     """An evaluated comparison, for reports.
 
     Attributes:
-        text: of its left side.
         sign: such as `>`.
         left: (T, ...).
         right: (T, ...).
         holds: (T, ...).
-        labels: of the numbers in a row.
     """
 
     text: str
@@ -78,15 +75,7 @@ Leaf = Callable[[ast.expr], Rows | None]
 
 
 class Evaluator:
-    """Computes the parts of an expression.
-
-    Args:
-        leaf: gives the numbers of names, constants, and other known parts.
-        is_route: whether only multiples of received numbers are allowed.
-
-    Attributes:
-        compared: the evaluated comparisons.
-    """
+    """Computes the parts of an expression."""
 
     def __init__(self, expression: Expression, leaf: Leaf, *, is_route: bool = False) -> None:
         self._expression, self._leaf, self._is_route = expression, leaf, is_route
@@ -138,13 +127,7 @@ class Evaluator:
         return found
 
     def check_comparison(self, node: ast.expr, left: Value, right: Value) -> None:
-        """Refuses a comparison of frames, of different units or of different numbers of values.
-
-        Args:
-            node: of the left side.
-            left: its value.
-            right: the value of the right side.
-        """
+        """Refuses a comparison of frames, of different units or of different numbers of values."""
         rows = [_rows_of(value) for value in (left, right)]
         for each in rows:
             self._refuse_frames(node, each)

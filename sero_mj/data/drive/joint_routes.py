@@ -28,7 +28,6 @@ class Place(NamedTuple):
     """A number of an input.
 
     Attributes:
-        to: the input of a robot or a double.
         joint: index of the joint.
     """
 
@@ -41,10 +40,7 @@ class JointPart:
     """An origin for some of the joints of an input.
 
     Attributes:
-        to: the input.
-        joints: indices of its numbers, k.
         value: their values, (k,).
-        text: of the origin, as declared.
         numbers: index of each in the numbers of the text, k.
     """
 
@@ -107,11 +103,8 @@ def joint_parts(
     """Returns the values of an origin for joints, a part for each robot.
 
     Args:
-        value: of the origin.
-        text: of the origin.
         places: the joints, in the order of the values; values of joints coupled to others of them
             may be left out.
-        target: the input that is declared, for messages.
 
     Raises:
         DeclarationError: a wrong number of values, or a wrong unit.

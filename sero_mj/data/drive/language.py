@@ -44,11 +44,7 @@ class Expression:
     """A parsed origin.
 
     Attributes:
-        text: as it is written.
         negated: whether it begins with `not` and is not a condition.
-        tree: of the rest.
-        words: the words of the rest.
-        is_condition: whether it has comparisons or logical operators.
     """
 
     text: str
@@ -80,7 +76,6 @@ class Expression:
 
         Args:
             word: its index.
-            reason: what was expected there.
             length: number of marked words.
         """
         raise RouteError(self.text, self.words[word].at, reason, length)

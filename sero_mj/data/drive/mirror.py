@@ -84,14 +84,6 @@ class Mirror:
 
     Use it as a context manager; `advance` applies the latest packets to `data`.
 
-    Args:
-        scene: what to compile and follow.
-
-    Attributes:
-        data: its state.
-        routes: the routes of numbers in force.
-        sources: those with routes.
-
     Raises:
         DeclarationError: the scene, its sources or its routes are invalid.
     """
@@ -210,7 +202,6 @@ class Mirror:
         sets all inputs routed from its source, so `data` shows the last of them.
 
         Args:
-            listener: called before the last packet is applied.
             to_all: whether it is called with all good packets of every source, including those
                 replaced by newer ones before use. Up to 16 MB of them are kept between calls of
                 `advance`.
@@ -280,13 +271,7 @@ class Mirror:
 
 
 def restore(world: World, data: mujoco.MjData, state: Array) -> None:
-    """Restores a state in `data` and moves the frames.
-
-    Args:
-        world: whose state it is.
-        data: to change.
-        state: what `Mirror.state` returned.
-    """
+    """Restores a state in `data` and moves the frames. `state`: what `Mirror.state` returned."""
     mujoco.mj_setState(world.model, data, state, _STATE)
     follow(world.model, data)
 
@@ -362,9 +347,6 @@ class Watch:
     """Follows the data of an overlay, like a mirror its sources.
 
     It shows a copy, so that a paused window does not change while the user's loop continues.
-
-    Args:
-        world: of the overlay.
     """
 
     def __init__(self, world: ModelWorld) -> None:

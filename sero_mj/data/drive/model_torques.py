@@ -71,8 +71,6 @@ class ModelTorques:
         NaN where nothing is known of its velocities, for friction.
 
         Args:
-            name: of the robot.
-            key: of the output, which its model tells.
             input_of: returns the values (T, n) of an input by its name, `lwr.joint_angles`; None
                 where nothing is known of it.
         """

@@ -189,9 +189,6 @@ class Router:
 
         Inputs whose origin has no data yet are left unchanged; with several origins for different
         joints, only their joints.
-
-        Args:
-            packets: the newest values by source and event.
         """
         if not self._routes:
             return

@@ -57,10 +57,8 @@ def record_sources(
 
     Args:
         sources: by name, `mirror.sources` say; opened or not. Replays are not recorded again.
-        path: of the recording, OUT.mcap.
         scene: its file and those of its robots are stored in the recording, and its routes give the
             names of decoded values: `lwr.A1.torque [Nm]`.
-        overwrite: whether to overwrite an existing file.
         signals_rate: maximum rate of decoded values per source, packets/s.
 
     Raises:
@@ -88,7 +86,6 @@ def record_events(
         sources: by name; opened or not, live or replays.
         trigger: the condition; with None only what `record_now` asks for is recorded.
         path_of: see `TriggeredRecorder`.
-        scene: whose files are kept in every recording.
         **options: of `TriggeredRecorder`: `before`, `after`, ...
 
     Raises:
@@ -123,8 +120,6 @@ def record_last(
     Args:
         sources: by name; opened or not.
         path_of: see `TriggeredRecorder`.
-        scene: whose files are kept in every recording.
-        seconds: duration kept.
         signals_rate: see `TriggeredRecorder`.
 
     Raises:
@@ -181,8 +176,6 @@ def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
     """Names of a quantity of every joint, n: `lwr.A1.torque [Nm]`.
 
     Args:
-        name: of the robot or double.
-        robot: with these joints.
         quantity: `torques`, `joint_angles`, `target_velocities`, or one of its own inputs, whose
             unit a line of its billboards may give.
     """
@@ -229,13 +222,7 @@ class RoutedSignals:
     Numbers are the results of the routes, in SI units. Other values are unchanged.
 
     Args:
-        scene: whose routes these are.
         routes: all of them; those that need more than a packet of this source are left out.
-        source: name of the source.
-        events: event name to its shape.
-
-    Attributes:
-        signals: names and shapes.
     """
 
     def __init__(self, scene: Scene, routes: Sequence[Route], source: str, events: Shapes) -> None:

@@ -36,7 +36,6 @@ def robots_in(
     """Returns the signals of the joints of robots, by robot, in a table.
 
     Args:
-        table: that was read.
         columns: signal of the only robot, or `ROBOT.SIGNAL`, to its columns; see `signals_of`.
 
     Returns:
@@ -87,10 +86,8 @@ def lead_by_table(
     Otherwise it has signals of the robots' joints, which replace all sources.
 
     Args:
-        scene: is changed.
         columns: see `robots_in`.
         start: where to begin, s after the first row.
-        source: the only source that may be replaced.
 
     Raises:
         CsvError: the table cannot be read, or its columns fit neither a source nor a robot.

@@ -67,14 +67,6 @@ class Trigger:
     It keeps the newest values of every source, which are used for sources other than that of the
     examined packets.
 
-    Args:
-        text: the condition.
-        scene: of its signals.
-        wiring: of the scene.
-
-    Attributes:
-        text: the condition.
-
     Raises:
         RouteError: it cannot be parsed, has unknown names, or is not a condition; points at the
             error.

@@ -71,7 +71,6 @@ class Value:
     Attributes:
         entries: an array of `Number`, of the value's shape.
         is_frames: whether it is 4 x 4 frames.
-        sizes: count of numbers of its origins.
     """
 
     entries: Numbers
@@ -156,8 +155,6 @@ def numbers_of(
     """All numbers of an event or output.
 
     Args:
-        origin: the event or output.
-        shape: of its array.
         units: exponents of the unit of each; None for plain numbers.
     """
     count = int(np.prod(shape))

@@ -77,12 +77,8 @@ class Wiring:
     """The sources of a scene and the routes from them.
 
     Attributes:
-        sources: by name, not yet opened.
-        routes: valid routes of numbers.
         later: those among them that need more than one packet, each after its own origins.
-        frame_routes: valid routes from frames.
         levels: names of bodies placed by frames, each after its dependencies.
-        problems: errors of the others.
     """
 
     sources: dict[str, Source] = field(default_factory=dict)
@@ -144,10 +140,6 @@ def wire(scene: Scene) -> Wiring:
 
 def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) -> Source:
     """Builds a source of a scene, which is told the joints that its routes lead to.
-
-    Args:
-        name: of the source.
-        declared: its table, or the source itself.
 
     Raises:
         DeclarationError: as `make_source`.

@@ -28,11 +28,8 @@ class Crc:
 
     Attributes:
         width: bits, 8, 16 or 32.
-        poly: generator polynomial, without its highest term.
-        init: register before the first byte.
         is_reflected: whether bytes enter with their lowest bit first, and the register is reflected
             (`refin` and `refout`).
-        xorout: combined with the register at the end.
         check: CRC of the nine bytes `123456789`.
     """
 
@@ -125,7 +122,6 @@ class Recognized:
         name: see `compute`.
         width: its bytes.
         order: `<` or `>`.
-        begin: the first byte that it covers.
     """
 
     name: str

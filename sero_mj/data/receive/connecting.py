@@ -228,7 +228,6 @@ class Connection:
 
         Args:
             deadline: on the clock of `time.monotonic`, s.
-            else_what: what is wrong when none is by then.
         """
         ready = self._selector.select(max(deadline - clock.monotonic(), 0.0))
         found: list[object] = [key.fileobj for key, _ in ready]

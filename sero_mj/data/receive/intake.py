@@ -115,17 +115,13 @@ class Intake:
     """Checks packets in batches, as received from a socket, a memory block or a file.
 
     Args:
-        layout: of the packets.
         sequence: event that numbers the packets; empty for none.
         time: event with the packet's send time; empty for none.
         time_scale: s per unit of `time`.
-        lossless: whether late packets are applied as well.
         nan_allowed: events in which NaN means `no data`.
         limits: event name to the largest magnitude of each of its numbers, flat, (k,).
-        on_fault: called with a line about the last fault of a batch.
 
     Attributes:
-        counters: what came in.
         timing: rate, jitter and delay.
     """
 
@@ -445,7 +441,6 @@ def find_not_frame(
 
     Args:
         values: event name to its array; NaN matrices are skipped.
-        events: those with matrices.
         column_major: the order used, to suggest the other one if that gives a frame.
     """
     matrices = np.concatenate([values[event] for event in events])

@@ -51,9 +51,7 @@ class Item:
     Attributes:
         name: the event's name, given or numbered; empty for items without an event.
         kind: `F`, `V`, `M` or `T`; `x` for bytes that are skipped.
-        count: how many.
         type: numpy's name of the number's type, with byte order; `u1` when skipped.
-        offset: its first byte in the packet.
         is_bool: whether any byte but 0 is 1.
         constant: the required value of every number; None for any value.
         is_size: whether that constant is the packet's size.
@@ -115,7 +113,6 @@ def parse(text: str, *, is_double: bool = True, alignment: int = 1) -> list[Item
     """Returns the items of a structure string.
 
     Args:
-        text: see STRUCTURE.md.
         is_double: the type of `F`, `V`, `M` and `T` without a letter.
         alignment: every item begins at a multiple of this many bytes.
 

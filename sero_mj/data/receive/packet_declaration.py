@@ -114,19 +114,11 @@ class PacketDeclaration(Declaration):
         return self.layout.size
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """State of the robot's controller and quality of the link to it; -1 where unknown.
-
-        Args:
-            values: event name to its array, of one packet.
-        """
+        """State of the robot's controller and quality of the link to it; -1 where unknown."""
         return self.layout.link_state(values)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot's controller, in words; empty if nothing.
-
-        Args:
-            values: event name to its array, of one packet.
-        """
+        """What a packet says of the robot's controller, in words; empty if nothing."""
         return ""
 
     def link_faults(self, state: float, quality: float) -> list[str]:

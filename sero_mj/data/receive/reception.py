@@ -270,7 +270,6 @@ class Reception(PacketDeclaration, Timeline):
         """Shows that reception has failed, counts it, and logs it at a limited rate.
 
         Args:
-            error: the reason.
             what: the failure; without an effect for `Disconnected`, which is only `trouble`.
         """
         if isinstance(error, Disconnected):

@@ -66,12 +66,9 @@ class Block:
     accesses. Elsewhere it is mapped, and its size checked before every access.
 
     Args:
-        name: of the block, with or without the slash at its front.
-        writable: whether it is opened for writing as well.
         create: whether to create it; it must not exist yet.
 
     Attributes:
-        path: its name with the slash.
         identity: distinguishes it from other blocks of the same name; 0 if unavailable.
 
     Raises:

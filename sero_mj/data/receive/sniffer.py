@@ -51,8 +51,6 @@ class Guess:
     Attributes:
         structure: for `Structure`.
         is_double: whether `F`, `V` and `M` are float64.
-        column_major: order of its matrices.
-        about: description.
         plausible: share of its non-zero floating-point numbers that look like measurements, 0 to 1;
             1 without any.
     """
@@ -69,11 +67,8 @@ class Stream:
     """Packets of one size from one sender.
 
     Attributes:
-        sender: address and port.
         size: bytes of a packet.
-        count: packets so far.
         timing: their rate and jitter.
-        last: the newest ones, in order.
     """
 
     sender: tuple[str, int]
@@ -113,9 +108,7 @@ class Sniffer:
 
     Attributes:
         streams: by sender and size, in the order in which they were first seen.
-        received: packets of all streams.
         untold: number of packets of streams beyond the first hundred.
-        port: that it listens on.
 
     Raises:
         SourceError: the port is in use, or the address is not one of this machine.

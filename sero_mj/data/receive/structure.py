@@ -46,7 +46,6 @@ class Structure:
     Args:
         text: the structure string; STRUCTURE.md explains it.
         is_double: `F`, `V`, `M` and `T` are float64 when true, else float32.
-        column_major: whether matrices are column-major, else row-major.
         alignment: every item begins at a multiple of this many bytes from the packet's start, as in
             Simulink's Byte Pack.
         scale: every floating-point number is multiplied by it, except those checked against a
@@ -55,11 +54,6 @@ class Structure:
             of signs; not for matrices.
 
     Attributes:
-        text: the structure string.
-        fields: all items of the string in order, with their offsets.
-        events: event name to the shape of its array.
-        matrices: names of the events that are matrices.
-        checksums: the items that are checksums, in order.
         size: bytes of a packet.
         message: what packets are called that come encoded, of any size, and are turned into ones of
             `size` bytes by `unpack`; empty if they come as they are.
@@ -215,11 +209,7 @@ class Structure:
             }
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """State of the robot's controller and quality of the link to it; -1: packets tell neither.
-
-        Args:
-            values: event name to its array, of one packet.
-        """
+        """Returns the state of the controller and the quality of its link; -1 if unknown."""
         return -1.0, -1.0
 
     @property

@@ -351,11 +351,9 @@ def open_socket(source: str, host: str, port: int, interface: str, buffer: int) 
     """Returns a bound UDP socket.
 
     Args:
-        source: name of the source, for messages.
-        host: address to listen on, or a multicast group to join.
         port: to listen on; 0 lets the system choose.
-        interface: name or IPv4 address of the network interface on which a group is joined;
-            empty for the system's choice.
+        interface: name or IPv4 address of the network interface on which a group is joined; empty
+            for the system's choice.
         buffer: bytes of the receive buffer; 0 for 4 MiB, or what the system grants.
 
     Raises:

@@ -36,10 +36,8 @@ def open_recording(
     """Opens a recording.
 
     Args:
-        path: the file, or a folder for formats that have folders.
-        topics: name of each source that is read from messages to the receiver of these messages;
-            by default the format chooses the sources.
-        tell: called with each note on the messages.
+        topics: name of each source that is read from messages to the receiver of these messages; by
+            default the format chooses the sources.
 
     Raises:
         RecordingError: it cannot be read, or no format fits.

@@ -52,7 +52,6 @@ class ChunkPlace:
     """A chunk in the file.
 
     Attributes:
-        offset: of its record.
         length: bytes of its record.
         first: log time of its earliest message, ns.
         last: log time of its latest message, ns.
@@ -71,13 +70,8 @@ class FileIndex:
     """An index of the file.
 
     Attributes:
-        channels: number to channel.
-        chunks: in the order of the file.
         counts: channel to its number of messages, except those in `uncounted`.
         uncounted: chunks with an unknown number of messages.
-        metadata: name to the contents of a metadata record.
-        attachments: name to offset and length of its record.
-        faults: errors of the file.
     """
 
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -107,7 +101,6 @@ def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
     """Returns the content of a record, without its head.
 
     Args:
-        file: the MCAP file.
         offset: of the content, bytes.
         length: of the content, bytes.
 
@@ -202,7 +195,6 @@ def fault_of_end(position: int, size: int, *, is_whole: bool) -> str:
     Args:
         position: where its last whole record ends, bytes.
         size: of the file, bytes.
-        is_whole: whether that is where its data end.
     """
     if is_whole:
         return f"was not closed ({NOT_CLOSED}), so it has no index"

@@ -26,9 +26,8 @@ class RecorderStatistics:
     """Packets and bytes of a recording so far.
 
     Attributes:
-        packets: those that were written, of all sources. When the disk was full, up to one chunk
-            (1 MiB, or 0.4 s) of them is lost nevertheless; the error says how many are kept.
-        bytes: how long these are together.
+        packets: those that were written, of all sources. When the disk was full, up to one chunk (1
+            MiB, or 0.4 s) of them is lost nevertheless; the error says how many are kept.
         signals: those of them whose decoded values were written too.
         seconds: since the recording began; until it ended, when it has.
         not_recorded: source to the packets that were lost to it: the queue was full, or the
@@ -111,7 +110,6 @@ class Recorder(PacketWorker):
     Args:
         about: what it is a recording of, e.g. `{"scene": "lwr_udp"}`.
         overwrite: write over a file that exists; else that is an error.
-        queue_bytes: how much may wait to be written.
         signals_rate: of how many packets per second and source the decoded values are kept as well,
             for other programs; 0 for none. All packets are kept as they came.
 

@@ -53,9 +53,7 @@ class RecordedSource(SourceDeclaration):
     """A source in a recording.
 
     Attributes:
-        count: its packets.
         first: when its first packet arrived, s since the recording began; NaN without packets.
-        last: when its last packet arrived, likewise.
     """
 
     count: int
@@ -72,10 +70,7 @@ class PacketFile(ABC):
     """A file with the packets of sources. Times are s since it begins.
 
     Attributes:
-        about: description of the recorded scene.
-        start: when it began, UTC.
         duration: s from its beginning to its last packet.
-        sources: name to source.
         lost: source to the number of its lost packets.
         faults: its errors, a sentence each; some are found when they are read.
         malformed: why the last message that contradicts itself makes no packet; empty where packets
@@ -186,7 +181,6 @@ class PacketFile(ABC):
         """Returns the table of a source that plays one of its sources instead of a scene's own.
 
         Args:
-            name: of the source, in both.
             source: what the scene reads of messages; see `Source.of_messages`.
         """
         return {"kind": "replay", "file": str(self.path), "source": name}
@@ -209,7 +203,6 @@ class PacketFile(ABC):
         """Yields scenes of the robot that messages name.
 
         Args:
-            choose: how the user chooses the robot called NAME, for the error.
             source: of the recording, that moves the robot; any when None.
             wanted: names of robots, one of which it is; any when empty.
 

@@ -118,7 +118,6 @@ class SourceDeclaration:
         name: the source's name in routes.
         kind: its kind, e.g. `udp`.
         declared: its fields in the scene, of JSON's types.
-        events: event name to its shape.
         size: bytes of a packet.
     """
 
@@ -192,7 +191,6 @@ class Signals:
         shapes: event, or routed input, to its shape: (n,), (n, 3) or (n, 4, 4).
         names: one of these to the names of its numbers, n; the others are arrays.
         origins: such a name to the origin of its number: `values1[0]`.
-        joint_states: robot to which of these are the states of its joints.
     """
 
     shapes: Mapping[str, tuple[int, ...]]

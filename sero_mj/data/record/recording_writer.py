@@ -185,11 +185,7 @@ class RecordingWriter:
     Args:
         about: what it is a recording of, e.g. `{"scene": "lwr_udp"}`.
         overwrite: write over a file that exists; else that is an error.
-        chunk_bytes: a chunk is written when its messages are larger than this.
         flush_after: s until an incomplete chunk is written.
-
-    Attributes:
-        clock: start of the recording.
 
     Raises:
         RecordingError: the file exists already, or cannot be written.
@@ -302,7 +298,6 @@ class RecordingWriter:
         Args:
             name: the file's name, with folders where that matters.
             media_type: e.g. `application/toml`.
-            data: its contents.
         """
         self._writer.add_attachment(0, self.clock.epoch_ns, name, media_type, data)
         self._file.flush()
@@ -311,7 +306,6 @@ class RecordingWriter:
         """Writes a raw packet, numbered from 0.
 
         Args:
-            name: its source.
             packet: its bytes, well-formed or not.
             arrival: when it arrived, s on the clock of `time.monotonic`.
 
@@ -333,7 +327,6 @@ class RecordingWriter:
         """Writes packets of one length; raises as `write_raw` does.
 
         Args:
-            name: their source.
             rows: (n, bytes of a packet).
             arrivals: when each arrived, (n,), s on the clock of `time.monotonic`.
         """
@@ -348,7 +341,6 @@ class RecordingWriter:
         Raises as `write_raw` does.
 
         Args:
-            name: its source.
             values: key of `Signals.shapes` to its array; events by default.
             arrival: when the packet arrived, s on the clock of `time.monotonic`.
         """
@@ -366,7 +358,6 @@ class RecordingWriter:
         """Writes the decoded values of many packets; raises as `write_raw` does.
 
         Args:
-            name: their source.
             table: (n, k), the numbers of all its signals in their order; matrices row by row.
             arrivals: when each packet arrived, (n,), s on the clock of `time.monotonic`.
             sequences: the packets' numbers, n, counted from 0.

@@ -164,10 +164,6 @@ def _message_source(file: Path, topics: Mapping[str, Any]) -> Source | None:
 def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
     """The receiver that a recording declares; never opened, it only decodes.
 
-    Args:
-        recorded: its source.
-        name: of the receiver.
-
     Raises:
         RecordingError: its kind is unknown, its fields are invalid, or they result in other events.
     """

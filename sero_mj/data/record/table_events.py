@@ -25,10 +25,6 @@ def events_of(table: Table, structure: Structure) -> dict[str, Array]:
     table without names, or with others, has all numbers of the packet, in order. Events may be left
     out as a whole.
 
-    Args:
-        table: that was read.
-        structure: of the packets.
-
     Returns:
         event to its values, (T, ...) in the event's shape.
 

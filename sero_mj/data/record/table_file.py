@@ -26,10 +26,8 @@ class TableFile(PacketFile):
     """The rows of a table as packets. Times are s since its first row.
 
     Args:
-        table: that was read.
         events: the numbers of its rows by event, (T, ...) in the events' shapes; they may be fewer
             than those of the structure.
-        structure: of the packets.
         declared: how packets are decoded, as fields of a source of kind `udp`.
     """
 

@@ -76,7 +76,6 @@ class Selection:
     """The columns of a signal.
 
     Attributes:
-        names: of the columns, in the order of the joints.
         factor: from their numbers to SI units and our signs.
     """
 
@@ -130,7 +129,6 @@ def signals_of(
         columns: signal, with a unit in brackets where columns have none, to its columns: their
             names, or one with `*` for a number or name of a joint. Signals that are not in it are
             recognised.
-        robot: its name, which the names of columns may begin with.
         counts: numbers of columns that a signal can have; any when empty.
 
     Returns:
@@ -162,7 +160,6 @@ def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
     """The error for a table without columns of joint angles, or with another number of them.
 
     Args:
-        table: that was read.
         count: joints of the robot; 0 where it is not known.
         how: how columns are declared, with SIGNAL=COLUMNS or the like for what.
     """

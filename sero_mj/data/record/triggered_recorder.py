@@ -41,7 +41,6 @@ class RecordedEvent:
         what: what fulfilled the condition: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`.
         began: when the recording begins, s on the clock of arrivals.
         ended: when it ends, likewise; NaN while it goes on.
-        packets: how many it has.
         again: how often the condition was fulfilled anew meanwhile, after it was not.
     """
 
@@ -130,13 +129,7 @@ class TriggerStatistics:
     """What was seen so far.
 
     Attributes:
-        packets: that were looked at.
-        events: how many there were.
-        seconds: since it began.
-        kept_bytes: memory of the last seconds.
-        forgotten: packets of the last seconds for which there was no room.
         not_seen: source to the packets that came faster than they could be looked at.
-        is_recording: whether an event is being recorded.
     """
 
     packets: int
@@ -156,7 +149,6 @@ class TriggeredRecorder(PacketWorker):
     Args:
         path_of: the file of an event, by its number from 1 and its time.
         find: where packets fulfil the condition; called on the recorder's thread.
-        about: what these are recordings of.
         before: s that are kept of before an event.
         after: s that are recorded after the condition was last fulfilled.
         overwrite: write over files that exist; else that ends it.
@@ -167,7 +159,6 @@ class TriggeredRecorder(PacketWorker):
         now: the clock of arrivals; None where that does not go on by itself.
 
     Attributes:
-        events: that were recorded.
         on_event: called when an event begins, and again when its recording is complete.
     """
 
@@ -213,11 +204,7 @@ class TriggeredRecorder(PacketWorker):
         self._files.append((name, media_type, data))
 
     def record_now(self, what: str) -> None:
-        """Records this moment as an event, whatever the condition; returns at once.
-
-        Args:
-            what: it is, for the recording.
-        """
+        """Records this moment as an event, whatever the condition; returns at once."""
         with self._changed:
             self._asked.append(what)
             self._changed.notify_all()

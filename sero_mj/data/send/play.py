@@ -67,15 +67,9 @@ class MotionPackets:
     """Packets of a scene's source, with the signals routed to the robots.
 
     Args:
-        scene: robots and routes.
         source: of the packets; the scene's only one when None.
         structure: instead of the source's.
         amplitude: of the motion, 0 to 1.
-        players: robot name to what says its signals, instead of a motion.
-
-    Attributes:
-        structure: of the packets.
-        source: the receiver they are meant for.
 
     Raises:
         DeclarationError: the scene's sources or routes are wrong.
@@ -339,11 +333,10 @@ class RouteInverse:
 
         Args:
             wanted: desired value of each route's input, (n,), by `name.key`.
-            output: the numbers of an output that routes read beside events.
 
         Returns:
-            a function that gives the numbers of an event, of which there are so many, (n,);
-            zero where nothing is asked for.
+            a function that gives the numbers of an event, of which there are so many, (n,); zero
+            where nothing is asked for.
         """
 
         def known(origin: Origin) -> Array:

@@ -29,13 +29,10 @@ class Playback(ABC):
     """Packets to be sent.
 
     Attributes:
-        structure: of the packets.
-        about: what is played and how, in a few words, for people.
         count: maximum number of packets.
         duration: from the first to the last, s.
         skipped: how many could not be sent so far: malformed ones, and such whose numbers the
             structure cannot hold.
-        notes: sentences about it: damage of a recording found so far.
     """
 
     structure: Structure
@@ -145,7 +142,6 @@ class TablePackets(Playback):
     out as a whole.
 
     Args:
-        structure: of the packets.
         rate: rows per s, instead of a column `time`.
 
     Raises:
@@ -171,8 +167,6 @@ class JointRows(Playback):
     """The rows of a table with the signals of robots' joints, packed by a scene's routes.
 
     Args:
-        table: that was read.
-        scene: robots and routes.
         columns: which columns are which signals; see `robots_in`.
         source: of the packets; the scene's only one when None.
         structure: instead of the source's.
@@ -230,9 +224,7 @@ def timed(
     Each repetition begins one average interval after the end of the previous one.
 
     Args:
-        playback: what to play.
         speed: 2 is twice as fast.
-        loop: without end, unless a duration is given.
         duration: s, after which nothing is due.
     """
     pause = playback.duration / max(playback.count - 1, 1) or 1e-3

@@ -44,13 +44,7 @@ class UdpSink:
     """Sends packets to a UDP port.
 
     Args:
-        host: where to.
-        port: where to.
         message_of: makes what is sent of a packet; the packet itself is sent when None.
-
-    Attributes:
-        place: kind, host and port in a few words, for people.
-        socket: that it sends through, and answers come to.
 
     Raises:
         SourceError: the address cannot be resolved.
@@ -94,14 +88,10 @@ class ShmWriter:
 
     Args:
         block: name of the shared memory, `robot` or `/robot`.
-        structure: of the packets.
         lock: event that is made odd before a packet is written and even when it is there (a
             seqlock); what the packets have there is not used. Empty for none: readers then have to
             guess whether a packet is whole.
         offset: where in the block the packet begins, bytes.
-
-    Attributes:
-        place: kind and name in a few words, for people.
 
     Raises:
         SourceError: no block can have this name, or it may not be made or written.
@@ -180,8 +170,6 @@ class PacketBuffer:
 
     Args:
         packet_at: makes the packet of a time (s).
-        structure: of the packets.
-        rate: packets per second.
         sequence: event that numbers the packets, from 1; empty for none.
         time: event that says when a packet leaves; empty for none.
         time_scale: s per unit of `time`.
@@ -267,8 +255,6 @@ class SendReport:
     """Statistics of a sender.
 
     Attributes:
-        packets: how many were sent.
-        seconds: how long it took.
         refused: number of packets that the system refused to send.
         jitter_p50: median of how late packets left, s.
         jitter_p99: 99th percentile of the same.
@@ -299,7 +285,6 @@ def paced(
 
     Args:
         packet_at: makes the packet of a time (s).
-        rate: packets per second.
         duration: s; None goes on for ever.
 
     Returns:
@@ -321,7 +306,6 @@ def send(
 
     Args:
         packets: when each one is due, s from now on, never decreasing, and its bytes.
-        to: where to.
         idle: called with the time that is left (s) until a packet leaves, again and again while it
             returns that it has done something; for what can be done ahead.
     """

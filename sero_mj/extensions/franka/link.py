@@ -40,15 +40,8 @@ class Host(Protocol):
 class FciLink(Link):
     """Serves one client at a time, as the robot does.
 
-    Args:
-        declared: the address, and the program that is started, if any.
-        robot: its name, for messages.
-        messages: of the version that is served.
-        host: is told of requests.
-
     Attributes:
         clients: number of those that have connected so far.
-        foreign: datagrams that came from others.
     """
 
     def __init__(self, declared: Reachable, robot: str, messages: Messages, host: Host) -> None:

@@ -34,8 +34,6 @@ class Violation(Exception):
 
     Args:
         error: as `sero_mj.extensions.franka.receiver.ERRORS` names it.
-        why: in words.
-        is_input: whether it is no number, and so no input.
     """
 
     def __init__(self, error: str, why: str, *, is_input: bool = False) -> None:
@@ -48,11 +46,7 @@ class Motion:
     """A motion in progress.
 
     Attributes:
-        number: id of the request that asked for it.
-        controller: as requests number it.
         since: s, when it began on the clock's time.
-        is_commanded: whether a first command has come.
-        lost: commands in a row that have not come.
         at: s, time of the last command that has.
     """
 
@@ -78,9 +72,6 @@ class Motion:
 
 class Desired:
     """What is desired of the joints, and what commands may make of it.
-
-    Args:
-        model: of the robot, for its limits and names.
 
     Attributes:
         angles: (7,), rad.

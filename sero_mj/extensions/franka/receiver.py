@@ -310,11 +310,7 @@ class FrankaReceiver(ConnectingSource):
 
 
 class FrankaLayout(Structure):
-    """The packets of `FrankaReceiver`, made of states of all versions.
-
-    Args:
-        torque_sign: factor of measured and commanded torques.
-    """
+    """The packets of `FrankaReceiver`, made of states of all versions."""
 
     message = "state"
 

@@ -53,21 +53,14 @@ class FrankaRobot:
     the desired angles hold the robot; commanded torques act on top of gravity.
 
     Args:
-        declared: where it is reached, and by which clock.
-        model: of the robot, for itself.
         timestep: s between two steps.
-        steps: of the simulation in a cycle.
-        version: of the server.
         stiffness: (7,), Nm/rad, of its own control.
         damping: (7,), ratio, likewise.
 
     Attributes:
         logged: (4,), mode as FCI numbers it, success rate of commands, age of the command in use
             and how late this step began, s.
-        mode: as FCI numbers it.
         wrong: datagrams that were no commands, or commands to states that were not sent.
-        late: commands that came after their cycle.
-        missed: cycles of motions without a command.
     """
 
     def __init__(

@@ -20,8 +20,6 @@ class FrankaState:
     """The packet of a state, written in place; columns of matrices stand one after the other.
 
     Args:
-        version: of the server.
-        model: of the robot.
         cycle: s between two states.
 
     Attributes:
@@ -58,7 +56,6 @@ class FrankaState:
         """Writes what is measured, and what follows from it.
 
         Args:
-            sensed: by the sensors.
             external: (7,), Nm, torques by which the robot is pushed.
         """
         self._model.update(sensed.angles, sensed.velocities)

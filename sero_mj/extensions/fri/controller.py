@@ -41,21 +41,14 @@ class FriController:
     Commands are counted but have no effect: the robot continues its motion.
 
     Args:
-        robot: seven joints.
         cycle: s between packets, 0.001 to 0.1.
         quality: name of a quality to report regardless of the answers; None to follow them.
-        commands: whether its program has requested the command state.
-        counter: send counter of the first packet.
         amplitude: of the motion, 0 to 1.
         faults: of the network that `run` sends through; None for a good one.
         layout: of the packets, with a sign of torques; FRI's own when None.
 
     Attributes:
         cycle: s between packets.
-        faults: of the network.
-        sent: packets created so far.
-        answers: good answers so far.
-        wrong_answers: received packets that are not command packets.
         command_flags: all flags set in answers; 0 when nothing was commanded.
 
     Raises:
@@ -197,11 +190,7 @@ class _Sent:
 
 
 class AnswerStatistics:
-    """Tracks which packets were answered.
-
-    Attributes:
-        miss_counter: packets that were not answered in time, so far.
-    """
+    """Tracks which packets were answered."""
 
     def __init__(self) -> None:
         self.miss_counter = 0
@@ -251,12 +240,6 @@ class NetworkFaults:
 
     Attributes:
         loss: share of the packets that are withheld, 0 to 1.
-        duplicates: share that is sent twice.
-        swaps: share that is sent after the one that follows.
-        seed: of the random numbers.
-        withheld: how many were withheld so far.
-        doubled: how many were sent twice.
-        swapped: how many were sent after the one that follows.
     """
 
     loss: float = 0.0

@@ -229,7 +229,6 @@ class IiwaLayout(Structure):
 
     Args:
         version: of FRI: `iiwa-1` or `iiwa-2`.
-        torque_sign: factor of measured and commanded torques.
     """
 
     message = "FRI message"
@@ -304,12 +303,7 @@ class Monitor:
         self._unanswered = 0
 
     def answer(self, packet: bytes, counter: int) -> bytes | None:
-        """The answer to a message, or None if none is due.
-
-        Args:
-            packet: of the controller.
-            counter: of the answers so far.
-        """
+        """The answer to a message, or None if none is due."""
         try:
             message, is_framed = unframed(packet)
             fields = read_fields(message)

@@ -189,7 +189,6 @@ def counter_of(packet: memoryview, length: int) -> int | None:
 
     Args:
         packet: its bytes, at least eight.
-        length: their number.
     """
     if length != _SIZE:
         return None

@@ -59,18 +59,12 @@ class FriRobot(ABC):
     """Sends a packet in each cycle, takes the command that answers it, and acts on it.
 
     Args:
-        declared: how.
-        model: of the robot, for itself.
         timestep: s between two steps.
-        steps: of the simulation in a cycle.
         largest: bytes of a command.
 
     Attributes:
         logged: (3,), state and quality as FRI numbers them, and how late this step began, s.
-        state: as FRI numbers it.
         quality: of the link, 0 to 3.
-        error: whether a command has ended the command state.
-        wrong: received packets that are no commands.
     """
 
     def __init__(

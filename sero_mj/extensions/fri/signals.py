@@ -28,7 +28,6 @@ class FriSignals:
     the task frame of the controller's stiffness; here that is the flange's frame.
 
     Args:
-        robot: seven joints.
         amplitude: of the motion, 0 stands still, to 1.
     """
 

@@ -138,8 +138,6 @@ class Bag(PacketFile):
             not have are left out. When None, each topic with the states of joints is a source of
             its name (`/arm/joint_states` is `arm_joint_states`), of the joints that its first
             message names.
-        tell: gets what a user should know of the messages, once or more.
-        is_json: whether it is MCAP with messages in JSON.
 
     Raises:
         RecordingError: it cannot be read, has no joint states, or a package is missing.

@@ -32,7 +32,6 @@ def led_by(
 
     Args:
         scene: is not changed.
-        recording: of ROS.
         nameless: see `Bag`.
         parent_frames: see `Bag.parent_frames`.
         source: of the recording, that leads the robot; found by joint names when None.

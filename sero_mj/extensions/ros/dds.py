@@ -69,15 +69,7 @@ class Ros2(RosSource):
 
 
 class Readers:
-    """Reads a source's topics.
-
-    Args:
-        source: says what is read.
-        listener: gets the messages.
-
-    Attributes:
-        participant: of the domain.
-    """
+    """Reads a source's topics."""
 
     def __init__(self, source: Ros2, listener: Listener) -> None:
         self._source, self._listener = source, listener
@@ -145,8 +137,6 @@ class Publication:
 
     Attributes:
         topic: with a `/` before it.
-        kind: type of its messages, as ROS has it.
-        is_reliable: whether lost messages are sent again.
         is_kept: whether late readers get the last messages (transient local).
     """
 
@@ -175,12 +165,7 @@ class Reader:
 
 
 class Writer:
-    """A writer of a topic: raw messages.
-
-    Args:
-        writer: of Cyclone DDS.
-        kind: its type, that `raw_type` has made.
-    """
+    """A writer of a topic: raw messages. `kind`: its type, that `raw_type` has made."""
 
     def __init__(self, writer: Any, kind: Any) -> None:
         self.writer, self._raw = writer, b""
@@ -204,7 +189,6 @@ class Participant:
     Args:
         host: see `Ros2.host`.
         domain: see `Ros2.domain`.
-        owner: name of the source, for errors.
 
     Raises:
         SourceError: Cyclone DDS is not installed, or cannot join the domain.
@@ -234,7 +218,6 @@ class Participant:
 
         Args:
             topic: with a `/` before it.
-            kind: type of its messages, as ROS has it.
             reliability: see `Ros2.reliability`.
             is_kept: whether it reads what was published before (transient local).
         """
@@ -264,7 +247,6 @@ class Participant:
 
         Args:
             topic: with a `/` before it.
-            kind: type of its messages, as ROS has it.
         """
         _, qos = _cyclone("")
         from cyclonedds.pub import DataWriter

@@ -91,8 +91,6 @@ def scenes_of_bag(
     """Yields scenes of the robot that a recording of ROS is of: described in it, else shipped.
 
     Args:
-        bag: is read only while it is asked for the next one.
-        choose: how the user chooses the robot called NAME, for the error.
         source: of the recording, that moves the robot; any when None.
         wanted: names of robots of which it is one; any when empty.
 

@@ -98,12 +98,7 @@ class _Said(BaseModel):
 
 
 class Client:
-    """Reads a source's topics.
-
-    Args:
-        source: says what is read.
-        listener: gets the messages.
-    """
+    """Reads a source's topics."""
 
     def __init__(self, source: Foxglove, listener: Listener) -> None:
         self._source, self._listener = source, listener

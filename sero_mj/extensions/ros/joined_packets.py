@@ -36,23 +36,11 @@ class JoinedPackets:
     stay as the robot declares them.
 
     Args:
-        joints: whose values are wanted, n.
-        names: joint to its name in messages, where that is another.
-        has_commands: whether torques are commanded on a topic.
-        has_forces: whether there is a topic of a wrench.
-        frames: names of frames that are wanted, k.
-        root: the frame in which they are wanted.
         odometry: whether there is the pose of the base: `ODOMETRY` by its topic, `TF` by
             transforms, empty for none.
-        has_pose: whether there is a topic of a pose.
         joints_by: `TF` where transforms of links tell the angles; else empty.
         links: of the robot, for transforms and odometry; None where it is unknown.
         torque_constants: torque per unit of effort, one for all, or (n,).
-        tell: gets what a user should know, once.
-
-    Attributes:
-        structure: of the packets.
-        leads: the topic whose messages make packets.
     """
 
     def __init__(

@@ -24,7 +24,6 @@ class JointTrajectory:
     last point is held.
 
     Args:
-        message: decoded.
         names: of the robot's joints, in its order; the message's order is its own.
         now: s, on the clock of its stamp; a stamp of 0 means now. Points before it are left out.
         entry: (2, n), angles and velocities from where it is entered, now.

@@ -45,7 +45,6 @@ class JsonTopic:
     """A channel of messages in JSON.
 
     Attributes:
-        channel: its number.
         msgtype: the type of ROS that its messages are, or what they are instead.
         msgcount: number of its messages.
     """
@@ -60,8 +59,6 @@ class JsonMcap:
     """Reads the messages; has what `Bag` needs of `rosbags.highlevel.AnyReader`.
 
     Attributes:
-        connections: its channels of messages in JSON.
-        faults: errors of the file.
         start_time: log time of the first message, ns since the epoch.
         end_time: log time after the last message, ns since the epoch.
 
@@ -110,7 +107,6 @@ class JsonMcap:
         """Yields topic, log time, ns since the epoch, and data of messages in order of time.
 
         Args:
-            connections: the topics.
             start: first time, ns since the epoch; None for the beginning.
             stop: end time, exclusive, likewise; None for the end.
         """

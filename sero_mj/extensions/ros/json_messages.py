@@ -87,7 +87,6 @@ def message_of(
     """Encodes the state of joints, as `sensor_msgs/JointState`.
 
     Args:
-        names: of the n joints.
         stamp: s; 0 where it is unknown.
         angles: (n,), rad or m. What is NaN is null, and a quantity that no joint has is empty.
         velocities: (n,), rad/s or m/s.

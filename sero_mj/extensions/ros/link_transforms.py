@@ -23,10 +23,6 @@ class LinkTransforms:
 
     Links that are fixed to each other are one node, so static transforms inside a robot may be
     missing. Names may have a prefix that ends with a slash (`left/base_link`).
-
-    Args:
-        links: of the robot.
-        tell: gets what a user should know, once.
     """
 
     def __init__(self, links: LedLinks, tell: Callable[[str], None]) -> None:

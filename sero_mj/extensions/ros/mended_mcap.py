@@ -36,18 +36,7 @@ _INDEX_HEAD, _INDEX_ENTRY = 15, 16  # bytes of the index of a channel's messages
 
 
 class MendedMcap:
-    """A path in the sense of rosbags (`RPath`).
-
-    Args:
-        path: of the file, whose end is missing.
-
-    Attributes:
-        faults: what is left out, a sentence each.
-        has_topics: whether anything can be read.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """A path in the sense of rosbags (`RPath`); raises OSError if it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self._path, self.suffix, self.stem = path, ".mcap", path.stem

@@ -97,7 +97,6 @@ class Topic:
 
     Attributes:
         name: with a `/` before it.
-        kind: type of its messages, as ROS has it.
         publishers: number of them.
         rate: messages per second; None where it was not measured.
         joints: names in its messages, of `sensor_msgs/JointState`.
@@ -121,7 +120,6 @@ def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
     Args:
         host: see `Ros2.host`.
         domain: see `Ros2.domain`.
-        seconds: to listen.
 
     Raises:
         SourceError: a package is missing, or the domain cannot be joined.
@@ -173,7 +171,6 @@ class Found:
 
     Attributes:
         urdf: its description; empty where there is none.
-        robots: shipped robots with its joints, where there is none.
         joint_states: topic of its joints; empty for none.
     """
 
@@ -186,7 +183,6 @@ def find_robot(address: Address, seconds: float) -> Found:
     """Waits until a network tells of a robot.
 
     Args:
-        address: where it is.
         seconds: to wait at most.
 
     Raises:

@@ -123,14 +123,8 @@ class Ros2Node(Answering):
 class JointStatePacket:
     """The state of a robot as a message of ROS.
 
-    Args:
-        names: of its joints.
-
     Attributes:
-        names: of its joints.
-        packet: the message, in CDR.
         time: s since the start.
-        modulus: of a counter, which it has not.
     """
 
     modulus = modulus_of(None)
@@ -155,12 +149,7 @@ class JointStatePacket:
 
 
 class RosLink(Link):
-    """Topics to a node and from it, which is started where that is declared.
-
-    Args:
-        declared: the topics.
-        model: of the robot.
-    """
+    """Topics to a node and from it, which is started where that is declared."""
 
     commands: ClassVar[str] = messages.NUMBERS  # type of messages that command
 
@@ -284,9 +273,6 @@ class TrajectoryLink(RosLink):
     together with the robot's own dampers.
 
     Args:
-        declared: the topics.
-        model: of the robot.
-        state: what is sent.
         damping: (n,), Nm s/rad, of the robot's dampers.
     """
 

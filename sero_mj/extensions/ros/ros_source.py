@@ -319,8 +319,6 @@ def wrong_with(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> s
 
     Args:
         topic: with a `/` before it.
-        kind: type of its messages, as ROS has it.
-        published: topics that are there, and their types.
     """
     published = list(published)
     kinds = [other for each, other in published if each == topic]

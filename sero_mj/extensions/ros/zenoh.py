@@ -78,10 +78,6 @@ class _Message(NamedTuple):
 class Session:
     """Reads a source's topics.
 
-    Args:
-        source: says what is read.
-        listener: gets the messages.
-
     Raises:
         SourceError: zenoh is not installed.
     """

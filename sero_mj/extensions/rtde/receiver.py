@@ -199,11 +199,7 @@ class RtdeReceiver(ConnectingSource):
 
 
 class RtdeLayout(Structure):
-    """The packets of `RtdeReceiver`, which are data packages with `_ADDED`.
-
-    Args:
-        torque_sign: factor of measured and commanded torques.
-    """
+    """The packets of `RtdeReceiver`, which are data packages with `_ADDED`."""
 
     message = "data package"
 

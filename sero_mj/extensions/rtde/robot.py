@@ -88,16 +88,11 @@ class RtdeRobot:
     """Serves clients in each cycle, takes their commands, and acts on them.
 
     Args:
-        declared: how.
-        model: of the robot, for itself.
         timestep: s between two steps.
-        steps: of the simulation in a cycle.
 
     Attributes:
         logged: (3,), the state (`NOBODY` to `SILENT`), the age of the last command, s, and how late
             this step began, s.
-        wrong: messages and commands that were not taken.
-        silent: cycles in which a client that commands was silent.
     """
 
     def __init__(

@@ -75,13 +75,7 @@ class Desk(Protocol):
 
 
 class Peer(ABC):
-    """A connection from a client.
-
-    Args:
-        server: that it is of.
-        connection: accepted.
-        name: of the other end, for messages.
-    """
+    """A connection from a client."""
 
     def __init__(self, server: RtdeServer, connection: socket.socket, name: str) -> None:
         self.server, self.name = server, name
@@ -124,11 +118,7 @@ class RtdePeer(Peer):
     """A client of RTDE.
 
     Attributes:
-        is_started: whether it gets packages.
-        is_awaited: whether the last one has not been answered.
         inputs: recipes, of which the first has number 1.
-        claimed: names of inputs that are its own.
-        skipped: packages that were left out because it does not read.
     """
 
     def __init__(self, server: RtdeServer, connection: socket.socket, name: str) -> None:
@@ -303,18 +293,7 @@ class ScriptPeer(Peer):
 
 
 class RtdeServer:
-    """Listens, and serves all clients.
-
-    Args:
-        desk: what they get and give.
-        cycle: s between packages at most.
-
-    Attributes:
-        port: of RTDE, where it is open.
-        peers: clients of RTDE.
-        desk: as given.
-        cycle: as given.
-    """
+    """Listens, and serves all clients. `cycle`: s between packages at most."""
 
     def __init__(self, desk: Desk, cycle: float, name: str) -> None:
         self.desk, self.cycle = desk, cycle
@@ -334,7 +313,6 @@ class RtdeServer:
         """Listens.
 
         Args:
-            host: address.
             port: of RTDE; 0 for a free one.
             dashboard: port of the dashboard server; 0 for none.
             script: port that takes URScript; 0 for none.

@@ -33,12 +33,10 @@ class RtdeState:
 
     Args:
         model: of the robot, shared with the control, which updates it before.
-        motion: where it is commanded to.
         timestep: s.
         constants: (n,), Nm/A; None where currents are 0.
 
     Attributes:
-        registers: outputs, and inputs as clients have set them, by name.
         is_running: whether the robot's program is.
     """
 
@@ -90,12 +88,7 @@ class RtdeState:
         }
 
     def observe(self, sensed: Sensed, commanded: Array) -> None:
-        """Takes a step.
-
-        Args:
-            sensed: what is measured.
-            commanded: (n,), Nm, torques of the last step.
-        """
+        """Takes a step. `commanded`: (n,), Nm, torques of the last step."""
         self._observer.update(sensed)
         self._sensed = sensed
         self._commanded[:] = commanded

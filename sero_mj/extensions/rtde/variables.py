@@ -91,15 +91,7 @@ OUTPUTS = {
 class Recipe:
     """Names that a client has asked for, and the bytes of their values.
 
-    Args:
-        names: as they came, perhaps with a comma at the end.
-        known: name to type.
-        in_use: names that another client has.
-
     Attributes:
-        names: of the variables.
-        types: of these, or why they cannot be had.
-        is_valid: whether all can be had, and there is one.
         size: bytes of all values.
     """
 
