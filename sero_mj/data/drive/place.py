@@ -24,13 +24,10 @@ LatestValues = Mapping[str, Mapping[str, Array]]
 
 
 class Placer:
-    """Computes all frames of a world from its data.
+    """Computes all frames of a world from its data; raises DeclarationError.
 
     Args:
         wiring: result of `wire` for its scene; created when None.
-
-    Raises:
-        DeclarationError: the scene's routes are invalid.
     """
 
     def __init__(self, world: WorldView, wiring: Wiring | None = None) -> None:

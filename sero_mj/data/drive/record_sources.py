@@ -53,17 +53,13 @@ def record_sources(
     overwrite: bool = False,
     signals_rate: float = SIGNALS_RATE,
 ) -> Iterator[Recorder]:
-    """Records every packet received by the sources within the context.
+    """Records every packet received by the sources within the context; raises RecordingError.
 
     Args:
         sources: by name, `mirror.sources` say; opened or not. Replays are not recorded again.
         scene: its file and those of its robots are stored in the recording, and its routes give the
             names of decoded values: `lwr.A1.torque [Nm]`.
         signals_rate: maximum rate of decoded values per source, packets/s.
-
-    Raises:
-        RecordingError: the file exists already or cannot be written; also at the end, if the disk
-            is full. Data written before is kept and readable.
     """
     about = {"sero-mj": __version__, "scene": "" if scene is None else scene.name}
     live = {name: source for name, source in sources.items() if source.is_live}

@@ -33,16 +33,13 @@ def read_for(path: Path, columns: Columns, rate: float | None = None, instead: s
 def robots_in(
     table: Table, robots: Mapping[str, SerialRobot], columns: Columns
 ) -> dict[str, dict[str, Array]]:
-    """Returns the signals of the joints of robots, by robot, in a table.
+    """Returns the signals of the joints of robots, by robot, in a table; raises CsvError.
 
     Args:
         columns: signal of the only robot, or `ROBOT.SIGNAL`, to its columns; see `signals_of`.
 
     Returns:
         for each robot with joint angles its signals, (T, n).
-
-    Raises:
-        CsvError: no robot has any, or a column is missing or has text.
     """
     found = {}
     for name, robot in robots.items():
@@ -80,7 +77,7 @@ def lead_by_table(
     start: float | None = None,
     source: str | None = None,
 ) -> None:
-    """Replaces the sources of a scene by a table.
+    """Replaces the sources of a scene by a table; raises CsvError.
 
     If columns are called like the numbers of a source's packets, the table replaces that source.
     Otherwise it has signals of the robots' joints, which replace all sources.
@@ -88,9 +85,6 @@ def lead_by_table(
     Args:
         columns: see `robots_in`.
         start: where to begin, s after the first row.
-
-    Raises:
-        CsvError: the table cannot be read, or its columns fit neither a source nor a robot.
     """
     table = read_for(file, columns)
     declared: dict[str, Any] = {"kind": "table", "file": str(file)}

@@ -62,14 +62,10 @@ class Hits:
 
 
 class Trigger:
-    """A condition on the received values of a scene's sources.
+    """A condition on the received values of a scene's sources; raises RouteError.
 
     It keeps the newest values of every source, which are used for sources other than that of the
     examined packets.
-
-    Raises:
-        RouteError: it cannot be parsed, has unknown names, or is not a condition; points at the
-            error.
     """
 
     def __init__(self, text: str, scene: Scene, wiring: Wiring) -> None:

@@ -154,13 +154,9 @@ def connect(host: str, port: int, wake: socket.socket) -> socket.socket:
 
 
 def addresses(host: str, port: int, wake: socket.socket) -> list[tuple[Any, ...]]:
-    """All addresses of a machine, as of `socket.getaddrinfo`.
+    """All addresses of a machine, as of `socket.getaddrinfo`; raises OSError or ClosedHere.
 
     A name is looked up on another thread, since that can take long and cannot be interrupted.
-
-    Raises:
-        OSError: the name is unknown.
-        ClosedHere: `wake` can be read.
     """
     with suppress(ValueError):
         ipaddress.ip_address(host.partition("%")[0])
@@ -198,12 +194,7 @@ def _wait(wake: socket.socket, sock: socket.socket, event: int, timeout: float |
 
 
 class Connection:
-    """A connection by TCP, which ends when `wake` can be read.
-
-    Raises:
-        OSError: it cannot be made, or is lost, in any method.
-        ClosedHere: `wake` can be read, in any method.
-    """
+    """A connection by TCP, which ends when `wake` can be read; raises OSError or ClosedHere."""
 
     def __init__(self, host: str, port: int, wake: socket.socket) -> None:
         self._wake = wake

@@ -52,26 +52,18 @@ class Counters:
     """Counts of packets since the source was opened.
 
     Attributes:
-        received: packets of any kind.
-        wrong_size: malformed ones: not as long as the structure says.
         wrong_constant: malformed ones: a number differs from the structure's constant.
         wrong_checksum: malformed ones: a checksum of the structure differs from that of the bytes.
         not_finite: malformed ones: with NaN or infinity where these are not allowed.
-        not_frames: malformed ones: with a matrix that is not a rigid frame.
         implausible: malformed ones: with a number beyond its limit; see `Source.limit`.
         foreign: from senders other than the configured `sender`; not examined.
-        lost: missing sequence numbers.
         late: arrived after one with a higher number; applied only when none may be lost.
         duplicates: repeated sequence numbers; not applied.
         restarts: how often the sender restarted: with its numbers, or from another port.
         torn: reads of shared memory given up because the writer was always in between.
         senders: number of concurrent senders within the last 2 s.
-        blanked: valid ones with NaN or infinity where these are allowed.
         superseded: valid ones replaced by a later packet before use, as intended when a robot sends
             faster than the frame rate.
-        dropped: packets that the kernel dropped because its buffer was full.
-        failures: how often reception, or a callback, raised an exception.
-        last_fault: error of the last malformed packet.
         last_size: bytes of the last packet of a wrong size.
         last_fault_time: arrival of the last malformed packet, on the clock of `Source.now`.
     """

@@ -110,14 +110,11 @@ class Item:
 
 
 def parse(text: str, *, is_double: bool = True, alignment: int = 1) -> list[Item]:
-    """Returns the items of a structure string.
+    """Returns the items of a structure string; raises StructureError.
 
     Args:
         is_double: the type of `F`, `V`, `M` and `T` without a letter.
         alignment: every item begins at a multiple of this many bytes.
-
-    Raises:
-        StructureError: points at the first invalid character.
     """
     return _Parser(text, is_double, alignment).items()
 

@@ -110,11 +110,7 @@ class ShmReader(Source):
         return self._trouble or (self._packets.trouble if self._packets is not None else "")
 
     def open(self) -> None:
-        """Starts the thread that reads; the block need not exist.
-
-        Raises:
-            SourceError: this system has no POSIX shared memory, or the block may not be read.
-        """
+        """Starts the thread that reads; the block need not exist; raises SourceError."""
         self.close()
         self.reset()
         self._packets = _PacketFinder(self)

@@ -59,7 +59,7 @@ _PREAD, _PWRITE = _system_call("pread"), _system_call("pwrite")
 
 
 class Block:
-    """An open block of POSIX shared memory.
+    """An open block of POSIX shared memory; raises OSError or ValueError.
 
     On Linux it is read and written by system calls. With a mapping, the process would get SIGBUS if
     another one shrinks the block; and calls are ordered even on processors that reorder memory
@@ -70,11 +70,6 @@ class Block:
 
     Attributes:
         identity: distinguishes it from other blocks of the same name; 0 if unavailable.
-
-    Raises:
-        OSError: it does not exist (FileNotFoundError), exists already, may not be opened, or is
-            something else than shared memory.
-        ValueError: no block can have this name.
     """
 
     def __init__(self, name: str, *, writable: bool = False, create: bool = False) -> None:

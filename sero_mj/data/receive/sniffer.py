@@ -99,7 +99,7 @@ class Stream:
 
 
 class Sniffer:
-    """Receives packets of any size from any sender.
+    """Receives packets of any size from any sender; raises SourceError.
 
     Args:
         host: address to listen on; `0.0.0.0` for every interface, or a multicast group.
@@ -109,9 +109,6 @@ class Sniffer:
     Attributes:
         streams: by sender and size, in the order in which they were first seen.
         untold: number of packets of streams beyond the first hundred.
-
-    Raises:
-        SourceError: the port is in use, or the address is not one of this machine.
     """
 
     def __init__(self, host: str, port: int, interface: str = "") -> None:

@@ -171,13 +171,10 @@ class Structure:
         return self.signs.get(item.name, 1.0) * (self.scale if is_scaled else 1.0)
 
     def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
-        """Returns every event's array, float64, in the shapes of `events`.
+        """Returns every event's array, float64, in the shapes of `events`; raises ValueError.
 
         Little-endian float64 is not copied: such arrays are views into the packet, and read-only if
         it is; 3 x 4 matrices are copied. Constants are not checked: see `find_wrong_constants`.
-
-        Raises:
-            ValueError: the packet is not `size` bytes long.
         """
         if len(packet) != self.size:
             raise mismatch(len(packet), f"{self.size} for '{self.text}'", of="bytes")

@@ -18,7 +18,6 @@ from ...base.errors import (
 )
 from .connecting import is_address
 from .reception import log
-from .scheduling import request_short_slices
 from .source import Source
 from .udp_socket import (
     BATCH,
@@ -92,11 +91,7 @@ class UdpReceiver(Source):
         return f"UDP {self.host}:{self.port}"
 
     def open(self) -> None:
-        """Binds the socket and starts the thread.
-
-        Raises:
-            SourceError: the port is in use, or the address is not one of this machine.
-        """
+        """Binds the socket and starts the thread; raises SourceError."""
         self.close()
         self._socket = open_socket(
             self.name, self.host, self.udpport, self.interface, self.buffer_size
@@ -123,8 +118,6 @@ class UdpReceiver(Source):
         datagrams = Datagrams(sock, max(self.layout.size + 1, self._most_bytes))
         datagrams.on_arrival = self._on_arrival(datagrams.send)
         answers, since = datagrams.on_arrival is not None, 0.0
-        if answers:
-            request_short_slices()
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_READ)
             selector.register(wake, selectors.EVENT_READ)

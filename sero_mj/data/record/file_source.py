@@ -143,11 +143,7 @@ class FileSource(Source):
         return self.original._new_intake()
 
     def open(self) -> None:
-        """Opens the file and goes to the start.
-
-        Raises:
-            SourceError: it cannot be read any more.
-        """
+        """Opens the file and goes to the start; raises SourceError."""
         self.close()
         try:
             self._recording = self.open_recording()

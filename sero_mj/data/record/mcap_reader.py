@@ -98,14 +98,11 @@ def read_index(file: BinaryIO) -> FileIndex:
 
 
 def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
-    """Returns the content of a record, without its head.
+    """Returns the content of a record, without its head; raises ValueError.
 
     Args:
         offset: of the content, bytes.
         length: of the content, bytes.
-
-    Raises:
-        ValueError: it does not fit into the file.
     """
     size = file.seek(0, os.SEEK_END)
     if not 0 <= offset <= offset + length <= size:
@@ -241,7 +238,7 @@ def mcap_reason(error: BaseException) -> str:
 
 
 def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
-    """Returns a chunk's messages of one channel: log time in ns, and data.
+    """Returns a chunk's messages of one channel: log time in ns, and data; raises BROKEN.
 
     `mcap.stream_reader.breakup_chunk` would take five times as long, and decompresses without
     bounds.
@@ -249,9 +246,6 @@ def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
     Args:
         record: the chunk's record, without its head.
         channel: the channel's number.
-
-    Raises:
-        BROKEN: one of these, if the chunk is damaged or implausibly large.
     """
     _, data = unpack_chunk(record)
     found = []
@@ -264,13 +258,10 @@ def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
 
 
 def unpack_chunk(record: bytes) -> tuple[Chunk, bytes]:
-    """Returns a chunk and its contents, decompressed.
+    """Returns a chunk and its contents, decompressed; raises BROKEN.
 
     Args:
         record: the chunk's record, without its head.
-
-    Raises:
-        BROKEN: one of these, if the chunk is damaged or implausibly large.
     """
     chunk = Chunk.read(ReadDataStream(io.BytesIO(record)))
     if len(chunk.data) + _CHUNK_FIELDS + len(chunk.compression) != len(record):

@@ -92,15 +92,12 @@ class PacketFile(ABC):
     _why_unreadable: ClassVar[str] = "its index is wrong"  # where no fault says it
 
     def choose_source(self, name: str = "", default: str = "", by: str = "") -> str:
-        """Returns the name of one of its sources.
+        """Returns the name of one of its sources; raises UsageError.
 
         Args:
             name: which; empty for `default`, or the only one.
             default: used if there is a source of this name and no other is requested.
             by: how the user chooses one called NAME, by an option say; for the error.
-
-        Raises:
-            UsageError: there is no such source, or there are several.
         """
         names = list(self.sources)
         chosen = name or (default if default in names or len(names) != 1 else names[0])
@@ -200,15 +197,11 @@ class PacketFile(ABC):
     def scenes(
         self, choose: str, source: str | None = None, wanted: Collection[str] = ()
     ) -> Iterator[str]:
-        """Yields scenes of the robot that messages name.
+        """Yields scenes of the robot that messages name; raises RecordingError or UsageError.
 
         Args:
             source: of the recording, that moves the robot; any when None.
             wanted: names of robots, one of which it is; any when empty.
-
-        Raises:
-            RecordingError: it has no source.
-            UsageError: there is no such source, or several robots fit.
         """
         return iter(())
 

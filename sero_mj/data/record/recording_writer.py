@@ -397,13 +397,10 @@ class RecordingWriter:
         self._file.kept = f"{self._count} packets over {seconds:.3f} s" if self._count else ""
 
     def flush_if_old(self) -> float:
-        """Flushes if the oldest message is older than `flush_after`.
+        """Flushes if the oldest message is older than `flush_after`; raises RecordingError.
 
         Returns:
             The s until it is due; infinite without buffered data.
-
-        Raises:
-            RecordingError: there is no room.
         """
         remaining = self._oldest + self._flush_after - time.monotonic()
         if self._waiting and remaining > 0.0:
@@ -412,13 +409,10 @@ class RecordingWriter:
         return float("inf")
 
     def close(self, *, lost: Mapping[str, int] | None = None) -> None:
-        """Finishes the file; harmless when it is finished.
+        """Finishes the file; harmless when it is finished; raises RecordingError.
 
         Args:
             lost: source to the number of its lost packets, to be reported by readers.
-
-        Raises:
-            RecordingError: there is no room for the rest. What was written before is kept.
         """
         if self._file.closed:
             return

@@ -118,10 +118,6 @@ class TableReplay(FileSource):
         return self.start or 0.0
 
     def open_recording(self) -> PacketFile:
-        """Opens the table as if it were a recording of its rows.
-
-        Raises:
-            CsvError: it cannot be read, or its columns do not fit.
-        """
+        """Opens the table as if it were a recording of its rows; raises CsvError."""
         declared = self.original.decoding_fields()
         return TableFile(self._table, self._events_of_rows, self.layout, declared)

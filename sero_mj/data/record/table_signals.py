@@ -94,13 +94,10 @@ class _Group:
 
 
 def parse_columns(texts: Sequence[str]) -> dict[str, str | list[str]]:
-    """Reads `SIGNAL=COLUMNS`, as an option has them.
+    """Reads `SIGNAL=COLUMNS`, as an option has them; raises ValueError if one has no `=`.
 
     Args:
         texts: for example `joint_angles=A*`, `joint_angles [deg]=A1,A2` and `time=Zeit [s]`.
-
-    Raises:
-        ValueError: one has no `=`.
     """
     found: dict[str, str | list[str]] = {}
     for text in texts:
@@ -121,7 +118,7 @@ def signals_of(
     robot: str = "",
     counts: Sequence[int] = (),
 ) -> dict[str, Array]:
-    """Returns the signals of a robot's joints in a table.
+    """Returns the signals of a robot's joints in a table; raises CsvError or DeclarationError.
 
     Args:
         table: of one robot, or of several with their names in those of the columns.
@@ -134,10 +131,6 @@ def signals_of(
     Returns:
         `joint_angles`, `torques`, ... to values, (T, number of columns), SI units and our signs. If
         torques were not measured, those commanded are `torques` as well.
-
-    Raises:
-        CsvError: a column is missing or has text.
-        DeclarationError: `columns` has something else than names.
     """
     names = [*table.columns]
     chosen = _recognised(names, joints, robot, counts) | _declared(table, columns or {})

@@ -30,11 +30,7 @@ _MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity
 
 
 def choose_source(wiring: Wiring, name: str | None = None) -> Source:
-    """The source of this name, or the only one.
-
-    Raises:
-        UsageError: there is none, or there are several.
-    """
+    """The source of this name, or the only one; raises UsageError."""
     sources = wiring.sources
     if name is None and len(sources) == 1:
         name = next(iter(sources))

@@ -135,7 +135,7 @@ class RecordedPackets(Playback):
 
 
 class TablePackets(Playback):
-    """The rows of a table of comma-separated values.
+    """The rows of a table of comma-separated values; raises CsvError.
 
     Columns are called like the numbers of the packet, as `export-csv` writes them: `joints[0]`. A
     table without names, or with others, has all numbers of the packet, in order. Events may be left
@@ -143,9 +143,6 @@ class TablePackets(Playback):
 
     Args:
         rate: rows per s, instead of a column `time`.
-
-    Raises:
-        CsvError: the table is wrong, or its columns do not fit the structure.
     """
 
     def __init__(self, file: Path, structure: Structure, rate: float | None = None) -> None:

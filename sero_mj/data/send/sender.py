@@ -41,13 +41,10 @@ class Sink(Protocol):
 
 
 class UdpSink:
-    """Sends packets to a UDP port.
+    """Sends packets to a UDP port; raises SourceError if the address cannot be resolved.
 
     Args:
         message_of: makes what is sent of a packet; the packet itself is sent when None.
-
-    Raises:
-        SourceError: the address cannot be resolved.
     """
 
     def __init__(
@@ -124,12 +121,7 @@ class ShmWriter:
         return int(number) if np.isfinite(number) and 0 <= number < _modulus(field.dtype) else 0
 
     def put(self, packet: bytes) -> None:
-        """Writes a packet over the one before.
-
-        Raises:
-            OSError: the system refuses, because there is no memory left, say.
-            ValueError: the packet is not as long as the structure says.
-        """
+        """Writes a packet over the one before; raises OSError or ValueError."""
         if len(packet) != self._size:
             raise mismatch(len(packet), self._size, of="bytes")
         block, offset, field = self._block, self._offset, self._lock

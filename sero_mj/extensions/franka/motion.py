@@ -101,11 +101,7 @@ class Desired:
         self.angles += self.velocities * CYCLE
 
     def command(self, motion: Motion, command: RobotCommand, gravity: Array) -> None:
-        """Takes a command; gravity, (7,), Nm, comes on top of its torques.
-
-        Raises:
-            Violation: it is beyond the limits; nothing is taken then.
-        """
+        """Takes a command; gravity, (7,), Nm, comes on top of its torques; raises Violation."""
         generator = motion.generator
         if motion.is_external:
             self._check_torques(command.torques, gravity)

@@ -95,12 +95,7 @@ class FrankaRobot:
         self._torques: Array = np.zeros(JOINTS)  # of the last step, without gravity
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (7,).
-
-        Raises:
-            SimulationError: the address cannot be listened at, the program has failed, or no
-                client has come in lockstep.
-        """
+        """Writes the torques of this step, (7,); raises SimulationError."""
         self._step += 1
         self._observer.update(sensed)
         if self._step == 1:

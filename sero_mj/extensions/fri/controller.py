@@ -34,7 +34,7 @@ _REACHED_FROM = {3: 0.95, 2: 0.8, 1: 0.5, 0: 0.0}
 
 
 class FriController:
-    """The controller's side of FRI 1.0: measurements out, answers in.
+    """The controller's side of FRI 1.0: measurements out, answers in; raises UsageError.
 
     Counters wrap at 16 bits; statistics are over the last 100 packets; the quality follows the
     answer rate, and with an unacceptable one the interface falls back from command to monitor.
@@ -50,9 +50,6 @@ class FriController:
     Attributes:
         cycle: s between packets.
         command_flags: all flags set in answers; 0 when nothing was commanded.
-
-    Raises:
-        UsageError: invalid cycle or quality, or a robot without seven joints.
     """
 
     def __init__(

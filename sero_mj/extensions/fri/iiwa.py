@@ -74,11 +74,7 @@ Fields = dict[int, list[int | bytes]]  # number of a field to all of its values
 
 
 def read_fields(message: bytes) -> Fields:
-    """The fields of a message: whole numbers, and the bytes of all others.
-
-    Raises:
-        ValueError: it is truncated, or not encoded by Protocol Buffers.
-    """
+    """The fields of a message: whole numbers, and the bytes of all others; raises ValueError."""
     fields: Fields = {}
     at, end = 0, len(message)
     while at < end:
@@ -168,11 +164,7 @@ def unframed(packet: bytes) -> tuple[bytes, bool]:
 
 
 def pack(packet: bytes, version: str) -> bytes:
-    """Turns a monitoring message into a packet of `STRUCTURES[version]`.
-
-    Raises:
-        ValueError: it is no message, or has another number of joints.
-    """
+    """Turns a monitoring message into a packet of `STRUCTURES[version]`; raises ValueError."""
     message, is_framed = unframed(packet)
     if is_framed and version == "iiwa-1":
         raise ValueError("it is framed as in FRI 2.7; choose version = 'iiwa-2'")

@@ -9,6 +9,7 @@ little-endian and without gaps; their layouts are those of the interface, the na
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
 from typing import Any, ClassVar, Literal
@@ -18,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, PrivateAttr, model_validator
 
 from ...base.frames import Array
-from ...data.receive.scheduling import short_turns
 from ...data.receive.structure import Rows, Structure, TorqueSign, are_frames
 from ...data.receive.udp import UdpReceiver
 from ...data.receive.udp_socket import OnArrival
@@ -209,6 +209,17 @@ def no_command(counter: int, reflected: int) -> bytes:
 _STRUCTURES = {"1": MEASUREMENT, **fri_iiwa.STRUCTURES}
 
 
+# An answering thread waits until the interpreter switches to it: up to 5 ms by default. The cycle
+# of a controller is 1 ms.
+_SWITCH_INTERVAL = 5e-4  # s
+_USUAL_INTERVAL = sys.getswitchinterval()
+_ANSWERING: set[int] = set()  # ids of the receivers that answer
+
+
+def _set_switch_interval() -> None:
+    sys.setswitchinterval(_SWITCH_INTERVAL if _ANSWERING else _USUAL_INTERVAL)
+
+
 class FriReceiver(UdpReceiver):
     """Receives the measurements of an LWR or an iiwa, without commanding it.
 
@@ -325,10 +336,13 @@ class FriReceiver(UdpReceiver):
     def open(self) -> None:
         super().open()
         if self.answer:
-            short_turns.begin(self)
+            _ANSWERING.add(id(self))
+            _set_switch_interval()
 
     def close(self) -> None:
-        short_turns.end(self)
+        if id(self) in _ANSWERING:
+            _ANSWERING.discard(id(self))
+            _set_switch_interval()
         super().close()
 
     def reset(self) -> None:

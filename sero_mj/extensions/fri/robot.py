@@ -92,11 +92,7 @@ class FriRobot(ABC):
         self._base_frame: Array = np.eye(4)
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,).
-
-        Raises:
-            SimulationError: the program has ended, or no client has ever answered.
-        """
+        """Writes the torques of this step, (n,); raises SimulationError."""
         self._step += 1
         self._model.update(sensed.motor_angles, sensed.motor_velocities)
         if self._step == 1:

@@ -184,14 +184,11 @@ class Writer:
 
 
 class Participant:
-    """A participant of a domain, with readers and writers.
+    """A participant of a domain, with readers and writers; raises SourceError.
 
     Args:
         host: see `Ros2.host`.
         domain: see `Ros2.domain`.
-
-    Raises:
-        SourceError: Cyclone DDS is not installed, or cannot join the domain.
     """
 
     def __init__(self, host: str, domain: int | None, owner: str) -> None:

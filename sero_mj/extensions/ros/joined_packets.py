@@ -126,15 +126,12 @@ class JoinedPackets:
         return MessageLayout(self.structure)
 
     def take(self, topic: str, message: Any, arrival: float) -> bytes | None:
-        """Takes a message; returns the packet that it makes, or None.
+        """Takes a message; returns the packet that it makes, or None; raises MalformedMessage.
 
         Args:
             topic: what it tells: `JOINT_STATES` and so on.
             message: as `messages.decode` returns it.
             arrival: s since the epoch, in the place of stamps that are not set.
-
-        Raises:
-            MalformedMessage: it contradicts itself.
         """
         values = self._values.copy()
         makes = topic == self.leads

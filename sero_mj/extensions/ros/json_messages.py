@@ -31,15 +31,12 @@ _SHOWN, _SHOWN_BYTES = 40, 8  # characters, or bytes, of a message in an error
 
 
 def joint_state_of(raw: bytes) -> Any:
-    """Decodes a message to the attributes of `sensor_msgs/JointState`.
+    """Decodes a message to the attributes of `sensor_msgs/JointState`; raises MalformedMessage.
 
     A value that is missing or null is NaN. A quantity that no joint has is empty.
 
     Args:
         raw: JSON in UTF-8.
-
-    Raises:
-        MalformedMessage: it is not JSON, or not the state of joints.
     """
     if len(raw) > MOST_BYTES:
         raise MalformedMessage(f"found {len(raw)} bytes; expected at most {MOST_BYTES}")

@@ -49,12 +49,7 @@ class JsonUdp(UdpReceiver, RosSource):
         return f"JSON, {super().about}"
 
     def open(self) -> None:
-        """Binds the socket and starts the thread.
-
-        Raises:
-            SourceError: the port is in use, the address is not one of this machine, or it is not
-                known which joints are wanted.
-        """
+        """Binds the socket and starts the thread; raises SourceError."""
         if not self.joint_names:
             problem = Problem("joints", "no route says which", expected="the names of joints")
             raise SourceError(self.name, problem)

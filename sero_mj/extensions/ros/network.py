@@ -115,14 +115,11 @@ class Topic:
 
 
 def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
-    """Listens for some time, and returns all topics by name.
+    """Listens for some time, and returns all topics by name; raises SourceError.
 
     Args:
         host: see `Ros2.host`.
         domain: see `Ros2.domain`.
-
-    Raises:
-        SourceError: a package is missing, or the domain cannot be joined.
     """
     participant = Participant(host, domain, "ros2")
     try:
@@ -180,14 +177,10 @@ class Found:
 
 
 def find_robot(address: Address, seconds: float) -> Found:
-    """Waits until a network tells of a robot.
+    """Waits until a network tells of a robot; raises SourceError or UsageError.
 
     Args:
         seconds: to wait at most.
-
-    Raises:
-        SourceError: a package is missing, or the domain cannot be joined.
-        UsageError: there is no robot, or there are several; says what there is.
     """
     participant = Participant(address.host, address.domain, "ros2")
     try:

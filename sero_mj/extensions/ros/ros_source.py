@@ -259,11 +259,7 @@ class RosSource(Source):
         self._trouble = trouble
 
     def open(self) -> None:
-        """Starts to receive; publishers need not be there.
-
-        Raises:
-            SourceError: a package is missing, or it is not known which joints are wanted.
-        """
+        """Starts to receive; publishers need not be there; raises SourceError."""
         self.close()
         if self.joint_states and not self.joint_names:
             problem = Problem("joints", "no route says which", expected="the names of joints")

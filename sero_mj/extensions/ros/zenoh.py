@@ -76,11 +76,7 @@ class _Message(NamedTuple):
 
 
 class Session:
-    """Reads a source's topics.
-
-    Raises:
-        SourceError: zenoh is not installed.
-    """
+    """Reads a source's topics; raises SourceError."""
 
     def __init__(self, source: Zenoh, listener: Listener) -> None:
         _zenoh(source.name)

@@ -132,12 +132,7 @@ class RtdeRobot:
         self._state.is_running = not has_script
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,).
-
-        Raises:
-            SimulationError: a port is in use, the program has failed, or no client ever answers in
-                lockstep.
-        """
+        """Writes the torques of this step, (n,); raises SimulationError."""
         self._step += 1
         self._time = sensed.time
         if self._step == 1:

@@ -88,12 +88,7 @@ class Peer(ABC):
         """Acts on what has come, and returns what is incomplete; raises Nonsense."""
 
     def read(self) -> None:
-        """Takes what has come.
-
-        Raises:
-            OSError: the connection has ended.
-            Nonsense: what came is not of its protocol.
-        """
+        """Takes what has come; raises OSError or Nonsense."""
         more = self.socket.recv(65536)
         if not more:
             raise ConnectionError("it closed the connection")
@@ -310,15 +305,12 @@ class RtdeServer:
         return [peer for peer in self._peers.values() if isinstance(peer, RtdePeer)]
 
     def open(self, host: str, port: int, dashboard: int = 0, script: int = 0) -> None:
-        """Listens.
+        """Listens; raises OSError.
 
         Args:
             port: of RTDE; 0 for a free one.
             dashboard: port of the dashboard server; 0 for none.
             script: port that takes URScript; 0 for none.
-
-        Raises:
-            OSError: there is no such address, or a port is in use; says which one.
         """
         self._selector = selectors.DefaultSelector()
         for number, make in ((port, RtdePeer), (dashboard, DashboardPeer), (script, ScriptPeer)):
