@@ -1,11 +1,10 @@
 """Opens UDP sockets, with clear errors, and reads them in batches.
 
-On Linux one `recvmmsg` call reads up to 256 packets, with the kernel's arrival time of each. Measured
-for waiting packets of 112 bytes: one takes 15 us (`recvmsg_into`: 3), eight 17 us (13), and 256 take
-114 us (405). Receiving 300,000 packets/s while rendering (docs/peers.md) leaves 3.3 us for each, so
-256 are worth more than one. `recvmsg_into` also releases the interpreter for every packet: beside a
-busy thread, the 99th percentile of 64 packets is 26 ms instead of 10. Elsewhere packets are read one
-by one.
+On Linux one `recvmmsg` call reads up to 256 packets, with the kernel's arrival time of each.
+Measured for waiting packets of 112 bytes: one takes 15 us (`recvmsg_into`: 3), eight 17 us (13),
+and 256 take 114 us (405). Receiving 300,000 packets/s while rendering (docs/peers.md) leaves 3.3 us
+for each. `recvmsg_into` also releases the interpreter for every packet: beside a busy thread, the
+99th percentile of 64 packets is 26 ms instead of 10. Elsewhere packets are read one by one.
 """
 
 from __future__ import annotations
