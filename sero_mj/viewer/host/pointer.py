@@ -8,13 +8,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
 from ..decor.toggles import Toggles
 from ..image.clicks import CLICKS, Gesture, click
 from ..image.picking import Picked, Pixel
 from ..session.input import DOUBLE_CLICK_DISTANCE, DOUBLE_CLICK_TIME, Clicked
 from ..session.tool import Shown
+from .camera_control import CameraControl
 from .dragging import Dragging
 
 OnClick = Callable[[Picked | None, str], None]
@@ -23,11 +23,9 @@ _OF_JOINTS = ("link", "double", "arrow", "billboard")  # kinds of items
 
 
 class Pointed(Shown, Protocol):
-    """A window or page whose camera turns to what a pointer is at."""
+    """A window or page whose camera can follow or center on what is under the pointer."""
 
-    def follow(self, frame: str | None) -> str: ...
-
-    def centre(self, point: Array) -> None: ...
+    camera_control: CameraControl
 
 
 @dataclass
@@ -71,7 +69,7 @@ class Pointer:
 
     def __init__(self, host: Pointed) -> None:
         self.at: Pixel | None = None
-        self.dragging = Dragging(host.tools, lambda text, is_bad: host.say(text, is_bad=is_bad))
+        self.dragging = Dragging(host.tools, host.say)
         self.on_click: OnClick | None = None
         self._host = host
         self._clicks = ClickDetector(host.world, host.toggles)
@@ -94,7 +92,7 @@ class Pointer:
         host = self._host
         picked = None if self.at is None else host.decor.pick(host.data, self.at)
         is_frame = picked is not None and picked.name in host.world.frames.names
-        return host.follow(picked.name if picked and is_frame else None)
+        return host.camera_control.follow(picked.name if picked and is_frame else None)
 
     def click(self, clicked: Clicked, picked: Picked | None = None) -> None:
         """Performs the action of a click.
@@ -127,4 +125,4 @@ class Pointer:
     def _centre(self, at: Pixel) -> None:
         point = self._host.decor.point_at(self._host.data, at)
         if point is not None and np.isfinite(point).all():
-            self._host.centre(point)
+            self._host.camera_control.centre(point)

@@ -59,7 +59,7 @@ class SizeOptions(Options):
         size: width and height, pixels.
         quality: draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is
             software; fine: for print, with 300 dots per inch; its films blur what moves.
-        renderer: classic: OpenGL; or one of an extension, of which `doctor` tells (default: one
+        renderer: classic: OpenGL; or one of an extension, of which `check` tells (default: one
             with soft shadows for --quality fine where it runs, else classic).
     """
 

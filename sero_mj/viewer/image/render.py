@@ -353,7 +353,7 @@ def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) 
         upload_textures(model, context_of(renderer), textures)
         return renderer
     except Exception as error:  # every GL backend raises errors of its own
-        doctor = "`sero-mj doctor` lists what is missing"
+        doctor = "`sero-mj check` lists what is missing"
         why = backend_problem() or f"{error or type(error).__name__}; {doctor}"
         raise RenderError(f"no picture of {width}x{height} can be made: {why}") from error
 

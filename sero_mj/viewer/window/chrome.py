@@ -47,7 +47,6 @@ class Chrome(ImguiLayer):
         super().__init__(gl)
         self._host, self._columns = host, columns
         self.widgets.folds = host.folds
-        self.shows_panel = False
         self.covered = 0.0
 
     def places(self, size: tuple[int, int]) -> Places:
@@ -57,7 +56,7 @@ class Chrome(ImguiLayer):
             self._line,
             has_status=host.shows_status,
             has_time=host.shows_status and host.has_time_line,
-            has_area=bool(host.areas),
+            has_area=bool(host.tools.areas),
         )
 
     @property
@@ -80,13 +79,13 @@ class Chrome(ImguiLayer):
 
     def _build(self, places: Places, picture: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
         host, ui = self._host, self.widgets
-        if places.area is not None and host.areas:
-            first = host.areas[0]
+        if places.area is not None and host.tools.areas:
+            first = host.tools.areas[0]
             with self._part(first.area, places.area, 0.5, 0.4):
                 host.tools.call(first, lambda tool: tool.build_area(ui))
         if places.time is not None:
             with self._part("time", places.time, 0.45, 0.1):
-                build_time_line(ui, host.clock, host.ticks)
+                build_time_line(ui, host.clock, host.tools.ticks)
         if places.status is not None:
             over = (places.status.height - self.text_height) / 2 / self.text_height
             with self._part("status", places.status, 0.55, over):
@@ -94,10 +93,10 @@ class Chrome(ImguiLayer):
         top = self.size[1] - picture.bottom - picture.height
         if host.notice.is_shown:
             self._note("message", host.notice.piece, picture, top + _MESSAGE_TOP * self._line)
-        ongoing = host.ongoing
+        ongoing = host.tools.ongoing
         if ongoing is not None:
             self._note("ongoing", ongoing, picture, top + _ONGOING_TOP * self._line)
-        if self.shows_panel:
+        if host.shows_panel:
             self._panel(places.picture.bottom if places.area is None else places.area.bottom)
         else:
             self._handle()
@@ -139,7 +138,7 @@ class Chrome(ImguiLayer):
         imgui.pop_style_var(1)
         self.take_mouse()
         if build_handle(self.widgets, "Tab"):
-            self.shows_panel = True
+            self._host.shows_panel = True
         self.covered = _BESIDE_HANDLE * self._line
         imgui.end()
 
@@ -158,7 +157,7 @@ class Chrome(ImguiLayer):
         if shown:
             self._host.build_panel(self.widgets, unfolds_sources=False)
         imgui.end()
-        self.shows_panel = bool(is_open)
+        self._host.shows_panel = bool(is_open)
 
     def _help(self) -> None:
         host = self._host
