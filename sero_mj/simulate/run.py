@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ..base.errors import DeclarationError, Problem, SimulationError, UsageError
 from ..base.frames import Array, Ints, frame, rotation_from_quat
 from ..robots.declared.mounts import base_frames, unmounted
 from ..robots.declared.robot import SerialRobot
+from .batch_setup import BatchSetup
 from .control.compiler import fingerprint
 from .control.controller import ControllerDeclaration
 from .control.plan import Plan, make_plan
@@ -23,9 +24,6 @@ from .live_control import LiveControl, LiveRobot
 from .robot_control import ControlledRobot
 from .runs.run_log import MEASURED, TARGETS, RunLayout, event_of
 from .scenario import Scenario
-
-if TYPE_CHECKING:
-    from .run_batch import RunBatch
 
 T = TypeVar("T")
 
@@ -44,7 +42,7 @@ class Run:
     """A run in one row of a batch.
 
     Args:
-        batch: that it is simulated in.
+        batch: what it shares with the other runs of its batch.
         row: its index there.
         by_hand: whether robots can be pulled by hand while it runs.
         is_live: whether targets and controllers are changed while it runs, see `LiveControl`.
@@ -69,13 +67,13 @@ class Run:
     def __init__(
         self,
         scenario: Scenario,
-        batch: RunBatch,
+        batch: BatchSetup,
         row: int,
         *,
         by_hand: bool = False,
         is_live: bool = False,
     ) -> None:
-        self.scenario, self.compiler, self._batch = scenario, batch.compiler, batch
+        self.scenario, self.compiler, self._setup = scenario, batch.compiler, batch
         self.robots, self.drives, self.plant = batch.robots, batch.drives, batch.plant.rows[row]
         self.error: SimulationError | None = None
         self.drag_force = DragForce(self.plant, scenario) if by_hand else None
@@ -100,7 +98,7 @@ class Run:
             start: (n,), of all robots together, rad or m.
         """
         self.step, self._start = 0, start
-        run, batch, row = self.scenario.run, self._batch, self.plant.row
+        run, batch, row = self.scenario.run, self._setup, self.plant.row
         self.times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
         angles = {name: start[part.joints] for name, part in self.plant.world.robots.items()}
         bases = base_frames(self.robots, angles)
@@ -139,7 +137,7 @@ class Run:
             return make_plan(robot, None, self.times[:1], self.compiler, start)
         controller, target = scenario.controller_of(name), scenario.targets.get(name)
         needs = {"needs_target": controller.needs_target, "needs_pose": controller.needs_pose}
-        known, key = self._batch.plans, fingerprint([name, target, needs])
+        known, key = self._setup.plans, fingerprint([name, target, needs])
         if key not in known:
             known[key] = make_plan(robot, target, self.times, self.compiler, start, **needs)
         return known[key]
@@ -245,7 +243,7 @@ class Run:
         Args:
             robot: as it stands in the world at first.
         """
-        model = self._batch.robot_model(robot)
+        model = self._setup.robot_model(robot)
         if self.whole_body is not None:
             model.follow((self.whole_body.mounting(robot.name), robot.base_frame, robot.n))
         return model
@@ -312,7 +310,7 @@ class Run:
             UsageError: its torques are computed together with those of other runs, see `together`.
         """
         controlled = self.controlled[list(self.robots).index(robot)]
-        if self._batch.plant.physics.m > 1 and controlled.control.rows:
+        if self._setup.plant.physics.m > 1 and controlled.control.rows:
             raise UsageError(
                 f"{robot} is controlled together with the same robot of other runs; expected a "
                 "Simulation of its own to change its controller"
@@ -328,7 +326,7 @@ class Run:
         except DeclarationError:
             controlled.in_use = before
             raise
-        self._batch.has_changed = True
+        self._setup.has_changed = True
 
     def close(self) -> None:
         """Ends what controllers have started; it cannot be advanced any more."""

@@ -8,26 +8,18 @@ and events when they are due. A run in a batch is the same as one by itself, to 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from weakref import ref
 
 import numpy as np
 
-from ..base.errors import DeclarationError, Problem, SimulationError
+from ..base.errors import Problem, SimulationError
 from ..base.frames import Array
 from ..robots.declared.joint_speeds import joint_speeds
-from ..robots.declared.robot import SerialRobot
-from ..robots.declared.scene import Scene
+from .batch_setup import BatchSetup
 from .control.compiler import Compiler, fingerprint
 from .control.observer import MomentumObserver
-from .control.plan import Plan
-from .control.robot_model import RobotModel
 from .control.robot_models import RobotModels
-from .control.whole_body import WholeBody
-from .drives import Drives
-from .event_schedule import CarriedObjects
-from .plant import PlantRows
 from .robot_control import RobotControl
 from .run import Run
 from .runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED
@@ -49,26 +41,13 @@ def batch_key(scenario: Scenario) -> object:
     return fingerprint([*declared, scenario.amplifies])
 
 
-class RunBatch:
-    """The plant, drives, controllers and log of runs that are simulated together.
+class RunBatch(BatchSetup):
+    """Runs that are simulated together.
 
     Args:
         scenarios: of the runs, with one `batch_key`.
         seeds: of their noise.
         raises: whether what ends a run is raised, as for one by itself; else it is its `error`.
-
-    Attributes:
-        robots: by name, as they are simulated: with elastic joints where the runs ask for them.
-        plant: the simulated robots, a row for every run.
-        drives: between controllers and motors; None where that is only a wire.
-        whole_bodies: of every row, what the controllers of mounted robots know of each other; empty
-            where none is mounted.
-        start: (n,), joint angles at first, rad or m.
-        drive: (m, 2, n), torques, Nm or N: commanded, and asked for before the limits.
-        gains: (m, n), factors of the commanded torques, after the limits: those of faulty drives.
-        carried: objects that robots of any run carry.
-        plans: targets of its runs, by robot and all that they depend on.
-        has_changed: whether a controller has been replaced since the last step.
     """
 
     def __init__(
@@ -79,50 +58,10 @@ class RunBatch:
         *,
         raises: bool,
     ) -> None:
-        self._scenarios, scenario = scenarios, scenarios[0]
-        self.compiler, self._raises = compiler, raises
-        run = self._run = scenario.run
-        elastic = {} if run.elastic is None else {"elastic_joints": run.elastic}
-        self.robots = {
-            name: robot.model_copy(update=elastic) for name, robot in scenario.scene.robots.items()
-        }
-        sensors = [one.make_sensors(seed) for one, seed in zip(scenarios, seeds, strict=True)]
-        world = compiler.world(self._stripped(scenario), run.gravity)
-        self.start: Array = np.concatenate([robot.home for robot in self.robots.values()])
-        world.model.opt.timestep = run.timestep / run.substeps
-        self.plant = PlantRows(world, sensors)
-        m = len(scenarios)
-        for row in range(m):
-            self.plant.reset(row)
-        self.plant.joints.looks_ahead = False  # controllers have models of their own
-        self.drives: Drives | None = None
-        if run.torque_control or run.substeps > 1 or run.drive_delay or scenario.amplifies:
-            with located_in(scenario.scene):
-                self.drives = Drives(self.plant, self.robots, run)
-        self.whole_bodies = [WholeBody(world) for _ in range(m) if WholeBody.is_needed(world)]
-        self.drive: Array = np.zeros((m, 2, self.plant.n))
-        self.gains: Array = np.ones((m, self.plant.n))
-        self.carried = CarriedObjects(self.plant)
-        self.plans: dict[object, Plan] = {}
-        self.has_changed = False
+        super().__init__(scenarios, seeds, compiler)
+        self._raises = raises
         self._runs: list[ref[Run]] = []  # a run that nobody has any more is not simulated
-        self._limit_speeds(run.runaway_speed)
-
-    def _stripped(self, scenario: Scenario) -> Scene:
-        """The scene without doubles, arrows and cameras, which would cost time in every step.
-
-        What is carried is a mass of the flange, and nothing to run into.
-        """
-        scene = scenario.scene
-        return Scene(
-            robots=list(self.robots.values()),
-            # Links of a group's robots that stand together do not collide.
-            groups=[group.without_defaults() for group in scene.groups.values()],
-            objects=scenario.obstacles,
-            floor=scene.floor,
-            name=scene.name,
-            file=scene.file,
-        )
+        self._limit_speeds(self._run.runaway_speed)
 
     def _limit_speeds(self, share: float) -> None:
         """Computes the speeds at which joints run away, `share` times their limits; 0 for none."""
@@ -131,26 +70,6 @@ class RunBatch:
         # While the sum of all squared speeds is below this, no joint exceeds its limit.
         self._surely_slow = float(self._fastest.min()) ** 2
         self._motor_speeds = self.plant.motor_velocities if self.plant.joints.elastic else None
-
-    def robot_model(self, robot: SerialRobot) -> RobotModel:
-        """Returns a new model of a robot alone; a torque loop changes what its motors feel like.
-
-        Args:
-            robot: as it stands in the world at first.
-        """
-        if self.drives is not None and robot.name in self.drives.gains:
-            robot = self.drives.gains[robot.name].felt(robot)
-        return self.compiler.robot_model(robot, self._run.gravity)
-
-    def _models(self, robots: Sequence[SerialRobot], rows: Sequence[int]) -> RobotModels:
-        """The models of robots in some rows; they follow what carries them."""
-        mountings = [
-            (self.whole_bodies[row].mounting(robot.name), robot.base_frame)
-            for row in rows
-            if self.whole_bodies
-            for robot in robots
-        ]
-        return RobotModels([self.robot_model(robot) for robot in robots], len(rows), mountings)
 
     def restart(self, joint_angles: Array, seed: int) -> None:
         """Puts the plant of the only run at rest in a pose, with another seed of the noise."""
@@ -187,7 +106,7 @@ class RunBatch:
         standing = [one.robot for one in runs[0].controlled]
         gains = np.array([[one.run.observer_gain] for one in self._scenarios])
         self._observers = [
-            _Observer(every, rows, self._models(standing, rows), gains[rows], self._run.timestep)
+            _Observer(every, rows, self.models(standing, rows), gains[rows], self._run.timestep)
             for every, rows in observed.items()
         ]
         for observer in self._observers:
@@ -216,7 +135,7 @@ class RunBatch:
                 groups[group].append(number)
         for numbers in groups.values():
             each = [[row[number] for number in numbers] for row in rows]
-            models = self._models([one.robot for one in each[0]], range(len(rows)))
+            models = self.models([one.robot for one in each[0]], range(len(rows)))
             is_live = any(run.live is not None for run in runs)
             self._controls.append(
                 RobotControl.joined(each, self.plant, self.drive, models, is_live=is_live)
@@ -415,12 +334,3 @@ class _Observer:
         mean = np.add.reduce(own[:, :, 2]) / len(own)
         self._own.model.update(angles, velocities)
         return self._own.update_with(velocities, mean)
-
-
-@contextmanager
-def located_in(scene: Scene) -> Iterator[None]:
-    """Adds the scene's file and lines to the problems of a `DeclarationError` in its context."""
-    try:
-        yield
-    except DeclarationError as error:
-        raise DeclarationError(scene.located(error.problems)) from None

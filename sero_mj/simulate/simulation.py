@@ -60,11 +60,13 @@ class Simulation(Run):
     ) -> None:
         _check_size(scenario)
         if batch is not None:
+            self._batch = batch[0]
             super().__init__(scenario, *batch)
             self.check_gains()
             return
         seed = scenario.run.seed if seed is None else seed
         own = RunBatch([scenario], [seed], compiler or Compiler(), raises=True)
+        self._batch = own
         super().__init__(scenario, own, 0, by_hand=by_hand, is_live=is_live)
         own.begin([self])
         self.check_gains()
