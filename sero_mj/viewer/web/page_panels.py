@@ -10,7 +10,7 @@ from ..host.live import LiveHost
 from ..panels import help as help_panel
 from ..panels import request_panel
 from ..panels.dom_widgets import DomWidgets, Node
-from ..panels.time_line import build_time_line
+from ..panels.status_line import build_time_line
 from ..session.keys import help_columns
 from ..session.status_line import status_pieces
 from ..session.tool import Tool, tool_keys
