@@ -1,7 +1,7 @@
 """A plug-in: a round gauge at each joint that shows the temperature of its motor.
 
-A robot declares the input `temperatures`, and a route connects it to values of a source. A
-scene can set the settings in the table [decor.temperature]. Its pyproject.toml has:
+A robot declares the input `temperatures`, and a route connects it to values of a source.
+A scene can set the settings in the table [decor.temperature]. Its pyproject.toml has:
 
     [project.entry-points."sero_mj.decor"]
     temperature = "temperature_gauge:TemperatureGauge"
