@@ -1,7 +1,8 @@
 """A plug-in: an importer for chains of joints in SDF, the format of Gazebo.
 
 It reads models whose links and joints have plain poses (sdformat.org/spec). The pose of a
-link is in the frame of the model, the pose of a joint in the frame of its child. Its pyproject.toml has:
+link is in the frame of the model, the pose of a joint in the frame of its child. Its
+pyproject.toml has:
 
     [project.entry-points."sero_mj.importers"]
     sdf = "sdf_importer:Sdf"
