@@ -153,7 +153,6 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
 
 
 def _refuse_group(name: str) -> None:
-    """Raises UsageError where a name is that of a group, and names its robots and their models."""
     try:
         path = paths.find_group_model(name)
     except UnknownName:
@@ -193,7 +192,6 @@ def _load_scenario(
 
 
 def _check(scenario: Scenario) -> None:
-    """Reports everything that is wrong with a scenario, as far as that shows without running it."""
     from .simulate.control.controller import ControllerDeclaration
     from .simulate.simulation import Simulation
 

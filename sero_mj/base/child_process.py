@@ -126,7 +126,6 @@ def _end(
     output: IO[bytes],
     owner: int,
 ) -> None:
-    """Ends a process, which may not have been started, with its group."""
     if os.getpid() != owner:  # in a forked copy
         return
     pid = getattr(process, "pid", None)
@@ -203,7 +202,6 @@ def _note(entry: bytes) -> None:
 # Registered early, so that it runs late: what is registered after it may still use the processes.
 @atexit.register
 def _at_exit() -> None:
-    """Ends all child processes when this process exits, and the reaper."""
     global _is_exiting  # noqa: PLW0603
     end_all()
     _is_exiting = True

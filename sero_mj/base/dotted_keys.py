@@ -115,7 +115,6 @@ def no_table(section: str, name: str, others: Iterable[str]) -> str:
 
 
 def _with_element(values: Any, indices: list[str | int], value: Any, name: str) -> Any:
-    """Returns lists with one element replaced."""
     if not indices:
         return value
     index, *rest = indices

@@ -340,7 +340,6 @@ class RouteError(SeroError, ValueError):
 
 
 def _pointing(text: str, position: int, length: int) -> str:
-    """Quotes the characters of a text at an error."""
     end = min(position + length, position + _MAX_SHOWN)
     found = f"'{text[position:end]}'" if position < len(text) else "the end"
     first, last = max(position - _MAX_SHOWN, 0), end + _MAX_SHOWN
@@ -350,12 +349,6 @@ def _pointing(text: str, position: int, length: int) -> str:
 
 
 class _ProblemError(SeroError):
-    """An error with one problem.
-
-    Attributes:
-        problem: what is wrong, and with what; of a text alone, it is the reason.
-    """
-
     def __init__(self, problem: Problem | str, place: str = "") -> None:
         self.problem = problem if isinstance(problem, Problem) else Problem("", problem)
         super().__init__(": ".join(part for part in (place, str(self.problem)) if part))

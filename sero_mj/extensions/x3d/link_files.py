@@ -44,7 +44,6 @@ def link_files(robot: SerialRobot) -> dict[str, str]:
 
 
 def _shapes(model: Any, k: int) -> list[str]:
-    """Returns the Shape nodes of a geom, in the frame of its link."""
     kind, size = Geom(model.geom_type[k]), model.geom_size[k]
     T = frame(rotation_from_quat(model.geom_quat[k]), model.geom_pos[k])
     rgba = model.geom_rgba[k].round(6).tolist()

@@ -47,7 +47,6 @@ def object_table(
 
 
 def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] | None:
-    """The table of a box, a sphere, an ellipsoid or a cylinder; None for other shapes."""
     scales = np.linalg.norm(T[:3, :3], axis=0)
     if not (scales > 0).all():
         return None

@@ -283,7 +283,6 @@ def _counted(numbers: Array) -> str:
 
 
 def _shown(items: Sequence[Any] | Array) -> str:
-    """A value for messages."""
     words = []
     for item in items[:4]:
         if isinstance(item, Node):

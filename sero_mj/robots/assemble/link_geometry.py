@@ -153,7 +153,6 @@ def part_geoms(
 
 
 def _faded(rgba: Any, part: LinkGeometry) -> Any:
-    """Returns a colour with the opacity of a part."""
     return rgba if part.opacity == 1.0 else [*rgba[:3], rgba[3] * part.opacity]
 
 
@@ -164,7 +163,6 @@ def mesh_scale(robot: SerialRobot, part: LinkGeometry) -> Array:
 
 
 def _placed(robot: SerialRobot, T: Array, shrink: float) -> Array:
-    """Returns the frame of a part in its link."""
     T = MIRROR @ T @ MIRROR if robot.mirrored else T.copy()
     T[:3, 3] *= shrink
     return T

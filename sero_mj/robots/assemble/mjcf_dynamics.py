@@ -208,7 +208,6 @@ def _add_deflection(
 
 
 def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | None]) -> None:
-    """Adds collision geoms to links: declared ones, else hulls of meshes, and shapes."""
     sunk = _links_near_base(robot)
     is_declared = robot.collisions is not None or robot.mjcf is not None
     declared = touching_geoms(piece, robot) if is_declared else None
@@ -304,13 +303,11 @@ def exclude_mounted(
 
 
 def _links_beside(robot: SerialRobot, link: int) -> list[tuple[int, int]]:
-    """Returns the links up to two joints away from a link, and their distances in joints."""
     between = (robot.kinematics.moves != robot.kinematics.moves[link]).sum(axis=1)
     return [(k, int(between[k])) for k in np.flatnonzero(between <= 2).tolist()]
 
 
 def _bodies_of(root: mujoco.MjSpec, robot: SerialRobot, link: int) -> list[str]:
-    """Returns the names of the bodies of a link and of objects fixed to it, its own first."""
     scope = f"{robot.name}/"
     names = [f"{scope}link{link}" if link else scope]
     fixed = [root.body(f"{scope}{ON}{f'link{link}' if link else 'base'}")]

@@ -147,7 +147,6 @@ def _mesh(
     scope: str,
     shrink: float,
 ) -> str:
-    """Adds a mesh, unless it exists, and returns its name."""
     name = f"{scope}mesh{mesh}"
     if root.mesh(name) is not None:
         return name

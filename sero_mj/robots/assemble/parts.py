@@ -427,7 +427,6 @@ def _joint_table(
     counts = [robot.n for robot in robots]
 
     def gather(values: Iterable[Any], kind: Any = np.float64) -> Any:
-        """Returns one entry per joint, from one value or one array per owner."""
         spread = [np.broadcast_to(v, n) for v, n in zip(values, counts, strict=True)]
         return np.concatenate(spread or [np.empty(0)]).astype(kind)
 

@@ -160,7 +160,6 @@ def about_large_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> list[st
 
 
 def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
-    """Returns the parameters of the mirror image of a robot."""
     S = MIRROR[:3, :3]
     return replace(
         dynamics,
@@ -240,7 +239,6 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
 
 
 def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInertia:
-    """Estimates inertias from the declared density and the visual hulls and shapes."""
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
     root.compiler.boundmass, root.compiler.boundinertia = _MIN_MASS, 1e-12

@@ -128,7 +128,6 @@ class Solids:
     def _crossings(
         self, start: Array, direction: Array, reach: float, skins: list[_Skin]
     ) -> Iterator[tuple[int, float, bool]]:
-        """Yields the surfaces along a ray: geom or skin, distance, whether the ray leaves it."""
         geom, normal, step = self._geom, self._normal, _STEP * reach
         at = 0.0
         for _ in range(_MAX_CROSSINGS):
@@ -175,7 +174,6 @@ def _posed_skins(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Skin]:
 
 
 def _near(skin: _Skin, centre: Array, reach: float) -> _Skin:
-    """Returns a skin reduced to its faces near a point."""
     faces, vertices, normals = skin
     corners = vertices[faces]
     near = corners.min(axis=1) <= centre + reach

@@ -34,7 +34,6 @@ _point = of_shape(3).func
 
 
 def _place(value: Any) -> Any:
-    """Returns a frame's name unchanged, or a point in the world (3,), m."""
     return value if isinstance(value, str) else _point(value)  # type: ignore[call-arg]
 
 
@@ -198,7 +197,6 @@ def list_frames(
 
 
 def _axes_objects(items: Sequence[Object], name: str) -> list[NamedFrame]:
-    """Returns the frames of objects of shape `axes`, which have their own toggle."""
     scope = f"{name}/" if name else ""
     return [
         NamedFrame(

@@ -49,7 +49,6 @@ def _transform(rows: Array, key: str, declared: Mapping[str, Any]) -> Array:
 
 
 def _frame(T: Array) -> str:
-    """A frame as files have it."""
     xyz = ", ".join(f"{x + 0.0:.6g}" for x in T[:3, 3].round(9))
     rpy = ", ".join(f"{x + 0.0:.6g}" for x in np.rad2deg(rpy_from_rotation(T[:3, :3])).round(6))
     return f"{{ xyz = [{xyz}], rpy_deg = [{rpy}] }}"

@@ -127,11 +127,6 @@ class _Place:
     inside: tuple[Path, ...] = ()
 
     def of(self, name: str, table: Mapping[str, Any], declared: Declared) -> _Place:
-        """Returns the place of a member, from its `mount`, `base_frame` and `mirrored`.
-
-        Raises:
-            DeclarationError: one of these is invalid.
-        """
         T, mirrored, mount = np.eye(4), table.get("mirrored", False), table.get("mount")
         problems = []
         try:
@@ -157,7 +152,6 @@ class _Place:
 def _add_group(
     found: Expanded, around: _Place, name: str, entry: Mapping[str, Any], declared: Declared
 ) -> None:
-    """Adds a group with a model and all of its members, or reports why it is invalid."""
     if found.is_full:
         return
     problems = [
@@ -184,11 +178,6 @@ def _add_group(
 
 
 def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
-    """Returns the file of a group's model.
-
-    Raises:
-        DeclarationError: there is none, or it would contain itself.
-    """
     if not isinstance(model, str | Path):
         raise mismatch(model, "a group's name")
     try:
@@ -204,7 +193,6 @@ def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
 
 
 def _name_of(path: Path) -> str:
-    """Returns the name of a model with this file: that of its folder."""
     return path.resolve().parent.name
 
 
@@ -231,7 +219,6 @@ class _Members:
         self._standing: tuple[str, Array] | None = None  # the robot that carries the objects
 
     def add(self) -> None:
-        """Adds the group and its members."""
         name = self._place.scope.removesuffix("_")
         for key in self._tables:
             if key not in _OF_FILE:
@@ -261,7 +248,6 @@ class _Members:
         self._found.problems += located(self._problems, self._path)
 
     def _members(self, known: Mapping[str, Mapping[str, Any]]) -> list[str]:
-        """Returns the names of the members in their order: by default all, each once."""
         every = [*known["robots"], *known["groups"]]
         others = [name for name, table in known["groups"].items() if "model" not in table]
         members = self._tables.get("members", [name for name in every if name not in others])
@@ -311,7 +297,6 @@ class _Members:
             self._found.objects.setdefault(robot, []).append(item)
 
     def _section(self, tables: Mapping[str, Any], section: str) -> dict[str, dict[str, Any]]:
-        """Returns the tables of a section, of the model or of the group's table."""
         entries = tables.get(section, {})
         wrong = [Problem(section, found=entries, expected=f"tables [{section}.NAME]")]
         if isinstance(entries, Mapping):
@@ -338,7 +323,6 @@ class _Members:
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Merges a table over another one of a group, member by member."""
     merged = {**below, **above}
     for section in ("robots", "groups"):
         one, other = below.get(section), above.get(section)

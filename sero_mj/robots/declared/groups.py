@@ -192,7 +192,6 @@ def group_problems(
 def _contradictions(
     groups: Mapping[str, Group], found: Membership, robot: str, around: list[str]
 ) -> list[Problem]:
-    """Returns defaults of a robot that differ between groups that do not contain each other."""
     problems = []
     for one, other in combinations(around, 2):
         first, second = groups[one].defaults, groups[other].defaults

@@ -127,7 +127,6 @@ def reach(
 
 
 def _turn(rotation: Array) -> tuple[Array, float]:
-    """Returns a rotation (3, 3) as a vector along its axis, rad, and its angle."""
     sin = 0.5 * np.array(
         [
             rotation[2, 1] - rotation[1, 2],

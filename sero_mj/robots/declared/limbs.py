@@ -106,7 +106,6 @@ def all_limbs(
 def _with_followers(
     runs: list[list[int]], names: Sequence[str], followed: Mapping[str, str]
 ) -> list[list[int]]:
-    """Returns runs, those of only coupled joints merged into that of their driving joint."""
     number = {names[i]: k for k, run in enumerate(runs) for i in run}
 
     def leader(k: int) -> int:
@@ -126,7 +125,6 @@ def _with_followers(
 
 
 def _ends(names: Sequence[str], run: Sequence[int]) -> str:
-    """Returns a name by the first and the last joint."""
     first, last = names[run[0]], names[run[-1]]
     return first if len(run) == 1 else f"{first}-{last}"
 

@@ -399,7 +399,6 @@ class SerialRobot(RobotDeclaration):
 
 
 def _shortened(names: Sequence[str]) -> str:
-    """Names separated by commas; of many only the first and the last."""
     if len(names) <= _NAMES_IN_REPR:
         return ", ".join(names)
     half = _NAMES_IN_REPR // 2

@@ -511,7 +511,6 @@ class RobotDeclaration(Declaration):
 
 
 def _count(fields: Mapping[str, Any]) -> int | None:
-    """The number of joints; None if the table or the frames are invalid."""
     rows = fields.get("joint_frames")
     if rows is None:
         rows = fields.get("dh_params")
@@ -519,7 +518,6 @@ def _count(fields: Mapping[str, Any]) -> int | None:
 
 
 def _each(fields: Mapping[str, Any]) -> str:
-    """What each entry belongs to, for messages."""
     by_frames = fields.get("joint_frames") is not None
     return "one per frame of joint_frames" if by_frames else "one per row of dh_params"
 

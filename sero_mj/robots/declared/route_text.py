@@ -107,7 +107,6 @@ def _plain_text(origin: Any) -> str:
 
 
 def _text_for_joints(table: Any) -> str:
-    """Returns an origin for some joints as text, see `origin_text`."""
     example = '{ from = "udp.values0", joints = ["A1", "A2"] }'
     if not isinstance(table, Mapping) or not table.keys() & {*_OF_JOINTS}:
         if not isinstance(table, Mapping):
@@ -142,7 +141,6 @@ def parts_of_origin(text: str) -> list[tuple[str, list[str] | None]]:
 
 
 def _number_text(value: Any) -> str | None:
-    """Returns a number or a list of numbers as text; None for anything else."""
     if isinstance(value, list | tuple):
         entries = [_number_text(entry) for entry in value]
         texts = [entry for entry in entries if entry is not None]

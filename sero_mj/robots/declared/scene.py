@@ -213,7 +213,6 @@ class Scene:
         return robot
 
     def _with_defaults(self, robot: SerialRobot) -> SerialRobot:
-        """Returns the robot with the defaults of its groups for fields it does not set."""
         own = set(robot.model_fields_set)
         for name in self.membership.around.get(robot.name, []):  # inner ones first
             for key, value in self.groups[name].defaults.items():
@@ -226,7 +225,6 @@ class Scene:
         return robot
 
     def _share_out(self, group: Group) -> None:
-        """Distributes the per-joint values declared for a group to its robots."""
         robots = [self.robots[name] for name in self.membership.members[group.name]]
         place = f"groups.{group.name}"
         self._group_problems += [
@@ -249,7 +247,6 @@ class Scene:
                     self.robots[robot.name] = changed
 
     def _add_double(self, double: Double) -> None:
-        """Adds a double, or those of all robots of a group."""
         robots = self.membership.members.get(double.of)
         if robots is None:
             self.doubles[double.name] = double
@@ -357,7 +354,6 @@ class Scene:
         return name if robot is None or not label else f"{owner}/{robot.frame_label(label)}"
 
     def _by_links(self, entry: _Entry) -> _Entry:
-        """Returns an arrow or received frame with names of joints replaced by links."""
         update = {
             key: self.frame_name(value)
             for key in ("at", "expressed_in", "relative_to")
@@ -385,7 +381,6 @@ class Scene:
         ]
 
     def _name_problems(self) -> list[Problem]:
-        """Returns names that are ambiguous in routes."""
         problems = []
         taken = dict.fromkeys(self.robots, "a robot")
         doubles = dict.fromkeys([*self.doubles, *self.double_groups])
@@ -412,7 +407,6 @@ class Scene:
         return problems
 
     def _frame_problems(self) -> list[Problem]:
-        """Returns references of arrows, limbs and received frames to frames that do not exist."""
         frames = self.named_frames()
         wanted = []
         for name, arrow in self.arrows.items():
@@ -433,7 +427,6 @@ class Scene:
         ]
 
     def _view_problems(self) -> list[Problem]:
-        """Returns what the view cannot follow."""
         view = self.view
         if view.follow is None:
             return []
@@ -456,7 +449,6 @@ class Scene:
         return Problem(key, "no robot, group or frame", found=name, available=names)
 
     def _which_frame(self, name: str, frames: Mapping[str, NamedFrame]) -> str:
-        """Suggests a frame: for a joint that of its link, else the nearest name."""
         owner, _, label = name.partition("/")
         robot = self.robots.get(owner)
         if robot is None:
@@ -474,7 +466,6 @@ class Scene:
         return bool({*sections, *(f"{section}.{name}" for section in sections)} & self.broken)
 
     def _double_problems(self) -> list[Problem]:
-        """Returns doubles of unknown robots or with a wrong number of joints."""
         problems: list[Problem] = []
         of_group = {each: name for name, names in self.double_groups.items() for each in names}
         for name, double in self.doubles.items():
@@ -532,7 +523,6 @@ class Scene:
         return located((self._in_its_model(each, lines) for each in problems), self.file, lines)
 
     def _in_its_model(self, problem: Problem, lines: Mapping[str, int]) -> Problem:
-        """Returns the problem with the robot's file, for a field that is not overridden here."""
         section, _, rest = problem.key.partition(".")
         name, _, key = rest.partition(".")
         robot = self.robots.get(name) if section == "robots" else None
@@ -564,7 +554,6 @@ def _shares(value: Array, robots: Sequence[SerialRobot]) -> list[Array] | None:
 
 
 def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:
-    """Returns the error message for a wrong number of values for several robots."""
     total, free = sum(robot.n for robot in robots), sum(robot.coupled.k for robot in robots)
     each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
     fewer = f", or {free} without the coupled joints" if free < total else ""
@@ -591,14 +580,6 @@ def _not_of_type(
     many: type[Sequence[Any]] | type[Mapping[str, Any]] | None = Sequence,
     **fields: Any,
 ) -> list[Problem]:
-    """Returns the problems of fields of a wrong type.
-
-    Args:
-        kind: of a field, or of its entries.
-        many: `Sequence` or `Mapping` of them; None for one.
-        **fields: values by key; None for a missing one.
-    """
-
     def is_right(value: Any) -> bool:
         if many is None:
             return isinstance(value, kind)

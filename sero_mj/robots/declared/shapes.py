@@ -149,7 +149,6 @@ def trims(
 
 
 def _trims_of(shape: LinkShape) -> list[LinkShape]:
-    """Covers on both ends of a housing, or collars at both ends of a link, clear of housings."""
     start, end = shape.ends
     length = float(np.linalg.norm(end - start))
     radius = float(shape.size[0])
@@ -173,7 +172,6 @@ def _trims_of(shape: LinkShape) -> list[LinkShape]:
 
 
 def _above_ground(shape: LinkShape) -> LinkShape:
-    """Returns a shape of the base without a round end below where the base stands."""
     start, end = shape.ends
     length = float(np.linalg.norm(end - start))
     if shape.kind != "capsule" or start.any() or length <= shape.size[0]:
@@ -182,7 +180,6 @@ def _above_ground(shape: LinkShape) -> LinkShape:
 
 
 def _on_root(shapes: list[LinkShape], root: Array | None) -> list[LinkShape]:
-    """Returns shapes of frame 0 of a table, and their connection to the base, in the base frame."""
     if root is None:
         return shapes
     moved = [replace(s, ends=s.ends @ root[:3, :3].T + root[:3, 3]) for s in shapes]

@@ -47,7 +47,6 @@ _FULL_WIDTH_G = 5.0  # multiple of free fall at which arrows of accelerations ha
 
 
 def _positive(value: Any) -> Any:
-    """Converts one positive number, or one for each joint; inf for a joint without a limit."""
     if value is None:
         return None
     array = np.asarray(value)
@@ -255,7 +254,6 @@ def _model_robot(
 
 
 def _joint_frames(model: mujoco.MjModel, tree: Tree) -> Array:
-    """See `SerialRobot.joint_frames`."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     poses = link_poses(model, data, tree.joints, int(tree.bodies[0]))
@@ -319,7 +317,6 @@ def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
 
 
 def _axes_length(model: mujoco.MjModel, part: ModelPart, body: int) -> float:
-    """Returns the length of a body's axes, m: that of its joint, for a base of the first joint."""
     moved = model.jnt_bodyid[part.tree.joints]
     while body and body not in moved:
         body = int(model.body_parentid[body])
@@ -328,7 +325,6 @@ def _axes_length(model: mujoco.MjModel, part: ModelPart, body: int) -> float:
 
 
 def _find(model: mujoco.MjModel, name: str) -> int:
-    """Returns the row of a body in `xpos`, or of a site behind these."""
     kinds = mujoco.mjtObj
     site = mujoco.mj_name2id(model, kinds.mjOBJ_SITE, name)
     body = mujoco.mj_name2id(model, kinds.mjOBJ_BODY, name)

@@ -180,7 +180,6 @@ class JointPoses:
 
     @staticmethod
     def _across(axis: Array, vectors: Array) -> Array:
-        """Returns the components of vectors (n, 3) perpendicular to axes (n, 3)."""
         return np.asarray(vectors - np.einsum("ni,ni->n", axis, vectors)[:, None] * axis)
 
 

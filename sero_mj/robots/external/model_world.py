@@ -197,7 +197,6 @@ class ModelWorld(WorldView):
         return JointPoses(self.model, of.tree.joints, of.robot.offsets)
 
     def _declare(self) -> None:
-        """Sets the declared values of doubles and arrows; flags inputs that the model provides."""
         self._providable = [(name, key) for name in self.robots for key in _FROM_MODEL]
         self._live = set(self._providable)
         for double in self.doubles.values():
@@ -347,7 +346,6 @@ class ModelWorld(WorldView):
         self._live = {pair for pair, on in zip(self._providable, live, strict=True) if on}
 
     def _dofs(self, owner: str) -> Ints:
-        """Returns the degrees of freedom of a robot, or of that of a double, (n,)."""
         part: Any = self.owners[owner]
         return np.asarray(part.of.dofs if isinstance(part, DoublePart) else part.dofs)
 
@@ -387,6 +385,5 @@ def _no_joints(model: mujoco.MjModel) -> str:
 
 
 def _view(model: mujoco.MjModel) -> View:
-    """Returns the view stored in the model, else the default view."""
     own = float(model.vis.global_.azimuth), float(model.vis.global_.elevation)
     return View() if own == _MUJOCO_VIEW else View(azimuth_deg=own[0], elevation_deg=own[1])

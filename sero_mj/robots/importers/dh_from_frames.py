@@ -124,7 +124,6 @@ def _standard(at_zero: Array, flange: Array) -> tuple[Array, Array]:
 
 
 def _normals(axes: Array) -> list[_Normal]:
-    """The normals of neighbouring axes, each the z axis of a frame (m, 4, 4)."""
     x, foot = axes[0][:3, 0], axes[0][:3, 3]
     normals = []
     for A, B in pairwise(axes):
@@ -171,13 +170,11 @@ def _at_right_angles(x: Array, z: Array) -> Array:
 
 
 def _nearer(x: Array, before: Array, z: Array) -> float:
-    """The sign of x for which theta about z from the previous normal is in -90 to 90 degrees."""
     cosine, sine = before @ x, np.cross(before, x) @ z
     return 1.0 if cosine > _ZERO or (abs(cosine) <= _ZERO and sine > 0) else -1.0
 
 
 def _screw(before: _Normal, normal: _Normal, z: Array) -> tuple[float, float]:
-    """Theta about, and d along, the common axis z of two normals."""
     theta = np.arctan2(np.cross(before.x, normal.x) @ z, before.x @ normal.x)
     return float(theta), float((normal.foot_a - before.foot_b) @ z)
 
@@ -190,7 +187,6 @@ def _frame_on(z: Array, x: Array, origin: Array) -> Array:
 
 
 def _agrees(chain: DhChain, joint_frames: Array, revolute: Bools, flange: Array) -> bool:
-    """Whether every link and the flange agree with the chain in many poses."""
     # Spread over the ranges as random ones are; numpy.random takes 15 ms to import.
     q = np.sin(np.outer(np.arange(_POSES), np.sqrt(np.arange(len(joint_frames)) + 1.5)))
     q *= np.where(revolute, np.pi, 1.0)

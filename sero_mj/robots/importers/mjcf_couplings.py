@@ -107,7 +107,6 @@ def _weights(model: mujoco.MjModel, equality: int, item: int) -> dict[int, float
 
 
 def _leads_back(couplings: dict[str, Any], names: list[str], one: int, other: int) -> bool:
-    """Whether a joint is coupled already, or would follow itself."""
     at: str | None = names[other]
     while at is not None and at != names[one]:
         at = couplings[at]["to"] if at in couplings else None

@@ -135,7 +135,6 @@ def frames_at_zero(model: mujoco.MjModel, joints: Ints, parents: Ints, poses: Ar
 
 
 def _chosen_roots(model: mujoco.MjModel, roots: Ints, is_axis: Array) -> tuple[set[int], int]:
-    """Returns the root bodies of the robot's trees, and the id of its free joint or -1."""
     driven = driven_roots(model)
     trees = {int(root) for root in roots[is_axis]}
     trees = (trees & driven) or trees
@@ -218,8 +217,6 @@ def _links(
 
 
 def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
-    """Returns the elements of a model outside the robot, a sentence for each kind."""
-
     def names(kind: mujoco.mjtObj, ids: Ints) -> str:
         return first_of([mujoco.mj_id2name(model, kind, int(i)) or f"number {i}" for i in ids])
 

@@ -123,7 +123,6 @@ class RobotDescriptions(RobotPlace):
 
 
 def _wrapped(module: str, found: Any) -> Path:
-    """Returns a file of xacro in the cached repository, with the arguments of a description."""
     arguments = [
         f"  <xacro:arg name={quoteattr(key)} default={quoteattr(str(value))}/>"
         for key, value in getattr(found, "XACRO_ARGS", {}).items()
@@ -164,7 +163,6 @@ class Menagerie(RobotPlace):
 
 
 def _menagerie() -> list[Path]:
-    """Returns the folders of the models of a checkout; none if there is none."""
     named = os.environ.get("MENAGERIE_PATH")
     for folder in [Path(named)] if named else [Path(each) for each in _BESIDE]:
         try:
@@ -217,11 +215,9 @@ class RosPackages(RobotPlace):
 
 
 def _plain(name: str) -> str:
-    """Returns a name in lower case, without what separates its parts."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 @cache
 def _common(name: str) -> str:
-    """Returns the usual name of a robot, for another spelling."""
     return _ALIASES.get(_plain(name), name)

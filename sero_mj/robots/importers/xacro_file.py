@@ -147,12 +147,6 @@ class _Interpreter(EvalWithCompoundTypes):  # type: ignore[misc]  # has no types
 
 
 class _Functions(dict[str, Any]):
-    """The functions among names, as the interpreter looks them up.
-
-    Args:
-        names: see `_Interpreter`.
-    """
-
     def __init__(self, names: Mapping[str, Any]) -> None:
         super().__init__()
         self._names = names
