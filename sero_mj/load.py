@@ -115,7 +115,6 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
     """Loads a robot.
 
     Args:
-        name: a shipped robot's name, a folder with a `robot.toml`, or a TOML file.
         overrides: `robot.field` to its value, over what the file says.
 
     Raises:

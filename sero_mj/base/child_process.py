@@ -33,11 +33,8 @@ class ChildProcess:
     pipe would, and leaves nothing behind.
 
     Args:
-        command: path of the program, and its arguments.
         grace: time in seconds between the request to end and the end.
-        leftovers: files and folders that are removed afterwards.
         keeps_stdout: whether its standard output goes to the same file.
-        **options: further options of `subprocess.Popen`.
 
     Attributes:
         process: the process; its pipes are closed when it is ended.

@@ -107,7 +107,6 @@ def shown(value: object, depth: int = 3) -> str:
     Arrays are lists; None is `nothing`; of any other object the class is named.
 
     Args:
-        value: any object.
         depth: of nested tables and lists that are shown.
     """
     value = value.tolist() if hasattr(value, "tolist") else value
@@ -462,7 +461,6 @@ def about_fault(error: Exception, kind: type) -> str:
     """Returns kind, text and place of an error that code of another package has raised.
 
     Args:
-        error: with its traceback.
         kind: the class whose file is looked for there; its innermost line is told.
     """
     file = getattr(sys.modules.get(kind.__module__), "__file__", None)

@@ -366,9 +366,6 @@ def bag_files_in(folder: Path | str) -> list[Path]:
     alone were copied. One recording is a single file, or `NAME_0.mcap`, `NAME_1.mcap` and so on,
     into which `ros2 bag record` splits long ones. Other files may be beside them, but no robots and
     scenes.
-
-    Args:
-        folder: that may be one.
     """
     try:
         files = [each for each in Path(folder).iterdir() if not each.name.startswith(".")]
@@ -397,10 +394,6 @@ def bag_file_in(folder: Path | str) -> Path | None:
 
 def open_file(path: Path | str, most: int | None = None) -> BinaryIO:
     """Opens a file for reading.
-
-    Args:
-        path: of the file.
-        most: maximum size, bytes.
 
     Raises:
         OSError: it cannot be opened, is not a regular file (a pipe would block, a device may be

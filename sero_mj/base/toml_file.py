@@ -273,7 +273,6 @@ def located(
 
     Args:
         problems: in the file; those that have a file already are in another one.
-        path: of the file.
         lines: by dotted key; `key_lines` of the file when None.
     """
     problems = list(problems)

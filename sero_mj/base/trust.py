@@ -126,10 +126,6 @@ def is_allowed(request: Request) -> bool:
 def require(origin: Origin | None, actions: Collection[Action]) -> None:
     """Checks that a declaration may run what it asks for.
 
-    Args:
-        origin: of the declaration; None if it was made in Python.
-        actions: what it asks for.
-
     Raises:
         NotTrusted: its file is not trusted.
     """
@@ -139,11 +135,6 @@ def require(origin: Origin | None, actions: Collection[Action]) -> None:
 
 def import_listed(package: str, module: str, listed: Iterable[str]) -> Any:
     """Imports a module that a file may have named.
-
-    Args:
-        package: an installed package.
-        module: of it.
-        listed: the modules that the package itself lists.
 
     Raises:
         UnknownName: the package does not list it.

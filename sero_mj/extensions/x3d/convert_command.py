@@ -117,7 +117,6 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
     """Returns the tables of a scene file with all fields of the robots, without `model`.
 
     Args:
-        scene: loaded.
         output: a file; folders are relative to its own.
         files: gets the texts of files of links, to be written.
     """

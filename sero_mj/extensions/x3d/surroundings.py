@@ -23,8 +23,6 @@ def object_table(
     """The table of a Shape: a primitive, or triangles as MJCF.
 
     Args:
-        seen: the Shape.
-        problems: receives its errors.
         left_out: receives the kind and line of an unknown geometry.
 
     Returns:

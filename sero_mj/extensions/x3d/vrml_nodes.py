@@ -223,7 +223,6 @@ def read_field(value: Value, kind: str) -> Any:
     """Converts a value to a type, with or without brackets.
 
     Args:
-        value: untyped.
         kind: `SFFloat`, `MFVec3f`, ...
 
     Returns:
@@ -300,7 +299,6 @@ def walk(nodes: Sequence[Node], most: int = 200_000) -> Iterator[Node]:
     """Yields every node once, before its children; without the bodies of PROTOs.
 
     Args:
-        nodes: the roots.
         most: maximum number of nodes.
     """
     todo, seen = list(reversed(nodes)), set[int]()
@@ -321,15 +319,7 @@ def walk(nodes: Sequence[Node], most: int = 200_000) -> Iterator[Node]:
 
 
 def get(node: Node, name: str, kind: str, default: Any, problems: Problems) -> Any:
-    """The value of a field, converted by `read_field`.
-
-    Args:
-        node: that may have it.
-        name: of the field.
-        kind: its type.
-        default: if the field is missing or invalid.
-        problems: receives errors.
-    """
+    """The value of a field, converted by `read_field`."""
     value = node.value(name)
     if value is None:
         return default

@@ -360,15 +360,7 @@ def shape_lines(
     scale: Array | None = None,
     name: str = "",
 ) -> list[str]:
-    """A Shape, in a Transform unless it is at the origin.
-
-    Args:
-        geometry: its node, as text.
-        rgba: of its material, 0 to 1; None for none.
-        T: its pose, (4, 4), rigid.
-        scale: of it, (3,).
-        name: of its DEF; empty for none.
-    """
+    """A Shape, in a Transform unless it is at the origin."""
     lines = [f"{f'DEF {name} ' if name else ''}Shape {{ geometry {geometry}"]
     if rgba is not None:
         look = f"diffuseColor {_numbers(rgba[:3])}"

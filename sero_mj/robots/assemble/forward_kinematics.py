@@ -23,9 +23,6 @@ class ForwardKinematics:
 
     It keeps the state of a pose, so several threads need one each.
 
-    Args:
-        robot: its table, flange and couplings.
-
     Attributes:
         n: number of joints.
     """

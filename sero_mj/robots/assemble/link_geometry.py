@@ -44,8 +44,6 @@ def drawn_geoms(
     """Returns the attributes of the visible geoms of the base and every link, in their frames.
 
     Args:
-        root: receives the meshes; existing ones are reused.
-        robot: declared or generated shapes.
         problems: receives those of unreadable files.
         shrink: factor of all sizes, about each link's origin.
         hull: of meshes, see `mesh_assets`.
@@ -128,10 +126,6 @@ def part_geoms(
     """Returns the attributes of the geoms of a mesh file, one for each colour, or of a shape.
 
     Args:
-        root: gets the meshes.
-        part: with the scale of its mesh.
-        name: of its mesh.
-        folder: of its file.
         rgba: its colour; None for the file's own.
         hull: of its mesh, see `mesh_assets`.
 

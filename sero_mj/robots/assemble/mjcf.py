@@ -69,7 +69,6 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     """Returns the scene as one `MjSpec`, names scoped by robot (`lwr/link1`).
 
     Args:
-        scene: what to build.
         dynamics: of every robot, for the simulated variant; None for the display variant.
 
     Raises:
@@ -317,10 +316,7 @@ def build_surroundings(
     """Returns surroundings like those of scenes, without robots.
 
     Args:
-        look: colour theme.
         floor: its height, m; None for no floor.
-        sky: whether there is a sky.
-        lights: whether there are lights.
         middle: of the lit region, (3,), m.
         size: of that, m.
     """

@@ -54,8 +54,6 @@ def drawn_links(
     """Returns the attributes of the visible geoms of base and links, in their frames.
 
     Args:
-        root: receives the meshes, materials and textures; existing ones are reused.
-        robot: from MJCF.
         scope: prefix of their names.
         shrink: factor of all sizes, about each link's origin.
     """

@@ -94,11 +94,7 @@ class RobotPart:
         return self.robot.billboard_lines
 
     def base_pose(self, qpos: Array) -> Array:
-        """Returns T_world_base (4, 4) of a free or planar base, translation in m.
-
-        Args:
-            qpos: of the world, (nq,).
-        """
+        """Returns T_world_base (4, 4) of a free or planar base, translation in m."""
         at = qpos[self.free]
         if self.robot.free_base != "planar":
             return frame(rotation_from_quat(at[3:]), at[:3])
@@ -403,9 +399,7 @@ def make_tables(
     """Builds the tables of all joints, named frames and smart arrows of a compiled scene.
 
     Args:
-        scene: the declaration.
         owners: robots, then doubles that have joints, by name.
-        slots: slice of every input in `userdata`.
         flags: index in `userdata` of the flag that an input was set, by its name.
         sites: returns the ids of sites (k,) by their names.
     """

@@ -44,7 +44,6 @@ class World(WorldView):
     """A compiled scene.
 
     Args:
-        scene: what to compile.
         dynamic: whether to compile it for simulation: links have masses and collide, joints
             have friction and may be elastic (see `robots.assemble.mjcf_dynamics`).
         dynamics: of its robots, if `dynamic`, instead of the declared ones.
@@ -179,7 +178,6 @@ class World(WorldView):
         """Sets an input; call `data.drive.place` afterwards to move the frames.
 
         Args:
-            data: what to change.
             target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`. The name may be that of a
                 group: its robots have their shares of the values, as of those of a route.
             values: (n,), (3,), a frame (4, 4), or one number, SI units; NaN means no data, and so

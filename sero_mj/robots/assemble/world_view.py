@@ -72,7 +72,6 @@ class WorldView(Protocol):
         """Returns the doubles that decor draws because they are not compiled into the model.
 
         Args:
-            state: as returned by `state`.
             shown: which doubles are switched on, (D,).
         """
 
@@ -95,7 +94,6 @@ class WorldView(Protocol):
         """Sets an input.
 
         Args:
-            data: what to change.
             target: `name.input`, e.g. `lwr.torques`; see `inputs`.
             values: of the input's shape, SI units.
 
@@ -108,8 +106,6 @@ class WorldView(Protocol):
         """Sets inputs to the declared values of a robot, double, arrow or frame.
 
         Args:
-            data: what to change.
-            declared: the declaration.
             keys: its fields, which are inputs of the same names; those that are None are skipped.
         """
         for key in keys:
@@ -120,7 +116,6 @@ class WorldView(Protocol):
         """Sets the pose of a base, received frame, object or camera.
 
         Args:
-            data: what to change.
             name: one of `placed`.
             T_world: pose in the world, (4, 4), translation in m.
         """

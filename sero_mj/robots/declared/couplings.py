@@ -104,12 +104,7 @@ class CoupledJoints:
 
 
 def coupling_problems(names: Sequence[str], couplings: Mapping[str, Coupling]) -> list[Problem]:
-    """Returns couplings of and to joints that do not exist, and cycles.
-
-    Args:
-        names: of all joints.
-        couplings: by the name of the coupled joint.
-    """
+    """Returns couplings of and to joints that do not exist, and cycles."""
     problems = []
     for name, coupling in couplings.items():
         if name not in names:

@@ -53,7 +53,6 @@ def degrees_warning(robot: HasJoints, angles: Array) -> str:
     """Returns a question about the first joint whose angles look like degrees; empty for none.
 
     Args:
-        robot: whose limits apply.
         angles: (n,), or over time (T, n), rad or m; may contain NaN.
     """
     known = np.nan_to_num(np.atleast_2d(angles))

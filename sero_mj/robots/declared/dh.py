@@ -66,8 +66,6 @@ class DhTable(JointTree):
         """Builds a table from rows with the given column order.
 
         Args:
-            rows: (n, 4).
-            convention: `craig` or `standard`.
             columns: a permutation of alpha, a, theta, d. The paper's Fig. 7 shows alpha first
                 and d last and leaves the two between open; alpha, a, theta, d is our reading.
             revolute: (n,) bool; all revolute when None.

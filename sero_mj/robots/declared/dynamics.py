@@ -104,7 +104,6 @@ def balanced_tensor(tensor: Array, mass: float) -> Array:
 
     Args:
         tensor: about the centre of mass, (3, 3), kg m2, symmetric.
-        mass: kg.
     """
     moments, axes = np.linalg.eigh(tensor)
     moments = np.maximum(moments, 0.4 * mass * _POINT_RADIUS**2)
@@ -313,7 +312,6 @@ def merge_tables(file_table: Any, override: Any) -> Any:
     When masses, centres and tensors are all overridden, so is the frame they are given in.
 
     Args:
-        file_table: the file's table.
         override: the overriding table; a `Dynamics` replaces the file's table as a whole.
     """
     if not (isinstance(file_table, Mapping) and isinstance(override, Mapping)):

@@ -18,7 +18,6 @@ def fixed_row_problem(types: Sequence[object], declared: Mapping[str, Any]) -> P
     """What is wrong with types of joints of which one is `fixed`; None if none is.
 
     Args:
-        types: one for each row of the table.
         declared: the robot's fields that are valid so far.
     """
     if FIXED not in types:

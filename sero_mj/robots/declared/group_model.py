@@ -92,7 +92,6 @@ def where(problem: Problem, declared: Declared) -> Problem:
     """Returns a problem with its file, key and line, for a table declared in several places.
 
     Args:
-        problem: whose key is inside the table.
         declared: the places; the first one with the key is used, else the last.
     """
     key = problem.key.partition(".")[0]
@@ -198,12 +197,6 @@ def _name_of(path: Path) -> str:
 
 class _Members:
     """Adds the members of one group with a model.
-
-    Args:
-        found: receives them.
-        place: of the group; its innermost file is the model.
-        entry: the group's table, with tables of members whose keys override the model's.
-        declared: where that is declared.
 
     Raises:
         DeclarationError: the model cannot be read.
@@ -339,7 +332,6 @@ def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -
     that contains them.
 
     Args:
-        folder: base folder of their names.
         tables: of a model, with its sections, or of a group in a scene.
         beside: whether models may also be siblings of that folder, as models usually are.
     """

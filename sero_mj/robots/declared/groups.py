@@ -118,11 +118,7 @@ class Membership:
 
 
 def membership(groups: Mapping[str, Sequence[str]]) -> Membership:
-    """Resolves nested groups.
-
-    Args:
-        groups: names of robots and groups, by the name of their group.
-    """
+    """Resolves nested groups."""
     found = Membership({}, {}, [], {})
 
     def visit(name: str, way: list[str]) -> list[str]:
@@ -160,8 +156,6 @@ def group_problems(
     """Returns unknown and repeated members, cycles, and contradictory defaults.
 
     Args:
-        groups: by name.
-        found: result of `membership`.
         declared: names of all robots and groups, valid or not.
     """
     problems = []

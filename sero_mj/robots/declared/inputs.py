@@ -171,12 +171,6 @@ def inputs_of_group(
 ) -> list[Input]:
     """Returns the members' inputs for an input of their group, in order.
 
-    Args:
-        inputs: all, by `name.key`.
-        group: its name, for messages.
-        key: of the input.
-        members: names of its robots, or of the doubles of these.
-
     Raises:
         UnknownName: no member has such an input.
         ValueError: not all of them have it, or several have it and it is a frame.
@@ -203,7 +197,6 @@ def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
     """Distributes values set for a group to the inputs of its members.
 
     Args:
-        items: of its robots, from `inputs_of_group`.
         target: the group's input, for messages.
         values: of all joints or of the independent ones in order; a switch applies to all.
 
@@ -235,7 +228,6 @@ def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
     Args:
         numbers: a matrix row by row, (16,); x, y, z and a unit quaternion w, x, y, z, (7,); or x, y
             and yaw of a planar base, (3,); m and rad.
-        robot: with that base.
     """
     if len(numbers) == len(PLANAR) and robot is not None:
         return robot.planar_pose(numbers)

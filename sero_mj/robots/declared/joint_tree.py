@@ -143,7 +143,6 @@ class JointTree(ABC):
 
         Args:
             link: index of the frame, 0 for the base; from the end when negative.
-            joint_angles: (..., n), rad or m.
         """
         links = self.link_transforms(joint_angles)
         joints = self.moves[link].nonzero()[0].tolist()

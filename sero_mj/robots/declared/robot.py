@@ -86,7 +86,6 @@ class SerialRobot(RobotDeclaration):
         Args:
             model: a shipped robot's name (`lwr`), a folder with a `robot.toml`, or a file: TOML, or
                 any format with an importer.
-            **overrides: any field of this class.
 
         Raises:
             UnknownName: there is no such model.
@@ -110,11 +109,8 @@ class SerialRobot(RobotDeclaration):
         meshes) are logged as warnings.
 
         Args:
-            path: of the file.
             packages: folders of ROS packages by name, for `package://NAME/...`; others are
                 searched for above the file and on the paths that the environment names.
-            arguments: of xacro by name.
-            **overrides: any field of this class.
 
         Raises:
             DeclarationError: what is wrong in the file or the overrides.
@@ -129,7 +125,6 @@ class SerialRobot(RobotDeclaration):
         Args:
             source: a file, text that starts with `<`, a `mujoco.MjSpec`, or a PyMJCF or composer
                 object.
-            **overrides: any field of this class.
 
         Raises:
             DeclarationError: it cannot be read or compiled, or has no joints.
@@ -430,7 +425,6 @@ def build_robot(
             `torque_control`.
         model: the robot file; its `directory` is relative to its folder.
         packages: folders of ROS packages by name, for URDF.
-        arguments: of xacro by name.
 
     Raises:
         DeclarationError: problems in the file carry its name and line; the others do not.

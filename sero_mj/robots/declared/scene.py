@@ -64,7 +64,6 @@ class Scene:
     """The declaration of a scene.
 
     Args:
-        robots: by name.
         groups: ordered groups of robots, which share routes and switches.
         sources: by name; a table with `kind` and its fields, or a source object.
         routes: origin by input (`lwr.joint_angles`): an event (`udp.values0`), an expression
@@ -73,22 +72,12 @@ class Scene:
             limb in the key, `icub.left_arm.joint_angles`.
         doubles: transparent doubles of the robots; a double of a group becomes one per robot,
             `DOUBLE_ROBOT`.
-        arrows: Cartesian vectors, shown by smart arrows.
-        frames: received frames.
-        objects: fixed objects.
-        cameras: by name.
         lights: by name; one that casts shadows when empty, in addition to a headlight.
         floor: whether there is a floor, at z = 0; `below`: at the lowest point of the robots in
             their declared pose, if that is lower. When None it is `below` if the scene has a robot
             from URDF or MJCF, whose base may be its trunk, or one robot without a `base_frame` and
             no objects; else at 0.
-        view: the default view.
-        toggles: initial toggles of the whole scene.
         decor: settings of visual features, by the name of the feature.
-        description: one line about it, for `sero-mj list` and `check`.
-        note: about its data, shown with the legend.
-        name: shown in titles and messages.
-        file: the file it was read from.
         broken: sections (`robots`) and entries (`robots.lwr`) of the file that are invalid.
         lines: of the file by dotted key, if it is not TOML.
 
@@ -437,12 +426,7 @@ class Scene:
         return [] if found is None or self.is_broken(view.follow.partition("/")[0]) else [found]
 
     def follow_problem(self, key: str, name: str) -> Problem | None:
-        """Returns the problem of a name that no camera can follow; None for one that it can.
-
-        Args:
-            key: of the problem.
-            name: of a robot, a group or a frame.
-        """
+        """Returns the problem of a name that no camera can follow; None for one that it can."""
         names = [*self.groups, *self.robots, *self.named_frames()]
         if name in names or self.frame_name(name) in names:
             return None

@@ -58,7 +58,6 @@ def read_scene_file(
     """Reads a scene file in any format; what was lost of another format is logged.
 
     Args:
-        path: a TOML file, or one with an importer.
         overrides: see `scene_from_tables`, as what is returned.
 
     Raises:
@@ -83,8 +82,6 @@ def scene_from_tables(
     """Builds the valid parts of a scene and reports the problems of the rest.
 
     Args:
-        path: of the file with the tables.
-        tables: of the scene.
         overrides: values by dotted key, which override the file: any key that it takes
             (`view.azimuth_deg`, `sources.udp.port`, `robots.lwr.show_axes`), or the name of a
             robot, a group, an object, ... and a key of that (`lwr.dynamics.coulomb_friction[1]`).

@@ -55,11 +55,8 @@ def housing_radii(
     """Returns the radius of the generated housing of every joint, (n,), m.
 
     Args:
-        table: n joints.
-        flange_frame: T_link_flange (4, 4).
         strokes: maximum extension of every joint, (n,), m; where the table has no lengths, as that
             of a gantry, they say how large the robot is.
-        flange_link: index of the frame that carries the flange.
     """
     steps, depths = table.step_lengths(), table.depths
     if strokes is not None:
@@ -78,10 +75,6 @@ def clear_radii(table: JointTree, radii: Array) -> Array:
 
     Intersecting axes (of a shoulder or a wrist) have coinciding housings: each ring clears the
     largest.
-
-    Args:
-        table: n joints.
-        radii: of `housing_radii`.
     """
     axes, centres = table.joint_axes(table.frames(np.zeros(len(table))))
     if isinstance(table, DhTable) and table.turns_in_carrier:
@@ -101,11 +94,8 @@ def generate_shapes(
     """Returns the shapes of the base and of every link, each in its own frame.
 
     Args:
-        table: n joints.
-        flange_frame: T_link_flange (4, 4).
         strokes: maximum extension of every joint, (n,), m; the rods of prismatic joints are
             longer by it, so that they never leave their housing.
-        flange_link: index of the frame that carries the flange.
     """
     n = len(table)
     strokes = np.zeros(n) if strokes is None else strokes
@@ -130,13 +120,7 @@ def generate_shapes(
 def trims(
     links: list[list[LinkShape]], flange_frame: Array, flange_link: int
 ) -> list[list[LinkShape]]:
-    """Returns what makes generated links look like a machine's; it is drawn and has no mass.
-
-    Args:
-        links: of `generate_shapes`.
-        flange_frame: T_link_flange (4, 4).
-        flange_link: index of the frame that carries the flange.
-    """
+    """Returns what makes generated links look like a machine's; it is drawn and has no mass."""
     found = [[trim for shape in link for trim in _trims_of(shape)] for link in links]
     own = [shape for shape in links[flange_link] if shape.kind != "box"] or links[0]
     radius = 0.8 * min(float(shape.size[0]) for shape in own)

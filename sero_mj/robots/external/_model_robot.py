@@ -179,10 +179,7 @@ def model_part(
     """Builds a robot from the model, with the user's fields as overrides.
 
     Args:
-        model: compiled.
         rest: the pose in which it is measured, after `mj_fwdPosition`.
-        tree: the robot.
-        overrides: the user's fields, of `FIELDS`.
         start: its first row in the world's `JointTable`.
 
     Raises:
@@ -269,7 +266,6 @@ def list_model_frames(
     """Lists the named frames of a model.
 
     Args:
-        model: compiled.
         robots: those whose bodies have frames, named `robot/body`, shown with the robot.
         doubles: likewise for their moving bodies.
         wanted: names of other bodies and sites; these are initially shown.

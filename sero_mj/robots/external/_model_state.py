@@ -129,8 +129,6 @@ class JointPoses:
     Several hinges of one body rotate in sequence.
 
     Args:
-        model: compiled.
-        joints: their ids, (n,).
         offset: of the frames' origins from the anchors, in the joints' frames, (n, 3), m.
     """
 
@@ -153,9 +151,6 @@ class JointPoses:
 
     def place(self, data: mujoco.MjData) -> tuple[Array, Array]:
         """Computes the frames at the current joint angles.
-
-        Args:
-            data: kinematics up to date.
 
         Returns:
             positions (n, 3), m, and rotations (n, 3, 3).
@@ -184,12 +179,7 @@ class JointPoses:
 
 
 class ModelDoubles:
-    """Computes the poses of the doubles of a model.
-
-    Args:
-        model: compiled.
-        doubles: by name.
-    """
+    """Computes the poses of the doubles of a model."""
 
     def __init__(self, model: mujoco.MjModel, doubles: Mapping[str, DoublePart]) -> None:
         self._model = model
@@ -205,7 +195,6 @@ class ModelDoubles:
         """Computes the state of every double that has joint angles; all else is as in `data`.
 
         Args:
-            data: the user's, kinematics up to date.
             angles: (n,) of every double that has any, except paths, rad or m.
         """
         poses = {}
@@ -222,12 +211,7 @@ class ModelDoubles:
         return poses
 
     def drawn(self, state: Any, name: str) -> list[DrawnDouble]:
-        """Returns what to draw of one double: its links that do not coincide with the robot's.
-
-        Args:
-            state: the `ModelState`.
-            name: of the double.
-        """
+        """Returns what to draw of one double: its links that do not coincide with the robot's."""
         part = self._doubles[name]
         poses = state.doubles.get(name, [])
         mine = np.isin(self._model.body_rootid, self._model.body_rootid[part.of.bodies[1:]])

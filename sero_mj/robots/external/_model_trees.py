@@ -79,7 +79,6 @@ def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree
     """Returns the robots of a model, in the order of their bodies.
 
     Args:
-        model: compiled.
         wanted: names of trees without drives that are robots nevertheless.
     """
     single = np.isin(model.jnt_type, (_HINGE, _SLIDE))
@@ -161,7 +160,6 @@ def _touching(start: int, nodes: list[tuple[int, Array, float]]) -> list[int]:
     """Returns the nodes that are joined to one through solids of the world, itself included.
 
     Args:
-        start: the node.
         nodes: id, negative for solids of the world; box (2, 3), m; gap that it bridges, m.
     """
     found, todo = {start}, [node for node in nodes if node[0] == start]
@@ -185,8 +183,6 @@ def _robot_name(model: mujoco.MjModel, roots: Ints, is_alone: bool) -> str:
     """Returns the name of a robot: of its root, or if that only says which part it is, a wider one.
 
     Args:
-        model: compiled.
-        roots: its root bodies, several with a fused trunk.
         is_alone: whether the model has no other robot, so that the model's name is its name.
     """
     name = str(model.body(int(roots[0])).name).strip("/")

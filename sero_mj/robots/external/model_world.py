@@ -61,15 +61,9 @@ class ModelWorld(WorldView):
     """The world of an overlay.
 
     Args:
-        model: compiled by the user; not changed.
-        data: its state, the user's; not changed.
         robots: fields of robots that override the model, by robot.
-        doubles: of its robots.
-        arrows: Cartesian vectors.
         frames: bodies and sites whose axes are shown, in addition to those of robots.
-        toggles: initial toggles of the whole scene.
         surroundings: whether hosts add the floor, sky and lights that the model lacks.
-        name: in titles.
 
     Attributes:
         options: its constructor arguments except model and data.
@@ -292,7 +286,6 @@ class ModelWorld(WorldView):
         """Sets an input; it then overrides what the model provides for it.
 
         Args:
-            data: not changed.
             target: `name.input`, e.g. `arm.torques`; see `inputs`.
             values: (n,), (3,), or one number, SI units. Of joint values also a vector (nv,) of
                 the model, `data.qfrc_actuator` say, of which the robot's are taken; or a mapping

@@ -77,7 +77,6 @@ def dh_from_frames(
             base's, at zero joint values, (n, 4, 4), m.
         revolute: True for joints that turn, False for those that slide, (n,).
         flange_frame: T_n_flange (4, 4) in the last joint's frame; identity when None.
-        convention: `craig` or `standard`.
 
     Returns:
         the table; None if its frames differ from the chain's by more than 1e-9 m or rad in any of
@@ -136,7 +135,6 @@ def _normal(z_a: Array, on_a: Array, z_b: Array, on_b: Array, before: Array) -> 
     """The normal of two axes with directions z through points.
 
     Args:
-        z_a: direction of axis A.
         on_a: foot of the previous normal on A.
         z_b: direction of axis B.
         on_b: any point on B.

@@ -236,12 +236,7 @@ def without_bom(text: bytes) -> bytes:
 
 
 def _lines_of_obj(contents: bytes, kind: bytes) -> tuple[int, bytes]:
-    """Returns the number of lines of a kind in an OBJ file, and their text.
-
-    Args:
-        contents: of the file, behind a line's end.
-        kind: the first letter of such lines.
-    """
+    """Returns the number of lines of a kind in an OBJ file, and their text."""
     begin = contents.find(b"\n%b " % kind)
     end = contents.find(b"\n", contents.rfind(b"\n%b " % kind) + 1)
     text = contents[begin : end if end >= 0 else None]

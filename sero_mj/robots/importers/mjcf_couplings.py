@@ -28,8 +28,6 @@ def couplings_of(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str,
     follows another one. In a tendon, joints follow those before them.
 
     Args:
-        tree: the robot.
-        names: of its joints.
         lost: receives a sentence for every other constraint.
     """
     model, found = tree.model, dict[str, Any]()

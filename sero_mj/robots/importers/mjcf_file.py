@@ -144,12 +144,6 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | Non
     """Stores a file's contents in the assets of a spec and returns its name there.
 
     The name is unique across folders, so that specs can be attached to each other.
-
-    Args:
-        spec: the spec.
-        path: of the file.
-        contents: of the file.
-        digest: SHA-256 of the contents in hexadecimal digits, if it is known.
     """
     digest = digest or sha256(contents).hexdigest()
     file = f"{path.stem}-{digest[:16]}{path.suffix.lower()}"

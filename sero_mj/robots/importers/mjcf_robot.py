@@ -53,10 +53,6 @@ def read_mjcf(path: Path) -> ImportedTables:
 def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     """Returns the tables of a robot, and what was lost.
 
-    Args:
-        source: as for `as_spec`.
-        folder: base folder of relative file names.
-
     Raises:
         DeclarationError: it cannot be read or compiled, or has no joints.
     """

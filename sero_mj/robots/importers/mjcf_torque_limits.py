@@ -37,7 +37,6 @@ def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
     largest found in 64 poses.
 
     Args:
-        model: compiled.
         joints: ids of hinges and slides, (n,).
     """
     dofs = model.jnt_dofadr[joints]

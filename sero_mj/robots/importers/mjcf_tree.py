@@ -100,14 +100,7 @@ def find_tree(model: mujoco.MjModel) -> MjcfTree:
 
 
 def link_poses(model: mujoco.MjModel, data: mujoco.MjData, joints: Ints, base_body: int) -> Array:
-    """T_world_link (n + 1, 4, 4), m, of a base and of links whose z is the axis of their joint.
-
-    Args:
-        model: compiled.
-        data: in the reference pose, after `mj_kinematics`.
-        joints: ids of hinges and slides, (n,).
-        base_body: id of the base.
-    """
+    """T_world_link (n + 1, 4, 4), m, of a base and of links whose z is the axis of their joint."""
     rotations = data.xmat.reshape(-1, 3, 3)
     poses = [frame(rotations[base_body], data.xpos[base_body])]
     for joint, body in zip(joints, model.jnt_bodyid[joints], strict=True):
@@ -120,9 +113,6 @@ def frames_at_zero(model: mujoco.MjModel, joints: Ints, parents: Ints, poses: Ar
     """T_parent_i of joints at joint value zero, (n, 4, 4), m; see `SerialRobot.joint_frames`.
 
     Args:
-        model: compiled.
-        joints: ids of hinges and slides, (n,).
-        parents: index of each joint's parent link, (n,), 0 for the base.
         poses: of base and links in the reference pose, see `link_poses`.
     """
     fixed: Array = inverse(poses[parents]) @ poses[1:]

@@ -102,8 +102,6 @@ def package_folders(
     """Yields the folders that a package may be in, the likeliest first.
 
     Args:
-        package: its name.
-        beside: the file that names it.
         packages: folders of packages by name, before any others.
     """
     if packages and package in packages:

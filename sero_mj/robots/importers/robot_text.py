@@ -26,16 +26,7 @@ def robot_text(
     bodies: Sequence[Sequence[str]],
     flange: str,
 ) -> str:
-    """Returns the text of a robot file; `tomllib` reads tables of the same robot from it.
-
-    Args:
-        described: the imported tables.
-        tables: its tables, with the final file names.
-        limbs: indices of joints by limb.
-        file: name of the file that it was read from.
-        bodies: names of the bodies of the base and of each link.
-        flange: the frame that is the flange.
-    """
+    """Returns the text of a robot file; `tomllib` reads tables of the same robot from it."""
     text = _RobotText(bodies, _rounded(tables))
     lines = [
         f"Made of {file} by `sero-mj import`. Lengths in m, angles in rad, masses in kg,",
@@ -196,7 +187,6 @@ def copied_meshes(tables: Mapping[str, Any], copy: Callable[[Path, str], None]) 
     """Returns tables whose mesh files `copy` has copied to a folder `meshes`.
 
     Args:
-        tables: of a robot.
         copy: called with each file and its name in that folder.
     """
     result = dict(tables)

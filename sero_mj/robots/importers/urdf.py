@@ -70,7 +70,6 @@ def read_urdf(
     """Reads a robot from a URDF file, or from xacro if the package `xacro` is installed.
 
     Args:
-        path: of the file.
         packages: folders of ROS packages by name, for `package://NAME/...`; others are searched
             for above the file and on the paths that the environment names.
         arguments: of xacro by name, overriding its defaults.
@@ -134,13 +133,9 @@ class UrdfFile:
     """One URDF file that is being read.
 
     Args:
-        path: of the file.
-        packages: as of `read_urdf`.
-        arguments: as of `read_urdf`.
         convention: of its DH table, where it has one.
 
     Attributes:
-        path: of the file.
         tree: its converted tree, with names that only comments need.
         described: the result of `read_urdf`.
     """
@@ -825,7 +820,6 @@ def _single_axes(joint: Joint, taken: set[str]) -> tuple[list[Joint], list[Link]
     """Two prismatic joints and a revolute one instead of a planar one, and the links between them.
 
     Args:
-        joint: is planar.
         taken: names of links.
     """
     axes = aligned(joint.axis).T

@@ -46,7 +46,6 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
     files. Nothing is fetched from the network.
 
     Args:
-        contents: of the file.
         encoding: overrides the file's, by any name known to Python.
 
     Raises:
