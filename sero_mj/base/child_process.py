@@ -87,7 +87,6 @@ class ChildProcess:
         return f"exit status {code}"
 
     def lines(self) -> list[str]:
-        """Returns the last lines of its output that are not blank."""
         if self._output.closed:
             return []
         size = os.fstat(self._output.fileno()).st_size
@@ -95,7 +94,6 @@ class ChildProcess:
         return [line.strip() for line in text.splitlines() if line.strip()]
 
     def end(self) -> None:
-        """Ends it and all that it has started; has no effect if that is done."""
         self._end()
         _running.discard(self)
 

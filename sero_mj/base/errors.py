@@ -209,7 +209,6 @@ class Problem:
 
     @property
     def near(self) -> str | None:
-        """The available name that is nearest to the wrong one, if there is any."""
         return nearest(self._name, self.available or ())
 
     @property
@@ -233,7 +232,6 @@ class Problem:
         return str(self), shown(self.found), str(self.expected)  # `found` may be an array
 
     def inside(self, prefix: str) -> Problem:
-        """Returns this problem with `prefix` put before its key."""
         key = f"{prefix}.{self.key}" if self.key and prefix else prefix or self.key
         return replace(self, key=key)
 

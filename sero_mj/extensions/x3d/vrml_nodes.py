@@ -106,7 +106,6 @@ class Node:
 
     @property
     def label(self) -> str:
-        """Its name in messages."""
         return self.name or self.kind
 
     def value(self, name: str) -> Value | None:
@@ -159,7 +158,6 @@ class Problems:
         return Problems(path, self.found)
 
     def add(self, key: str, message: str, line: int | None) -> None:
-        """Adds one."""
         self.found.append(Problem(key, message, str(self.path), line))
 
     @contextmanager

@@ -59,7 +59,6 @@ class RobotPart:
 
     @property
     def arrow_radii(self) -> Array:
-        """Radius of every joint's arrow, (n,), m."""
         return self.robot.arrow_radii if self.sizes is None else self.sizes.arrow_radius
 
     @property
@@ -80,17 +79,14 @@ class RobotPart:
 
     @property
     def declared(self) -> SerialRobot:
-        """Its declaration: name, toggles, values."""
         return self.robot
 
     @property
     def scope(self) -> str:
-        """Prefix of the names of its sites."""
         return f"{self.robot.name}/"
 
     @property
     def billboard_lines(self) -> list[BillboardLine] | None:
-        """Declared lines of its billboards."""
         return self.robot.billboard_lines
 
     def base_pose(self, qpos: Array) -> Array:
@@ -102,17 +98,14 @@ class RobotPart:
 
     @property
     def base_name(self) -> str:
-        """Name of its base frame."""
         return f"{self.robot.name}/base"
 
     @property
     def flange_name(self) -> str:
-        """Name of its flange frame."""
         return f"{self.robot.name}/flange"
 
     @property
     def link_names(self) -> list[str]:
-        """Names of its base and links, n + 1."""
         name = self.robot.name
         return [self.base_name] + [f"{name}/link{i + 1}" for i in range(self.robot.n)]
 
@@ -168,57 +161,46 @@ class DoublePart:
 
     @property
     def declared(self) -> Double:
-        """Its declaration: name, toggles, values."""
         return self.double
 
     @property
     def robot(self) -> SerialRobot:
-        """Declaration of the robot it copies."""
         return self.of.robot
 
     @property
     def kinematics(self) -> JointTree:
-        """That of the robot it copies."""
         return self.of.kinematics
 
     @property
     def arrow_radii(self) -> Array:
-        """Those of the robot it copies, (n,), m."""
         return self.of.arrow_radii
 
     @property
     def arrow_width_scales(self) -> Array:
-        """Those of the robot it copies, (n,)."""
         return self.of.arrow_width_scales
 
     @property
     def arrow_loads(self) -> Array:
-        """Those of the robot it copies, (n,), Nm or N."""
         return self.of.arrow_loads
 
     @property
     def scope(self) -> str:
-        """Prefix of the names of its sites."""
         return f"double-{self.double.name}-"
 
     @property
     def flange_name(self) -> str:
-        """Name of its flange frame."""
         return f"{self.double.name}/{self.of.flange_name.partition('/')[2]}"
 
     @property
     def chain(self) -> Ints:
-        """Indices of its joints that move the flange, in order from the base."""
         return self.of.chain
 
     @property
     def reach(self) -> float:
-        """Reach of the robot it copies, m."""
         return self.of.reach
 
     @property
     def billboard_lines(self) -> list[BillboardLine] | None:
-        """Declared lines of its billboards, its own or those of its robot."""
         return self.double.billboard_lines or self.robot.billboard_lines
 
 

@@ -112,7 +112,6 @@ class World(WorldView):
                 self.placed[name] = int(self.model.body_mocapid[index])
 
     def make_data(self) -> mujoco.MjData:
-        """Returns a new `MjData` with every robot at its declared joint angles."""
         data = mujoco.MjData(self.model)
         self.reset(data)
         return data
@@ -143,19 +142,15 @@ class World(WorldView):
         return bare
 
     def state(self, data: mujoco.MjData) -> Any:
-        """Returns the state that decor reads: `data` itself."""
         return data
 
     def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
-        """Returns an empty list: doubles are compiled into the model."""
         return []
 
     def geoms_in_view(self) -> Bools:
-        """Returns all geoms except the floor, (ngeom,) bool."""
         return np.asarray(self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
 
     def reset(self, data: mujoco.MjData) -> None:
-        """Resets everything to its declared state: joint angles, values, frames."""
         mujoco.mj_resetData(self.model, data)
         for part in self.robots.values():
             data.qpos[part.qpos] = part.robot.home

@@ -56,11 +56,9 @@ class WorldView(Protocol):
     has_sites: bool = True
     dynamic: bool = True
 
-    def make_data(self) -> mujoco.MjData:
-        """Returns new data in the initial state."""
+    def make_data(self) -> mujoco.MjData: ...
 
-    def reset(self, data: mujoco.MjData) -> None:
-        """Resets data to the initial state; does nothing for an external model."""
+    def reset(self, data: mujoco.MjData) -> None: ...
 
     def state(self, data: mujoco.MjData) -> Any:
         """Returns the state that decor reads: an object with these fields of an `MjData`.

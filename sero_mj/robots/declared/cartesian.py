@@ -74,7 +74,6 @@ class SmartArrow(Declaration):
 
     @property
     def is_round(self) -> bool:
-        """Whether it is drawn as a round arrow about its direction."""
         return self.kind in ROUND_KINDS
 
     @property
@@ -96,12 +95,10 @@ class SmartArrow(Declaration):
 
     @property
     def color(self) -> Array:
-        """`rgba`, or the colour of the kind, (4,)."""
         return np.array(_RGBA[self.kind]) if self.rgba is None else self.rgba
 
     @property
     def site(self) -> str | None:
-        """Name of the site at its fixed point; None when it acts at a frame."""
         return None if isinstance(self.at, str) else f"arrow-{self.name}"
 
     @property

@@ -20,16 +20,13 @@ class HasJoints(Protocol):
     name: str
 
     @property
-    def names(self) -> list[str]:
-        """Name of every joint."""
+    def names(self) -> list[str]: ...
 
     @property
-    def types(self) -> list[str]:
-        """`revolute` or `prismatic` for every joint."""
+    def types(self) -> list[str]: ...
 
     @property
-    def plausible_limits(self) -> Array:
-        """Position limits (n, 2), rad or m; infinite for none."""
+    def plausible_limits(self) -> Array: ...
 
 
 def look_like_degrees(robot: HasJoints, angles: Array) -> Bools:

@@ -283,11 +283,6 @@ class TorqueControl(Declaration):
     friction_bandwidth: float = Field(100.0, ge=0, le=1e5)
 
     def check_counts(self, n: int) -> None:
-        """Checks that every table has n entries, one per joint.
-
-        Raises:
-            DeclarationError: with the key of this table.
-        """
         problems = _count_problems(self, ("motor_inertias",), n, _ROWS)
         if problems:
             raise DeclarationError(problems)

@@ -65,7 +65,6 @@ class Expanded:
 
     @property
     def is_full(self) -> bool:
-        """Whether a maximum is exceeded."""
         groups = len(self.groups) + len(self.broken)
         return len(self.robots) > self.most["robots"] or groups > self.most["groups"]
 

@@ -87,12 +87,10 @@ class Input:
 
     @property
     def target(self) -> str:
-        """`name.key`."""
         return f"{self.name}.{self.key}"
 
     @property
     def count(self) -> int:
-        """Number of values."""
         return int(np.prod(self.shape))
 
     @property
@@ -119,7 +117,6 @@ class Input:
 
     @property
     def meaning(self) -> str:
-        """Description of the values, for messages."""
         if self.kind in ("angles", "values"):
             per_joint = f"{self.count}, one per joint"
             if self.coupled is None:

@@ -45,7 +45,6 @@ class Reached:
 
     @property
     def is_there(self) -> bool:
-        """Whether the pose is reached, within `CLOSE`."""
         return self.distance <= CLOSE and self.angle <= CLOSE
 
 

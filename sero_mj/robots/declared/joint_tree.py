@@ -70,12 +70,10 @@ class JointTree(ABC):
 
     @property
     def signs(self) -> Array:
-        """`sign`, (n,)."""
         return np.ones(len(self)) if self.sign is None else self.sign
 
     @property
     def carriers(self) -> Ints:
-        """`parents`, (n,)."""
         return np.arange(len(self), dtype=np.intp) if self.parents is None else self.parents
 
     @cached_property
@@ -238,7 +236,6 @@ class JointFrames(JointTree):
     root: Array | None = None
 
     def transforms(self, joint_values: Array) -> Array:
-        """Returns T_p(i),i without `root`, (..., n, 4, 4)."""
         angles = np.where(self.revolute, joint_values, 0.0)
         moved = np.where(self.revolute, 0.0, joint_values)
         c, s = np.cos(angles), np.sin(angles)
@@ -249,16 +246,13 @@ class JointFrames(JointTree):
         return T
 
     def step_lengths(self) -> Array:
-        """Returns the distances of neighbouring frames, (n,), m."""
         return self.distances()
 
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
-        """Returns the distances between the origins of neighbouring frames, (..., n), m."""
         extended = np.where(self.revolute, 0.0, extensions)[..., None] * self.fixed[:, :3, 2]
         return np.asarray(np.linalg.norm(self.fixed[:, :3, 3] + extended, axis=-1))
 
     def mirrored(self) -> JointFrames:
-        """Returns the table of the mirror image at the base's xz plane."""
         return replace(
             self,
             fixed=MIRROR @ self.fixed @ MIRROR,

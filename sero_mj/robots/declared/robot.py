@@ -243,17 +243,14 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def n(self) -> int:
-        """Number of joints."""
         return len(self.dh_params if self.joint_frames is None else self.joint_frames)
 
     @property
     def types(self) -> list[str]:
-        """`revolute` or `prismatic` for every joint."""
         return list(self.joint_types or ["revolute"] * self.n)
 
     @property
     def names(self) -> list[str]:
-        """Name of every joint."""
         return self.joint_names or [f"J{i + 1}" for i in range(self.n)]
 
     @property
@@ -294,7 +291,6 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def arrow_width_scales(self) -> Array:
-        """`arrow_width_scale` of every joint's arrow (n,)."""
         return np.full(self.n, self.arrow_width_scale)
 
     @property
@@ -377,7 +373,6 @@ class SerialRobot(RobotDeclaration):
 
     @cached_property
     def coupled(self) -> CoupledJoints:
-        """The couplings between joints."""
         return coupled_joints(self.names, self.couplings)
 
     def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:

@@ -310,7 +310,6 @@ class Scene:
         return found
 
     def files(self) -> list[Path]:
-        """Returns the absolute paths of its files: its own, and those of its models."""
         models = [robot._model for robot in self.robots.values()]
         tables = [file for robot in self.robots.values() for file, _ in robot._declared]
         tables += [file for group in self.groups.values() for file, _ in group._declared]
@@ -446,7 +445,6 @@ class Scene:
         return f"; available: {owner}/base, {owner}/flange, and {owner}/linkN of joints {joints}"
 
     def is_broken(self, name: str, sections: Sequence[str] = _WITH_FRAMES) -> bool:
-        """Whether an entry of this name, or its whole section, is invalid."""
         return bool({*sections, *(f"{section}.{name}" for section in sections)} & self.broken)
 
     def _double_problems(self) -> list[Problem]:

@@ -96,28 +96,23 @@ class ModelRobot(SerialRobot):
 
     @property
     def carriers(self) -> Ints | None:
-        """Index of each joint's parent frame, (n,), 0 for the base."""
         return self._carriers
 
     @property
     def arrow_loads(self) -> Array:
-        """Effort at which an arrow without limit is as wide as its radius (n,), Nm or N."""
         return super().arrow_loads if self._loads is None else self._loads
 
     @property
     def arrow_radii(self) -> Array:
-        """Radius of every joint's arrow (n,), m."""
         return np.broadcast_to(self.arrow_radius, self.n).astype(np.float64)
 
     @property
     def arrow_width_scales(self) -> Array:
-        """`arrow_width_scale` of every joint's arrow (n,); less for joints close to each other."""
         scales = super().arrow_width_scales
         return scales if self._full_widths is None else scales * self._full_widths
 
     @property
     def axes_length(self) -> float:
-        """Length of the axes, m."""
         return self.axes_size
 
     @property
@@ -145,27 +140,22 @@ class ModelPart(RobotPart):
 
     @property
     def flange_name(self) -> str:
-        """Name of the frame at the end of its chain."""
         return f"{self.robot.name}/{self.tool}"
 
     @property
     def link_names(self) -> list[str]:
-        """Names of its base and links, n + 1: those of the model's bodies."""
         return [f"{self.robot.name}/{label}" for label in self.labels]
 
     @property
     def own_link_names(self) -> list[str]:
-        """As `link_names`."""
         return self.link_names
 
     @property
     def chain(self) -> Ints:
-        """Indices of its joints up to the first branch of its tree; empty if the root branches."""
         return self.tree.chain
 
     @property
     def reach(self) -> float:
-        """Sum of the distances between joints along its chain, m."""
         return self.size
 
 

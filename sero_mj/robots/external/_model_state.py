@@ -42,27 +42,22 @@ class ModelState:
 
     @property
     def time(self) -> float:
-        """Of the user's data, s."""
         return float(self.data.time)
 
     @property
     def qpos(self) -> Array:
-        """Of the user's data."""
         return np.asarray(self.data.qpos)
 
     @property
     def qvel(self) -> Array:
-        """Of the user's data."""
         return np.asarray(self.data.qvel)
 
     @property
     def xpos(self) -> Array:
-        """Positions of the bodies, m."""
         return np.asarray(self.data.xpos)
 
     @property
     def xmat(self) -> Array:
-        """Rotations of the bodies."""
         return np.asarray(self.data.xmat)
 
 

@@ -49,11 +49,9 @@ class ModelScene(Scene):
         super().__init__(floor=False, **fields)
 
     def frame_name(self, name: str) -> str:
-        """Returns the name as it is: the frames have those of the model."""
         return name
 
     def named_frames(self) -> dict[str, NamedFrame]:
-        """Returns the named frames of the model."""
         return self._frames
 
 
@@ -205,11 +203,9 @@ class ModelWorld(WorldView):
         mujoco.mj_fwdPosition(self.model, data)
         return data
 
-    def reset(self, data: mujoco.MjData) -> None:
-        """Does nothing, because the data belongs to the user."""
+    def reset(self, data: mujoco.MjData) -> None: ...
 
     def state(self, data: Any) -> ModelState:
-        """Returns the state that decor reads, from an `MjData` with kinematics up to date."""
         if isinstance(data, ModelState):
             return data
         for name, key in self._live:  # what the user has not set
@@ -226,7 +222,6 @@ class ModelWorld(WorldView):
         return ModelState(data, self._userdata, positions, rotations, doubles)
 
     def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
-        """Returns the doubles to draw, of those that are switched on, (D,)."""
         return [
             drawn
             for name, on in zip(self.doubles, shown, strict=True)
@@ -332,7 +327,6 @@ class ModelWorld(WorldView):
         return np.concatenate([self._userdata, live])
 
     def set_input_state(self, state: Array) -> None:
-        """Sets all inputs to what `input_state` returned."""
         count = len(self._userdata)
         self._userdata[:] = state[:count]
         live = state[count:] > 0

@@ -56,7 +56,6 @@ class MjcfTree:
 
     @property
     def joint_frames(self) -> Array:
-        """T_parent_i of every joint at joint value zero, (n, 4, 4), m."""
         return frames_at_zero(self.model, self.joints, self.parents, self.poses)
 
     @property

@@ -89,7 +89,6 @@ class RobotDescriptions(RobotPlace):
     none: ClassVar[str] = "pip install 'sero-mj[robots]' brings it"
 
     def names(self) -> list[str]:
-        """See `RobotPlace`."""
         if find_spec("robot_descriptions") is None:
             return []
         from robot_descriptions._descriptions import DESCRIPTIONS
@@ -97,7 +96,6 @@ class RobotDescriptions(RobotPlace):
         return [name for name, about in DESCRIPTIONS.items() if about.has_urdf or about.has_mjcf]
 
     def find(self, name: str) -> Path | None:
-        """See `RobotPlace`."""
         if not _plain(name).endswith(_plain(_ENDINGS[0])):  # importing the package takes a while
             return None
         module = {_plain(each): each for each in self.names()}.get(_plain(name))
@@ -116,7 +114,6 @@ class RobotDescriptions(RobotPlace):
         return _wrapped(module, found)
 
     def near(self, name: str) -> str | None:
-        """See `RobotPlace`."""
         known = {_plain(each): each for each in self.names()}
         longer = [_plain(f"{_common(name)}{ending}") for ending in _ENDINGS]
         return next((known[each] for each in longer if each in known), super().near(name))
@@ -150,11 +147,9 @@ class Menagerie(RobotPlace):
     none: ClassVar[str] = "no checkout in $MENAGERIE_PATH, nor in a folder mujoco_menagerie here"
 
     def names(self) -> list[str]:
-        """See `RobotPlace`."""
         return [folder.name for folder in _menagerie()]
 
     def find(self, name: str) -> Path | None:
-        """See `RobotPlace`."""
         wanted = _plain(_common(name))
         folders = {_plain(folder.name): folder for folder in _menagerie()}
         ends = [each for each in folders if each.endswith(wanted)]
@@ -180,11 +175,9 @@ class OtherSpellings(RobotPlace):
     title: ClassVar[str] = "other spellings of shipped robots"
 
     def names(self) -> list[str]:
-        """See `RobotPlace`."""
         return sorted(name for name, usual in _ALIASES.items() if usual in list_models())
 
     def find(self, name: str) -> Path | None:
-        """See `RobotPlace`."""
         shipped = {_plain(each): each for each in list_models()}
         found = shipped.get(_plain(_common(name)))
         return None if found is None else models_dir() / found / ROBOT_FILE
@@ -198,11 +191,9 @@ class RosPackages(RobotPlace):
     none: ClassVar[str] = "by their files, package://NAME/FILE"
 
     def names(self) -> list[str]:
-        """Returns none: which of their files are robots is not known."""
         return []
 
     def find(self, name: str) -> Path | None:
-        """See `RobotPlace`."""
         if not name.startswith("package://"):
             return None
         found = find_file(name, Path.cwd() / "scene.toml")
