@@ -2,7 +2,8 @@
 
 STL and OBJ are passed on unchanged wherever MuJoCo accepts them. COLLADA is read by pycollada, with
 its unit, the transforms of its nodes, and the colours of its materials; VRML97 by `wrl.py`;
-everything else by trimesh.
+everything else by trimesh. An OBJ file is checked here and not by trimesh, which takes 0.3 s to
+import, four times as long to read it, and gives no material to faces before the first `usemtl`.
 
 A file's up axis is not applied: robot descriptions are written for viewers that show the file's
 coordinates unchanged (RViz and Gazebo), and most exporters do not state the true axis. Textures are
