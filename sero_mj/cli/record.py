@@ -30,14 +30,11 @@ if TYPE_CHECKING:
     from ..data.record.recorder import Recorder
     from ..data.record.triggered_recorder import RecordedEvent, TriggeredRecorder
 
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj record lwr_udp run.mcap                    until Ctrl-C
+  sero-mj record lwr_udp run.mcap                       until Ctrl-C
   sero-mj record lwr_udp run.mcap --duration 10
-  sero-mj render lwr_udp --replay run.mcap -o run.mp4
-  sero-mj export-csv run.mcap run.csv
   sero-mj record lwr_udp night --trigger "abs(lwr.torques) > 100" --before 5 --after 5
-  sero-mj record lwr_udp hits.mcap --trigger "abs(lwr.torques[3]) > 40" --replay run.mcap
 
 The file holds every packet as it came, malformed ones too, with the time at which the kernel got
 it, and decoded values as messages of ROS 2, which Foxglove, PlotJuggler and ros2 bag read; what is
@@ -52,7 +49,7 @@ min, max, norm, any, all. On several joints it holds where it holds for any of t
 """
 
 _EVERY = 0.25  # s
-ORDER = 34  # in the help of `sero-mj`
+GROUP, ORDER = "receive", 22
 
 
 class TriggerOptions(Options):
@@ -155,7 +152,7 @@ def run(options: RecordOptions) -> int:
     return _status(found)
 
 
-add_to = command("record", run, RecordOptions, _EPILOG)
+add_to = command("record", run, RecordOptions, _HELP)
 
 
 def _status(found: Any) -> int:

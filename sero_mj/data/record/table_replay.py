@@ -35,7 +35,7 @@ class TableReplay(FileSource):
         columns: signal to its columns: `"q_*"`, a list of names, or `time = "stamp"`. A unit in
             brackets behind the signal, `"joint_angles [deg]"`, is that of the numbers.
         robot: name that the columns' names may begin with.
-        structure: packets with the numbers that columns are called like, as `export-csv` writes
+        structure: packets with the numbers that columns are called like, as `export` writes
             them.
         rate: rows per s, for a table without times.
     """

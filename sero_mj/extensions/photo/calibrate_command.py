@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from .photo_camera import PhotoCamera
 
 _CAREFUL = 6.0  # pixels that clicks are off at most
-_EPILOG = """\
+_HELP = """\
 examples:
   sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 -o cell.toml
   sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 \\
       --points points.csv --camera-file intrinsics.yaml -o cell.toml
-  sero-mj render lwr_udp -o now.png --over photo.png --camera-file cell.toml
+  sero-mj calibrate photo.png --robot lwr_udp --replay run.mcap --start 2 -o cell.toml
 
 Without --points a window shows the photo beside a list of points and a sketch of the robot: click
 where the photo shows the one that is marked; from the fourth on it says how far off each is, and
@@ -49,7 +49,7 @@ frame or a joint (the middle of its axis), perhaps with an offset in m along the
 With intrinsics (--camera-file, OpenCV's or ROS's) 4 points do, 8 are better; without them the focal
 length is found from 6 or more, for a lens without distortion.
 """
-ORDER = 16  # in the help of `sero-mj`
+GROUP, ORDER = "see", 16
 
 
 class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
@@ -130,7 +130,7 @@ def run(options: CalibrateOptions) -> int:
     return 0
 
 
-add_to = command("calibrate", run, CalibrateOptions, _EPILOG)
+add_to = command("calibrate", run, CalibrateOptions, _HELP)
 
 
 def _scene_of_photo(options: CalibrateOptions) -> Scene:

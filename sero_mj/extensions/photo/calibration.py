@@ -19,7 +19,14 @@ import mujoco
 import numpy as np
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UsageError, problems_of, reason_of
+from ...base.errors import (
+    DeclarationError,
+    Problem,
+    UsageError,
+    mismatch,
+    problems_of,
+    reason_of,
+)
 from ...base.frames import Array, Bools, frame, inverse
 from ...base.paths import open_file
 from ...base.toml_file import key_lines, located, read_toml
@@ -149,7 +156,7 @@ def full_name(world: WorldView, name: str) -> str:
     if len(ends) == 1:
         return ends[0]
     if ends:
-        raise Problem(found=name, expected=f"one of {', '.join(ends)}").error()
+        raise mismatch(name, f"one of {', '.join(ends)}")
     short = [each.partition("/")[2] for each in names] if "/" not in name else []
     raise Problem("", "no frame or joint", found=name, available=short or names).error()
 

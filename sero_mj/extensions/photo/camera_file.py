@@ -24,7 +24,15 @@ from typing import Any
 import numpy as np
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UsageError, did_you_mean, problems_of, shown
+from ...base.errors import (
+    DeclarationError,
+    Problem,
+    UsageError,
+    did_you_mean,
+    mismatch,
+    problems_of,
+    shown,
+)
 from ...base.frames import Array, frame_from, quat_from_rotation
 from ...base.paths import read_file
 from ...base.toml_file import read_toml
@@ -168,9 +176,7 @@ def _numbers(value: Any) -> Array:
         data = _numbers(value["data"])
         shape = [value[key] for key in ("rows", "cols") if isinstance(value.get(key), int)]
         if len(shape) == 2 and np.prod(shape) != data.size:
-            raise Problem(
-                found=data.size, of="numbers", expected=f"{shape[0]} x {shape[1]}"
-            ).error()
+            raise mismatch(data.size, f"{shape[0]} x {shape[1]}", of="numbers")
         return data
     if isinstance(value, list) and any(isinstance(each, str) for each in value):
         with contextlib.suppress(ValueError):  # YAML takes 1e-05, without a point, for a text

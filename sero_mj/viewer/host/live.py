@@ -6,36 +6,36 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import mujoco
 
 from ...base.errors import SeroError
-from ...base.frames import Array
 from ...base.paths import without_temporary
 from ...data.drive.mirror import LiveWorld
 from ..decor.quantities import joint_name
 from ..decor.toggles import Toggles
+from ..image.camera import Navigator
 from ..image.clicks import KEYS, press_toggle
 from ..image.film import Pixels
+from ..image.picture_options import DEFAULT_SIZE
+from ..image.sampling import recorded_poses
 from ..image.scene_decor import SceneDecor
 from ..panels.message import Message
 from ..panels.robot_panel import RobotPanel
 from ..panels.status_line import SourcesPanel
-from ..session.clock import Clock, Tick
-from ..session.status_line import Piece
+from ..session.clock import Clock
 from ..session.tool import (
     Action,
     DrawnTool,
-    Tool,
     Tools,
 )
 from ..session.view_state import ViewState, view_state_of
 from ..session.widgets import Widgets
 from .actions import Actions
+from .camera_control import CameraControl
 from .other_scenes import OtherScenes
 from .pointer import Pointer
 
@@ -64,8 +64,13 @@ class LiveHost(ABC):
 
     decor: SceneDecor
 
-    def __init__(self, mirror: LiveWorld, folder: Path | None = None) -> None:
+    def __init__(
+        self, mirror: LiveWorld, folder: Path | None = None, camera: str | None = None
+    ) -> None:
         world = mirror.world
+        self.navigator = Navigator(world, camera)
+        # Before anything listens to packets.
+        self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
         self.mirror, self.world, self.data = mirror, world, mirror.data
         self.toggles = Toggles(world)
         self.clock = clock = Clock(mirror)
@@ -76,15 +81,16 @@ class LiveHost(ABC):
         self.command: Sequence[str] | None = None
         self.notice = Message()
         self.folds: dict[str, bool] = {}
-        self.shows_status, self.shows_help = True, False
+        self.shows_status, self.shows_help, self.shows_panel = True, False, False
         self.work = 0.0
         self._advanced = time.monotonic()
         self._sources = SourcesPanel()
         self._robots = RobotPanel(world, self.toggles)
         self._robots.on_select = self.select
         self.tools: Tools = Tools(self)
+        self.camera_control = CameraControl(self.navigator, self.data, lambda: self.decor, self.say)
         self.pointer = Pointer(self)
-        self.others = OtherScenes(self._tell, self.request_close)
+        self.others = OtherScenes(self.say, self.request_close)
         own: dict[str, Action] = {
             "pause": clock.pause,
             "step": clock.step,
@@ -98,15 +104,16 @@ class LiveHost(ABC):
             "next_joint": lambda: self._select(1),
             "last_joint": lambda: self._select(-1),
             "follow": self.pointer.follow,
-            "help": self.toggle_help,
-            "status_line": self.toggle_status,
-            **{f"camera_{number}": partial(self.choose_camera, number) for number in range(10)},
+            "help": partial(self.toggle, "shows_help"),
+            "status_line": partial(self.toggle, "shows_status"),
+            "panel": partial(self.toggle, "shows_panel"),
+            **{
+                f"camera_{number}": partial(self.camera_control.choose, number)
+                for number in range(10)
+            },
             **{f"switch_{key}": partial(self._switch, key) for key in KEYS},
         }
-        self.actions = Actions(own, self.tools, self._tell)
-
-    def _tell(self, text: str, is_bad: bool) -> None:
-        self.say(text, is_bad=is_bad)
+        self.actions = Actions(own, self.tools, self.say)
 
     @property
     @abstractmethod
@@ -136,25 +143,13 @@ class LiveHost(ABC):
     def picture(self) -> Pixels:
         """Returns the current picture, (height, width, 3), uint8, without the host's own text."""
 
-    @abstractmethod
-    def choose_camera(self, number: int) -> str:
-        """Selects a camera by number, 1 for the first, 0 for the initial view."""
-
-    @abstractmethod
-    def follow(self, frame: str | None) -> str:
-        """Starts following a frame with the camera, or stops; returns a message for the user."""
-
-    @abstractmethod
-    def centre(self, point: Array) -> None:
-        """Makes a point (3,), m, the camera's look-at point."""
+    @property
+    def view_camera(self) -> mujoco.MjvCamera:
+        return self.navigator.camera
 
     @property
-    @abstractmethod
-    def view_camera(self) -> mujoco.MjvCamera: ...
-
-    @property
-    @abstractmethod
-    def is_following(self) -> bool: ...
+    def is_following(self) -> bool:
+        return self.navigator.following is not None
 
     @abstractmethod
     def to_clipboard(self, text: str) -> None: ...
@@ -192,45 +187,25 @@ class LiveHost(ABC):
             self._watch()
         found = self.tools.first(lambda tool: tool.next_message())
         if found is not None:
-            text, is_bad = found[1]
-            self.say(text, is_bad=is_bad)
+            self.say(*found[1])
 
     def _watch(self) -> None:
         self.tools.ask(lambda tool: tool.watch())
 
-    @property
-    def ticks(self) -> list[Tick]:
-        return [tick for ticks in self.tools.ask(lambda tool: tool.ticks()) for tick in ticks]
-
     # ---- messages, panel and keys
 
-    def say(self, text: str, *, is_bad: bool = False) -> None:
+    def say(self, text: str, is_bad: bool = False) -> None:
         """Shows a message for a few seconds; errors are shown longer, an empty one not at all."""
         seconds = (_ERROR_TIME if is_bad else _MESSAGE_TIME) if text else 0.0
         self.notice = Message(without_temporary(text), is_bad, time.monotonic() + seconds)
 
-    def toggle_help(self) -> None:
-        self.shows_help = not self.shows_help
-
-    @abstractmethod
-    def open_panel(self) -> None: ...
-
-    def toggle_status(self) -> None:
-        self.shows_status = not self.shows_status
+    def toggle(self, part: str) -> None:
+        """Shows or hides a part: `shows_help`, `shows_status` or `shows_panel`."""
+        setattr(self, part, not getattr(self, part))
 
     @property
     def has_time_line(self) -> bool:
         return self.clock.is_playing and self.clock.can_go_back
-
-    @property
-    def areas(self) -> list[Tool]:
-        return [tool for tool in self.tools.values() if tool.area and tool.shows_area]
-
-    @property
-    def ongoing(self) -> Piece | None:
-        """Words over the picture of what goes on, and their mood; None for none."""
-        found = self.tools.first(lambda tool: tool.ongoing())
-        return None if found is None else found[1]
 
     def build_panel(self, ui: Widgets, *, unfolds_sources: bool) -> None:
         """Builds what the panels of all hosts have in common."""
@@ -253,50 +228,22 @@ class LiveHost(ABC):
     def select(self, joint: int) -> None:
         self.joint = self.toggles.selected = joint
 
-    @property
-    def takes_pictures(self) -> bool:
-        """Whether a tool takes pictures at this time."""
-        return any(self.tools.ask(lambda tool: tool.takes_pictures))
-
-    def _give_picture(self, draw: Callable[[], Pixels]) -> None:
-        now = time.monotonic()
-        wants = self.tools.ask(lambda tool: tool if tool.wants_picture(now) else None)
-        wanting = [tool for tool in wants if tool is not None]
-        if wanting:
-            pixels = draw()
-            for each in wanting:
-                self.tools.call(each, lambda tool: tool.take_picture(pixels, now))
-
     # ---- the view, as it is kept
 
     @property
     def layout(self) -> dict[str, bool]:
         areas = {name: tool.shows_area for name, tool in self.tools.items() if tool.area}
         sections = {f"{SECTION}{name}": is_open for name, is_open in self.folds.items()}
-        return {"status": self.shows_status, **areas, **sections}
+        return {"status": self.shows_status, "panel": self.shows_panel, **areas, **sections}
 
     def show_layout(self, layout: Mapping[str, bool]) -> None:
         self.shows_status = layout.get("status", self.shows_status)
+        self.shows_panel = layout.get("panel", self.shows_panel)
         for name, tool in self.tools.items():
             tool.shows_area = layout.get(name, tool.shows_area)
         for name, is_open in layout.items():
             if name.startswith(SECTION):
                 self.folds[name.removeprefix(SECTION)] = is_open
-
-    @property
-    def kept(self) -> dict[str, Any]:
-        """What tools keep of the scene, by their names."""
-        found = {
-            name: self.tools.call(tool, lambda tool: tool.kept) for name, tool in self.tools.items()
-        }
-        return {name: kept for name, kept in found.items() if kept is not None}
-
-    def show_kept(self, kept: Mapping[str, Any]) -> None:
-        """Hands tools what they have kept; what does not fit is left out."""
-        for name, of_tool in kept.items():
-            with suppress(TypeError, ValueError, KeyError, AttributeError, IndexError):
-                if name in self.tools:
-                    self.tools[name].take_kept(of_tool)
 
     def view_state(self) -> ViewState:
         return view_state_of(self.world, self.view_camera, self.toggles, self.clock)

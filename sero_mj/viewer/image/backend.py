@@ -187,7 +187,7 @@ def _headless_backend() -> str:
 
 
 def has_egl() -> bool:
-    """Whether EGL, OpenGL and a driver are installed; `doctor` tests whether they work."""
+    """Whether EGL, OpenGL and a driver are installed; `check` tests whether they work."""
     libraries = _libraries()
     # In addition to EGL, PyOpenGL loads GL functions from one of these two.
     has_gl = "libOpenGL.so.0" in libraries or "libGL.so.1" in libraries

@@ -29,8 +29,7 @@ from ..decor.legend import SCALE, Legend
 from ..decor.picture_view import PictureView
 from ..decor.quantities import joint_name
 from ..decor.toggles import Toggles
-from ..image.camera import find_camera, followed
-from ..image.following import Follower
+from ..image.camera import Follower, find_camera, followed
 from ..image.framing import Framing, declared_data, needed_aspect
 from ..image.held_torques import HeldTorques
 from ..image.picture_options import DEFAULT_SIZE

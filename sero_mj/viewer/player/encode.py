@@ -69,7 +69,7 @@ def encode(capture: Capture, title: str) -> bytes:
         "items": _items(capture, parts),
         **labels_head(capture.labels, parts, METRE_STEP),
         "notes": _texts(capture.notes, parts),
-        "legend": _texts(capture.legend, parts),
+        "legend": _legend(capture, parts),
         "cards": [
             {"item": item, "name": capture.world.arrows.names[item], **_texts(texts, parts)}
             for item, texts in capture.cards.items()
@@ -299,6 +299,14 @@ def _items(capture: Capture, parts: Parts) -> dict[str, Any]:
 
 def _type(item: Any) -> int:
     return int(item.rows["type"][item.visible.argmax()])
+
+
+def _legend(capture: Capture, parts: Parts) -> dict[str, Any]:
+    """The lines of every frame, with None for the line of the quantity that arrows show."""
+    own = {quantity["line"] for quantity in _quantities(capture)[:1]}
+    found = _texts(capture.legend, parts)
+    texts = [text.split("\n") if text else [] for text in found["texts"]]
+    return found | {"texts": [[None if line in own else line for line in each] for each in texts]}
 
 
 def _texts(texts: list[str], parts: Parts) -> dict[str, Any]:

@@ -10,8 +10,9 @@ in its pyproject.toml:
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
@@ -51,32 +52,25 @@ class Shown(Protocol):
         joint: the selected joint, its index in the world.
     """
 
-    @property
-    def mirror(self) -> LiveWorld: ...
-    @property
-    def world(self) -> WorldView: ...
-    @property
-    def data(self) -> mujoco.MjData: ...
-    @property
-    def toggles(self) -> Toggles: ...
-    @property
-    def clock(self) -> Clock: ...
-    @property
-    def decor(self) -> SceneDecor: ...
-    @property
-    def folder(self) -> Path | None: ...
-    @property
-    def joint(self) -> int: ...
+    mirror: LiveWorld
+    world: WorldView
+    data: mujoco.MjData
+    toggles: Toggles
+    clock: Clock
+    decor: SceneDecor
+    folder: Path | None
+    joint: int
+    tools: Tools
+    shows_panel: bool
+
     @property
     def view_camera(self) -> mujoco.MjvCamera: ...
     @property
     def is_following(self) -> bool: ...
     @property
     def picture_size(self) -> tuple[int, int]: ...
-    @property
-    def tools(self) -> Tools: ...
 
-    def say(self, text: str, *, is_bad: bool = False) -> None: ...
+    def say(self, text: str, is_bad: bool = False) -> None: ...
 
     def select(self, joint: int) -> None: ...
 
@@ -85,8 +79,6 @@ class Shown(Protocol):
     def render_words(self) -> list[str]: ...
 
     def to_clipboard(self, text: str) -> None: ...
-
-    def open_panel(self) -> None: ...
 
 
 class Grab(NamedTuple):
@@ -100,36 +92,8 @@ class Grab(NamedTuple):
     is_refused: bool = False
 
 
-class Tool:
-    """A tool of one window or page; override the methods of the events it needs.
-
-    Pixels are those of the picture, y up.
-
-    Attributes:
-        order: of panels from top to bottom, and of priority for drags and keys. Those of sero-mj
-            have 10 to 90.
-        keys: what keys do: `Key`, or name of an action and text for the help.
-        shows_area: whether that is shown; users see it again at the next start.
-    """
-
-    order: ClassVar[int] = 100
-    keys: ClassVar[Mapping[str, Key | tuple[str, str]]] = {}
-    area: str = ""
-    shows_area: bool = False
-
-    def __init__(self, shown: Shown) -> None:
-        self.shown = shown
-
-    def actions(self) -> Mapping[str, Action]:
-        """Actions of keys and menus, by the names in `keys`."""
-        return {}
-
-    @property
-    def active(self) -> Collection[str]:
-        """Names of the actions that are switched on, which menus mark."""
-        return ()
-
-    # ---- the pointer
+class PointerEvents:
+    """What a tool does with the pointer; pixels are those of the picture, y up."""
 
     def click(self, picked: Picked | None, at: Pixel) -> str | None:
         """Handles a click; returns a message, or None to leave it to others."""
@@ -166,6 +130,58 @@ class Tool:
     def wheel(self, notches: float) -> str | None:
         """Handles the wheel while this tool drags; returns a message, or None to zoom as usual."""
         return None
+
+
+class KeptState:
+    """What of a tool is undone, seen again at the next start, and rendered."""
+
+    @property
+    def state(self) -> Any:
+        """The state for undo; equal states count as one."""
+        return ()
+
+    def restore(self, state: Any) -> None:
+        """Restores an earlier state."""
+
+    @property
+    def kept(self) -> Any:
+        """What its user sees again at the next start of this scene, for JSON; None for nothing."""
+        return None
+
+    def take_kept(self, kept: Any) -> None:
+        """Takes over what was kept, as far as it fits; raises TypeError or so where it does not."""
+
+    def render_words(self) -> list[str]:
+        """Arguments of `sero-mj render` that reproduce its changes in a picture."""
+        return []
+
+
+class Tool(PointerEvents, KeptState):
+    """A tool of one window or page; override the methods of the events it needs.
+
+    Attributes:
+        order: of panels from top to bottom, and of priority for drags and keys. Those of sero-mj
+            have 10 to 90.
+        keys: what keys do: `Key`, or name of an action and text for the help.
+        shows_area: whether that is shown; users see it again at the next start.
+    """
+
+    order: ClassVar[int] = 100
+    keys: ClassVar[Mapping[str, Key | tuple[str, str]]] = {}
+    area: str = ""
+    shows_area: bool = False
+
+    def __init__(self, shown: Shown) -> None:
+        self.shown = shown
+
+    def actions(self) -> Mapping[str, Action]:
+        """Actions of keys and menus, by the names in `keys`."""
+        return {}
+
+    @property
+    def active(self) -> Collection[str]:
+        """Names of the actions that are switched on, which menus mark."""
+        return ()
 
     # ---- frames
 
@@ -221,28 +237,6 @@ class Tool:
 
     def take_picture(self, pixels: Pixels, now: float) -> None:
         """Takes the picture of this frame, (height, width, 3), and its time, s."""
-
-    # ---- what is kept
-
-    @property
-    def state(self) -> Any:
-        """The state for undo; equal states count as one."""
-        return ()
-
-    def restore(self, state: Any) -> None:
-        """Restores an earlier state."""
-
-    @property
-    def kept(self) -> Any:
-        """What its user sees again at the next start of this scene, for JSON; None for nothing."""
-        return None
-
-    def take_kept(self, kept: Any) -> None:
-        """Takes over what was kept, as far as it fits; raises TypeError or so where it does not."""
-
-    def render_words(self) -> list[str]:
-        """Arguments of `sero-mj render` that reproduce its changes in a picture."""
-        return []
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
         """The goal moved by the sticks of a gamepad: its name, it, and T_world_base (4, 4)."""
@@ -311,6 +305,49 @@ class Tools(Mapping[str, Tool]):
                 if answer is not None:
                     return tool, answer
         return None
+
+    @property
+    def areas(self) -> list[Tool]:
+        """The tools that show an area of their own."""
+        return [tool for tool in self.values() if tool.area and tool.shows_area]
+
+    @property
+    def ticks(self) -> list[Tick]:
+        return [tick for ticks in self.ask(lambda tool: tool.ticks()) for tick in ticks]
+
+    @property
+    def ongoing(self) -> Piece | None:
+        """Words over the picture of what goes on, and their mood; None for none."""
+        found = self.first(lambda tool: tool.ongoing())
+        return None if found is None else found[1]
+
+    @property
+    def takes_pictures(self) -> bool:
+        """Whether a tool takes pictures at this time."""
+        return any(self.ask(lambda tool: tool.takes_pictures))
+
+    def give_picture(self, draw: Callable[[], Pixels]) -> None:
+        """Gives the current picture to the tools that want it; draws it only for these."""
+        now = time.monotonic()
+        wants = self.ask(lambda tool: tool if tool.wants_picture(now) else None)
+        wanting = [tool for tool in wants if tool is not None]
+        if wanting:
+            pixels = draw()
+            for each in wanting:
+                self.call(each, lambda tool: tool.take_picture(pixels, now))
+
+    @property
+    def kept(self) -> dict[str, Any]:
+        """What tools keep of the scene, by their names."""
+        found = {name: self.call(tool, lambda tool: tool.kept) for name, tool in self.items()}
+        return {name: kept for name, kept in found.items() if kept is not None}
+
+    def take_kept(self, kept: Mapping[str, Any]) -> None:
+        """Hands tools what they have kept; what does not fit is left out."""
+        for name, of_tool in kept.items():
+            with suppress(TypeError, ValueError, KeyError, AttributeError, IndexError):
+                if name in self:
+                    self[name].take_kept(of_tool)
 
 
 class DrawnTool:

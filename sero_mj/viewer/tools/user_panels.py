@@ -26,7 +26,7 @@ class UserPanels(Tool):
 
     def hear(self, message: Mapping[Place, Placed | None]) -> None:
         if not self._placed:
-            self.shown.open_panel()
+            self.shown.shows_panel = True
         now = {**self._placed, **message}
         there = [(place, placed) for place, placed in now.items() if placed is not None]
         self._placed = dict(sorted(there, key=lambda each: each[1].order))

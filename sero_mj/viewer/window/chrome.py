@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import mujoco
 from imgui_bundle import ImVec2, imgui
@@ -12,13 +13,11 @@ from ..host.live import LiveHost
 from ..panels import help as help_panel
 from ..panels import request_panel
 from ..panels.robot_panel import build_handle
-from ..panels.status_line import build_status_line
-from ..panels.time_line import build_time_line
+from ..panels.status_line import build_status_line, build_time_line
 from ..session.keys import Row
 from ..session.status_line import Piece
 from .glfw_window import GlWindow
 from .imgui_layer import ImguiLayer
-from .places import Places, Rect, arrange
 
 _HINT = "H help"
 # Below the picture's upper edge, in lines of the window's text.
@@ -47,7 +46,6 @@ class Chrome(ImguiLayer):
         super().__init__(gl)
         self._host, self._columns = host, columns
         self.widgets.folds = host.folds
-        self.shows_panel = False
         self.covered = 0.0
 
     def places(self, size: tuple[int, int]) -> Places:
@@ -57,7 +55,7 @@ class Chrome(ImguiLayer):
             self._line,
             has_status=host.shows_status,
             has_time=host.shows_status and host.has_time_line,
-            has_area=bool(host.areas),
+            has_area=bool(host.tools.areas),
         )
 
     @property
@@ -80,13 +78,13 @@ class Chrome(ImguiLayer):
 
     def _build(self, places: Places, picture: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
         host, ui = self._host, self.widgets
-        if places.area is not None and host.areas:
-            first = host.areas[0]
+        if places.area is not None and host.tools.areas:
+            first = host.tools.areas[0]
             with self._part(first.area, places.area, 0.5, 0.4):
                 host.tools.call(first, lambda tool: tool.build_area(ui))
         if places.time is not None:
             with self._part("time", places.time, 0.45, 0.1):
-                build_time_line(ui, host.clock, host.ticks)
+                build_time_line(ui, host.clock, host.tools.ticks)
         if places.status is not None:
             over = (places.status.height - self.text_height) / 2 / self.text_height
             with self._part("status", places.status, 0.55, over):
@@ -94,10 +92,10 @@ class Chrome(ImguiLayer):
         top = self.size[1] - picture.bottom - picture.height
         if host.notice.is_shown:
             self._note("message", host.notice.piece, picture, top + _MESSAGE_TOP * self._line)
-        ongoing = host.ongoing
+        ongoing = host.tools.ongoing
         if ongoing is not None:
             self._note("ongoing", ongoing, picture, top + _ONGOING_TOP * self._line)
-        if self.shows_panel:
+        if host.shows_panel:
             self._panel(places.picture.bottom if places.area is None else places.area.bottom)
         else:
             self._handle()
@@ -139,7 +137,7 @@ class Chrome(ImguiLayer):
         imgui.pop_style_var(1)
         self.take_mouse()
         if build_handle(self.widgets, "Tab"):
-            self.shows_panel = True
+            self._host.shows_panel = True
         self.covered = _BESIDE_HANDLE * self._line
         imgui.end()
 
@@ -158,7 +156,7 @@ class Chrome(ImguiLayer):
         if shown:
             self._host.build_panel(self.widgets, unfolds_sources=False)
         imgui.end()
-        self.shows_panel = bool(is_open)
+        self._host.shows_panel = bool(is_open)
 
     def _help(self) -> None:
         host = self._host
@@ -190,3 +188,52 @@ class Chrome(ImguiLayer):
         shown, is_open = imgui.begin(title, True, _PANEL_FLAGS)
         self.take_mouse()
         return shown, bool(is_open)
+
+
+# Heights and widths in lines of the window's text.
+_STATUS, _TIME = 1.6, 1.3
+_AREA_SHARE = 0.34  # fraction of the width for the area beside the picture
+_STRIP_SHARE = 0.36  # fraction of the height for the area below the picture, in a narrow window
+_NARROW = 46.0  # in a narrower window the area is below the picture
+_LEAST_STRIP = 10.0  # minimum height
+_LEAST_AREA = 20.0  # minimum width
+
+
+class Rect(NamedTuple):
+    """A rectangle in a window, pixels from its lower left corner."""
+
+    left: int
+    bottom: int
+    width: int
+    height: int
+
+
+class Places(NamedTuple):
+    """Where the parts of a window are; None for one that is not shown."""
+
+    picture: Rect
+    area: Rect | None
+    time: Rect | None
+    status: Rect | None
+
+
+def arrange(
+    size: tuple[int, int], text: int, *, has_status: bool, has_time: bool, has_area: bool
+) -> Places:
+    """Returns the places of a window's parts, which do not cover each other."""
+    width, whole = size
+    low = round(_STATUS * text) if has_status else 0
+    high = round(_TIME * text) if has_time else 0
+    status = Rect(0, 0, width, low) if low else None
+    line = Rect(0, low, width, high) if high else None
+    bottom, height = low + high, max(whole - low - high, 1)
+    if not has_area:
+        return Places(Rect(0, bottom, width, height), None, line, status)
+    if width < _NARROW * text:
+        strip = round(min(max(_STRIP_SHARE * height, _LEAST_STRIP * text), 0.5 * height))
+        picture = Rect(0, bottom + strip, width, max(height - strip, 1))
+        return Places(picture, Rect(0, bottom, width, strip), line, status)
+    beside = round(max(_AREA_SHARE * width, _LEAST_AREA * text))
+    left = width - beside
+    area = Rect(left, bottom, beside, height)
+    return Places(Rect(0, bottom, left, height), area, line, status)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 
 from ...base.errors import RenderError
-from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..decor.geom_buffer import CAPACITY
@@ -19,12 +18,10 @@ from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..host.live import LiveHost
 from ..image.added_surroundings import added_surroundings
-from ..image.camera import Navigator
 from ..image.film import Pixels
-from ..image.framing import stand_back, standing_back
+from ..image.framing import stand_back
 from ..image.picking import Pixel
 from ..image.picture_options import DEFAULT_SIZE
-from ..image.sampling import recorded_poses
 from ..image.scene_decor import SceneDecor
 from ..image.typesetting import Typesetter
 from ..session.input import Clicked, Event, Mouse, Moved
@@ -162,10 +159,7 @@ class Window(LiveHost):
             raise RenderError(
                 f"no window can be opened: {error}; `sero-mj view --web` shows a page"
             ) from error
-        self.navigator = Navigator(mirror.world, camera)
-        # Before anything listens to packets.
-        self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
-        super().__init__(mirror, folder)
+        super().__init__(mirror, folder, camera)
         world = self.world
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
@@ -173,8 +167,8 @@ class Window(LiveHost):
         self._use(self.decor)
         self.decor.needed = self.navigator.needed
         self._mouse = Mouse()
-        self.actions.add({"full_screen": self.gl.toggle_full_screen, "panel": self.toggle_panel})
-        self.gamepad = Gamepad(self, self._turn)
+        self.actions.add({"full_screen": self.gl.toggle_full_screen})
+        self.gamepad = Gamepad(self, self.camera_control.move)
         columns = help_columns(tool_keys())
         columns.append([("Gamepad", ""), *PAD_STICKS.items(),
                         *((name, words) for name, (_, words) in PAD_KEYS.items())])  # fmt: skip
@@ -219,7 +213,7 @@ class Window(LiveHost):
         places = chrome.places((width, height))
         rect = mujoco.MjrRect(*places.picture)
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
-        is_kept = self.takes_pictures
+        is_kept = self.tools.takes_pictures
         covered = 0.0 if is_kept else chrome.covered  # pictures are as without chrome
         self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
         self._place_pointer()
@@ -248,7 +242,7 @@ class Window(LiveHost):
 
     def _draw(self) -> None:
         self.decor.render(self.gl, quickly=self.is_quick)
-        self._give_picture(lambda: self.gl.read(self.decor.rect))
+        self.tools.give_picture(lambda: self.gl.read(self.decor.rect))
         self._chrome.draw()
 
     @property
@@ -261,16 +255,6 @@ class Window(LiveHost):
         self.decor.update(self.data, self.navigator.camera, rect, typesetter)
         self.decor.render(self.gl)
         return self.gl.read(rect)
-
-    @property
-    def has_panel(self) -> bool:
-        return self._chrome.shows_panel
-
-    def open_panel(self) -> None:
-        self._chrome.shows_panel = True
-
-    def toggle_panel(self) -> None:
-        self._chrome.shows_panel = not self._chrome.shows_panel
 
     def _place_pointer(self) -> None:
         at = self._mouse.position
@@ -309,21 +293,7 @@ class Window(LiveHost):
             return
         is_zoom = moved.how == "zoom"
         down = moved.down if is_zoom else moved.down / height
-        self._turn(moved.how, moved.right / height, down)
-
-    def _turn(self, how: str, right: float, down: float) -> None:
-        view, navigator = self.decor.view, self.navigator
-        if view is None or self.decor.fixed:
-            return
-        navigator.free(view.position, view.forward)
-        if how == "zoom":
-            navigator.zoom(down)
-        elif how == "pan":
-            back = standing_back(view.width, view.height, navigator.needed)
-            depth = navigator.camera.distance * back
-            navigator.pan(right, down, view.tan_half_fovy, depth)
-        else:
-            navigator.orbit(right, down)
+        self.camera_control.move(moved.how, moved.right / height, down)
 
     def _click(self, clicked: Clicked) -> None:
         at = self.decor.to_picture(clicked.x, clicked.y)
@@ -342,40 +312,8 @@ class Window(LiveHost):
         elif self.gl.is_full_screen:
             self.gl.toggle_full_screen()
 
-    @property
-    def layout(self) -> dict[str, bool]:
-        return {**super().layout, "panel": self.has_panel}
-
-    def show_layout(self, layout: Mapping[str, bool]) -> None:
-        super().show_layout(layout)
-        if layout.get("panel", False) != self.has_panel:
-            self.toggle_panel()
-
-    @property
-    def view_camera(self) -> mujoco.MjvCamera:
-        return self.navigator.camera
-
-    @property
-    def is_following(self) -> bool:
-        return self.navigator.following is not None
-
     def to_clipboard(self, text: str) -> None:
         self.gl.set_clipboard(text)
-
-    def choose_camera(self, number: int) -> str:
-        return self.decor.fixed or self.navigator.choose(number)
-
-    def follow(self, frame: str | None) -> str:
-        return self.decor.fixed or self.navigator.follow(self.data, frame)
-
-    def centre(self, point: Array) -> None:
-        view = self.decor.view
-        assert view is not None  # there is a picture of the point
-        if self.decor.fixed:
-            self.say(self.decor.fixed)
-            return
-        self.navigator.free(view.position, view.forward)
-        self.navigator.camera.lookat = point
 
     def request_close(self) -> None:
         self.gl.request_close()
