@@ -154,7 +154,7 @@ def _free_base(base: mujoco.MjsBody, robot: SerialRobot) -> None:
         base.add_freejoint(name=name)
         return
     kinds = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
-    for along, kind, axis in zip(("x", "y", "yaw"), kinds, robot.base_axes, strict=True):
+    for along, kind, axis in zip(("x", "y", "yaw"), kinds, robot.planar_base.axes, strict=True):
         base.add_joint(name=f"{name}_{along}", type=kind, axis=axis)
 
 

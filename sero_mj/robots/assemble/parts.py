@@ -64,7 +64,7 @@ class RobotPart:
     @property
     def arrow_width_scales(self) -> Array:
         """`arrow_width_scale` of every joint's arrow, (n,); less for joints close to each other."""
-        scales = self.robot.arrow_width_scales
+        scales = np.full(self.robot.n, self.robot.arrow_width_scale)
         return scales if self.sizes is None else scales * self.sizes.full_width
 
     @property
@@ -74,7 +74,7 @@ class RobotPart:
         Infinite where `arrow_width_scale` sets the width.
         """
         if self.sizes is None or "arrow_width_scale" in self.robot.model_fields_set:
-            return self.robot.arrow_loads
+            return np.full(self.robot.n, np.inf)
         return self.sizes.load / self.sizes.full_width
 
     @property
@@ -94,7 +94,7 @@ class RobotPart:
         at = qpos[self.free]
         if self.robot.free_base != "planar":
             return frame(rotation_from_quat(at[3:]), at[:3])
-        return self.robot.planar_pose(at)
+        return self.robot.planar_base.pose(at)
 
     @property
     def base_name(self) -> str:

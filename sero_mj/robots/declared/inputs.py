@@ -227,7 +227,7 @@ def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
             and yaw of a planar base, (3,); m and rad.
     """
     if len(numbers) == len(PLANAR) and robot is not None:
-        return robot.planar_pose(numbers)
+        return robot.planar_base.pose(numbers)
     if len(numbers) != len(POSE_NUMBERS):
         return numbers.reshape(4, 4)
     length = np.linalg.norm(numbers[3:])
@@ -239,7 +239,7 @@ def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
 def numbers_of_frame(T: Array, count: int, robot: SerialRobot | None = None) -> Array:
     """Returns so many numbers (count,) for a frame, the inverse of `frame_of_numbers`."""
     if count == len(PLANAR) and robot is not None:
-        return robot.planar_place(T)
+        return robot.planar_base.place(T)
     if count == len(POSE_NUMBERS):
         return np.append(T[:3, 3], quat_from_rotation(T[:3, :3]))
     return T.ravel()

@@ -17,7 +17,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...base.errors import Problem
-from ...base.frames import MIRROR, Array, Bools, Ints, empty_transforms, inverse
+from ...base.frames import (
+    MIRROR,
+    Array,
+    Bools,
+    Ints,
+    empty_transforms,
+    frame,
+    inverse,
+    rotation_about,
+)
 
 
 class JointTree(ABC):
@@ -259,3 +268,28 @@ class JointFrames(JointTree):
             sign=np.where(self.revolute, -1.0, 1.0) * self.signs,
             root=None if self.root is None else MIRROR @ self.root @ MIRROR,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarBase:
+    """A base that moves in a plane, at x, y (m) and yaw (rad).
+
+    Attributes:
+        frame: T_world_base (4, 4) at zero, m.
+        axes: two right-handed directions of motion and the normal of the plane, in the base's
+            frame, (3, 3); x, y and z for the usual normal.
+    """
+
+    frame: Array
+    axes: Array
+
+    def pose(self, at: Array) -> Array:
+        """Returns T_world_base (4, 4) at x, y and yaw, (3,)."""
+        turned = self.axes.T @ rotation_about(2, at[2]) @ self.axes
+        return np.asarray(self.frame @ frame(turned, at[:2] @ self.axes[:2]))
+
+    def place(self, T_world_base: Array) -> Array:
+        """Returns x, y and yaw (3,) of a pose (4, 4) in the plane, the inverse of `pose`."""
+        T = inverse(self.frame) @ T_world_base
+        turned = self.axes @ T[:3, :3] @ self.axes.T
+        return np.append(self.axes[:2] @ T[:3, 3], np.arctan2(turned[1, 0], turned[0, 0]))
