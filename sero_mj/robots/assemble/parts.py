@@ -12,11 +12,11 @@ import numpy as np
 from ...base.frames import Array, Bools, Ints, frame, rotation_from_quat
 from ..declared.cartesian import WORLD, NamedFrame
 from ..declared.double import Double
-from ..declared.joint_tree import JointTree
 from ..declared.robot import SerialRobot
 from ..declared.robot_parts import ARROW_QUANTITIES, VALUE_INPUTS, BillboardLine
 from ..declared.scene import Scene
 from ..declared.torque_units import TorqueUnit, torque_units
+from ..kinematics.joint_tree import JointTree
 from .decor_sizes import Sizes
 
 Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name

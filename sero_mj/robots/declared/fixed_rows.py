@@ -9,7 +9,7 @@ import numpy as np
 
 from ...base.errors import Problem
 from ...base.frames import Array, rpy_from_rotation
-from .dh import COLUMNS, DhTable
+from ..kinematics.dh import COLUMNS, DhTable
 
 FIXED = "fixed"
 

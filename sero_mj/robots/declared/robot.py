@@ -26,12 +26,12 @@ from ...base.toml_file import located
 from ..importers.joint_names import link_of_parent
 from ..importers.mjcf_file import is_file_name
 from ..importers.robot_file import read_robot_file
+from ..kinematics.dh import DhTable
+from ..kinematics.joint_tree import JointFrames, JointTree, PlanarBase
 from .couplings import CoupledJoints, coupled_joints
 from .degrees import degrees_warning
-from .dh import DhTable
 from .dynamics import is_overridden, merge_tables
 from .joint_ranges import display_ranges, plausible_limits
-from .joint_tree import JointFrames, JointTree, PlanarBase
 from .limbs import all_limbs, find_limbs
 from .robot_declaration import RobotDeclaration
 from .robot_parts import IN_DEGREES, frame_label, frame_labels

@@ -20,8 +20,8 @@ from ...base.declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
 from ...base.errors import DeclarationError, Problem, mismatch
 from ...base.frames import Array
 from ..importers.joint_names import BASE, link_of_parent
+from ..kinematics.dh import COLUMNS
 from .couplings import Coupling, coupled_joints, coupling_problems
-from .dh import COLUMNS
 from .dynamics import Dynamics, TorqueControl
 from .fixed_rows import fixed_row_problem
 from .limbs import limb_problems

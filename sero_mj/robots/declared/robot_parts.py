@@ -12,7 +12,7 @@ from ...base.declaration import Declaration, Frame, Name, Vector, numbers, of_sh
 from ...base.errors import Problem, mismatch, nearest
 from ...base.frames import Array, frame_from
 from ..importers.joint_names import identifiers, is_joint_name
-from .dh import COLUMNS, Column
+from ..kinematics.dh import COLUMNS, Column
 from .surroundings import FinishName, MeshFile, Object, check_shape_size
 
 # Packets choose them by their number, so new ones come last.

@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 from ...base.frames import Array
-from .dh import DhTable
-from .joint_tree import JointTree
+from ..kinematics.dh import DhTable
+from ..kinematics.joint_tree import JointTree
 
 SHELL = (0.93, 0.93, 0.91, 1.0)
 JOINT = (0.36, 0.38, 0.41, 1.0)

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ...base.frames import Array, frame
-from .dh_from_frames import DhChain, dh_from_frames
+from ..kinematics.dh_from_frames import DhChain, dh_from_frames
 from .joint_names import joint_names_of, parents_of
 
 MOVING = ("revolute", "prismatic")

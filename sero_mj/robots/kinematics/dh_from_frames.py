@@ -12,7 +12,7 @@ length a, and an angle alpha from A to B about x:
 
 Two normals enclose the angle theta about, and the distance d along, their common axis. Craig's row
 i has alpha and a of the normal before joint i, the standard one those of the normal after it (see
-`robots.declared.dh` for the two).
+`robots.kinematics.dh` for the two).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from typing import Literal
 import numpy as np
 
 from ...base.frames import Array, Bools, frame, inverse, rotation_angles
-from ..declared.dh import DhTable
-from ..declared.joint_tree import JointFrames
+from .dh import DhTable
+from .joint_tree import JointFrames
 
 _PARALLEL = 1e-9  # rad; larger effects are detected by the check
 _ZERO = 1e-12  # m and rad: rounding
