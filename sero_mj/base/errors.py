@@ -286,9 +286,6 @@ class UnknownName(SeroError, KeyError):
 
     Attributes:
         kind: of the name, e.g. `camera`.
-        name: the unknown name.
-        available: existing names.
-        near: the nearest of these, or None.
         hint: what is said instead of these, if anything.
     """
 
@@ -305,13 +302,7 @@ class UnknownName(SeroError, KeyError):
 
 
 class StructureError(SeroError, ValueError):
-    """A packet structure string that cannot be parsed.
-
-    Attributes:
-        structure: the whole string.
-        position: index of the first wrong character.
-        reason: what was expected there.
-    """
+    """A packet structure string that cannot be parsed."""
 
     def __init__(self, structure: str, position: int, reason: str) -> None:
         self.structure = structure
@@ -321,13 +312,7 @@ class StructureError(SeroError, ValueError):
 
 
 class RouteError(SeroError, ValueError):
-    """An expression in a route that cannot be parsed or has no meaning.
-
-    Attributes:
-        text: the whole expression.
-        position: index of the first wrong character.
-        reason: what was expected there.
-    """
+    """An expression in a route that cannot be parsed or has no meaning."""
 
     def __init__(self, text: str, position: int, reason: str, length: int = 1) -> None:
         self.text = text
@@ -352,12 +337,7 @@ class _ProblemError(SeroError):
 
 
 class SourceError(_ProblemError, OSError):
-    """A source that cannot be opened.
-
-    Attributes:
-        source: its name.
-        reason: what stood in the way and what would help.
-    """
+    """A source that cannot be opened."""
 
     def __init__(self, source: str, reason: Problem | str) -> None:
         super().__init__(reason, f"source '{source}'")
@@ -366,12 +346,7 @@ class SourceError(_ProblemError, OSError):
 
 
 class RecordingError(_ProblemError, OSError):
-    """A recording that cannot be written on, or read.
-
-    Attributes:
-        path: the file.
-        reason: what stood in the way, what is kept, and what would help.
-    """
+    """A recording that cannot be written on, or read."""
 
     def __init__(self, path: object, reason: Problem | str) -> None:
         super().__init__(reason, str(path))
@@ -383,8 +358,6 @@ class CsvError(_ProblemError, ValueError):
     """A table of comma-separated values that cannot be read or written.
 
     Attributes:
-        path: the file.
-        reason: what was found and what would be right.
         line: its line, from 1, if one is at fault.
         column: the name of its column, if one is at fault.
     """
@@ -409,9 +382,7 @@ class SimulationError(_ProblemError, RuntimeError):
     """A simulation that cannot continue; data recorded so far is kept.
 
     Attributes:
-        time: of the error, s.
         joint: e.g. `lwr/A3`, or the name of another element at fault.
-        reason: what was found and what would be right.
     """
 
     def __init__(self, time: float, joint: str, reason: Problem | str) -> None:
@@ -422,12 +393,7 @@ class SimulationError(_ProblemError, RuntimeError):
 
 
 class NotTrusted(SeroError, PermissionError):
-    """A file asks to run something, and may not; see `base.trust`.
-
-    Attributes:
-        file: the file.
-        actions: what it asks for, each as text.
-    """
+    """A file asks to run something, and may not; see `base.trust`."""
 
     def __init__(self, file: Path, actions: list[str]) -> None:
         self.file, self.actions = file, actions
@@ -442,12 +408,7 @@ class RenderError(_ProblemError, RuntimeError):
 
 
 class ClusterError(_ProblemError, ConnectionError):
-    """A cluster that cannot be reached, or whose workers differ from this machine.
-
-    Attributes:
-        address: of its scheduler.
-        reason: what stood in the way and what would help.
-    """
+    """A cluster that cannot be reached, or whose workers differ from this machine."""
 
     def __init__(self, address: str, reason: Problem | str) -> None:
         super().__init__(reason, address)
@@ -469,12 +430,7 @@ def about_fault(error: Exception, kind: type) -> str:
 
 
 class PluginError(SeroError):
-    """An entry point that cannot be loaded.
-
-    Attributes:
-        group: `sero_mj.sources`, say.
-        point: the entry point.
-    """
+    """An entry point that cannot be loaded."""
 
     def __init__(self, group: str, point: EntryPoint, cause: Exception) -> None:
         self.group, self.point = group, point

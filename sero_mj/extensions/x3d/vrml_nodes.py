@@ -43,7 +43,6 @@ class Value:
     Attributes:
         items: numbers (floats, or all in an array), strings, booleans, nodes, None for NULL, or one
             `Is`.
-        line: of its first token.
     """
 
     items: Sequence[Any] | Array
@@ -52,14 +51,7 @@ class Value:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A field that a PROTO, an EXTERNPROTO or a Script declares.
-
-    Attributes:
-        access: `initializeOnly`, `inputOnly`, `outputOnly` or `inputOutput`.
-        type: `SFFloat`, ...
-        value: its default; None where it has none.
-        line: of its declaration.
-    """
+    """A field that a PROTO, an EXTERNPROTO or a Script declares."""
 
     access: str
     type: str
@@ -72,11 +64,7 @@ class Proto:
     """A PROTO or an EXTERNPROTO.
 
     Attributes:
-        name: of its instances.
-        line: of its declaration.
-        fields: by name.
         body: the nodes of its instances; empty for an EXTERNPROTO.
-        urls: of an EXTERNPROTO's PROTO.
     """
 
     name: str
@@ -88,15 +76,7 @@ class Proto:
 
 @dataclass(eq=False)
 class Node:
-    """A node.
-
-    Attributes:
-        kind: its type, `Transform`.
-        line: of its type.
-        name: given by DEF; empty for none.
-        fields: values by name.
-        proto: that declares its kind; None for X3D's own kinds.
-    """
+    """A node."""
 
     kind: str
     line: int
@@ -129,15 +109,7 @@ class Route:
 
 @dataclass(eq=False)
 class Document:
-    """The contents of a file.
-
-    Attributes:
-        path: of the file.
-        nodes: at the top level.
-        routes: all except those inside PROTOs.
-        names: nodes by the names that DEF gives them.
-        protos: PROTOs and EXTERNPROTOs by name.
-    """
+    """The contents of a file."""
 
     path: Path
     nodes: list[Node] = field(default_factory=list)

@@ -46,9 +46,7 @@ class VisitedNode(NamedTuple):
     """A node visited in a scene.
 
     Attributes:
-        node: a Shape, a light, a robot, ...
         T: from its coordinates to those of the root, (4, 4), affine.
-        path: of the file that it stands in.
     """
 
     node: Node

@@ -34,7 +34,6 @@ class MeasuredBodies(NamedTuple):
     """The part of a model that is a robot.
 
     Attributes:
-        bodies: ids of its bodies.
         joints: ids of its hinges and slides, (n,).
         trunk: ids of the world's geoms that are part of it.
         centres: ids of the sites at the centres of its arrows, (n,); None for the joints' anchors.

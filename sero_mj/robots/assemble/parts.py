@@ -33,13 +33,10 @@ class RobotPart:
     """Indices of one robot in the compiled model.
 
     Attributes:
-        robot: its declaration.
-        kinematics: its Denavit-Hartenberg table, or the frames of its joints.
         qpos: index of every joint in `qpos`, (n,).
         dofs: index of every joint in `qvel`, (n,).
         mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 for a mounted or free base.
         bodies: ids of the base and every link, (n + 1,).
-        flange_body: id of the flange.
         joints: its rows in the world's `JointTable`.
         free: index in `qpos` of position and quaternion of a free base, (7,), or of x, y and yaw of
             a planar one, (3,); else empty.
@@ -132,8 +129,6 @@ class DoublePart:
     """Indices of one double in the compiled model.
 
     Attributes:
-        double: its declaration.
-        of: the robot it copies.
         mocap: index in `mocap_pos` of the base and every link, (rows, n + 1); a path has several
             rows.
         bodies: their ids, (rows, n + 1).
@@ -226,11 +221,8 @@ class DrawnDouble:
     """A double drawn from another state of the same model.
 
     Attributes:
-        double: name of the double.
-        model: compiled.
         data: the other state, frames up to date.
         opacity: factor for every geom of the model, (ngeom,); 0 for those that are not drawn.
-        rgba: its colour, (4,).
     """
 
     double: str
@@ -249,7 +241,6 @@ class JointTable:
         owner: index in the world's `owners`.
         limb: number of its limb; each owner has its own.
         of_robot: number of joints of robots; the rest belong to doubles.
-        revolute: True for a revolute, False for a prismatic joint.
         centre_site: site at the centre of its arrow and billboard, z along the joint's axis; a
             row of `site_xpos` in what `World.state` returns.
         qpos: index in `qpos` of the robots' joints, (of_robot,).
@@ -263,15 +254,10 @@ class JointTable:
         torque_units: in which torques are displayed, N; one prefix for all joints of an owner.
         scaled_with: index of the joint whose largest torque counts, (N,): of doubles that of their
             robot.
-        acceleration_limit: rad/s2 or m/s2, inf for none.
         arrow_quantity: index in `ARROW_QUANTITIES` of the quantity that its arrow initially
             shows.
-        arrow_dead_band: fraction of the limit.
-        arrow_radius: m.
-        arrow_width_scale: m per Nm.
         arrow_load: Nm or N at which the arrow of a joint without limit is as wide as its radius;
             inf where `arrow_width_scale` sets the width.
-        arrow_alpha: opacity of its arrow.
     """
 
     names: list[str]
@@ -323,9 +309,6 @@ class FrameTable:
         names: e.g. `lwr/link3`, M.
         owner: index in the world's `owners` of the robot or double whose axes toggle applies; -1
             for a frame with its own toggle.
-        site: id of its site.
-        size: length of the axes, m.
-        alpha: 0 invisible to 1 opaque.
         shown: whether it is initially shown, for frames with their own toggle.
         has: index in `userdata` of the flag that its pose is known; -1 for always.
     """
@@ -344,18 +327,11 @@ class ArrowTable:
     """Arrays over all K smart arrows.
 
     Attributes:
-        names: K.
-        site: id of the site it acts at.
         components_site: site of the frame its components are in; -1 for the world.
         frames: rows in the `FrameTable` of the frame it acts at and of the frame of its
             components, (K, 2); -1 for a point and for the world.
         slots: indices in `userdata` of its components, (K, 3).
         has: index in `userdata` of the flag that data was received.
-        is_round: whether it is drawn as a round arrow about its direction.
-        scale: m per unit.
-        longest: m.
-        radius: of a round one, m.
-        rgba: (K, 4).
     """
 
     names: list[str]

@@ -44,12 +44,9 @@ class World(WorldView):
     """A compiled scene.
 
     Args:
-        dynamic: whether to compile it for simulation: links have masses and collide, joints
-            have friction and may be elastic (see `robots.assemble.mjcf_dynamics`).
         dynamics: of its robots, if `dynamic`, instead of the declared ones.
 
     Attributes:
-        dynamic: whether it is compiled for simulation.
         free_objects: indices in `qpos` (7,) of the pose of every free object, by name: position,
             and quaternion with its scalar first; empty unless `dynamic`.
         dynamics: parameters of every robot's equations of motion, by name; empty unless

@@ -24,15 +24,7 @@ class WorldView(Protocol):
     Decor reads a *state*, which for a `World` is its `MjData`.
 
     Attributes:
-        scene: the declarations.
-        model: the `MjModel`.
-        robots: `RobotPart` by name.
-        doubles: `DoublePart` by name.
         owners: robots and doubles that have joints, by name, in the order of `joints`.
-        joints: arrays over all joints.
-        frames: arrays over all frames.
-        arrows: arrays over all smart arrows.
-        inputs: all inputs, by `name.key`.
         slots: slice of a state's `userdata` by name, e.g. `lwr.torques`, `sources.udp`.
         flags: index in `userdata` of the flag who has set an input last, by its name.
         placed: index in `mocap_pos` of the bodies that `frame` and `base_frame` inputs move, by

@@ -136,13 +136,9 @@ class NamedFrame:
     """A named frame.
 
     Attributes:
-        name: e.g. `lwr/link3`.
-        site: its site in the model.
         shown_with: the robot or double whose `show_axes` applies; empty when it has its own
             toggle.
         moves_with: the robot, double or received frame that moves it; empty when it is fixed.
-        size: length of the axes, m.
-        alpha: 0 invisible to 1 opaque.
         shown: whether it is initially shown, for a frame with its own toggle.
     """
 

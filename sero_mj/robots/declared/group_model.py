@@ -110,10 +110,8 @@ class _Place:
 
     Attributes:
         scope: prefix of their names, e.g. `justin_left_hand_`.
-        T: frame (4, 4) of the group.
         mirrored: whether all of it is mirrored at the xz plane of that frame.
         mount: frame of a robot that T is relative to; None in the world.
-        mounted: where the mount is declared.
         inside: files of the models that are being expanded, outermost first.
     """
 

@@ -70,8 +70,6 @@ class Input:
     """One input of a scene, the target of a route.
 
     Attributes:
-        name: of the robot, double, arrow, frame, object or camera.
-        key: name of the input.
         shape: of its values: (n,), (3,), (4, 4) or (1,).
         kind: `angles` move a robot or double, `values` are shown at joints, a `pose` moves a
             base, an object or a camera, a `frame` is stored, a `vector` is shown by an arrow, a

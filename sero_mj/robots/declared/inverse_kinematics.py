@@ -32,7 +32,6 @@ class Reached:
     """The angles closest to a pose.
 
     Attributes:
-        angles: (n,), rad or m.
         distance: remaining, m.
         angle: remaining, rad; 0 for a goal without orientation.
         at_limit: whether each joint is at a position limit, (n,).

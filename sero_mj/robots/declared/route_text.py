@@ -47,8 +47,6 @@ class Token(NamedTuple):
 
     Attributes:
         kind: `number`, `name`, `sign`, or `other` for characters that are invalid in a route.
-        text: its characters.
-        at: index of its first character.
     """
 
     kind: str

@@ -37,10 +37,8 @@ class LinkShape:
     """A primitive in a link's frame.
 
     Attributes:
-        kind: MuJoCo's geom type.
         size: radius (m) of capsule and cylinder; half lengths (3,) of a box.
         ends: (2, 3), where a capsule or cylinder starts and ends; the axis of a box.
-        rgba: colour.
     """
 
     kind: Literal["capsule", "cylinder", "box"]

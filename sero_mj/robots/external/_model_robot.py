@@ -86,7 +86,6 @@ class ModelPart(RobotPart):
     """Indices of a robot of a model in the model.
 
     Attributes:
-        tree: its bodies and joints.
         size: its reach, m.
         tool: name of the frame at the end of its chain, without the robot's name.
         labels: names of its base and links, n + 1.

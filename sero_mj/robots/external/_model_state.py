@@ -27,10 +27,7 @@ class ModelState:
     """The state of an external model, as decor reads it.
 
     Attributes:
-        data: the user's.
-        userdata: values of all inputs.
         site_xpos: positions of the joints, then the frames, then fixed points, (S, 3), m.
-        site_xmat: their rotations, (S, 9).
         doubles: states of the doubles that have a pose, by name; several for a path.
     """
 

@@ -66,7 +66,6 @@ class ModelWorld(WorldView):
     Attributes:
         options: its constructor arguments except model and data.
         not_finite: number of NaN, infinite and implausible values that were set; not shown.
-        changes: how often inputs were set or cleared.
 
     Raises:
         DeclarationError: the model has no hinge or slide joint, or a field does not fit it.

@@ -73,7 +73,6 @@ class MeshPiece:
 
     Attributes:
         contents: of a file that MuJoCo reads.
-        ending: of that file, with its dot.
         rgba: the file's own colour, 0 to 1; None where it has none.
     """
 

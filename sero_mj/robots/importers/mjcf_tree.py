@@ -32,7 +32,6 @@ class MjcfTree:
     """A robot in a compiled model, in its reference pose (`qpos0`).
 
     Attributes:
-        model: compiled.
         joints: ids of its hinges and slides, (n,), depth first.
         parents: index of each joint's parent link, (n,): 0 for the base.
         links: link of every body, (nbody,): 0 for the base; -1 for bodies that are not part of the

@@ -51,7 +51,6 @@ class RobotPlace(ABC):
     """A place where robots have names.
 
     Attributes:
-        title: what it is, for lists.
         none: what is said there where it knows no names.
         order: in which places are asked, lowest first; sero-mj's own have 10 to 90.
     """

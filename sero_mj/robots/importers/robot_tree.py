@@ -55,14 +55,10 @@ class Geometry:
     """A mesh or a shape.
 
     Attributes:
-        frame: T_link_geometry (4, 4).
         file: of the mesh, absolute; None for a shape.
-        scale: of the mesh, m per unit, (3,).
         shape: `box`, `sphere`, `cylinder` or `capsule`.
         size: as `robots.declared.surroundings.SHAPE_SIZES`.
         color: name and rgba; None for none.
-        opacity: multiplies that of its colours.
-        line: of its element.
     """
 
     frame: Array
@@ -127,11 +123,7 @@ class TreeTables:
     """Builds the tables of a tree of links.
 
     Attributes:
-        tables: of a robot file.
-        lines: by their keys.
-        warnings: sentences.
         bodies: names of the links of every body, base first, for comments.
-        flange: the link whose frame is the flange.
         T_body_link: body and T_body_link (4, 4) of every link by name, in the frames of `tables`.
     """
 

@@ -36,7 +36,6 @@ class DhTable(JointTree):
     """A Denavit-Hartenberg table of n joints.
 
     Attributes:
-        convention: `craig` or `standard`.
         alpha: link twists, (n,), rad.
         a: link lengths, (n,), m.
         theta: joint offsets, (n,), rad.

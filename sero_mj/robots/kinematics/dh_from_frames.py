@@ -38,7 +38,6 @@ class DhChain:
     """A Denavit-Hartenberg table with the frames needed to replace a chain of joint frames.
 
     Attributes:
-        convention: `craig` or `standard`.
         rows: alpha, a, theta, d per joint, (n, 4), rad and m.
         base_frame: T_base_0 (4, 4), from the robot's base to frame 0 of the table.
         flange_frame: T_n_flange (4, 4), from frame n of the table.
