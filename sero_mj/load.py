@@ -17,6 +17,7 @@ from .base.errors import (
     UsageError,
     collect,
     nearest,
+    raise_any,
 )
 from .data.drive.wiring import wire
 from .robots.declared.robot import SerialRobot
@@ -106,8 +107,7 @@ def load_scene(
 
 def _checked(scene: Scene, problems: list[Problem]) -> Scene:
     problems = problems + scene.located(wire(scene).problems)
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     return scene
 
 
@@ -146,8 +146,7 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
         raise
     except DeclarationError as error:
         raise DeclarationError([*wrong, *error.problems]) from None
-    if wrong:
-        raise DeclarationError(wrong)
+    raise_any(wrong)
     return found
 
 

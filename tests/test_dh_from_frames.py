@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg tables found for chains of joint frames, against `declared.dh`."""
+"""Denavit-Hartenberg tables found for chains of joint frames, against `kinematics.dh`."""
 
 from __future__ import annotations
 

@@ -263,6 +263,12 @@ def mismatch(
     return DeclarationError([Problem(key, reason, found=found, of=of, expected=expected)])
 
 
+def raise_any(problems: Sequence[Problem]) -> None:
+    """Raises DeclarationError if there are any problems."""
+    if problems:
+        raise DeclarationError(problems)
+
+
 def problems_of(error: Exception, key: str = "") -> list[Problem]:
     """The problems of an error, inside `key`; one with its text if it has no values."""
     if isinstance(error, DeclarationError):

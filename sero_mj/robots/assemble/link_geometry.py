@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem, collect
+from ...base.errors import Problem, collect, raise_any
 from ...base.frames import MIRROR, Array
 from ..declared.robot import SerialRobot
 from ..declared.robot_parts import LinkGeometry
@@ -83,8 +83,7 @@ def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
     for geom in (geom for link in geoms for geom in link):
         del geom["rgba"]
         geom.pop("material", None)
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     return geoms
 
 

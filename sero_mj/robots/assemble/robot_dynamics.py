@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from ...base import frames
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import Problem, raise_any
 from ...base.frames import MIRROR, Array
 from ..declared.dynamics import link_name, rotate_tensors
 from ..declared.robot import SerialRobot
@@ -223,8 +223,7 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
             root.worldbody.add_geom(type=MESH, meshname=geom["meshname"], contype=0, conaffinity=0)
             owners.append(i)
             places.append(frames.frame(frames.rotation_from_quat(geom["quat"]), geom["pos"]))
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     if not owners:
         return hulls
     model = root.compile()

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
 from ...base.declaration import Declaration, numbers, of_shape
-from ...base.errors import DeclarationError, Problem, mismatch
+from ...base.errors import Problem, mismatch, raise_any
 from ...base.frames import Array
 
 # Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
@@ -234,8 +234,7 @@ class Dynamics(Declaration):
             changed = f"principal moments {before} are now {after} kg m2"
             self._repaired.append(f"{link_name(k)}: {changed}")
             tensors[k] = balanced
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         if self._repaired:
             self.__dict__["inertias"] = tensors
         return self
@@ -259,8 +258,7 @@ class Dynamics(Declaration):
         """
         problems = _count_problems(self, _PER_LINK, n + 1, "the base and one per joint")
         problems += _count_problems(self, _PER_JOINT, n, _ROWS)
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
 
 
 class TorqueControl(Declaration):
@@ -284,8 +282,7 @@ class TorqueControl(Declaration):
 
     def check_counts(self, n: int) -> None:
         problems = _count_problems(self, ("motor_inertias",), n, _ROWS)
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
 
 
 _ROWS = "one per row of dh_params"

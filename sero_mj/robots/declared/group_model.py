@@ -27,6 +27,7 @@ from ...base.errors import (
     did_you_mean,
     mismatch,
     problems_of,
+    raise_any,
 )
 from ...base.frames import MIRROR, Array, frame_from, inverse
 from ...base.toml_file import key_lines, located, read_toml
@@ -133,8 +134,7 @@ class _Place:
             problems.append(Problem("mirrored", found=mirrored, expected="true or false"))
         if not isinstance(mount, str | None):
             problems.append(Problem("mount", found=mount, expected="a frame of a robot"))
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         if self.mirrored:
             T = MIRROR @ T @ MIRROR
         if mount is None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from ...base.errors import DeclarationError, did_you_mean, mismatch, problems_of
+from ...base.errors import did_you_mean, mismatch, problems_of, raise_any
 
 NOT = "not"
 JOINING = ("and", "or", NOT)  # words between comparisons
@@ -37,8 +37,7 @@ def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
             texts[target] = origin_text(origin)
         except ValueError as error:
             problems += problems_of(error, f"routes.{target}")
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     return texts
 
 

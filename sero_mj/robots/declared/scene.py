@@ -10,7 +10,15 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from ...base.declaration import Declaration
-from ...base.errors import DeclarationError, Problem, collect, did_you_mean, mismatch, nearest
+from ...base.errors import (
+    DeclarationError,
+    Problem,
+    collect,
+    did_you_mean,
+    mismatch,
+    nearest,
+    raise_any,
+)
 from ...base.frames import Array
 from ...base.paths import argument_of
 from ...base.toml_file import key_lines, located
@@ -129,8 +137,7 @@ class Scene:
             *_not_of_type(SceneToggles, None, toggles=toggles),
             *_floor_problems(floor),
         ]
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         self.robots: dict[str, SerialRobot] = {}
         self.groups = {group.name: group for group in groups or []}
         self.membership = membership({name: group.robots for name, group in self.groups.items()})

@@ -22,6 +22,7 @@ from ...base.errors import (
     mismatch,
     nearest,
     problems_of,
+    raise_any,
 )
 from ...base.plugins import DECOR, SOURCES, load_plugin
 from ...base.toml_file import located, read_toml
@@ -137,8 +138,7 @@ def group_from_model(
     entry = {"model": path, **fields}
     reader = _Reader(path, {"groups": {name or path.resolve().parent.name: entry}}, (), {})
     robots, groups = reader.robots(), reader.groups()
-    if reader.problems:
-        raise DeclarationError(reader.problems)
+    raise_any(reader.problems)
     return robots, groups
 
 

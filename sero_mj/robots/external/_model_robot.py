@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, PrivateAttr
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UnknownName, collect, mismatch
+from ...base.errors import Problem, UnknownName, collect, mismatch, raise_any
 from ...base.frames import Array, Ints
 from ..assemble.decor_sizes import MeasuredBodies, Sizes, measure
 from ..assemble.parts import RobotPart
@@ -138,8 +138,7 @@ def model_part(
     problems: list[Problem] = []
     with collect(problems, f"robots.{tree.name}"):
         robot, sizes = _model_robot(model, tree, sizes, overrides)
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     labels = body_labels(model, tree)
     bodies = np.concatenate([tree.bodies[:1], model.jnt_bodyid[tree.joints]]).astype(np.intp)
     along = rest.xanchor[tree.joints[tree.chain]]
@@ -168,8 +167,7 @@ def _model_robot(
     problems = [
         Problem(key, "unknown key", available=FIELDS) for key in overrides if key not in FIELDS
     ]
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     n = len(tree.joints)
     revolute = model.jnt_type[tree.joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
     own = dict(overrides)
@@ -196,8 +194,7 @@ def _model_robot(
             torques=np.zeros(n),  # provided by the model; billboards have to show it
             **fields,
         )
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     robot._carriers = tree.carriers(model)
     if "arrow_width_scale" in overrides:
         sizes = replace(sizes, full_width=np.ones(n))

@@ -19,7 +19,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from ...base.declaration import LARGEST
-from ...base.errors import DeclarationError, Problem, did_you_mean, reason_of
+from ...base.errors import DeclarationError, Problem, did_you_mean, raise_any, reason_of
 from ...base.frames import Array, frame, rotation_from_rpy
 from ...base.paths import format_of_file, read_file
 from .imported_tables import ImportedTables, NoJoints, first_of
@@ -231,8 +231,7 @@ class UrdfFile:
         self._problems.append(Problem(key, message, str(self.path), line))
 
     def _stop(self) -> None:
-        if self._problems:
-            raise DeclarationError(self._problems)
+        raise_any(self._problems)
 
     def _note(self, what: str, element: Element, key: str) -> None:
         line = f" (line {element.sourceline})" if self._has_lines else ""
