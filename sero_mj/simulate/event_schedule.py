@@ -17,11 +17,7 @@ from .scenario import Scenario
 
 
 class CarriedObjects:
-    """Objects that robots of any rows carry, whose poses are computed and logged together.
-
-    Args:
-        plant: with the robots of all rows.
-    """
+    """Objects that robots of any rows carry, whose poses are computed and logged together."""
 
     def __init__(self, plant: PlantRows) -> None:
         self._plant = plant
@@ -35,9 +31,6 @@ class CarriedObjects:
         """Lets an object be carried.
 
         Args:
-            plant: the robots of its row.
-            name: of the object.
-            robot: name of the one that carries it.
             grasp: T_flange_object.
             poses: (T, 16), its poses at every step, to be written.
         """
@@ -72,9 +65,6 @@ class EventSchedule:
     """The disturbances and faults of a scenario, ordered by step.
 
     Args:
-        scenario: with its disturbances and faults.
-        plant: to which they are applied.
-        steps: of the run.
         gains: (n,), factors of the commanded torques, after the limits: those of faulty drives; to
             be written.
         carried: the objects that robots carry, those of other runs in a batch as well.
@@ -127,7 +117,6 @@ class EventSchedule:
         """Writes events known in advance into the log, and keeps it for carried objects.
 
         Args:
-            columns: of every event.
             rows: (T, width), the log.
         """
         times = rows[:, 0]

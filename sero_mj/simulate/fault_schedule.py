@@ -15,9 +15,6 @@ class FaultSchedule:
     """Lets the faults of a scenario begin and end.
 
     Args:
-        scenario: with its faults.
-        plant: in which they are.
-        due: what they are put to.
         gains: (n,), factors of the commanded torques, after the limits: those of faulty drives;
             to be written.
     """

@@ -83,14 +83,7 @@ class SharedMemoryProgram(Answering):
 
 
 class MemoryLink(Link):
-    """Shared memory with a program, which is started.
-
-    Args:
-        declared: the program.
-        robot: name of the robot, for errors.
-        size: bytes of a state.
-        most: bytes of an answer.
-    """
+    """Shared memory with a program, which is started."""
 
     def __init__(self, declared: Answering, robot: str, size: int, most: int) -> None:
         super().__init__(declared, robot, most)
@@ -176,7 +169,6 @@ class MemoryLink(Link):
         return True
 
     def _give_turn(self, packet: bytes | bytearray) -> None:
-        """Writes a state, which the program does not read at the moment, and says so."""
         assert self._memory is not None
         self._memory[: self._size] = packet
         os.write(self._turn, b"1")
