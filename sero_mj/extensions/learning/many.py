@@ -21,8 +21,7 @@ from ...simulate.control.make_controller import LimitedController, make_controll
 from ...simulate.control.robot_models import RobotModels
 from ...simulate.control.torque_loop import HangingLinks
 from ...simulate.drives import Drives
-from ...simulate.due_actions import DueActions
-from ...simulate.fault_schedule import FaultSchedule
+from ...simulate.event_schedule import DueActions, FaultSchedule
 from ...simulate.plant import PlantRows
 from ...simulate.robot_control import RobotControl
 from ...simulate.runs.run_log import MEASURED

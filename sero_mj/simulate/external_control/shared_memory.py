@@ -23,9 +23,9 @@ from pydantic import model_validator
 from ...base.errors import Problem
 from ..control.controller import MaybePerJoint
 from ..control.robot_model import RobotModel
-from .datagrams import Answering, Link, ProgramController
 from .exchange import Answer, State
 from .program import Program
+from .program_controller import Answering, Link, ProgramController
 
 # In a command: the file in memory, the pipe to be read from, and the one to be written to.
 MEMORY, TURN, DONE = "{memory}", "{turn}", "{done}"

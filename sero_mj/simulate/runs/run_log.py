@@ -189,7 +189,7 @@ class RunLog:
 def routes_from_recording(
     routes: Mapping[str, Any], source: str, recorded: Collection[str]
 ) -> dict[str, Any]:
-    """Routes from a simulation as they are from a recording of it, in which events had old names."""
+    """Routes from a simulation as they are from its recording, whose events may have old names."""
 
     def rename(match: re.Match[str]) -> str:
         return f"{source}.{recorded_event(match[1], recorded)}"
