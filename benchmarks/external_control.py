@@ -29,7 +29,11 @@ from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / "tests"))  # for an FMU and a node written by hand
+sys.path[:0] = [
+    str(HERE.parent / "tests"),
+    str(HERE.parent / "tests/extensions/fmu"),
+    str(HERE.parent / "tests/extensions/ros"),
+]
 SCENARIO = """
 [robots.lwr]
 model = "lwr"

@@ -64,7 +64,7 @@ FUZZED = (
         "test_structure.py::test_any_float32_is_applied_or_counted",
         "test_matrices.py::test_any_bytes_are_applied_whole_or_counted",
         "test_matrices.py::test_any_numbers_are_applied_or_blanked_or_counted",
-        "test_joined_packets.py::test_any_bytes_are_taken_or_counted",
+        "extensions/ros/test_joined_packets.py::test_any_bytes_are_taken_or_counted",
     )),
     Target("finite numbers that no robot can have", (
         "test_implausible.py",
@@ -74,7 +74,7 @@ FUZZED = (
         "extensions/fri/test_fri_iiwa.py::test_a_damaged_message_is_a_packet_or_an_error",
         "extensions/rtde/test_rtde.py::test_random_bytes_end_a_connection_and_nothing_else",
         "extensions/franka/test_franka.py::test_random_bytes_end_a_connection_and_nothing_else",
-        "test_foxglove.py::test_whatever_comes_the_next_message_is_read",
+        "extensions/ros/test_foxglove.py::test_whatever_comes_the_next_message_is_read",
     )),
     Target("structures and routes as text", (
         "test_structure.py::test_no_string_at_all_raises_anything_else",
@@ -86,7 +86,7 @@ FUZZED = (
         "test_recording_faults.py::test_cut_off_anywhere_it_has_the_packets_before",
         "test_recording_faults.py::test_damage_anywhere_is_told_and_never_invents_a_packet",
         "test_hostile_recordings.py",
-        "test_bags.py::test_damaged_bags_are_errors_or_end_early",
+        "extensions/ros/test_bags.py::test_damaged_bags_are_errors_or_end_early",
     )),
     Target("TOML", (
         "test_paths.py::test_any_tables_are_read_or_refused_as_a_declaration",
@@ -149,7 +149,7 @@ FAULTS = (
     Target("kill -9", (
         "test_recorder.py::test_a_killed_process_leaves_a_file_that_all_can_read",
         "test_shm_writers.py::test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced",
-        "test_ros2.py::test_a_driver_that_is_killed_is_replaced_by_another_one",
+        "extensions/ros/test_ros2.py::test_a_driver_that_is_killed_is_replaced_by_another_one",
         "extensions/sweeps/test_sweep.py::test_a_process_that_is_killed_costs_its_variant_only",
         "test_viewer_process.py::"
         "test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along",
@@ -173,7 +173,7 @@ FAULTS = (
     Target("lost network", (
         "extensions/rtde/test_rtde.py::test_who_goes_away_is_connected_to_again",
         "extensions/franka/test_franka.py::test_a_robot_that_goes_away_is_connected_to_again",
-        "test_foxglove.py::test_who_goes_away_says_why",
+        "extensions/ros/test_foxglove.py::test_who_goes_away_says_why",
         "extensions/fri/test_fri_controller.py::test_the_network_fails_the_same_way_for_one_seed",
         "test_status_command.py::test_a_source_that_has_gone_quiet_is_told",
     )),
@@ -199,7 +199,7 @@ LIMITS = (
     ("a file of X3D or VRML, unpacked", "extensions.x3d.vrml", "MOST_BYTES", "bytes"),
     ("a mesh that MuJoCo reads", "robots.importers.mesh_files", "MOST_MESH_BYTES", "bytes"),
     ("any other mesh", "robots.importers.mesh_files", "MOST_CONVERTED_BYTES", "bytes"),
-    ("a chunk of a recording, unpacked", "data.record._mcap_reader", "MAX_CHUNK_BYTES", "bytes"),
+    ("a chunk of a recording, unpacked", "data.record.mcap_reader", "MAX_CHUNK_BYTES", "bytes"),
     ("a file of a camera", "extensions.photo.camera_file", "_MAX_BYTES", "bytes"),
     ("a packet", "data.receive.language", "MAX_PACKET_BYTES", "bytes"),
     ("packets that wait, where none may be lost", "data.receive.mailbox", "QUEUE_BYTES", "bytes"),

@@ -314,7 +314,7 @@ def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
     settings = ("lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0",)
     with screen() as display, Driven(display, tmp_path, "lwr", settings=settings) as window:
         window.key("Tab")
-        window.until("w.has_panel")
+        window.until("w.shows_panel")
         window.until("places.get('##A2')")
         window.settle()
         left, top, right, bottom = window.ask("places['##A2']")
@@ -338,7 +338,7 @@ def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
         assert not window.ask("w.toggles.arrows.any()")
         # A link, which the panel would cover.
         window.key("Tab")
-        window.until("not w.has_panel")
+        window.until("not w.shows_panel")
         window.settle()
         place = (
             "[*w.decor.view.project(w.data.xpos[w.world.robots['lwr'].bodies[5]])[0].tolist(), "

@@ -254,7 +254,7 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
         ("base.errors", "from ..robots.declared import dh", "imports robots.declared.dh"),
         ("base.paths", "def f():\n    from ..cli import main", "imports cli"),
         ("robots.assemble", "from ...viewer import decor", "imports viewer.decor"),
-        ("cli.fk", "from ..__main__ import main", "imports __main__"),
+        ("cli.plot", "from ..__main__ import main", "imports __main__"),
         (
             "robots.declared.dh",
             "from .scene import Scene",
@@ -290,7 +290,7 @@ def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> 
         ("data.drive.place", "from ... import __version__"),
         ("data.drive.place", "from ...base import paths"),
         ("data.drive.place", "from ... import SerialRobot"),
-        ("cli.fk", "from .arguments import port"),
+        ("cli.plot", "from .arguments import port"),
         ("__main__", "import sero_mj.viewer.image.backend"),
         ("base.errors", "import mujoco.viewer, decor"),  # somebody else's decor
     ],

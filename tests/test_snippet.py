@@ -197,7 +197,7 @@ def test_all_are_tried() -> None:
 
 @pytest.mark.parametrize("name", BUILD)
 def test_what_a_snippet_sends_is_what_its_scene_shows(name: str, tmp_path: Path) -> None:
-    port, words = str(free_udp_port()), ["snippet", name, "--robot", "lwr"]
+    port, words = str(free_udp_port()), ["new", "--snippet", name, "--robot", "lwr"]
     status, text = run_command([*words, "--port", port], tmp_path, os.environ)
     assert status == 0
     sender = BUILD[name](tmp_path, text)
@@ -224,11 +224,13 @@ def test_what_a_snippet_sends_is_what_its_scene_shows(name: str, tmp_path: Path)
 
 def test_a_robot_gives_the_number_of_joints_and_a_mistyped_name_is_told(tmp_path: Path) -> None:
     status, text = run_command(
-        ["snippet", "c", "--robot", "hit_finger", "--host", "10.1.2.3"], tmp_path, os.environ
+        ["new", "--snippet", "c", "--robot", "hit_finger", "--host", "10.1.2.3"],
+        tmp_path,
+        os.environ,
     )
     assert status == 0 and '#define SERO_HOST "10.1.2.3"' in text
     assert "#define SERO_JOINTS 3\n" in text  # the last of four is coupled
-    status, said = run_command(["snippet", "frank-cpp"], tmp_path, os.environ)
+    status, said = run_command(["new", "--snippet", "frank-cpp"], tmp_path, os.environ)
     assert status == 2 and said == "sero-mj: no snippet 'frank-cpp'; did you mean 'franka-cpp'?\n"
 
 
@@ -246,7 +248,7 @@ def test_c_compiles_in_any_standard_and_beside_macros_of_a_user(
 def test_controllers_in_c_compile_in_strict_c_without_names_of_a_user(tmp_path: Path) -> None:
     options = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
     for name, more in (("controller-c", ["-shared", "-fPIC"]), ("controller-udp-c", [])):
-        status, text = run_command(["snippet", name], tmp_path, os.environ)
+        status, text = run_command(["new", "--snippet", name], tmp_path, os.environ)
         assert status == 0
         compiled(tmp_path, "controller.c", text, "gcc", *options, *more)
         named = re.findall(r"^(?:#define|struct) (\w+)", text, re.MULTILINE)
@@ -257,10 +259,10 @@ def test_controllers_in_c_compile_in_strict_c_without_names_of_a_user(tmp_path: 
     ("name", "robot"), [("ur", "ur5e"), ("franka-cpp", "fr3"), ("lcm", "iiwa14"), ("c", "lwr")]
 )
 def test_a_snippet_is_for_the_robot_that_it_is_of(name: str, robot: str, tmp_path: Path) -> None:
-    status, text = run_command(["snippet", name, "--scene"], tmp_path, os.environ)
+    status, text = run_command(["new", "--snippet", name, "--scene"], tmp_path, os.environ)
     assert status == 0
     (tmp_path / "scene.toml").write_text(text)
     ((found, of),) = load_scene(tmp_path / "scene.toml").robots.items()
     assert found == robot
-    status, text = run_command(["snippet", name], tmp_path, os.environ)
+    status, text = run_command(["new", "--snippet", name], tmp_path, os.environ)
     assert status == 0 and re.search(rf"JOINTS\b[^\d\n]{{1,9}}{of.n}\b", text)

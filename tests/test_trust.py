@@ -72,10 +72,10 @@ PASSIVE = {
     "check": ("check", "{file}"),
     "render": ("render", "{file}", "-o", "{out}/a.png"),
     "render a video": ("render", "{file}", "-o", "{out}/a.gif", "--duration", "0.1"),
-    "fk": ("fk", "{file}"),
+    "fk": ("check", "--fk", "{file}"),
     "convert": ("convert", "{file}", "{out}/a.x3d"),
     "export": ("export", "{file}", "-o", "{out}/a.html", "--seconds", "0.1"),
-    "schema": ("schema", "scenario"),
+    "schema": ("check", "--schema", "scenario"),
     "list": ("list",),
     "status": ("status", "{file}", "--seconds", "0.1"),
 }

@@ -74,7 +74,7 @@ def test_what_the_user_sets_is_the_value_and_calls_back_once_in_sync() -> None:
     assert (stiffness.value, mass.value, log.value, law.value) == (500.0, 1.5, False, "impedance")
     assert (reset.value, text.value) == (0, "idle")
     both.to_view()
-    assert both.shown.has_panel  # it is opened for what is in it
+    assert both.shown.shows_panel  # it is opened for what is in it
     built = both.use().built
     assert built == [
         ("header", "Tuning"),

@@ -575,8 +575,9 @@ class Host(LiveHost):
     """Notes what it says and is asked for, and shows nothing."""
 
     is_open = is_due = True
-    frame = picture = centre = close = request_close = open_panel = None  # type: ignore[assignment]
-    picture_size = view_camera = is_following = to_clipboard = None  # type: ignore[assignment]
+    frame = picture = close = request_close = None  # type: ignore[assignment]
+    picture_size = to_clipboard = None  # type: ignore[assignment]
+    decor = SimpleNamespace(fixed="")  # type: ignore[assignment]
 
     def __init__(self, world: World) -> None:
         data = world.make_data()
@@ -589,14 +590,8 @@ class Host(LiveHost):
     def help(self) -> None:
         self.helped += 1
 
-    def say(self, text: str, *, is_bad: bool = False) -> None:
+    def say(self, text: str, is_bad: bool = False) -> None:
         self.said.append(text)
-
-    def choose_camera(self, number: int) -> str:
-        return f"camera {number}"
-
-    def follow(self, frame: str | None) -> str:
-        return f"follows {frame}"
 
 
 def test_keys_do_what_the_tables_say_in_every_host(
@@ -614,7 +609,8 @@ def test_keys_do_what_the_tables_say_in_every_host(
     for key in ("3", "f", "h", "[", "]", "]", "l", "f2", "y", "escape"):
         host.actions.press(key)  # F2 is not of this host, y of none
     selected = [f"selected: lwr/{joint}" for joint in ("A6", "A1", "A2")]
-    assert host.said == ["camera 3", "follows None", *selected, "legend: off"]
+    camera = "no camera 3: the scene has none"
+    assert host.said == [camera, "follows nothing", *selected, "legend: off"]
     assert (host.joint, host.helped, host.toggles.legend) == (1, 1, False)
     clock.asked.clear()
     for key in (".", " ", "l"):

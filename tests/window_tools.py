@@ -67,7 +67,7 @@ with Mirror(scene) as mirror, Window(mirror, size=size, folder=Path(), **options
     w._pace.is_quick = lambda view, now: True
     draw = w._draw
     def draw_some(*given):
-        if frames % 6 == 0 or w.takes_pictures:
+        if frames % 6 == 0 or w.tools.takes_pictures:
             draw(*given)
     w._draw = draw_some
     while w.frame():

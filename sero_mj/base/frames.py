@@ -5,7 +5,6 @@ No MuJoCo.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from types import EllipsisType
 from typing import Any
@@ -22,7 +21,6 @@ Bools = NDArray[np.bool_]
 RowIndex = int | EllipsisType
 
 _NICE = (1.0, 2.0, 5.0)
-_MANY = 500  # frames, from which on `compose` is faster than `@`
 _ROTATION_KEYS = ("rpy", "rpy_deg", "quat")
 # A frame typed with four digits (0.7071) is accepted as a rotation; larger errors are mistakes.
 _TYPED_ROTATION_TOLERANCE = 1e-3
@@ -52,40 +50,12 @@ def rotation_about(axis: int, angle: float | Array) -> Array:
 
 
 def empty_transforms(shape: tuple[int, ...]) -> Array:
-    """Transforms with nothing but their last row, to be filled element by element.
+    """Returns transforms (*shape, 4, 4) with nothing but their last row, to be filled by element.
 
-    The numbers of one element lie together: of a thousand that takes half the time.
-
-    Args:
-        shape: how many.
-
-    Returns:
-        (*shape, 4, 4).
+    Each element is contiguous over `shape`: 1000 poses of seven joints take 250 us, else 375 us.
     """
     T = np.zeros((4, 4, *shape)).transpose(*range(2, len(shape) + 2), 0, 1)
     T[..., 3, 3] = 1.0
-    return T
-
-
-def compose(first: Array, second: Array) -> Array:
-    """T_a_b @ T_b_c, (..., 4, 4), of rigid frames: of thousands in half the time of `@`.
-
-    NumPy multiplies small matrices one by one; here each number is computed for all of them.
-    """
-    shape = np.broadcast_shapes(first.shape[:-2], second.shape[:-2])
-    if math.prod(shape) < _MANY:
-        return np.asarray(first @ second)
-    T = empty_transforms(shape)
-    t = np.moveaxis(T, (-2, -1), (0, 1))
-    a, b = (
-        np.moveaxis(np.broadcast_to(each, T.shape), (-2, -1), (0, 1)) for each in (first, second)
-    )
-    for k in range(3):
-        row = t[k]
-        np.multiply(a[k, 0], b[0], out=row)
-        row += a[k, 1] * b[1]
-        row += a[k, 2] * b[2]
-        row[3] += a[k, 3]
     return T
 
 

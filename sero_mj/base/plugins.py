@@ -5,14 +5,16 @@
     sero_mj.robots          places where robots have names, see `robots.importers.robot_places`
     sero_mj.sources         kinds of sources in scenes, see `data.receive.source.Source`
     sero_mj.recordings      formats of recordings, see `data.record.formats`
-    sero_mj.networks        schemes of addresses, such as `ros2` of `ros2://`: functions that write
-                            a scene of the robot at an address and return its file
+    sero_mj.networks        schemes of addresses, such as `ros2` of `ros2://`: objects with
+                            `scene_of_network`, which writes a scene of the robot at an address,
+                            and `print_topics`, for `sero-mj status --topics`
     sero_mj.controllers     kinds of controllers, see `simulate.control.controller`
     sero_mj.target_motions  kinds of targets, see `simulate.control.target_motions`
     sero_mj.decor           visual features, see `viewer.decor.feature.Feature`
     sero_mj.tools           what pointer, keys and panel do, see `viewer.session.tool.Tool`
     sero_mj.commands        commands of `sero-mj`, see `cli`
     sero_mj.renderers       what draws pictures, see `viewer.image.renderer.Renderer`
+    sero_mj.exports         functions that write a file for `sero-mj export`, named by its ending
     sero_mj.senders         what `sero-mj send` does for a kind of source with its own protocol
     sero_mj.known_packets   what `structure --sniff` knows by size, see `data.receive.sniffer`
     sero_mj.explainers      what explains differences of torques, see `study.explainer`
@@ -47,7 +49,7 @@ IMPORTERS, ROBOTS, SOURCES = "sero_mj.importers", "sero_mj.robots", "sero_mj.sou
 CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
 DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
 NAMES, WHEN_IMPORTED = "sero_mj.names", "sero_mj.when_imported"
-MESHES = "sero_mj.meshes"
+MESHES, EXPORTS = "sero_mj.meshes", "sero_mj.exports"
 RECORDINGS, NETWORKS = "sero_mj.recordings", "sero_mj.networks"
 EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"

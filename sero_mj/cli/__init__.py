@@ -16,27 +16,23 @@ from ..base.errors import DeclarationError, PluginError, SeroError, UnknownName
 from ..base.plugins import COMMANDS, is_own, load_all, load_plugin, plugins
 from ..viewer.image.backend import check_backend, choose_backend
 from .arguments import OneLineParser, join_negative_values
+from .old_commands import translated
 from .terminal import escape_output
 
 log = logging.getLogger(__name__)
 
 _DESCRIPTION = """\
-sero-mj shows what a torque-controlled robot feels.
-
-It mirrors a robot from packets or simulates one, draws round arrows that turn about the joints to
-show torques, and billboards with their numbers: in a window, on a web page, in pictures and films.
+sero-mj shows what a torque-controlled robot feels. It mirrors a real robot or simulates one, and
+draws torques as round arrows about the joints, in a window, on a web page, in images and videos.
 """
-
 _EPILOG = """\
-Without a command it shows a page with all that can be opened, as `sero-mj view` does.
+Without a command, sero-mj shows a start page, as `sero-mj view` does. Try it in two terminals:
+  sero-mj send lwr_udp                     send a motion to port 32000, as the robot would
+  sero-mj view lwr_udp                     show the robot that moves
 
-Try it, in two terminals:
-  sero-mj send lwr_udp                     play a motion as the robot would, on port 32000
-  sero-mj render lwr_udp -o lwr.mp4        film it for 5 s
-
-SCENE is a file (TOML; a robot's URDF or MJCF; X3D as in the paper), or a name of `sero-mj list`.
-Every command has its own help: sero-mj render --help
+SCENE is a file or a name from `sero-mj list`. Help for one command: sero-mj render --help
 """
+GROUPS = ("see", "receive", "simulate", "analyse", "files")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -49,6 +45,7 @@ def main(arguments: list[str] | None = None) -> None:
     given = sys.argv[1:] if arguments is None else arguments
     if not given or (given[0].startswith("--") and given[0] not in ("--help", "--version")):
         given = ["view", *given]  # the start page
+    given = translated(given)
     try:
         check_backend()
         choose_backend()
@@ -77,7 +74,8 @@ class Command(Protocol):
     """The interface of a command: a module, or another object that an entry point names.
 
     Attributes:
-        ORDER: in the help, lowest first; sero-mj's own have 10 to 90.
+        ORDER: position in the help, lowest first. The commands of sero-mj have 10 to 99.
+        GROUP: heading in the help, one of `GROUPS` or a new one (default: "more").
     """
 
     ORDER: int
@@ -86,15 +84,30 @@ class Command(Protocol):
         """Adds the command to the subparsers of argparse, see `_arguments.command`."""
 
 
-def _add_commands(commands: Any, wanted: str) -> None:
-    """Adds the command of that name alone, or all if there is none of that name."""
-    if wanted in plugins(COMMANDS):
-        load_plugin(COMMANDS, wanted).add_to(commands)
-        return
+class _Listed:
+    """Subparsers of argparse, with the help line of each command by group."""
+
+    def __init__(self, commands: Any) -> None:
+        self._commands = commands
+        self.groups: dict[str, list[str]] = {group: [] for group in GROUPS}
+        self.group = ""
+
+    def add_parser(self, name: str, *, help: str = "", **how: Any) -> Any:
+        self.groups.setdefault(self.group, []).append(f"  {name:10} {help}")
+        return self._commands.add_parser(name, **how)
+
+    def text(self) -> str:
+        return "\n".join(
+            "\n".join([f"{group}:", *lines]) for group, lines in self.groups.items() if lines
+        )
+
+
+def _add_commands(listed: _Listed) -> None:
     for name, command in sorted(load_all(COMMANDS).items(), key=lambda item: item[1].ORDER):
         try:
-            command.add_to(commands)
-        except Exception as error:  # whatever another package does wrong
+            listed.group = getattr(command, "GROUP", "more")
+            command.add_to(listed)
+        except Exception as error:  # from another package
             point = plugins(COMMANDS)[name]
             if is_own(point):
                 raise
@@ -102,13 +115,21 @@ def _add_commands(commands: Any, wanted: str) -> None:
 
 
 def _parser(wanted: str) -> argparse.ArgumentParser:
+    """Returns the parser of one command, or of all commands if there is no such command."""
     parser = OneLineParser(
         prog="sero-mj",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
+        usage="sero-mj [-h] [--version] COMMAND ...",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"sero-mj {__version__}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    _add_commands(commands, wanted)
+    commands = parser.add_subparsers(
+        prog="sero-mj", metavar="COMMAND", required=True, help=argparse.SUPPRESS
+    )
+    if wanted in plugins(COMMANDS):
+        load_plugin(COMMANDS, wanted).add_to(commands)
+        return parser
+    listed = _Listed(commands)
+    _add_commands(listed)
+    parser.description = f"{_DESCRIPTION}\n{listed.text()}"
+    parser.epilog = _EPILOG
     return parser

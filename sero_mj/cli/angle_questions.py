@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..data.drive.route import Route
     from ..data.drive.wiring import Wiring
     from ..data.receive.source import Source
-    from ..data.record.replay import Replay
+    from ..data.record.file_source import FileSource
     from ..robots.declared.scene import Scene
 
 _CHECKED = 5  # positions of a recording
@@ -47,7 +47,7 @@ class AngleQuestions:
                     return found
         return ""
 
-    def about_recording(self, replay: Replay) -> str:
+    def about_recording(self, replay: FileSource) -> str:
         """Returns a question about packets at some positions of a recording; empty for none.
 
         Raises:

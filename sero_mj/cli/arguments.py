@@ -71,17 +71,18 @@ def join_negative_values(arguments: list[str]) -> list[str]:
 
 
 def command(
-    name: str, run: Callable[[T], int], kind: type[T], epilog: str
+    name: str, run: Callable[[T], int], kind: type[T], text: str
 ) -> Callable[[Commands], None]:
     """Returns the function that adds a command to the program's parser.
 
     Args:
-        name: of the command.
-        run: gets the options and returns the exit status.
-        kind: what declares the options; its docstring's first line is what the command does.
-        epilog: what help says at the end, as it is written.
+        name: name of the command.
+        run: function of the options that returns the exit status.
+        kind: declaration of the options. The first line of its docstring describes the command.
+        text: help text. The first paragraph (the examples) precedes the options, the rest follows.
     """
     summary, *_ = str(kind.__doc__).splitlines()
+    examples, _, notes = text.partition("\n\n")
 
     def run_with(given: argparse.Namespace) -> int:
         options = read_options(kind, vars(given))
@@ -92,8 +93,8 @@ def command(
         parser = commands.add_parser(
             name,
             help=summary[0].lower() + summary[1:].removesuffix("."),
-            description=summary,
-            epilog=epilog,
+            description=f"{summary}\n\n{examples.rstrip()}",
+            epilog=notes,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         add_options(parser, kind)
@@ -239,7 +240,7 @@ def network_scene(name: str) -> str | None:
     scheme, separator, _ = name.partition("://")
     if not separator or scheme not in plugins(NETWORKS):
         return None
-    return str(load_plugin(NETWORKS, scheme)(name))
+    return str(load_plugin(NETWORKS, scheme).scene_of_network(name))
 
 
 def print_programs(scenario: Scenario | None) -> None:
@@ -430,17 +431,15 @@ def note_choice(recording: Path, scene: str) -> None:
         print(f"note: {recording} {chosen}", file=sys.stderr)
 
 
-def check_span(recording: PacketFile, start: float | None, stop: float | None = None) -> None:
-    """Raises UsageError if a recording has no data between `--start` and `--stop`, s."""
+def check_span(recording: PacketFile, start: float | None, option: str = "--start") -> None:
+    """Raises UsageError if a recording has no data from `start` on, in seconds."""
     from ..data.record.replay import check_start
 
     if start is not None:
         try:
             check_start(start, recording)
         except ValueError as error:
-            raise UsageError(f"--start: {error}") from None
-    if start is not None and stop is not None and stop <= start:
-        raise UsageError(f"--stop: found {stop:g}; expected more than {start:g}, --start, in s")
+            raise UsageError(f"{option}: {error}") from None
 
 
 @contextlib.contextmanager

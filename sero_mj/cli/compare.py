@@ -31,18 +31,11 @@ if TYPE_CHECKING:
     from ..study.explanation import Explanation
     from .each_recording import Rows
 
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj compare simulated.mcap real.mcap
   sero-mj compare simulated.mcap real.mcap --offset auto --plot difference.pdf
-  sero-mj compare a.mcap b.mcap --render difference.mp4     arrows on the difference
-  sero-mj compare a.mcap b.mcap -o difference.html          a page that plays both
-  sero-mj compare a.mcap b.mcap --tolerance-torque 2 --tolerance-angle 0.5 && echo the same
-  sero-mj compare run.mcap                                  commanded with measured torque
-  sero-mj compare run.mcap --against-model --plot run.pdf   the robot with its own model
-  sero-mj compare a.csv b.mcap --scene lwr_udp              a table of export-csv, simulate --csv
-  sero-mj compare good.mcap runs/*.mcap --table table.csv   many with the first, a row for each
-  sero-mj compare --each runs/*.mcap --against-model        each by itself
+  sero-mj compare run.mcap                              commanded and measured torque of one run
+  sero-mj compare good.mcap runs/*.mcap --table table.csv   a row for each recording
 
 Recordings of simulations and of robots alike; differences are A less B. Time counts from the start
 of a simulation, or from the first packet of a robot. Beneath stands for every joint what explains
@@ -51,7 +44,7 @@ a joint that is stuck. Of many recordings there is a row for each, made by all c
 of a Dask cluster, which are sent the recordings. The exit status is 1 when a tolerance is exceeded,
 2 when they, or one of many, cannot be compared.
 """
-ORDER = 43  # in the help of `sero-mj`
+GROUP, ORDER = "analyse", 40
 _WIDTH = 70  # of explanations in a table of many recordings
 _OF_MANY = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
@@ -255,7 +248,7 @@ def _table_of(rows: Rows, signals: Mapping[str, str], title: str) -> Table:
     return table
 
 
-add_to = command("compare", run, CompareOptions, _EPILOG)
+add_to = command("compare", run, CompareOptions, _HELP)
 
 
 _Compared = tuple["Pair", "list[Explanation] | None", list[str]]

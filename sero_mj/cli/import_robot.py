@@ -24,15 +24,16 @@ if TYPE_CHECKING:
     from ..robots.declared.robot import SerialRobot
     from ..robots.importers.imported_tables import ImportedTables
 
-_EPILOG = """\
-example:
+_HELP = """\
+examples:
   sero-mj import ur5.urdf --out my_ur5      my_ur5/robot.toml, its meshes; the scene my_ur5.toml
+  sero-mj import arm.xacro --arg ur_type=ur5e --package ur_description=DIR
+  sero-mj import arm.xml --convention standard
 
-The robot file is commented: limits, masses and inertias, meshes with their frames, which joints
-belong to which limb, and a Denavit-Hartenberg table where there is one. It is to be changed by
-hand. Nothing that is there is written over. xacro becomes URDF if the package `xacro` is installed.
-Of MJCF the geoms stay in a copy of it, with all that it includes; joints, limits, inertias and
-couplings are in the robot file.
+The robot file has comments: limits, masses and inertias, meshes with their frames, the joints of
+each limb, and a Denavit-Hartenberg table if there is one. Edit it by hand. Existing files are not
+replaced. xacro is converted to URDF if the package `xacro` is installed. The geoms of MJCF stay in
+a copy of it, with all files that it includes.
 """
 _ENDINGS = (".urdf", ".xacro", ".xml")
 _TIED = "\0"  # a space at which no line is broken
@@ -40,7 +41,7 @@ _BESIDE = re.compile(
     rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<|^[ \t]*(?:mtllib|map_Kd)[ \t]+([^\r\n]+)",
     re.MULTILINE,
 )
-ORDER = 67  # in the help of `sero-mj`
+GROUP, ORDER = "files", 54
 
 
 class ImportOptions(PackageOptions):
@@ -90,7 +91,7 @@ def run(options: ImportOptions) -> int:
     return 0
 
 
-add_to = command("import", run, ImportOptions, _EPILOG)
+add_to = command("import", run, ImportOptions, _HELP)
 
 
 _Limbs: TypeAlias = Mapping[str, Sequence[int]]
@@ -184,7 +185,7 @@ def _check_format(path: Path) -> None:
         hints = [f"`sero-mj view {path}` shows it"]
         if "convert" in plugins(COMMANDS):
             hints.insert(
-                0, f"`sero-mj convert {path} {path.stem}.toml` writes it as a scene of ours"
+                0, f"`sero-mj export {path} {path.stem}.toml` writes it as a scene of ours"
             )
         raise UsageError(
             f"{path}: found a scene; expected a robot in URDF or MJCF. {', '.join(hints)}"

@@ -30,7 +30,15 @@ from ..base.plugins import (
 from .arguments import command
 from .terminal import make_console
 
-ORDER = 61  # in the help of `sero-mj`
+_HELP = """\
+examples:
+  sero-mj list                              shipped robots, scenes, scenarios, and kinds of parts
+  sero-mj list --known                      third-party robots by name
+  sero-mj list --fields scenarios           all keys of scenario files
+
+See also: sero-mj check SCENE
+"""
+GROUP, ORDER = "files", 56
 
 
 class ListOptions(Options):
@@ -70,7 +78,7 @@ def run(options: ListOptions) -> int:
     return 0
 
 
-add_to = command("list", run, ListOptions, "See also: sero-mj check SCENE")
+add_to = command("list", run, ListOptions, _HELP)
 
 
 def _print_known() -> None:

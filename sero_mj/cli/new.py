@@ -13,18 +13,25 @@ from pydantic import AfterValidator, model_validator
 from ..base import paths
 from ..base.declaration import is_name
 from ..base.errors import UsageError
-from ..base.options import Option, Options, positional, whole
+from ..base.options import Option, Options, Port, positional, whole
 from .arguments import check_new, command, writing
 from .schema import schema_text
 
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj new my_robot                 my_robot/robot.toml of 6 joints, and my_robot.toml, its scene
-  sero-mj new gripper --joints 2
-  sero-mj new my_lwr --like lwr        a copy of a shipped robot, to be changed
+  sero-mj new my_robot                     my_robot/robot.toml with 6 joints, and a scene
+  sero-mj new my_lwr --like lwr            a copy of a shipped robot
+  sero-mj new --snippet franka-cpp         code for a libfranka loop that sends to sero-mj
 
-Both files begin with a line by which editors complete and check their keys (sero-mj schema).
-Nothing that is there is written over.
+Robot and scene begin with a line that lets editors complete and check their keys. Existing files
+are not replaced.
+
+--snippet prints example code that sends data from your control loop to a scene: franka-cpp,
+franka-python, ur, ros2, lcm, simulink, c, rust. Or it prints a controller for a simulated robot, as
+a library (controller-c, controller-cpp, controller-rust) or as a program (controller-udp-c,
+controller-udp-python). --scene prints the scene or scenario for it instead. Each packet has a
+count, a time (s), and angles (rad), measured and commanded torques (Nm) of all joints as
+little-endian float64. NaN means no data.
 """
 _MOST_JOINTS = 64
 _FIRST, _LONGEST, _SHORTER = 0.34, 0.4, 0.85  # m, and ratio of one arm to the one before
@@ -85,35 +92,63 @@ structure = "{n}F{n}F"             # `sero-mj structure {n}F{n}F` says what stan
 "{name}.joint_angles" = "udp.values0"
 "{name}.torques" = "udp.values1"
 """
-ORDER = 64  # in the help of `sero-mj`
+GROUP, ORDER = "simulate", 34
+
+
+def _checked(name: str | None) -> str | None:
+    return None if name is None else is_name(name)
 
 
 class NewOptions(Options):
-    """Write a robot file and a scene to start from.
+    """Write a robot file and a scene, or print example code.
 
     Attributes:
-        name: of the robot.
-        joints: how many.
+        name: name of the robot.
+        joints: number of joints.
         like: copy a shipped robot, or one of a folder.
+        snippet: print example code instead.
+        robot: robot that the snippet's scene shows: a file, or a shipped name.
+        host: address of sero-mj, as seen by the robot's computer.
+        port: UDP port of the packets.
+        scene: print the snippet's scene instead of its code.
     """
 
-    name: Annotated[str, AfterValidator(is_name), positional("NAME")]
+    name: Annotated[str | None, AfterValidator(_checked), positional("NAME")] = None
     joints: Annotated[int, whole(1, _MOST_JOINTS), Option("N")] = 6
     like: Annotated[str | None, Option("ROBOT")] = None
+    snippet: Annotated[str | None, Option("NAME")] = None
+    robot: Annotated[str | None, Option("ROBOT")] = None
+    host: Annotated[str, Option("HOST")] = "127.0.0.1"
+    port: Port = 32000
+    scene: bool = False
 
     @model_validator(mode="after")
-    def _check_joints(self) -> Self:
+    def _check_kind(self) -> Self:
+        if (self.name is None) == (self.snippet is None):
+            raise ValueError("expected NAME of a new robot, or --snippet NAME")
+        if self.snippet is not None:
+            self.refuse(("joints", "like"), " is for a new robot")
+        else:
+            self.refuse(("robot", "host", "port", "scene"), " is for --snippet NAME")
         if self.like is not None and self.given("joints"):
             raise ValueError("--joints and --like: a copy has the joints of its robot; choose")
         return self
 
 
 def run(options: NewOptions) -> int:
-    """Writes the files; returns 0."""
+    """Writes the files, or prints a snippet; returns 0."""
     from ..robots.declared.robot import SerialRobot
     from ..robots.importers.robot_file import is_robot_file
 
-    name = options.name
+    if options.snippet is not None:
+        from .snippet import snippet_text
+
+        text = snippet_text(
+            options.snippet, options.robot, options.host, options.port, is_scene=options.scene
+        )
+        print(text, end="")
+        return 0
+    name = str(options.name)
     like = None if options.like is None else paths.find_model(options.like)
     if like is not None and like.suffix != ".toml":
         is_imported = like.suffix in (".urdf", ".xacro")
@@ -139,7 +174,7 @@ def run(options: NewOptions) -> int:
     return 0
 
 
-add_to = command("new", run, NewOptions, _EPILOG)
+add_to = command("new", run, NewOptions, _HELP)
 
 
 def write_scene(folder: Path, text: str) -> None:

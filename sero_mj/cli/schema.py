@@ -1,14 +1,11 @@
-"""`sero-mj schema`: JSON schemas of robot, scene, group and scenario files, for editors."""
+"""JSON schemas of robot, scene, group and scenario files for editors: `check --schema`."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from ..base.options import Option, Options, positional
-from .arguments import command, writing
 from .listing import field_rows, scenario_tables, scene_tables
 
 if TYPE_CHECKING:
@@ -16,45 +13,6 @@ if TYPE_CHECKING:
 
 KINDS = ("robot", "group", "scene", "scenario")
 Schema = dict[str, Any]
-
-_EPILOG = """\
-examples:
-  sero-mj schema scene                        prints it
-  sero-mj schema scenario -o scenario.json    for the files beside it, whose first line is then
-                                              #:schema ./scenario.json
-
-Visual Studio Code with the extension Even Better TOML, and every other editor with Taplo, then
-complete keys, say what they mean, and underline what is wrong. `sero-mj new` writes such a line.
-"""
-ORDER = 70  # in the help of `sero-mj`
-
-
-class SchemaOptions(Options):
-    """Write the JSON schema of a kind of file, for editors.
-
-    Attributes:
-        kind: of which files.
-        output: else it is printed.
-    """
-
-    kind: Annotated[Literal["robot", "group", "scene", "scenario"], positional("")]
-    output: Annotated[Path | None, Option("OUT.json", ("-o", "--output"))] = None
-
-
-def run(options: SchemaOptions) -> int:
-    """Writes or prints; returns 0."""
-    text = schema_text(options.kind)
-    if options.output is None:
-        print(text, end="")
-    else:
-        with writing():
-            options.output.parent.mkdir(parents=True, exist_ok=True)
-            options.output.write_text(text, encoding="utf-8")
-        print(options.output)
-    return 0
-
-
-add_to = command("schema", run, SchemaOptions, _EPILOG)
 
 
 def schema_text(kind: str) -> str:

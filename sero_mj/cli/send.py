@@ -22,16 +22,10 @@ if TYPE_CHECKING:
     from ..data.send.playback import Playback
     from ..robots.declared.scene import Scene
 
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj send lwr_udp                        what the scene lwr_udp expects, at 1 kHz
-  sero-mj send lwr_udp --rate 200 --duration 10
-  sero-mj send lwr_fri --cycle 2 --loss 0.01  as the controller of a real LWR
-  sero-mj send lwr --structure 7F7F --port 32000
-  sero-mj send my_scene.toml --host 192.168.0.7
-  sero-mj send lwr_shm --rate 10000           to the shared memory that the scene reads
-  sero-mj send lwr_udp --play REC.mcap --loop what was recorded, as it came
-  sero-mj send lwr_udp --play TABLE.csv --rate 500
+  sero-mj send lwr_udp --rate 200 --duration 10         a motion, as the scene expects it
+  sero-mj send lwr_udp --play run.mcap --loop           a recording
   sero-mj send ur5e --play TABLE.csv --columns "joint_angles=A* [deg]" --columns "time=Zeit [s]"
 
 Joints swing within their limits; torques are what the motion takes, by inverse dynamics. With a
@@ -40,13 +34,13 @@ along straight lines between packets of 1 kHz. Ctrl-C stops.
 
 A recording is sent bit for bit, at the times at which it came, where the scene's structure is the
 recorded one; else its events are packed anew, by their names. The columns of a table are called
-like the numbers of the packet (`values0[0]`, as export-csv has them); or they are signals of the
+like the numbers of the packet (`values0[0]`, as export writes them); or they are signals of the
 robot's joints, recognised by their names or given by --columns, from which the scene's routes make
 the packet; or they are all numbers of the packet, in order.
 """
 
 FASTEST = 1e5  # packets/s; a Python loop does not send faster
-ORDER = 19  # in the help of `sero-mj`
+GROUP, ORDER = "receive", 24
 
 
 class PlayOptions(Options):
@@ -135,7 +129,7 @@ def run(options: SendOptions) -> int:
     return _send_motion(options, scene)
 
 
-add_to = command("send", run, SendOptions, _EPILOG)
+add_to = command("send", run, SendOptions, _HELP)
 
 
 def _send_motion(options: SendOptions, scene: Scene) -> int:

@@ -36,21 +36,18 @@ from .shared_options import Figure, JsonOptions, Settings
 if TYPE_CHECKING:
     from ..simulate.simulation import Simulation
 
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj simulate impedance_push                      runs it, says what held and what was found
-  sero-mj simulate impedance_push --render out.mp4     and films it
-  sero-mj simulate my.toml --record run.mcap --plot torques.png --csv run.csv
-  sero-mj simulate impedance_push --report out/        a page, a figure, JUnit XML for CI
-  sero-mj simulate impedance_push --set controllers.lwr.stiffness=200
-  sero-mj simulate impedance_push --send lwr_udp       as a robot would, in real time, for a mirror
+  sero-mj simulate impedance_push                       run and judge a scenario
+  sero-mj simulate my.toml --record run.mcap --plot torques.png --render out.mp4
+  sero-mj simulate impedance_push --send lwr_udp        as a robot would, in real time
 
 A scenario is a scene with [controllers], [targets], [disturbances], [faults], [expect]. Exits with
 1 when something that was expected did not hold, or the simulation could not go on, and with 130
 when Ctrl+C ended it; what was recorded until then is kept. The same seed gives the same run, bit
 for bit.
 """
-ORDER = 22  # in the help of `sero-mj`
+GROUP, ORDER = "simulate", 30
 
 
 class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, SinkOptions):
@@ -159,7 +156,7 @@ def run(options: SimulateOptions) -> int:
     return 0 if error is None and all(outcome.holds for outcome in outcomes) else 1
 
 
-add_to = command("simulate", run, SimulateOptions, _EPILOG)
+add_to = command("simulate", run, SimulateOptions, _HELP)
 
 
 def _simulate(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..base.errors import UsageError
 from ..base.options import Duration
+from ..base.plugins import NETWORKS, load_plugin, plugins
 from .arguments import command, print_json, read_scene, replay_instead, until_ended
 from .shared_options import JsonOptions, ReplayOptions, SceneArgument
 from .terminal import make_console
@@ -18,12 +19,11 @@ if TYPE_CHECKING:
     from ..data.receive.source import Source
     from ..robots.declared.scene import Scene
 
-_EPILOG = """\
+_HELP = """\
 examples:
   sero-mj status lwr_udp                    live, until Ctrl-C
-  sero-mj status lwr_udp --duration 5       for 5 s, then the result
   sero-mj status lwr_udp --duration 5 --json
-  sero-mj status run.mcap --duration 5      what a recording has, as it is played
+  sero-mj status run.mcap --duration 5      a recording, while it plays
 
 Opens the scene's sources as a viewer would, so no viewer can listen to the same ports meanwhile.
 Recordings play meanwhile.
@@ -32,7 +32,7 @@ Every cause for which packets are not applied is counted. Exits with 1 when a so
 
 _EVERY = 0.25  # s
 _GOOD = ("state", "controller", "clock", "received", "blanked")  # rows that tell of no fault
-ORDER = 28  # in the help of `sero-mj`
+GROUP, ORDER = "receive", 20
 
 
 class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
@@ -41,10 +41,12 @@ class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
     Attributes:
         scene: scene or recording: a file, or a shipped name.
         duration: seconds to watch (default: until Ctrl-C).
+        topics: list the topics at an address, ros2:// for example, and the robots they could move.
         as_json: print JSON at the end, nothing else.
     """
 
     duration: Duration | None = None
+    topics: bool = False
 
 
 def run(options: StatusOptions) -> int:
@@ -52,6 +54,8 @@ def run(options: StatusOptions) -> int:
     from ..data.drive.wiring import wire
     from .opening import with_scene
 
+    if options.topics:
+        return _print_topics(options)
     options = with_scene(options)
     scene = read_scene(options.scene, replay=options.replay)
     if options.replay is not None:
@@ -75,7 +79,17 @@ def run(options: StatusOptions) -> int:
     return 0 if all(entry["good"] for entry in found) else 1
 
 
-add_to = command("status", run, StatusOptions, _EPILOG)
+add_to = command("status", run, StatusOptions, _HELP)
+
+
+def _print_topics(options: StatusOptions) -> int:
+    scheme, separator, _ = options.scene.partition("://")
+    if not separator or scheme not in plugins(NETWORKS):
+        known = " or ".join(f"{name}://" for name in plugins(NETWORKS)) or "an extension"
+        raise UsageError(f"--topics: found {options.scene}; expected {known}")
+    duration = 2.0 if options.duration is None else options.duration
+    network = load_plugin(NETWORKS, scheme)
+    return int(network.print_topics(options.scene, duration, as_json=options.as_json))
 
 
 class _Reports:

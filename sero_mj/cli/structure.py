@@ -30,19 +30,16 @@ if TYPE_CHECKING:
 _REFRESH = 0.25  # s between two pictures of a terminal
 _TELL_EVERY = 2.0  # s between two lines about a stream where there is no terminal
 _FIRST_NUMBERS = 4  # of an event
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj structure 7F7F                        offsets, types, events, size
-  sero-mj structure "1H=size 7f 1Tf" --alignment 4
-  sero-mj structure --scene lwr_contact         what the sources of a scene expect
-  sero-mj structure --sniff 32000               what arrives, and what would fit it
-  sero-mj structure 7F1M --sniff 32000          the same, with the numbers in it
-  sero-mj structure                             the page about the language
+  sero-mj structure 7F7F                    offsets, types, events, size
+  sero-mj structure --scene lwr_contact     the packets that a scene expects
+  sero-mj structure 7F1M --sniff 32000      the packets that arrive, and their values
 
 A port can be listened to by one program only: close the viewer while you sniff. Ctrl-C ends it
 with a summary.
 """
-ORDER = 31  # in the help of `sero-mj`
+GROUP, ORDER = "receive", 26
 
 
 class StructureOptions(JsonOptions):
@@ -105,7 +102,7 @@ def run(options: StructureOptions) -> int:
     return 0
 
 
-add_to = command("structure", run, StructureOptions, _EPILOG)
+add_to = command("structure", run, StructureOptions, _HELP)
 
 
 def _read(text: str, options: StructureOptions) -> Structure:

@@ -39,23 +39,17 @@ if TYPE_CHECKING:
 
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj view                                        a page with all that can be opened
-  sero-mj view lwr_udp                                the robot, as it moves
-  sero-mj view impedance_push                         a simulation, with a time line
-  sero-mj view lwr_udp --replay run.mcap              a recording, with a time line
-  sero-mj view lwr_udp --web                          on a page for browsers on this machine
-  sero-mj view lwr --set lwr.show_axes=true --camera 150,-15,2.2
-  sero-mj view lwr_udp --over 0 --camera-file cell.yaml   over what a camera sees of the robot
-  sero-mj view lwr_udp --over video.mp4 --camera-file cell.yaml --replay run.mcap
-  sero-mj view lwr --simulate --control joint         a robot to play with, without an end
+  sero-mj view lwr_udp                      the robot, as it moves
+  sero-mj view lwr_udp --replay run.mcap    a recording, with a timeline
+  sero-mj view impedance_push --web         a simulation, on a page for browsers on this machine
 
 H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
 the page. The printed address of a page has a secret token. Browsers on other machines reach it
 through `ssh -L 8080:localhost:8080 MACHINE`, or with --host 0.0.0.0; nothing is encrypted.
 """
-ORDER = 10  # in the help of `sero-mj`
+GROUP, ORDER = "see", 10
 
 
 class ViewOptions(EyeOptions, OverOptions, ShownOptions):
@@ -172,7 +166,7 @@ def run(options: ViewOptions) -> int:
     return 0
 
 
-add_to = command("view", run, ViewOptions, _EPILOG)
+add_to = command("view", run, ViewOptions, _HELP)
 
 
 class Session:

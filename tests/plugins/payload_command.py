@@ -19,7 +19,7 @@ from sero_mj import SerialRobot
 class Carry:
     """`sero-mj carry lwr`: by the torque limits against gravity, joint by joint."""
 
-    ORDER = 100
+    GROUP, ORDER = "analyse", 100
 
     @staticmethod
     def add_to(commands: Any) -> None:

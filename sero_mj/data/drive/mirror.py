@@ -16,7 +16,8 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
 from ..receive.intake import Counters
 from ..receive.mailbox import Packet, Packets
-from ..receive.source import QUIET_AFTER, Source, age
+from ..receive.reception import QUIET_AFTER
+from ..receive.source import Source, age
 from .place import Placer, Router, follow
 from .route import Route
 from .velocities import Velocities

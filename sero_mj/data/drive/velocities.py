@@ -10,7 +10,7 @@ import numpy as np
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
 from ..receive.mailbox import Packet
-from ..receive.source import QUIET_AFTER
+from ..receive.reception import QUIET_AFTER
 from .route import Route
 
 

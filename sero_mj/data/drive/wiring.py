@@ -49,7 +49,8 @@ from ...robots.declared.inputs import (
 from ...robots.declared.mounts import carriers, mount_circles
 from ...robots.declared.route_text import NOT, names_in, parts_of_origin
 from ...robots.declared.scene import Scene
-from ..receive.source import SIGNALS, LedJoint, LedLinks, Source, make_source
+from ..receive.led_robot import LedJoint, LedLinks
+from ..receive.source import SIGNALS, Source, make_source
 from ._units import UNITS, robot_of, units_of, wrong_unit
 from .conditions import condition_of
 from .joint_routes import (

@@ -12,8 +12,9 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 from ...base.errors import SourceError
 from .language import Item
 from .mailbox import Packet, Packets
+from .reception import log
 from .shm_block import Block, block_path
-from .source import Source, log
+from .source import Source
 
 _BLOCK_POLL_INTERVAL = 0.02  # s; delay until a created or recreated block is detected
 _LOCK_TIMEOUT = 2e-3  # s; how long a frame waits while another thread reads the block

@@ -15,8 +15,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_
 
 from ...base.errors import Problem
 from .connecting import is_address
+from .reception import log
 from .scheduling import request_short_slices
-from .source import Source, log
+from .source import Source
 from .udp_socket import (
     BATCH,
     Batch,

@@ -1,4 +1,4 @@
-"""The columns of a table as the numbers of packets, whose names `export-csv` writes."""
+"""The columns of a table as the numbers of packets, whose names `export` writes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def has_numbers(table: Table, events: Mapping[str, tuple[int, ...]]) -> bool:
 def events_of(table: Table, structure: Structure) -> dict[str, Array]:
     """Returns the events of packets that are in a table.
 
-    Columns are called like the numbers of the packet, as `export-csv` writes them: `joints[0]`. A
+    Columns are called like the numbers of the packet, as `export` writes them: `joints[0]`. A
     table without names, or with others, has all numbers of the packet, in order. Events may be left
     out as a whole.
 

@@ -143,7 +143,7 @@ class RecordedPackets(Playback):
 class TablePackets(Playback):
     """The rows of a table of comma-separated values.
 
-    Columns are called like the numbers of the packet, as `export-csv` writes them: `joints[0]`. A
+    Columns are called like the numbers of the packet, as `export` writes them: `joints[0]`. A
     table without names, or with others, has all numbers of the packet, in order. Events may be left
     out as a whole.
 

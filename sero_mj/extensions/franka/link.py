@@ -11,6 +11,7 @@ import weakref
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from ...base.once import Once
 from ...simulate.external_control.datagrams import DONT_WAIT, RECEIVE_BUFFER, Link, Reachable
 from ...simulate.external_control.program import PORT, Program
 from .messages import HEAD, INCOMPATIBLE, MOST_BYTES, SUCCESS, Messages
@@ -19,7 +20,6 @@ log = logging.getLogger(__name__)
 
 _SLICE = 0.02  # s, in which the end of the program is seen
 _MOST_AT_ONCE = 256  # datagrams, so that a flood of strays does not keep the simulation
-_MOST_TOLD = 50
 _KEEPALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}  # as libfranka has them
 _MUTE = 1.0  # s, after which a connection that asks for nothing gives way to another
 
@@ -59,7 +59,7 @@ class FciLink(Link):
         self._since = 0.0  # when it has come
         self._peer: tuple[str, int] | None = None  # where states go to
         self._received = bytearray()
-        self._told = set[str]()
+        self._is_new = Once()
         self.port = declared.port
         self.clients = self.foreign = 0
 
@@ -75,8 +75,7 @@ class FciLink(Link):
 
     def tell(self, text: str) -> None:
         """Warns of something once."""
-        if text not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(text)
+        if self._is_new(text):
             log.warning("%s: %s", self._robot, text)
 
     def open(self, time: float) -> None:

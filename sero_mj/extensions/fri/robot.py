@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from ...base.frames import Array
+from ...base.once import Once
 from ...simulate.control.cartesian_control import CartesianImpedance
 from ...simulate.control.controller import PerJoint, Ratio, Sensed, Target, within
 from ...simulate.control.joint_control import JointPosition, design_damping
@@ -83,7 +84,7 @@ class FriRobot(ABC):
         self.logged: Array = np.zeros(3)
         self.state = self.quality = self.wrong = 0
         self.error = False
-        self._told: set[str] = set()
+        self._is_new = Once()
         self._base: Array = np.zeros(JOINTS)  # commanded by the robot's program
         self._offset: Array = np.zeros(JOINTS)  # by the client
         self._extra: Array = np.zeros(JOINTS)
@@ -212,8 +213,7 @@ class FriRobot(ABC):
         self._hold_again(why)
 
     def _tell(self, text: str) -> None:
-        if text not in self._told:
-            self._told.add(text)
+        if self._is_new(text):
             log.warning("%s: %s", self._model.name, text)
 
     def _command_angles(self, angles: Array, most: Array) -> bool:

@@ -20,14 +20,7 @@ _BESIDE = (0.07, 0.08, 0.09, 1.0)  # of what is beside the picture
 
 
 class PhotoViewport(Viewport):
-    """The picture of a camera, as large as fits into a rectangle of a window.
-
-    Args:
-        world: the compiled scene.
-        toggles: what is shown.
-        context: of the window, current.
-        feed: the camera, or a video.
-    """
+    """The picture of a camera, as large as fits into a rectangle of a window."""
 
     def __init__(
         self,
@@ -45,12 +38,10 @@ class PhotoViewport(Viewport):
 
     @property
     def fixed(self) -> str:
-        """See `SceneDecor`."""
         return f"the view is that of {self._feed.name}"
 
     @property
     def pieces(self) -> list[Piece]:
-        """See `Viewport`."""
         return [self._feed.piece]
 
     def update(
@@ -91,7 +82,6 @@ class PhotoViewport(Viewport):
         self.draw(data, painter.look(scene, typesetter.font, inset), scene)
 
     def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
-        """See `Viewport`; it is always drawn in full."""
         painter, photo, rect = self._painter, self._photo, self.rect
         if painter is None or photo is None:
             return

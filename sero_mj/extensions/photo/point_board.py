@@ -56,11 +56,8 @@ class PointBoard:
     """A list of points beside a photo.
 
     Args:
-        photo: (height, width, 3).
         names: of the points.
         points: in the world, (k, 3), m.
-        lens: of the camera.
-        find_focal: see `calibrate`.
         clicked: known pixels (2,) of points, by their index.
 
     Attributes:
@@ -95,11 +92,9 @@ class PointBoard:
 
     @property
     def panel_width(self) -> int:
-        """Of the list, pixels."""
         return round(_WIDTH * self._typesetter.font.height)
 
     def resize(self, width: int, height: int, line: int) -> None:
-        """Sets the size of the board, and the height of a line of its text, pixels."""
         self._size = (width, height)
         if line != self._typesetter.font.height:
             self._typesetter = Typesetter(line)
@@ -120,7 +115,6 @@ class PointBoard:
         self._solve()
 
     def press(self, key: str) -> None:
-        """Handles a key: `up`, `down`, `backspace`."""
         if key in ("up", "down"):
             self.chosen = (self.chosen + (1 if key == "down" else -1)) % len(self._names)
         elif key in ("backspace", "delete") and self.clicked:
@@ -130,7 +124,6 @@ class PointBoard:
             self._solve()
 
     def zoom(self, steps: float, x: float, y: float) -> None:
-        """Zooms the photo about a pixel of the board."""
         view, at = self._now(), np.array([x, y])
         if x < self.panel_width:
             return
@@ -141,7 +134,6 @@ class PointBoard:
         self._view = None if zoom <= least else _View(fixed - (at + 0.5 - middle) / zoom, zoom)
 
     def pan(self, right: float, down: float) -> None:
-        """Moves the photo with the pointer, pixels."""
         view = self._now()
         if self._view is not None:
             self._view = _View(view.centre - np.array([right, down]) / view.zoom, view.zoom)
@@ -166,7 +158,6 @@ class PointBoard:
         return np.asarray((pixels - view.centre) * view.zoom + middle - 0.5)
 
     def _choose_next(self) -> None:
-        """Chooses the next point that is not clicked, if there is one."""
         count = len(self._names)
         for k in range(count):
             if (self.chosen + k) % count not in self.clicked:
@@ -196,11 +187,9 @@ class PointBoard:
         return _LINE * self._typesetter.font.height
 
     def _first(self) -> float:
-        """Index of the first line of the list, below the title."""
         return 2.4 * self._row_height()
 
     def _shown(self) -> range:
-        """Which points the list shows: where there is no room for all, those about the chosen."""
         least = 5
         room = self._size[1] - self._first() - (len(_KEYS) + 4) * self._row_height()
         count = max(int((room - self.panel_width) / self._row_height()), least)
@@ -219,7 +208,6 @@ class PointBoard:
         return 0, round(top), self.panel_width, max(round(bottom - top), 1)
 
     def picture(self) -> Pixels:
-        """Returns the board, (height, width, 3)."""
         board = Image.new("RGB", self._size, _BESIDE)
         self._draw_photo(board)
         self._draw_marks(ImageDraw.Draw(board))
@@ -313,7 +301,6 @@ class PointBoard:
         return Placed(0, 0, pixels)
 
     def _wrapped(self, text: str, most: int) -> list[str]:
-        """A text in lines that fit the panel."""
         lines, room = [""], self.panel_width - 1.2 * self._typesetter.font.height
         for word in text.split():
             longer = f"{lines[-1]} {word}".strip()

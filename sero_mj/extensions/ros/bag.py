@@ -19,7 +19,8 @@ from mcap.writer import MCAP0_MAGIC
 
 from ...base.errors import Problem, RecordingError, UnknownName
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
-from ...data.receive.source import LedJoint, Source
+from ...data.receive.led_robot import LedJoint
+from ...data.receive.source import Source
 from ...data.record.formats import mcap_header, open_recording
 from ...data.record.mcap_reader import NOT_CLOSED
 from ...data.record.recording import PacketFile, RecordedSource

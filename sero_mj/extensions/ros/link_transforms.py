@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable
 import numpy as np
 
 from ...base.frames import Array, Ints, inverse, rotation_about, rotation_angles
-from ...data.receive.source import LedLinks
+from ...data.receive.led_robot import LedLinks
 
 _ANGLE, _DISTANCE = 0.02, 0.01  # rad and m by which transforms and robot may differ
 _TURN = 2 * np.pi

@@ -12,7 +12,8 @@ import numpy as np
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from ...base.errors import Problem, SourceError
-from ...data.receive.source import LedJoint, LedLinks, Source
+from ...data.receive.led_robot import LedJoint, LedLinks
+from ...data.receive.source import Source
 from ...data.receive.structure import TorqueSign
 from ...data.record.csv_files import JOINT_EVENTS
 from . import messages

@@ -20,6 +20,7 @@ from pydantic import Field
 
 from ...base.errors import SimulationError
 from ...base.frames import Array
+from ...base.once import Once
 from ...simulate.control.controller import MaybePerJoint, PerJoint, Ratio, Sensed, Target, within
 from ...simulate.control.joint_control import JointPosition
 from ...simulate.control.robot_model import RobotModel
@@ -49,7 +50,6 @@ _STOPS = 15, 16, 34  # speedStop, servoStop, stopJ
 _OFFSETS = 0, 24  # of registers: the lower and the upper range
 _SLICE = 0.02  # s, in which an interrupt and the end of the program are seen
 _DECELERATION = 4.0  # rad/s^2, of a robot whose client is silent
-_MOST_TOLD = 100
 _NUMBER = re.compile(r"[-+]?\d[\d.e:+-]*")
 
 
@@ -126,7 +126,7 @@ class RtdeRobot:
         self._given: set[str] = set()  # of these, by the client that commands
         self.logged: Array = np.zeros(3)
         self.wrong = self.silent = 0
-        self._told: set[str] = set()
+        self._is_new = Once()
         self._commander: RtdePeer | None = None  # whose command was taken last
         self._commanded_at = 0.0
         self._is_silent = self._has_answered = False
@@ -198,8 +198,7 @@ class RtdeRobot:
         """Counts what was not taken, and tells it, but for its numbers once."""
         self.wrong += 1
         kind = _NUMBER.sub("#", why)
-        if kind not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(kind)
+        if self._is_new(kind):
             log.warning("%s: not taken at %.3f s: %s", self._model.name, self._time, why)
 
     def take_script(self, text: bytes) -> None:

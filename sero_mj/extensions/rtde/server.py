@@ -19,6 +19,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol
 
+from ...base.once import Once
 from ...data.receive.connecting import Nonsense
 from .receiver import (
     ASK_CONTROLLER,
@@ -40,7 +41,7 @@ CONTROLLER_VERSION = 5, 23, 0, 0  # the first that has actual_current_as_torque
 _KINDS = {ASK_VERSION, ASK_CONTROLLER, SET_UP, SET_UP_INPUTS, START, PAUSE, DATA, TEXT}
 # Bytes of a message from a client. UR takes 2048 of names.
 _MOST_BYTES = 4096
-_MOST_PEERS, _MOST_RECIPES, _MOST_TOLD = 16, 255, 100
+_MOST_PEERS, _MOST_RECIPES = 16, 255
 _MOST_UNSENT = 1 << 18  # bytes, that a client may leave unread
 # s, from the start to the first package. UR's own client does not see one that comes together with
 # the answer to its start before another one comes, which in lockstep there is not.
@@ -325,7 +326,7 @@ class RtdeServer:
         self._selector: selectors.BaseSelector | None = None
         self._peers: dict[socket.socket, Peer] = {}
         self._makes: dict[socket.socket, Callable[[socket.socket, str], Peer]] = {}
-        self._told: set[str] = set()
+        self._is_new = Once()
 
     @property
     def peers(self) -> list[RtdePeer]:
@@ -409,8 +410,7 @@ class RtdeServer:
 
     def tell(self, text: str) -> None:
         """Logs something once."""
-        if text not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(text)
+        if self._is_new(text):
             log.warning("%s: %s", self._name, text)
 
     def _accept(self, listening: socket.socket) -> None:

@@ -17,6 +17,7 @@ way.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -98,12 +99,21 @@ class DhTable(JointTree):
         """Returns the distances between the origins of neighbouring frames, (..., n), m."""
         return np.hypot(self.a, self.d + np.where(self.revolute, 0.0, extensions))
 
+    @cached_property
+    def _has_prismatic(self) -> bool:
+        return not self.revolute.all()
+
+    @cached_property
+    def _twists(self) -> tuple[Array, Array]:
+        return np.cos(self.alpha), np.sin(self.alpha)
+
     def transforms(self, joint_values: Array) -> Array:
         """Returns T_{i-1,i} without `root`, (..., n, 4, 4)."""
         q = joint_values
-        theta = self.theta + np.where(self.revolute, q, 0.0)
-        d = self.d + np.where(self.revolute, 0.0, q)
-        ca, sa = np.cos(self.alpha), np.sin(self.alpha)
+        theta, d = self.theta + q, self.d
+        if self._has_prismatic:
+            theta, d = np.where(self.revolute, theta, self.theta), np.where(self.revolute, d, d + q)
+        ca, sa = self._twists
         c, s = np.cos(theta), np.sin(theta)
         T = empty_transforms(q.shape)
         if self.convention == "craig":

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...base.errors import Problem
-from ...base.frames import MIRROR, Array, Bools, Ints, compose, empty_transforms, inverse
+from ...base.frames import MIRROR, Array, Bools, Ints, empty_transforms, inverse
 
 
 class JointTree(ABC):
@@ -146,8 +146,13 @@ class JointTree(ABC):
             joint_angles: (..., n), rad or m.
         """
         links = self.link_transforms(joint_angles)
-        path = [links[..., i, :, :] for i in self.moves[link].nonzero()[0].tolist()]
-        return reduce(compose, path or [np.tile(np.eye(4), (*links.shape[:-3], 1, 1))])
+        joints = self.moves[link].nonzero()[0].tolist()
+        if not joints:
+            return np.tile(np.eye(4), (*links.shape[:-3], 1, 1))
+        T: Array = links[..., joints[0], :, :]
+        for i in joints[1:]:
+            T = T @ links[..., i, :, :]
+        return T
 
     @property
     def axis_frames(self) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,6 @@ from ...base.frames import (
     Array,
     Bools,
     Ints,
-    compose,
     frame,
     inverse,
     rotation_about,
@@ -144,7 +144,7 @@ class SerialRobot(RobotDeclaration):
             log.warning("%s", warning)
         return cls(**{**tables, **overrides})
 
-    @property
+    @cached_property
     def kinematics(self) -> JointTree:
         """Its DH table, or the frames of its joints."""
         revolute = np.array([kind == "revolute" for kind in self.types])
@@ -376,9 +376,11 @@ class SerialRobot(RobotDeclaration):
         """Initial joint angles (n,), rad or m: as declared, else zero within the limits."""
         if self.joint_angles is not None:
             return self.joint_angles
+        if not self.couplings:
+            return np.zeros(self.n)
         return self.coupled.positions(np.zeros(self.coupled.k))
 
-    @property
+    @cached_property
     def coupled(self) -> CoupledJoints:
         """The couplings between joints."""
         return coupled_joints(self.names, self.couplings)
@@ -393,7 +395,7 @@ class SerialRobot(RobotDeclaration):
         q = self.home if joint_angles is None else np.asarray(joint_angles, np.float64)
         if self.couplings and q.shape[-1:] == (self.coupled.k,):
             q = self.coupled.full("joint_angles", q)
-        return compose(self.kinematics.frame(self.flange_link, q), self.T_n_flange)
+        return np.asarray(self.kinematics.frame(self.flange_link, q) @ self.T_n_flange)
 
 
 def _shortened(names: Sequence[str]) -> str:

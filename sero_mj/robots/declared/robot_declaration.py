@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -178,6 +178,15 @@ class RobotDeclaration(Declaration):
         flange_tolerance_deg: tolerated angle of it, degrees.
     """
 
+    checked_alone: ClassVar[frozenset[str]] = frozenset(
+        {
+            *("description", "note", "enable_touch_sensor", "stale_after"),
+            *("show_axes", "axes_size", "axes_transparency"),
+            *("show_arrows", "arrow_radius", "fit_arrows", "arrow_width_scale", "arrow_quantity"),
+            *("arrow_dead_band", "show_billboards", "billboard_scale"),
+            *("flange_tolerance", "flange_tolerance_deg"),
+        }
+    )
     name: Name = "robot"
     description: str = ""
     note: str = ""
@@ -416,6 +425,9 @@ class RobotDeclaration(Declaration):
         if self.length_unit == "mm":
             metres = [0.001 if column in ("a", "d") else 1.0 for column in self.dh_columns]
             self.__dict__ |= {"dh_params": self.dh_params * metres, "length_unit": "m"}
+        for rows in (self.dh_params, self.dh_base_frame, self.joint_frames):
+            if rows is not None:
+                rows.setflags(write=False)  # `kinematics` is computed from them once
         return self
 
     @field_validator("billboard_lines")

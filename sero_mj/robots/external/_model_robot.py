@@ -76,6 +76,7 @@ class ModelRobot(SerialRobot):
         arrow_radius: (n,) or one for all, m.
     """
 
+    checked_alone = SerialRobot.checked_alone - {"arrow_radius"}
     joint_frames: Array | None = None
     joint_names: Annotated[list[str], AfterValidator(list)] = []
     torque_limits: PerJoint | None = None

@@ -105,7 +105,7 @@ def _not_loaded(file: Path, reason: str) -> DeclarationError:
 def _no_function(file: Path, name: str) -> DeclarationError:
     header = (
         f'void {name}(struct sero_mj_robot *), in C++ extern "C", in Rust #[no_mangle]; '
-        "see sero-mj snippet controller-c"
+        "see sero-mj new --snippet controller-c"
     )
     return Problem("function", f"{file} has no function {name}", expected=header).error()
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ...base.frames import Array, compose
+from ...base.frames import Array
 from ...robots.declared.mounts import base_frames, carriers
 from .run_log import RunLog, event_of
 
@@ -44,7 +44,7 @@ def _flange(log: RunLog, robot: str, signal: str | None = None) -> Array:
         placed = {name: log.signals[e] for name, e in logged.items() if e in log.signals}
         base = base_frames(log.robots, below, placed)[robot]
         poses = declared.fwd_kin_base_to_flange(log.of(robot, signal))
-        log.derived[robot, signal] = compose(base, poses)
+        log.derived[robot, signal] = np.asarray(base @ poses)
     return log.derived[robot, signal]
 
 

@@ -22,7 +22,7 @@ def run_of_columns(
     """The run in a table with `ROBOT_SIGNAL[JOINT]`, as `lwr_torques[0]`; None where there is none.
 
     A joint is a number, counted from 0, or its name. Signals of a table with the names of joints,
-    as `export-csv` writes it of messages of ROS, need no robot before them: `torques[elbow]`.
+    as `export` writes it of messages of ROS, need no robot before them: `torques[elbow]`.
 
     Args:
         path: of the table.

@@ -127,7 +127,7 @@ def read_run_table(
     source: str | None = None,
     columns: Columns = MappingProxyType({}),
 ) -> RunLog:
-    """Reads a table of a simulation (`simulate --csv`), of packets (`export-csv`), or of joints.
+    """Reads a table of a simulation (`simulate --csv`), of packets (`export`), or of joints.
 
     Args:
         path: of the table.

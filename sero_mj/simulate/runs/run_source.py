@@ -36,19 +36,19 @@ class Run(Protocol):
     """
 
     @property
-    def about(self) -> str: ...  # noqa: D102
+    def about(self) -> str: ...
     @property
-    def structure(self) -> Structure: ...  # noqa: D102
+    def structure(self) -> Structure: ...
     @property
-    def rows(self) -> Array: ...  # noqa: D102
+    def rows(self) -> Array: ...
     @property
-    def times(self) -> Array: ...  # noqa: D102
+    def times(self) -> Array: ...
     @property
-    def step(self) -> int: ...  # noqa: D102
+    def step(self) -> int: ...
     @property
-    def drag_force(self) -> Any: ...  # noqa: D102
+    def drag_force(self) -> Any: ...
     @property
-    def live(self) -> Any: ...  # noqa: D102
+    def live(self) -> Any: ...
 
     def advance(self, to_step: int) -> None:
         """Computes the rows up to a step."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...base.errors import SeroError
 from ...base.frames import Array, Bools
-from ...data.receive.source import QUIET_AFTER
-from ...data.record.replay import Replay
+from ...data.receive.reception import QUIET_AFTER
+from ...data.record.file_source import FileSource
 from ...robots.declared.inputs import SOURCE_FIELDS
 from ...viewer.decor.quantities import joint_name, joint_values, torque_text
 from ...viewer.session.clock import Tick, time_text
@@ -168,7 +168,7 @@ class Bookmarks(Tool):
         """What a monitor finds in the recordings that are played; nothing in what is no run."""
         found: list[Tick] = []
         for source in self._mirror.sources.values():
-            if not isinstance(source, Replay) or source.end is None:
+            if not isinstance(source, FileSource) or source.end is None:
                 continue
             try:
                 log = read_run(source.file, scene=self._mirror.world.scene)

@@ -26,10 +26,10 @@ class Steered(Protocol):
     has_handles: bool
 
     @property
-    def error(self) -> str: ...  # noqa: D102
-    def start_again(self) -> str: ...  # noqa: D102
-    def choose(self, robot: str, control: str) -> str: ...  # noqa: D102
-    def base(self, robot: str) -> Array: ...  # noqa: D102
+    def error(self) -> str: ...
+    def start_again(self) -> str: ...
+    def choose(self, robot: str, control: str) -> str: ...
+    def base(self, robot: str) -> Array: ...
 
 
 class SteeringPanel:

@@ -59,10 +59,6 @@ class Cards:
     """Cards of one kind, before layout.
 
     Attributes:
-        kind: kind of the items they describe.
-        items: indices of these items, (k,).
-        anchors: pixels that their leaders point at, (k, 2).
-        sizes: width and height, (k, 2), pixels.
         texts: the lines of every card, top first.
         owners: robot or double that they belong to, by their order in `WorldView.owners`, (k,); -1
             for none.
@@ -153,15 +149,9 @@ class CardLayout:
         many.
 
         Args:
-            buffer: where to.
-            view: of the picture.
-            groups: cards of every kind.
-            points: of the robots and doubles that are shown, (m, 3), m; cards are placed beside
-                them.
             radii: of the robot around every point, (m,), m.
             owners: index of the robot or double of every point, (m,).
             corners: panels in the corners of the picture, which cards must not cover.
-            leader_rgba: of the leaders.
 
         Returns:
             the cards that are shown, their panels, and the note for the corner if there is one.
@@ -218,12 +208,10 @@ class CardLayout:
         return groups, panels, placed.note
 
     def _state(self) -> tuple[object, ...]:
-        """Returns a copy of what is kept from frame to frame."""
         kept = self._middles, self._wanted, self._places, self._chosen
         return (self._groups_in_order, *(each.copy() for each in kept))
 
     def _by_share(self, keys: list[_Key], share: Array) -> Ints:
-        """Returns the order in which cards get room, (k,): the largest shares first."""
         last = np.array([key in self._chosen for key in keys])
         factor, more = _MORE
         return np.argsort(
@@ -238,16 +226,7 @@ class CardLayout:
         corners: list[Panels],
         order: Ints,
     ) -> _Placed:
-        """Places all cards.
-
-        Args:
-            view: of the picture.
-            groups: cards of every kind.
-            body: pixels of the robots' points (m, 2), the group of each (m,), and rectangles
-                around them (m, 4), pixels.
-            corners: panels in the corners of the picture.
-            order: as returned by `_by_share`.
-        """
+        """Places all cards."""
         pixels, of_point, covered = body
         gap = GAP * view.font.height
         low, high = view.free
@@ -310,11 +289,6 @@ class CardLayout:
         corners: list[Panels],
         order: Ints,
     ) -> tuple[Bools, list[Panels]]:
-        """Returns which cards are shown, (k,), and a note of how many, in a list; none for all.
-
-        They are those with the largest shares in the whole picture. The sides of some may be
-        changed: those for which their own has no room.
-        """
         low, high = view.free
         line, (width, height) = view.font.height, high - low
         sizes, share, keys = _of_all(groups, "sizes"), _of_all(groups, "share"), _keys(groups)
@@ -394,7 +368,6 @@ class CardLayout:
         of_point: Ints,
         width: float,
     ) -> tuple[Ints, Array]:
-        """Returns side and rank of every card (k,): the last ones, or those of a new card."""
         owner, side = _of_all(groups, "owners"), _of_all(groups, "side")
         rank = _of_all(groups, "rank").astype(float)
         group_of = np.append(self._owner_group, -1)[owner]  # -1 for no owner
@@ -415,7 +388,6 @@ class CardLayout:
         return side, rank
 
     def _sort_groups(self, across: Array, of_point: Ints, width: float) -> None:
-        """Sorts the robots in the picture from left to right; small moves change nothing."""
         for group in set(of_point.tolist()):
             middle = float(across[of_point == group].mean())
             if abs(middle - self._middles.get(group, np.inf)) > _CLOSE * width:
@@ -450,35 +422,27 @@ def _keys(groups: list[Cards]) -> list[_Key]:
 
 
 def _of_all(groups: list[Cards], name: str) -> Any:
-    """Returns an array of all groups as one."""
     return np.concatenate([getattr(group, name) for group in groups])
 
 
 def _most_cards(owners: Ints) -> int:
-    """Returns how many cards a picture has at most: of each owner with many `_MAX_LOADED`.
-
-    Args:
-        owners: of all cards, (k,), -1 for none.
-    """
+    """Returns how many cards a picture has at most: of each owner with many `_MAX_LOADED`."""
     counts = np.unique(owners[owners >= 0], return_counts=True)[1]
     return int(np.where(counts > _MANY, _MAX_LOADED, counts).sum() + (owners < 0).sum())
 
 
 def _only(groups: list[Cards], kept: Bools) -> list[Cards]:
-    """Returns the cards that are kept, without groups of which none is."""
     ends = np.cumsum([len(group.texts) for group in groups])
     parts = zip(groups, np.split(kept, ends[:-1]), strict=True)
     return [group.only(mine) for group, mine in parts if mine.any()]
 
 
 def _rectangles(corners: list[Panels], origin: Array) -> Array:
-    """Returns left, bottom, right and top of every corner's panels from an origin, (c, 4)."""
     rows = np.array([np.concatenate(bounds(corner)) for corner in corners]).reshape(-1, 4)
     return rows - np.tile(origin, 2)
 
 
 def _note(view: PictureView, count: int, corners: list[Panels]) -> Panels:
-    """Returns a note that says of `count` cards how many are shown, for the lower right corner."""
     margin = _MARGIN * view.font.height
     text = _note_text(count, count)  # the longest
     size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
@@ -497,10 +461,6 @@ def _note_text(shown: int, count: int, *, is_loaded: bool = True, what: str = " 
 
 
 def _starts(centres: Array, sizes: Array, anchors: Array, side: Ints) -> Array:
-    """Returns where leaders begin, (k, 2): the middle of a card's edge towards its anchor.
-
-    Of a card above or below its anchor it is the edge towards the middle of the picture.
-    """
     half = sizes[:, 0] / 2
     beside = anchors[:, 0] - centres[:, 0]
     edge = np.where(np.abs(beside) > half, np.sign(beside), np.where(side == LEFT, 1.0, -1.0))

@@ -37,14 +37,7 @@ class Decor:
     """The decor of one world.
 
     Args:
-        world: the compiled scene.
-        capacity: maximum number of geoms that the host takes.
         arrow_geoms: maximum number of geoms of a round arrow.
-
-    Attributes:
-        buffer: the geoms of the last frame.
-        features: the features, in drawing order.
-        panels: those of the last frame, in drawing order.
     """
 
     def __init__(
@@ -60,13 +53,7 @@ class Decor:
         self._outline = Outline(world)
 
     def draw(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> GeomBuffer:
-        """Lays out one frame and returns the buffer that holds it.
-
-        Args:
-            data: the world's state, with frames up to date (`data.drive.Placer`).
-            toggles: what is shown; updated from inputs that packets set.
-            view: camera and picture size.
-        """
+        """Lays out one frame and returns the buffer that holds it."""
         buffer, world = self.buffer, self._world
         of_model, data = data, world.state(data)
         buffer.clear()
@@ -112,7 +99,6 @@ class Decor:
         return buffer
 
     def _each(self, step: str, frame: Frame) -> None:
-        """Runs a step of all features; one that raises is logged and removed."""
         for feature in [*self.features]:
             try:
                 getattr(feature, step)(frame)
@@ -124,12 +110,7 @@ class Decor:
 
 
 def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
-    """Returns the opacity factor of every geom (ngeom,): doubles fade in as they leave the robot.
-
-    Args:
-        world: the compiled scene.
-        data: its state, with frames up to date.
-    """
+    """Returns a factor for every geom (ngeom,): doubles fade in as they leave the robot."""
     compiled = [part for part in world.doubles.values() if part.is_compiled]
     if not compiled:
         return None
@@ -143,13 +124,7 @@ def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
 
 
 def _hover_panel(toggles: Toggles, view: PictureView, others: list[Panels]) -> list[Panels]:
-    """Returns the label beside the pointer in a list; empty if there is nothing under it.
-
-    Args:
-        toggles: `hover` has the text and the pointer's position.
-        view: of the picture.
-        others: all panels of the frame; the label is placed where it covers least of them.
-    """
+    """Returns the label beside the pointer in a list; empty if there is nothing under it."""
     if toggles.hover is None:
         return []
     text, pixel = toggles.hover

@@ -94,7 +94,6 @@ class Font:
 
     Attributes:
         height: of a line, pixels.
-        widths: of the characters 0 to 127, pixels.
         has_columns: whether the host aligns the numbers of a panel, see `value_columns`.
         other: the width of any other character, pixels; that of a wide letter when None.
     """
@@ -106,13 +105,11 @@ class Font:
 
     @classmethod
     def of_context(cls, context: Any) -> Font:
-        """Returns the font of an `MjrContext`."""
         widths = np.zeros(128, np.intp)
         widths[:127] = context.charWidth
         return cls(int(context.charHeight), widths)
 
     def width(self, text: str | bytes) -> int:
-        """Returns the width of a text, in UTF-8, pixels."""
         raw = text if isinstance(text, bytes) else text.encode("utf-8", "replace")
         if not raw.isascii():
             return int(np.ceil(sum(map(self._width, raw.decode("utf-8", "replace")))))
@@ -130,7 +127,6 @@ class Font:
         return int(np.ceil(value_columns(lines, self.width).width))
 
     def line_widths(self, lines: list[bytes]) -> NDArray[np.float64]:
-        """Returns the widths of lines in UTF-8 (k,), pixels."""
         if not all(line.isascii() for line in lines):
             return np.array([float(self.width(line)) for line in lines])
         codes = np.frombuffer(b"".join(lines), np.uint8)

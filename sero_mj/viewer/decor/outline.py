@@ -15,9 +15,6 @@ class Outline:
 
     Every geom counts as a capsule along its longest side, with a point at each end and in the
     middle.
-
-    Args:
-        world: the compiled scene.
     """
 
     def __init__(self, world: WorldView) -> None:
@@ -45,7 +42,6 @@ class Outline:
         """Returns points (m, 3), m, radii (m,), m, and the index of their robot or double (m,).
 
         Args:
-            data: the state of the model.
             hidden: geoms that are not shown, (ngeom,) bool; None for none.
             sites: positions of the world's sites, `site_xpos` of its state, m.
             arrows: which joints have an arrow, which belongs to the outline, (N,) bool.

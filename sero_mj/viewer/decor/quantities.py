@@ -67,12 +67,7 @@ def _limit_name(world: WorldView, joint: int) -> str:
 
 
 def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]:
-    """Returns messages for torques over `DOUBTFUL_FACTOR` times their limit.
-
-    Args:
-        world: the compiled scene.
-        values: as returned by `joint_values`.
-    """
+    """Returns messages for torques over `DOUBTFUL_FACTOR` times their limit."""
     joints, torques = world.joints, values["torques"]
     share = np.abs(torques) / joints.torque_limit
     found = np.flatnonzero(share > DOUBTFUL_FACTOR)  # not NaN
@@ -93,9 +88,6 @@ def arrow_values(
     """Returns the value that every joint's arrow shows, and the value of full width.
 
     Args:
-        world: the compiled scene.
-        data: its state.
-        values: as returned by `joint_values`.
         quantity: index in `ARROW_QUANTITIES`, (N,).
 
     Returns:

@@ -21,7 +21,6 @@ class Selection(Feature):
     order = 84
 
     def draw(self, frame: Frame) -> None:
-        """Draws it, if a joint is selected whose pose is known."""
         joint = frame.toggles.selected
         if joint is None or not frame.shown.joints[joint]:
             return

@@ -25,8 +25,6 @@ def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> A
     """Returns the proximity to a singularity and the direction of every joint towards it.
 
     Args:
-        world: the compiled scene.
-        data: its state, frames up to date.
         part: the robot or double, n joints.
 
     Returns:
@@ -51,8 +49,6 @@ def jacobian(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
     from the sites at the joints, because a double has no degrees of freedom in MuJoCo.
 
     Args:
-        world: the compiled scene.
-        data: its state, kinematics up to date.
         part: the robot or double, n joints.
     """
     chain = part.chain

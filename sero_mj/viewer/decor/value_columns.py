@@ -20,8 +20,6 @@ class Value:
     """A line that ends in a number.
 
     Attributes:
-        name: at the left; empty for the further lines of an item.
-        label: beside or below the name.
         whole: of the number, before the point; `no data` where there is none.
         rest: of the number, from the point on.
         unit: with a space before it.
@@ -35,12 +33,10 @@ class Value:
 
     @property
     def is_missing(self) -> bool:
-        """Whether there is no number."""
         return not self.whole[-1].isdigit()
 
     @property
     def tail(self) -> str:
-        """All from the point on."""
         return self.rest + self.unit
 
 
@@ -49,7 +45,6 @@ class ValueColumns:
     """Lines in columns, pixels from the left and right edge of their text.
 
     Attributes:
-        rows: a value, or a text without columns.
         label: where labels start.
         tail: distance of the points from the right edge.
         width: of all columns.
@@ -65,7 +60,6 @@ def value_columns(lines: Sequence[bytes], width: Width) -> ValueColumns:
     """Returns lines in columns.
 
     Args:
-        lines: in UTF-8.
         width: of a text, pixels.
     """
     rows = [_parsed(line.decode("utf-8", "replace")) for line in lines]

@@ -13,7 +13,6 @@ class Dragging:
     """Passes drags to the tools.
 
     Args:
-        tools: asked in their order.
         say: shows a message, and whether it is an error; an empty text removes the last one.
     """
 
@@ -30,7 +29,6 @@ class Dragging:
         """Takes a drag or a turn of the wheel, if a tool does.
 
         Args:
-            moved: the drag, or turn.
             at: the pointer's pixel in the picture; None outside of it.
             begin: that at which the button was pressed with Control; None for another drag.
             pressed: that at which the left button was pressed, with Control or without.
@@ -72,7 +70,6 @@ class Dragging:
         return not found[1].is_refused
 
     def advance(self) -> None:
-        """Lets the drag act, once for each frame."""
         if self._tool is None or self._tool not in self._tools.values():
             self._tool = None  # it has failed, and was taken out
             return
@@ -82,7 +79,6 @@ class Dragging:
         self._trouble = trouble
 
     def release(self) -> None:
-        """Ends the drag where it was moved last."""
         self.advance()
         if self._tool is not None:
             self._tools.call(self._tool, lambda tool: tool.release())

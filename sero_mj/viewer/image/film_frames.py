@@ -28,26 +28,22 @@ class FilmRenderer(Protocol):
     """What draws a film: a `HeadlessRenderer`.
 
     Attributes:
-        world: that it draws.
         camera: may be moved between frames.
-        size: width and height, pixels.
     """
 
     world: WorldView
     camera: mujoco.MjvCamera
     size: tuple[int, int]
 
-    def follow_nothing(self) -> None:
-        """Lets the camera stay where it is put."""
+    def follow_nothing(self) -> None: ...
 
-    def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None:
-        """Moves the camera so that robots are in the picture in all of some poses."""
+    def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None: ...
 
-    def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
-        """Renders one frame."""
+    def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels: ...
 
-    def render_blurred(self, moments: Iterable[mujoco.MjData], out: Pixels | None = None) -> Pixels:
-        """Renders one frame as the mean of moments."""
+    def render_blurred(
+        self, moments: Iterable[mujoco.MjData], out: Pixels | None = None
+    ) -> Pixels: ...
 
 
 def film_frames(
@@ -59,21 +55,7 @@ def film_frames(
     on_first: OnState = lambda data: None,
     on_state: OnState = lambda data: None,
 ) -> Iterator[Pixels]:
-    """Draws the state at the time of every frame, always into the same array.
-
-    Args:
-        mirror: open.
-        renderer: of its world.
-        count: of the frames.
-        fps: frames per second.
-        options: of the film.
-        on_first: called with the first state before it is drawn.
-        on_state: called with every state before it is drawn, and before `on_first`.
-
-    Raises:
-        DeclarationError: errors of the camera's path.
-        UsageError: the camera is to move, and cannot.
-    """
+    """Draws the state at the time of every frame, always into the same array."""
     _check_motion(renderer, options)
     path = None if options.camera_path is None else read_camera_path(options.camera_path)
     if path is not None and path.has_look_at:
@@ -94,7 +76,6 @@ def _draw(
     on_first: OnState,
     on_state: OnState,
 ) -> Iterator[Pixels]:
-    """Draws the frames, see `film_frames`, with a camera on its way, or one that may turn."""
     world, data = mirror.world, mirror.world.make_data()
     is_placed = motion is not None
     if not mirror.is_live and not is_placed:
@@ -132,7 +113,6 @@ def _moments(
     move: Callable[[float], None],
     on_state: OnState,
 ) -> Iterator[mujoco.MjData]:
-    """Yields the data with every state of a frame, by their times, s; moves the camera before."""
     for time, state in states:
         restore(world, data, state)
         move(time)
@@ -141,7 +121,6 @@ def _moments(
 
 
 def _opened(mirror: Mirror, count: int, fps: float, subframes: int) -> Iterator[list[Array]]:
-    """Yields the states of every frame while its shutter is open."""
     if subframes == 1:
         yield from ([state] for state in sampled_states(mirror, count, fps))
         return
@@ -154,7 +133,6 @@ def _opened(mirror: Mirror, count: int, fps: float, subframes: int) -> Iterator[
 
 
 def _turns(options: FilmOptions) -> list[float]:
-    """Angles that a turntable passes, degrees."""
     if options.orbit is None:
         return [0.0]
     end = min(max(options.orbit, -360.0), 360.0)
@@ -162,7 +140,6 @@ def _turns(options: FilmOptions) -> list[float]:
 
 
 def _check_motion(renderer: FilmRenderer, options: FilmOptions) -> None:
-    """Raises UsageError where a camera is to move that cannot, or to two places at once."""
     names = ("orbit", "camera_path")
     moved = [options.spelled(name) for name in names if getattr(options, name) is not None]
     if len(moved) > 1:

@@ -30,9 +30,7 @@ class Follower:
     Where time stands still or jumps, the camera moves at once.
 
     Args:
-        world: the compiled scene.
         name: of a robot or group, whose base is followed, or of a frame (`lwr/flange`).
-        data: where it is at the start, with frames up to date.
 
     Raises:
         UnknownName: nothing has this name.
@@ -55,12 +53,7 @@ class Follower:
         return np.asarray(self._world.state(data).xpos[self._roots].mean(axis=0))
 
     def displacement(self, data: mujoco.MjData, now: float | None = None) -> Array:
-        """Returns by how much the camera moves since the last call, (3,), m.
-
-        Args:
-            data: the state, with frames up to date.
-            now: time of the filter, s; that of the data when None.
-        """
+        """Returns by how much the camera moves since the last call, (3,), m."""
         position, now = self._position(data), float(data.time) if now is None else now
         if not np.isfinite(position).all():
             return np.zeros(3)

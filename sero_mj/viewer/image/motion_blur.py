@@ -53,7 +53,6 @@ class Exposure:
         return True
 
     def add(self, picture: Pixels | None = None) -> None:
-        """Adds the picture of a moment, (height, width, 3), or the last one again."""
         if picture is not None:
             self._last = _LINEAR[picture]
         assert self._last is not None
@@ -64,7 +63,6 @@ class Exposure:
         self._count += 1
 
     def picture(self) -> Pixels:
-        """Returns the mean of all moments, (height, width, 3)."""
         assert self._sum is not None
         mean = self._sum * ((_LEVELS - 1) / self._count) + 0.5
         return np.asarray(_SRGB[mean.astype(np.int32).clip(0, _LEVELS - 1)])

@@ -53,12 +53,10 @@ def save_segmentation(path: Path, parts: Ints, names: Sequence[str]) -> Path:
 
     Args:
         path: .png or .npy.
-        parts: numbers of parts, (height, width).
-        names: of the parts, by number.
 
     Returns:
-        the file with the names: `parts`, each with `id`, `name`, `colour` (as in the picture,
-        red, green, blue; null without a palette) and its count of `pixels`.
+        the file with the names: `parts`, each with `id`, `name`, `colour` (as in the picture, red,
+        green, blue; null without a palette) and its count of `pixels`.
 
     Raises:
         RenderError: a file cannot be written, or has another extension.
@@ -95,7 +93,6 @@ def save_depth(path: Path, depth: Array) -> None:
 
     Args:
         path: .png or .npy.
-        depth: along the viewing direction, (height, width), m; infinite for the sky.
 
     Raises:
         RenderError: the file cannot be written, or has another extension.

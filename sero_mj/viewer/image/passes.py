@@ -34,9 +34,6 @@ _AT_INFINITY = 1.0 - 1e-5  # of the distance of the far plane, beyond which noth
 class Parts:
     """The parts that pictures of a world tell apart, by number.
 
-    Args:
-        world: the compiled scene.
-
     Attributes:
         names: by number: `background` (the sky) is 0; then links (`lwr/link3`, or as the robot's
             own file calls them), those of doubles (`goal/link3`), objects, `floor`. They are the
@@ -63,12 +60,7 @@ class Parts:
         return self._numbers.setdefault(name, len(self._numbers))
 
     def of(self, geom: mujoco.MjvGeom, double: str | None = None) -> int | None:
-        """Returns the part of a geom in a scene; None for decor.
-
-        Args:
-            geom: as MuJoCo has laid it out.
-            double: the one that it is drawn for, if it is not compiled in.
-        """
+        """Returns the part of a geom in a scene; None for decor."""
         if double is not None:
             return self._of_double.get((double, geom.objid))
         if geom.type == _PLANE and geom.objtype == _UNKNOWN:  # of surroundings of our own
@@ -87,16 +79,7 @@ def _geom_name(world: WorldView, geom: int) -> str:
 
 
 class PassRenderer:
-    """Renders the parts and the depths of a world.
-
-    Args:
-        world: the compiled scene.
-        renderer: of its model, without multisampling; is closed with it.
-
-    Attributes:
-        parts: that its pictures tell apart.
-        scene: to be filled with the world as a camera sees it, before a pass is rendered.
-    """
+    """Renders the parts and the depths of a world."""
 
     def __init__(self, world: WorldView, renderer: mujoco.Renderer) -> None:
         self.parts = Parts(world)
@@ -106,24 +89,13 @@ class PassRenderer:
         self._far = float(world.model.vis.map.zfar * world.model.stat.extent)
 
     def segmentation(self, buffer: GeomBuffer) -> Ints:
-        """Returns the part at every pixel, (height, width), int32.
-
-        Args:
-            buffer: of the decor of the same frame: which geoms are hidden, and the doubles.
-        """
+        """Returns the part at every pixel, (height, width), int32."""
         self._mark(buffer)
         self._renderer.enable_segmentation_rendering()
         shown = self._renderer.render()[..., 0]
         return np.asarray(np.maximum(shown, 0))  # it is -1 where there is nothing
 
     def depth(self, buffer: GeomBuffer) -> Array:
-        """Returns the depth at every pixel, (height, width), float32, m; infinite for the sky.
-
-        It is the distance from the camera along the viewing direction, as of depth cameras.
-
-        Args:
-            buffer: see `segmentation`.
-        """
         self._mark(buffer)
         self._renderer.enable_depth_rendering()
         depth: Array = self._renderer.render()
@@ -131,11 +103,9 @@ class PassRenderer:
         return depth
 
     def close(self) -> None:
-        """Frees the OpenGL context."""
         self._renderer.close()
 
     def _mark(self, buffer: GeomBuffer) -> None:
-        """Gives every geom of a filled scene the number of its part, and leaves decor out."""
         scene = self.scene
         scene.flags[_WIREFRAME] = False
         self._writer.mark(buffer)

@@ -18,7 +18,6 @@ _GESTURES = ("shift", "double", "hover")
 
 
 def _click(value: Any) -> Any:
-    """X,Y or X,Y,HOW as a click."""
     if not isinstance(value, str):
         return value
     x, y, *how = value.split(",")
@@ -29,7 +28,6 @@ def _click(value: Any) -> Any:
 
 
 def _switches(value: Any) -> Any:
-    """NAME=DIGITS of each option as a mapping."""
     if not isinstance(value, list):
         return {} if value is None else value
     parts = [text.partition("=") for text in value]
@@ -61,7 +59,7 @@ class SizeOptions(Options):
         size: width and height, pixels.
         quality: draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is
             software; fine: for print, with 300 dots per inch; its films blur what moves.
-        renderer: classic: OpenGL; or one of an extension, of which `doctor` tells (default: one
+        renderer: classic: OpenGL; or one of an extension, of which `check` tells (default: one
             with soft shadows for --quality fine where it runs, else classic).
     """
 

@@ -47,11 +47,7 @@ class Text:
     """A line of text in a panel.
 
     Attributes:
-        x: of its left end, from the panel's left edge, pixels.
-        y: of the lower edge of its line, from the panel's lower edge, pixels.
         text: characters that no font has are shown as question marks.
-        rgb: its colour.
-        is_strong: whether it is semibold.
     """
 
     x: float
@@ -66,8 +62,6 @@ class Placed:
     """A panel at its place in a picture.
 
     Attributes:
-        left: of its left edge, pixels.
-        bottom: of its lower edge, pixels from the lower edge of the picture.
         pixels: (height, width, 4), premultiplied RGBA, top row first.
     """
 
@@ -77,14 +71,7 @@ class Placed:
 
 
 class Typesetter:
-    """Sets text of one size.
-
-    Args:
-        line: height of a line, pixels.
-
-    Attributes:
-        font: the widths of its characters, for layout.
-    """
+    """Sets text of one size."""
 
     def __init__(self, line: int) -> None:
         size = _EM * line
@@ -106,7 +93,6 @@ class Typesetter:
         self._last: dict[Hashable, Bytes] = {}  # panels of the last frame
 
     def _figure(self, character: str, cell: int) -> Bytes:
-        """Returns the coverage of a character in a cell of its own, (line, cell)."""
         glyph = self._coverage(_MINUS if character == "-" else character, True)
         out = np.zeros((self._line, cell), np.uint8)
         skip = max((cell - glyph.shape[1]) // 2, 0)
@@ -114,7 +100,6 @@ class Typesetter:
         return out
 
     def _draw(self, text: str, is_strong: bool) -> Bytes:
-        """Returns the coverage of a text by its letters, (line, width), 0 to 255."""
         runs = [
             (face, "".join(characters))
             for face, characters in groupby(text, lambda c: self._face_of(c, is_strong))
@@ -129,16 +114,13 @@ class Typesetter:
         return np.asarray(picture)
 
     def _face_of(self, character: str, is_strong: bool) -> ImageFont.FreeTypeFont:
-        """Returns the face that has a character."""
         file = None if character.isascii() or character == _MINUS else font_with(character)
         return self._faces[is_strong] if file is None else _more_face(file, self._size)
 
     def _width(self, character: str) -> float:
-        """Returns the width of a character that is not ASCII, pixels."""
         return float(self._face_of(character, False).getlength(character))
 
     def place(self, groups: Sequence[Panels]) -> list[Placed]:
-        """Returns the panels of a picture, in drawing order."""
         placed, last = [], self._last
         self._last = {}
         for group in groups:
@@ -160,7 +142,6 @@ class Typesetter:
         return placed
 
     def _lines(self, size: Size, rgba: Rgba, lines: list[bytes]) -> Bytes:
-        """Returns a panel with lines of text."""
         pad = PADDING * self._line
         first = size[1] - pad / 2 - self._line
         return self.panel(
@@ -173,7 +154,6 @@ class Typesetter:
         )
 
     def _values(self, size: Size, rgba: Rgba, lines: list[bytes]) -> Bytes:
-        """Returns a panel with values in columns."""
         line, pad = self._line, PADDING * self._line
         found = value_columns(lines, self.font.width)
         right = size[0] - pad
@@ -201,14 +181,6 @@ class Typesetter:
         return out
 
     def _set(self, size: Size, rgba: Rgba, texts: tuple[Text, ...], is_round: bool = True) -> Bytes:
-        """Returns a panel, (height, width, 4), premultiplied RGBA, top row first.
-
-        Args:
-            size: width and height, pixels.
-            rgba: of the panel.
-            texts: in the panel; what is outside of it is cut off.
-            is_round: whether its corners are round and it has an outline.
-        """
         out = _background(size, rgba, _RADIUS * self._line if is_round else 0.0).copy()
         for item in texts:
             text = "".join(c if drawable(c) else "?" for c in item.text)
@@ -229,7 +201,6 @@ def _more_face(file: str, size: float) -> ImageFont.FreeTypeFont:
 
 @lru_cache(maxsize=64)
 def _background(size: tuple[int, int], rgba: Rgba, radius: float) -> Bytes:
-    """Returns an empty panel with antialiased corners."""
     width, height = size
     x = np.abs(np.arange(width) + 0.5 - width / 2) - width / 2
     y = np.abs(np.arange(height) + 0.5 - height / 2)[:, None] - height / 2
@@ -244,7 +215,6 @@ def _background(size: tuple[int, int], rgba: Rgba, radius: float) -> Bytes:
 
 
 def _blend(out: Bytes, coverage: Bytes, left: int, top: int, rgb: Rgb) -> None:
-    """Lays letters over a panel, in place; what is outside of it is cut off."""
     x, y = max(left, 0), max(top, 0)
     letters = coverage[y - top :, x - left :]
     letters = letters[: max(out.shape[0] - y, 0), : max(out.shape[1] - x, 0)]

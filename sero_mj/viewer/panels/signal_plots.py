@@ -31,14 +31,7 @@ _LEAST_HEIGHT = 8.0  # of a plot, likewise; what finds no room is reached by scr
 
 
 class SignalPlots:
-    """Plots of signals, and the lists by which signals are put into them and taken out.
-
-    Args:
-        signals: all that can be plotted.
-
-    Attributes:
-        shown: the signals of every plot, from top to bottom.
-    """
+    """Plots of signals, and the lists by which signals are put into them and taken out."""
 
     def __init__(self, signals: Signals) -> None:
         self._signals = signals
@@ -50,11 +43,9 @@ class SignalPlots:
 
     @property
     def wanted(self) -> Collection[Signal]:
-        """All signals that are plotted."""
         return {signal for plot in self.shown for signal in plot}
 
     def add(self, signal: Signal) -> None:
-        """Adds a plot of a signal, where there is room for one and none has it."""
         if signal not in self.wanted and len(self.shown) < MOST_PLOTS:
             self.shown.append([signal])
 
@@ -80,14 +71,7 @@ class SignalPlots:
         return ""
 
     def build_choice(self, ui: Widgets) -> str:
-        """Builds the lists of plots, groups and signals.
-
-        Args:
-            ui: takes them.
-
-        Returns:
-            a message for the user; empty for none.
-        """
+        """Builds the lists of plots, groups and signals."""
         groups = self._signals.groups
         if not groups:
             return ""
@@ -109,12 +93,7 @@ class SignalPlots:
         return self.toggle(self._target, Signal(group, names[chosen - 1]))
 
     def build(self, ui: Widgets, now: float) -> None:
-        """Builds the plots, all as high as there is room for.
-
-        Args:
-            ui: takes them.
-            now: displayed time, s.
-        """
+        """Builds the plots, all as high as there is room for."""
         if not self.shown:
             return
         passed = time.monotonic() - self._when

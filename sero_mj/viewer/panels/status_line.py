@@ -20,9 +20,7 @@ def build_status_line(ui: Widgets, pieces: Sequence[Piece], hint: str) -> None:
     """Builds the status line, without the parts that do not fit.
 
     Args:
-        ui: takes it.
         pieces: parts, the most important first.
-        hint: text at the right end, if it fits.
     """
     width, _ = ui.room()
     end = 0.0  # of what is written
@@ -49,14 +47,7 @@ class SourcesPanel:
     def build(
         self, ui: Widgets, clock: Clock, sources: Collection[Source], *, is_open: bool
     ) -> None:
-        """Builds it.
-
-        Args:
-            ui: takes it.
-            clock: of what is shown.
-            sources: all of them.
-            is_open: whether it is unfolded at first.
-        """
+        """Builds it."""
         if not ui.header("Sources", is_open=is_open):
             return
         ui.text(*clock_text(clock))
@@ -82,7 +73,6 @@ class SourcesPanel:
             ui.end_tree()
 
     def _report(self, source: Source) -> dict[str, Any]:
-        """Returns the report of a source, updated a few times a second so that it is readable."""
         now = time.monotonic()
         when, found = self._reports.get(source.name, (float("-inf"), {}))
         if now - when >= _READABLE:

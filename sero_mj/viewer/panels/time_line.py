@@ -14,13 +14,7 @@ _NARROW = 30.0  # in what is narrower there is no choice of the speed
 
 
 def build_time_line(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
-    """Builds the time line in one line.
-
-    Args:
-        ui: takes it.
-        clock: is paused, stepped and set.
-        ticks: what happened on it.
-    """
+    """Builds the time line in one line."""
     is_wide = ui.room()[0] >= _NARROW
     stands = clock.is_paused or clock.is_at_end
     if ui.button(f"{'play' if stands else 'pause'}###pause", _PAUSE):
@@ -56,7 +50,6 @@ def build_time_line(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
 
 
 def _told(clock: Clock, tick: Tick) -> str:
-    """What is said of a tick; of what is live without its time, which is that of the machine."""
     return tick.text if clock.is_live else f"{time_text(tick.time)}: {tick.text}"
 
 

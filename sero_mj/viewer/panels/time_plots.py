@@ -17,25 +17,13 @@ _NARROWEST = 1e-3  # half a range, of its middle
 
 
 def time_plot(label: str, lines: Sequence[Line], limit: float, least: float) -> Plot:
-    """Returns a plot of the last seconds.
-
-    Args:
-        label: of the axis at the left.
-        lines: that are plotted.
-        limit: of the values' magnitude, inf for none.
-        least: minimum half range.
-    """
+    """Returns a plot of the last seconds."""
     values = np.concatenate([line.y for line in lines]) if lines else np.zeros(0)
     return Plot("s", label, lines, (-SPAN, 0.0), y_range(values, limit, least), (limit, -limit))
 
 
 def with_gaps(times: Array, values: Array) -> tuple[Array, Array]:
-    """Returns the samples of a line, with one NaN in every gap.
-
-    Args:
-        times: (k,), s, rising.
-        values: (k,), NaN for no data.
-    """
+    """Returns the samples of a line, with one NaN in every gap."""
     values = values.astype(float)
     x, y = [times[:0]], [values[:0]]
     for piece in split_at_gaps(times, values):
@@ -51,9 +39,7 @@ def y_range(values: Array, limit: float, least: float) -> tuple[float, float]:
     """Returns lower and upper end of a plot, rounded so that they rarely change.
 
     Args:
-        values: all values of the plot, NaN for no data.
         limit: of their magnitude, inf for none; it is in the range when values come close to it.
-        least: minimum half range.
     """
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)

@@ -31,13 +31,7 @@ _NOTE = 2.2  # height of the words in place of that of the error, two lines of t
 
 
 class TorquePlots:
-    """Plots the history of one joint, with its limits.
-
-    Args:
-        world: the compiled scene.
-        points: of a line, at most, about.
-        interval: between two updates, s.
-    """
+    """Plots the history of one joint, with its limits."""
 
     def __init__(self, world: WorldView, points: int, interval: float = 0.0) -> None:
         self._world, self._points, self._interval = world, points, interval
@@ -50,9 +44,6 @@ class TorquePlots:
         """Builds the plots of a joint and returns the joint that the user has selected.
 
         Args:
-            ui: takes them.
-            history: the torques.
-            joint: index in the world.
             height: at most, of the text's height.
         """
         ui.width(max(min(_NAMES, ui.room()[0] - _BESIDE), 1.0))
@@ -83,7 +74,6 @@ class TorquePlots:
         return joint
 
     def plots(self, history: TorqueHistory, joint: int) -> list[Plot]:
-        """Returns the plots of a joint: its torques, and their error."""
         times, (measured, commanded, error) = history.of(joint, self._points)
         joints = self._world.joints
         limit = np.inf if joints.is_largest[joint] else float(joints.torque_limit[joint])
@@ -100,7 +90,6 @@ class TorquePlots:
 
 
 def _without(what: str, torques: Plot) -> str:
-    """Returns why there is no error to plot; empty where there is one."""
     missing = [line.name for line in torques.lines if not len(line.x)]
     if not missing:
         return ""

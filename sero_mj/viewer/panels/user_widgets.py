@@ -27,7 +27,7 @@ class UserWidget(Protocol[Value]):
     """
 
     @property
-    def label(self) -> str: ...  # noqa: D102
+    def label(self) -> str: ...
 
     def checked(self, value: object) -> Value:
         """Returns a value as it is shown; raises UsageError if it is none of this widget."""
@@ -44,7 +44,6 @@ class _ValueWidget(Generic[Value]):
     label: str
 
     def calls(self, before: Value, now: Value) -> Sequence[tuple[Value, ...]]:
-        """One call with the latest value: those in between are skipped."""
         return [(now,)]
 
 
@@ -78,7 +77,6 @@ class Number(_ValueWidget[float]):
     Attributes:
         low: least value, -inf for none.
         high: greatest value, inf for none.
-        unit: behind the number.
     """
 
     low: float = -math.inf
@@ -86,7 +84,6 @@ class Number(_ValueWidget[float]):
     unit: str = ""
 
     def checked(self, value: object) -> float:
-        """See `UserWidget`."""
         number = to_number(self.label, value)
         if not self.low <= number <= self.high:
             raise UsageError(f"{self.label}: found {number:g}; expected {self._range}")
@@ -102,11 +99,9 @@ class Number(_ValueWidget[float]):
 
     @property
     def _format(self) -> str:
-        """Of printf."""
         return f"%.5g {self.unit.replace('%', '%%')}".rstrip()
 
     def build(self, ui: Widgets, value: float) -> object:
-        """See `UserWidget`."""
         ui.width(_WIDTH)
         changed, now = ui.number(self.label, value, self._format)
         return now if changed else None
@@ -117,7 +112,6 @@ class Slider(Number):
     """A number that is set by a slider."""
 
     def build(self, ui: Widgets, value: float) -> object:
-        """See `UserWidget`."""
         ui.width(_WIDTH)
         changed, now = ui.slide(self.label, value, self.low, self.high, self._format)
         # A typed number may be out of range.
@@ -129,36 +123,28 @@ class Check(_ValueWidget[bool]):
     """A check box."""
 
     def checked(self, value: object) -> bool:
-        """See `UserWidget`."""
         if value not in (True, False):
             raise UsageError(f"{self.label}: found {shown(value)}; expected True or False")
         return bool(value)
 
     def build(self, ui: Widgets, value: bool) -> object:
-        """See `UserWidget`."""
         changed, now = ui.check(self.label, value)
         return now if changed else None
 
 
 @dataclass(frozen=True)
 class Choice(_ValueWidget[str]):
-    """One of several names.
-
-    Attributes:
-        names: all of them.
-    """
+    """One of several names."""
 
     names: tuple[str, ...]
 
     def checked(self, value: object) -> str:
-        """See `UserWidget`."""
         if value not in self.names:
             near = did_you_mean(str(value), self.names)
             raise UsageError(f"{self.label}: found {shown(value)}{near}")
         return str(value)
 
     def build(self, ui: Widgets, value: str) -> object:
-        """See `UserWidget`."""
         ui.width(_WIDTH)
         changed, now = ui.choose(self.label, self.names.index(value), self.names)
         return self.names[now] if changed else None
@@ -169,11 +155,9 @@ class Text(_ValueWidget[str]):
     """A text, which only the program changes."""
 
     def checked(self, value: object) -> str:
-        """See `UserWidget`."""
         return str(value)
 
     def build(self, ui: Widgets, value: str) -> object:
-        """See `UserWidget`."""
         ui.text(value)
         return None
 
@@ -185,13 +169,11 @@ class Button:
     label: str
 
     def checked(self, value: object) -> int:
-        """See `UserWidget`."""
         if not isinstance(value, int):
             raise UsageError(f"{self.label}: found {shown(value)}; expected a number of presses")
         return value
 
     def build(self, ui: Widgets, value: int) -> object:
-        """See `UserWidget`."""
         return value + 1 if ui.button(self.label) else None
 
     def calls(self, before: int, now: int) -> Sequence[tuple[int, ...]]:
@@ -208,8 +190,6 @@ class Placed(NamedTuple):
     """A widget as the viewer is told of it.
 
     Attributes:
-        widget: what it is.
-        value: what it shows.
         number: of the last change by the program.
         order: of the widgets in their panel.
     """

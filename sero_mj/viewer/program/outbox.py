@@ -31,9 +31,8 @@ class Outbox:
         """Adds a topic.
 
         Args:
-            tool: name of the tool that gets its messages.
-            take: returns what has changed since the last call, None for nothing; called by
-                another thread.
+            take: returns what has changed since the last call, None for nothing; called by another
+                thread.
         """
         is_first = not self._topics
         self._topics[tool] = take
@@ -41,12 +40,10 @@ class Outbox:
             threading.Thread(target=self._run, daemon=True, name="sero-mj outbox").start()
 
     def wake(self) -> None:
-        """Says that a topic has something to send."""
         if not self._has_news.is_set():  # which is quicker than to set it again
             self._has_news.set()
 
     def close(self) -> None:
-        """Ends the thread, once it has sent what it sends now."""
         self._is_closed = True
         self._has_news.set()
 

@@ -34,12 +34,7 @@ from .outbox import Outbox
 
 
 class WidgetHandle(Generic[Value]):
-    """A widget of a panel; made by `UserPanel`.
-
-    Attributes:
-        place: where it is.
-        placed: what it is.
-    """
+    """A widget of a panel; made by `UserPanel`."""
 
     def __init__(
         self,
@@ -66,7 +61,6 @@ class WidgetHandle(Generic[Value]):
         self._panels.change(self, self.placed.widget.checked(value))
 
     def call(self, before: Value) -> None:
-        """Calls the callback after a change from a value to the current one."""
         if self._callback is not None:
             for arguments in self.placed.widget.calls(before, self.value):
                 self._callback(*arguments)
@@ -99,12 +93,9 @@ class UserPanel:
         """Adds a slider.
 
         Args:
-            label: beside it.
             low: value at its left end.
             high: value at its right end.
             value: where it is at first; `low` when None.
-            unit: shown behind the number.
-            on_change: called with the new value.
         """
         low, high = to_number(label, low), to_number(label, high)
         check_range(label, low, high)
@@ -124,12 +115,8 @@ class UserPanel:
         """Adds a field for a number.
 
         Args:
-            label: beside it.
-            value: at first.
             low: least value.
             high: greatest value.
-            unit: shown behind the number.
-            on_change: called with the new value.
         """
         check_range(label, low, high)
         return self._add(Number(label, low, high, unit), value, on_change, "on_change")
@@ -141,13 +128,7 @@ class UserPanel:
         value: bool = False,
         on_change: Callable[[bool], object] | None = None,
     ) -> WidgetHandle[bool]:
-        """Adds a check box.
-
-        Args:
-            label: beside it.
-            value: whether it is on at first.
-            on_change: called with the new value.
-        """
+        """Adds a check box."""
         return self._add(Check(label), value, on_change, "on_change")
 
     def choice(
@@ -161,10 +142,7 @@ class UserPanel:
         """Adds a list to choose a name from.
 
         Args:
-            label: beside it.
             names: to choose from, all different.
-            value: chosen at first; the first one when None.
-            on_change: called with the chosen name.
         """
         names = [names] if isinstance(names, str) else [*names]
         for name in names:
@@ -177,12 +155,7 @@ class UserPanel:
     def button(
         self, label: str, *, on_click: Callable[[], object] | None = None
     ) -> WidgetHandle[int]:
-        """Adds a button; its value is how often it was pressed.
-
-        Args:
-            label: on it.
-            on_click: called for every press.
-        """
+        """Adds a button; its value is how often it was pressed."""
         return self._add(Button(label), 0, on_click, "on_click")
 
     def text(self, text: str) -> WidgetHandle[str]:
@@ -190,7 +163,6 @@ class UserPanel:
         return self._add(Text(f"text {len(self._labels)}"), text, None, "")
 
     def clear(self) -> None:
-        """Removes all widgets."""
         for label in self._labels:
             self._panels.remove((self._title, label))
         self._labels.clear()
@@ -223,7 +195,6 @@ class UserPanels:
         is_open: returns whether the viewer is open.
 
     Attributes:
-        is_open: as given.
         has_changes: whether `call` has something to do.
     """
 
@@ -238,7 +209,6 @@ class UserPanels:
         self._before: dict[WidgetHandle[Any], Any] = {}  # values at the last `call`
 
     def panel(self, title: str) -> UserPanel:
-        """Returns the panel with a title, a new one if there is none."""
         check_label("panel", title)
         if not self.is_open():
             raise RenderError(f"panel '{title}': the viewer is closed")
@@ -253,7 +223,6 @@ class UserPanels:
         value: Value,
         callback: Callable[..., object] | None,
     ) -> WidgetHandle[Value]:
-        """Adds a widget behind all others of its panel."""
         with self._lock:
             number = next(self._numbers)
             handle = WidgetHandle[Value](
@@ -280,7 +249,6 @@ class UserPanels:
         self._outbox.wake()
 
     def _take_unsent(self) -> dict[Place, Placed | None] | None:
-        """Returns what has changed, None in it for what was removed; None for nothing."""
         with self._lock:
             unsent, self._unsent = self._unsent, set()
             handles = self._handles

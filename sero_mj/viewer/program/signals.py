@@ -19,11 +19,7 @@ _UNSENT = 20_000  # samples of a signal that wait to be sent; the oldest are dro
 
 
 class UserSignals:
-    """Samples that were not sent yet.
-
-    Args:
-        outbox: sends them.
-    """
+    """Samples that were not sent yet."""
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
@@ -31,10 +27,6 @@ class UserSignals:
 
     def add(self, name: str, value: float) -> None:
         """Adds a sample at the current time; takes about a microsecond.
-
-        Args:
-            name: of the signal.
-            value: NaN for a gap.
 
         Raises:
             UsageError: no name, no number, or more than 100 signals.
@@ -59,7 +51,6 @@ class UserSignals:
         return unsent
 
     def _take(self) -> dict[str, Array] | None:
-        """Returns the samples since the last call, (n, 2) for each name; None for none."""
         taken = {}
         for name, unsent in [*self._unsent.items()]:
             count = len(unsent)  # what is added meanwhile is for the next time

@@ -49,14 +49,7 @@ def write_state(path: Path, data: bytes) -> None:
 def keep_view(
     scene: Scene, state: ViewState, layout: Mapping[str, bool], tools: Mapping[str, Any]
 ) -> None:
-    """Saves a view for the next start, without what tools keep if it is too long; logs failures.
-
-    Args:
-        scene: that was shown.
-        state: set by the user; the time is not saved.
-        layout: visible parts of the window or page, and unfolded sections.
-        tools: what tools keep, by their names.
-    """
+    """Saves a view for the next start, without what tools keep if it is too long; logs failures."""
     view = state._replace(time=None).to_text()
     path, kept = file_of(scene), {"view": view, "layout": dict(layout), "tools": dict(tools)}
     if len(text := json.dumps(kept).encode()) > _MAX_BYTES:

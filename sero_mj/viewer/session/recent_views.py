@@ -31,18 +31,15 @@ class RecentView(NamedTuple):
 
     @property
     def picture(self) -> Path:
-        """The file of its last picture, if there is one."""
         digest = hashlib.sha256("\n".join(self).encode()).hexdigest()[:16]
         return state_folder() / "recent" / f"{digest}.jpg"
 
     @property
     def is_shipped(self) -> bool:
-        """Whether the scene is shipped with sero-mj."""
         return paths.shipped_file(self.scene) is not None
 
     @property
     def is_there(self) -> bool:
-        """Whether its files still exist."""
         files = [Path(name) for name in self if name]
         return all(file.exists() for file in (files[1:] if self.is_shipped else files))
 
@@ -53,12 +50,7 @@ def recent_views() -> list[RecentView]:
 
 
 def remember_view(view: RecentView, pixels: Pixels | None) -> None:
-    """Saves a view as the latest.
-
-    Args:
-        view: the view.
-        pixels: its picture, (height, width, 3), uint8; None to keep the existing one.
-    """
+    """Saves a view as the latest."""
     before = [each for each in _read() if each != view]
     kept = [view, *before[: MOST - 1]]
     if pixels is not None:
@@ -83,7 +75,6 @@ def _file() -> Path:
 
 
 def _read() -> list[RecentView]:
-    """The saved views; empty if the file is damaged, which the next view repairs."""
     try:
         found = json.loads(_file().read_bytes())
         views = [RecentView(str(each["scene"]), str(each["replay"])) for each in found]

@@ -33,7 +33,6 @@ class Signal(NamedTuple):
     """A signal.
 
     Attributes:
-        group: the program, a robot or double, or a source.
         name: in its group: `A2.torques`, `values0[3]`.
     """
 
@@ -45,7 +44,6 @@ class Signals:
     """The signals of a view.
 
     Args:
-        mirror: what is shown.
         torques: of its joints.
     """
 
@@ -61,7 +59,6 @@ class Signals:
 
     @property
     def groups(self) -> dict[str, list[str]]:
-        """Names of all signals, by group."""
         found: dict[str, list[str]] = {}
         for signal in (*self._program, *self._joints, *self._numbers):
             found.setdefault(signal.group, []).append(signal.name)
@@ -88,11 +85,9 @@ class Signals:
         return bool(new)
 
     def _has_torque(self, signal: Signal) -> bool:
-        """Whether the history of torques has it, with all packets of live sources."""
         return signal in self._joints and self._joints[signal][1] in ROWS
 
     def watch(self) -> None:
-        """Adds a new state of the world."""
         world, data = self._mirror.world, self._mirror.data
         offset = data.time - time.monotonic()
         if offset > self._offset or offset < self._offset - _LATE:
@@ -107,7 +102,6 @@ class Signals:
             self._add(signal, np.array([data.time]), np.array([value]))
 
     def _hear(self, source: str, packets: Packets) -> None:
-        """Adds packets, each at its arrival."""
         now = self._mirror.sources[source].now()
         times = self._mirror.data.time - now + packets.arrivals
         for signal in self._followed:
@@ -143,11 +137,6 @@ class Signals:
     def of(self, signal: Signal, until: float, points: int) -> tuple[Array, Array]:
         """Returns a signal in the last `SPAN`, oldest first.
 
-        Args:
-            signal: one that is followed, or of a program.
-            until: displayed time, s.
-            points: about as many are returned at most.
-
         Returns:
             times (k,), s, relative to `until`, and values (k,), NaN for no data.
         """
@@ -163,7 +152,6 @@ class Signals:
 
 
 def _joint_signals(world: WorldView) -> Iterator[tuple[Signal, tuple[int, str]]]:
-    """All signals of joints: index of the joint, and key in `joint_values`."""
     slots = world.joints.slots
     for name, owner in world.owners.items():
         for joint in range(owner.joints.start, owner.joints.stop):
@@ -174,7 +162,6 @@ def _joint_signals(world: WorldView) -> Iterator[tuple[Signal, tuple[int, str]]]
 
 
 def _numbers(sources: Mapping[str, Source]) -> Iterator[tuple[Signal, tuple[str, int]]]:
-    """All numbers in the packets of sources: their event, and flat index in it."""
     for name, source in sources.items():
         for event, shape in source.events.items():
             for index, place in enumerate(np.ndindex(*shape)):

@@ -18,7 +18,6 @@ class CopyCommand(Tool):
     }
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`."""
         return {"copy": self._copy}
 
     def _copy(self) -> str:

@@ -15,14 +15,7 @@ from ..session.tool import Action, Shown, Tool
 
 
 class Pictures(Tool):
-    """F2 and F3.
-
-    Args:
-        shown: where it works.
-
-    Attributes:
-        capture: writes the files.
-    """
+    """F2 and F3."""
 
     order: ClassVar[int] = 88
     keys: ClassVar[Mapping[str, Key]] = {
@@ -36,7 +29,6 @@ class Pictures(Tool):
         self._is_screenshot_due = False
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`."""
         return {"screenshot": self._take_screenshot, "film": self._toggle_film}
 
     def _take_screenshot(self) -> None:
@@ -50,34 +42,27 @@ class Pictures(Tool):
 
     @property
     def active(self) -> Collection[str]:
-        """See `Tool`."""
         return ["film"] if self.capture.is_filming else []
 
     @property
     def takes_pictures(self) -> bool:
-        """See `Tool`."""
         return self._is_screenshot_due or self.capture.is_filming
 
     def wants_picture(self, now: float) -> bool:
-        """See `Tool`."""
         return self._is_screenshot_due or self.capture.wants(now)
 
     def take_picture(self, pixels: Pixels, now: float) -> None:
-        """See `Tool`."""
         if self._is_screenshot_due:
             self.capture.picture(pixels)
         self.capture.add(pixels, now)
         self._is_screenshot_due = False
 
     def ongoing(self) -> Piece | None:
-        """See `Tool`: for how long a film is recorded."""
         capture = self.capture
         return (f"filming {time_text(capture.seconds)}", "bad") if capture.is_filming else None
 
     def next_message(self) -> tuple[str, bool] | None:
-        """See `Tool`."""
         return self.capture.next_message()
 
     def close(self) -> None:
-        """Waits until all files are written."""
         self.capture.close()

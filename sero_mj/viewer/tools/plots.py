@@ -23,17 +23,7 @@ _SHARE = 0.4  # of the height, for these
 
 
 class Plots(Tool):
-    """The key p.
-
-    Args:
-        shown: where it works.
-
-    Attributes:
-        history: the torques.
-        signals: all that can be plotted.
-        plots: of these.
-        shows_torques: whether those of the selected joint are plotted.
-    """
+    """The key p."""
 
     order: ClassVar[int] = 15
     keys: ClassVar[Mapping[str, Key]] = {"p": Key("plot", "torques of the selected joint, signals")}
@@ -54,7 +44,6 @@ class Plots(Tool):
         self._torques: TorquePlots | None = None
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`."""
         return {"plot": self._toggle}
 
     def _toggle(self) -> str:
@@ -63,16 +52,13 @@ class Plots(Tool):
 
     @property
     def active(self) -> Collection[str]:
-        """See `Tool`."""
         return ["plot"] if self.shows_area else []
 
     @property
     def watches_closely(self) -> bool:
-        """See `Tool`: while something is plotted."""
         return bool(self.area and self.shows_area)
 
     def watch(self) -> None:
-        """Adds a new state."""
         self.history.add(self.shown.data)
         self.signals.watch()
 
@@ -91,7 +77,6 @@ class Plots(Tool):
             self.plots.add(signal)
 
     def build_area(self, ui: Widgets) -> None:
-        """See `Tool`."""
         message = self.plots.build_choice(ui)
         if message:
             self.shown.say(message, is_bad=True)
@@ -118,17 +103,14 @@ class Plots(Tool):
 
     @property
     def state(self) -> tuple[bool, tuple[tuple[Signal, ...], ...]]:
-        """What is plotted."""
         return self.shows_torques, tuple(tuple(lines) for lines in self.plots.shown)
 
     def restore(self, state: tuple[bool, tuple[tuple[Signal, ...], ...]]) -> None:
-        """Plots that again."""
         self.shows_torques = state[0]
         self.plots.shown = [[*lines] for lines in state[1]]
 
     @property
     def kept(self) -> Any:
-        """What is plotted, but for nothing but torques."""
         if not self.plots.shown:
             return None
         plots = [[[*signal] for signal in lines] for lines in self.plots.shown]

@@ -15,11 +15,7 @@ from ..session.widgets import Widgets
 
 
 class UserPanels(Tool):
-    """A section of the panel for each panel of the program.
-
-    Args:
-        shown: where it works.
-    """
+    """A section of the panel for each panel of the program."""
 
     order: ClassVar[int] = 10
 
@@ -29,20 +25,17 @@ class UserPanels(Tool):
         self._changes: dict[Place, tuple[Any, int]] = {}
 
     def hear(self, message: Mapping[Place, Placed | None]) -> None:
-        """Takes over what the program has added, changed and removed."""
         if not self._placed:
-            self.shown.open_panel()
+            self.shown.shows_panel = True
         now = {**self._placed, **message}
         there = [(place, placed) for place, placed in now.items() if placed is not None]
         self._placed = dict(sorted(there, key=lambda each: each[1].order))
 
     def answer(self) -> dict[Place, tuple[Any, int]] | None:
-        """Returns what the user has changed since the last call; None for nothing."""
         changes, self._changes = self._changes, {}
         return changes or None
 
     def build(self, ui: Widgets) -> None:
-        """Builds all panels in the order in which they were added."""
         panels: dict[str, list[tuple[Place, Placed]]] = {}
         for place, placed in self._placed.items():
             panels.setdefault(place[0], []).append((place, placed))

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import time
 import urllib.parse
-from collections.abc import Mapping
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import mujoco
-
-from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ..host.live import LiveHost
 from ..image.film import Pixels
 from ..image.picture_options import DEFAULT_SIZE
-from ..image.sampling import recorded_poses
 from ..image.scene_decor import SceneDecor
 from ..player.page import look_asked_for
 from .browsers import Browsers
@@ -71,12 +67,10 @@ class WebHost(LiveHost):
         waits: bool = False,
         folder: Path | None = None,
     ) -> None:
-        self.view = PageView(mirror.world, camera)
-        self.navigator = self.view.navigator
-        # Before anything listens to packets.
-        self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
-        super().__init__(mirror, folder)
+        super().__init__(mirror, folder, camera)
         world = self.world
+        self.view = PageView(world, self.navigator)
+        self.shows_panel = True
         self._renderer: HeadlessRenderer | None = None  # of screenshots and films
         self.decor = SceneDecor(world, self.toggles)
         self._sections = Sections()
@@ -85,7 +79,9 @@ class WebHost(LiveHost):
         self.decor.add(self._state)  # the last one: it takes what all others have drawn
         self._is_held = waits and not self.clock.is_live
         self._is_closing = self._is_closed = False
-        self.actions.add({"link": self._copy_link, "panel": self.toggle_status})
+        self.actions.add(
+            {"link": self._copy_link, "status_line": partial(self.toggle, "shows_panel")}
+        )
         self.browsers = Browsers(self._sections, ForScene)
         self._panels = PagePanels(self, self._sections)
         self._input = PageInput(self, self.view, self._panels)
@@ -166,8 +162,8 @@ class WebHost(LiveHost):
         )
         self.server.call(self.browsers.wake)
         self.work = time.monotonic() - begin
-        self._give_picture(self.picture)
-        if not self.takes_pictures:
+        self.tools.give_picture(self.picture)
+        if not self.tools.takes_pictures:
             self._end_renderer()
         return self.is_open
 
@@ -186,62 +182,15 @@ class WebHost(LiveHost):
         self.to_clipboard(self.link)
         return "copied: a link that opens this view"
 
-    def centre(self, point: Array) -> None:
-        """Makes a point (3,), m, the camera's look-at point."""
-        view = self.decor.view
-        assert view is not None  # there is a picture of the point
-        self.navigator.free(view.position, view.forward)
-        self.navigator.camera.lookat = point
-
-    @property
-    def view_camera(self) -> mujoco.MjvCamera:
-        """See `LiveHost`."""
-        return self.navigator.camera
-
-    @property
-    def is_following(self) -> bool:
-        """See `LiveHost`."""
-        return self.navigator.following is not None
-
-    def choose_camera(self, number: int) -> str:
-        """Selects a camera by number, 1 for the first; 0 for the initial view."""
-        return self.navigator.choose(number)
-
-    def follow(self, frame: str | None) -> str:
-        """Starts following a frame with the camera, or stops; returns a message for the user."""
-        return self.navigator.follow(self.data, frame)
-
     def to_clipboard(self, text: str) -> None:
         """See `LiveHost`: that of the browser in control."""
         self.browsers.tell({"copy": text})
-
-    # ---- what is kept
-
-    @property
-    def layout(self) -> dict[str, bool]:
-        """See `LiveHost`."""
-        return {**super().layout, "panel": self._panels.shows_panel}
-
-    def show_layout(self, layout: Mapping[str, bool]) -> None:
-        """See `LiveHost`."""
-        super().show_layout(layout)
-        self._panels.shows_panel = layout.get("panel", self._panels.shows_panel)
-
-    def open_panel(self) -> None:
-        """Shows the panel."""
-        self._panels.shows_panel = True
-
-    def toggle_status(self) -> None:
-        """Shows or hides the panel."""
-        self._panels.shows_panel = not self._panels.shows_panel
 
     # ---- pictures
 
     @property
     def picture_size(self) -> tuple[int, int]:
         """See `LiveHost`: whatever the size of the page."""
-        from ..image.picture_options import DEFAULT_SIZE
-
         return DEFAULT_SIZE
 
     def picture(self) -> Pixels:

@@ -133,7 +133,7 @@ class PageInput:
 
     def _click(self, clicked: Clicked, picked: Picked | None = None) -> None:
         if self._host.shows_help:
-            self._host.toggle_help()
+            self._host.toggle("shows_help")
         else:
             self._host.pointer.click(clicked, picked)
 
@@ -150,7 +150,7 @@ class PageInput:
     def _key(self, said: Key) -> None:
         if said.key == "escape":
             if self._host.shows_help:
-                self._host.toggle_help()
+                self._host.toggle("shows_help")
             else:
                 self._host.others.dismiss()
             return
@@ -169,7 +169,7 @@ class PageInput:
         self._panels.fold(said.tree, said.id, is_open=said.open)
 
     def _close(self, said: CloseArea) -> None:
-        for tool in self._host.areas:
+        for tool in self._host.tools.areas:
             if tool.area == said.area:
                 tool.shows_area = False
 

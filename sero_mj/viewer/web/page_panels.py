@@ -31,9 +31,6 @@ class PagePanels:
     Args:
         host: of the page.
         sections: of the page.
-
-    Attributes:
-        shows_panel: whether the panel is shown.
     """
 
     def __init__(self, host: LiveHost, sections: Sections) -> None:
@@ -42,7 +39,6 @@ class PagePanels:
         self._built = float("-inf")
         self._is_asked = False
         self._is_narrow, self._width = False, 1280
-        self.shows_panel = True
 
     def act(self, tree: str, id_: str, value: Any) -> None:
         """Notes what the user did with a widget of a tree."""
@@ -60,7 +56,7 @@ class PagePanels:
         """Hides the panel where a page becomes narrow, shows it where it becomes wide, pixels."""
         if self._is_narrow != (width < _NARROW):
             self._is_narrow = width < _NARROW
-            self.shows_panel = not self._is_narrow
+            self._host.shows_panel = not self._is_narrow
         self._width = width
 
     def put(
@@ -75,7 +71,7 @@ class PagePanels:
             is_local: whether the browser in control is on this machine; None without one.
         """
         host, put, now = self._host, self._sections.put, time.monotonic()
-        ongoing = host.ongoing
+        ongoing = host.tools.ongoing
         put("message", list(host.notice.piece) if host.notice.is_shown else None)
         put("ongoing", None if ongoing is None else list(ongoing))
         if not self._is_asked and now - self._built < _INTERVAL:
@@ -84,7 +80,7 @@ class PagePanels:
         put("about", {"title": host.world.scene.name, "geoms": geoms})
         sources = host.mirror.sources.values()
         put("status", [list(piece) for piece in status_pieces(sources, host.clock, frame_rate)])
-        self._put_tree("panel", self.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
+        self._put_tree("panel", self._host.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
         wide = self._width / _EM
         self._put_tree("timeLine", host.has_time_line, self._time_line, (wide, 2.0))
         room = min(help_panel.WIDTH, wide - 2), _TALL
@@ -92,7 +88,7 @@ class PagePanels:
         room = min(request_panel.WIDTH, wide - 2), _TALL
         is_asked = host.others.asks and is_local is not None
         put("request", self._request(room, is_local=bool(is_local)) if is_asked else None)
-        areas = host.areas
+        areas = host.tools.areas
         high = size[1] / _EM / max(len(areas), 1) - _FRAME
         room = min(_AREA_WIDTH, wide), max(min(_AREA_HEIGHT, high), 0.0)
         put("areas", [self._area(tool, room) for tool in areas])
@@ -134,7 +130,7 @@ class PagePanels:
             self._host.actions.perform("link")
 
     def _time_line(self, ui: DomWidgets) -> None:
-        build_time_line(ui, self._host.clock, self._host.ticks)
+        build_time_line(ui, self._host.clock, self._host.tools.ticks)
 
     def _help(self, ui: DomWidgets) -> None:
         help_panel.build_help(ui, help_columns(tool_keys(), on_page=True))

@@ -27,19 +27,15 @@ class PageView:
 
     Args:
         world: that is seen.
-        camera: see `find_camera`.
+        navigator: moves the camera.
 
     Attributes:
-        navigator: moves the camera.
         size: of the picture, pixels.
-
-    Raises:
-        UnknownName: no camera of that name.
     """
 
-    def __init__(self, world: WorldView, camera: str | None) -> None:
+    def __init__(self, world: WorldView, navigator: Navigator) -> None:
         self._world = world
-        self.navigator = Navigator(world, camera)
+        self.navigator = navigator
         self.size = _SIZE
         self._scene = mujoco.MjvScene(world.model, maxgeom=0)  # for its camera
         self._last: tuple[object, ...] = ()  # camera that browsers know of

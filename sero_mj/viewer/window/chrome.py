@@ -39,13 +39,7 @@ _HANDLE_FLAGS = _BAR_FLAGS | _FLAGS.no_background | _FLAGS.always_auto_resize
 class Chrome(ImguiLayer):
     """What a window shows besides its picture.
 
-    Args:
-        gl: the window.
-        host: what is shown of it.
-        columns: of the help.
-
     Attributes:
-        shows_panel: whether the panel is shown.
         covered: width of what covers the left edge of the picture, pixels.
     """
 
@@ -53,18 +47,16 @@ class Chrome(ImguiLayer):
         super().__init__(gl)
         self._host, self._columns = host, columns
         self.widgets.folds = host.folds
-        self.shows_panel = False
         self.covered = 0.0
 
     def places(self, size: tuple[int, int]) -> Places:
-        """Returns where the parts of a window of that size are."""
         host = self._host
         return arrange(
             size,
             self._line,
             has_status=host.shows_status,
             has_time=host.shows_status and host.has_time_line,
-            has_area=bool(host.areas),
+            has_area=bool(host.tools.areas),
         )
 
     @property
@@ -81,22 +73,19 @@ class Chrome(ImguiLayer):
         """Builds everything for a frame.
 
         Args:
-            size: of the window, pixels.
             places: of the window's parts.
-            picture: where it is, which may be smaller than its place.
-            pieces: of the status line.
         """
         self.frame(size, lambda: self._build(places, picture, pieces))
 
     def _build(self, places: Places, picture: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
         host, ui = self._host, self.widgets
-        if places.area is not None and host.areas:
-            first = host.areas[0]
+        if places.area is not None and host.tools.areas:
+            first = host.tools.areas[0]
             with self._part(first.area, places.area, 0.5, 0.4):
                 host.tools.call(first, lambda tool: tool.build_area(ui))
         if places.time is not None:
             with self._part("time", places.time, 0.45, 0.1):
-                build_time_line(ui, host.clock, host.ticks)
+                build_time_line(ui, host.clock, host.tools.ticks)
         if places.status is not None:
             over = (places.status.height - self.text_height) / 2 / self.text_height
             with self._part("status", places.status, 0.55, over):
@@ -104,10 +93,10 @@ class Chrome(ImguiLayer):
         top = self.size[1] - picture.bottom - picture.height
         if host.notice.is_shown:
             self._note("message", host.notice.piece, picture, top + _MESSAGE_TOP * self._line)
-        ongoing = host.ongoing
+        ongoing = host.tools.ongoing
         if ongoing is not None:
             self._note("ongoing", ongoing, picture, top + _ONGOING_TOP * self._line)
-        if self.shows_panel:
+        if host.shows_panel:
             self._panel(places.picture.bottom if places.area is None else places.area.bottom)
         else:
             self._handle()
@@ -118,7 +107,6 @@ class Chrome(ImguiLayer):
 
     @contextmanager
     def _part(self, name: str, rect: Rect, beside: float, above: float) -> Iterator[None]:
-        """A part of the window, with so much of the text's height between it and its contents."""
         unit = self.text_height
         padding = ImVec2(round(beside * unit), round(above * unit))
         imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
@@ -133,7 +121,6 @@ class Chrome(ImguiLayer):
         imgui.end()
 
     def _note(self, name: str, piece: Piece, picture: mujoco.MjrRect, top: float) -> None:
-        """Builds words in the middle of the picture's free width, in several lines if need be."""
         room = picture.width - self.covered - self._line
         padding = 2 * imgui.get_style().window_padding.x
         wide = min(imgui.calc_text_size(piece[0]).x + padding + 1, max(room, 1.0))
@@ -151,7 +138,7 @@ class Chrome(ImguiLayer):
         imgui.pop_style_var(1)
         self.take_mouse()
         if build_handle(self.widgets, "Tab"):
-            self.shows_panel = True
+            self._host.shows_panel = True
         self.covered = _BESIDE_HANDLE * self._line
         imgui.end()
 
@@ -170,7 +157,7 @@ class Chrome(ImguiLayer):
         if shown:
             self._host.build_panel(self.widgets, unfolds_sources=False)
         imgui.end()
-        self.shows_panel = bool(is_open)
+        self._host.shows_panel = bool(is_open)
 
     def _help(self) -> None:
         host = self._host
@@ -191,15 +178,7 @@ class Chrome(ImguiLayer):
         imgui.end()
 
     def _dialog(self, title: str, width: float) -> tuple[bool, bool]:
-        """Begins a dialog in the middle of the window, which scrolls if the window is too small.
-
-        Args:
-            title: of the dialog.
-            width: in units of the text's height.
-
-        Returns:
-            whether its contents are visible, and whether its user keeps it open.
-        """
+        """Begins a dialog in the middle of the window, which scrolls if the window is too small."""
         wide, high = self.size
         margin = round(0.4 * self.text_height)
         width = min(width * self.text_height, wide - 2 * margin)

@@ -42,13 +42,7 @@ class Blender:
         )
 
     def draw_red(self, pixels: Pixels, left: int, bottom: int) -> None:
-        """Replaces the red of the picture.
-
-        Args:
-            pixels: (height, width, 3), uint8, the lowest row first.
-            left: of the picture in the window, pixels.
-            bottom: of the picture in the window, pixels.
-        """
+        """Replaces the red of the picture."""
         self._push(_ALL_ATTRIBUTES)
         for name in (*_OFF, _BLEND):
             self._disable(name)
@@ -61,13 +55,7 @@ class Blender:
         self._pop()
 
     def draw(self, panels: Sequence[Placed], left: int = 0, bottom: int = 0) -> None:
-        """Lays panels over the picture.
-
-        Args:
-            panels: their places are pixels from the lower left corner of the picture.
-            left: of the picture in the window, pixels.
-            bottom: of the picture in the window, pixels.
-        """
+        """Lays panels over the picture."""
         self._push(_ALL_ATTRIBUTES)
         for name in _OFF:
             self._disable(name)
@@ -101,7 +89,6 @@ def make_texture(pixels: Pixels) -> int:
 
 
 def _function(name: str, *arguments: Any) -> Callable[..., None]:
-    """Returns a function of the current OpenGL context."""
     address = ctypes.cast(glfw.get_proc_address(name), ctypes.c_void_p).value
     assert address is not None  # all are of OpenGL 1.4, and MuJoCo needs a later one
     return ctypes.CFUNCTYPE(None, *arguments)(address)

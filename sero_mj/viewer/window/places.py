@@ -34,15 +34,7 @@ class Places(NamedTuple):
 def arrange(
     size: tuple[int, int], text: int, *, has_status: bool, has_time: bool, has_area: bool
 ) -> Places:
-    """Returns the places of a window's parts, which do not cover each other.
-
-    Args:
-        size: of the window, pixels.
-        text: height of a line of text, pixels.
-        has_status: whether there is a status line.
-        has_time: whether there is a time line.
-        has_area: whether a tool has an area of its own.
-    """
+    """Returns the places of a window's parts, which do not cover each other."""
     width, whole = size
     low = round(_STATUS * text) if has_status else 0
     high = round(_TIME * text) if has_time else 0

@@ -52,13 +52,7 @@ class StartWindow:
     """Shows what can be opened, until something is.
 
     Args:
-        opener: returns what shows what was chosen.
-        listening: hears the data that is awaited.
-        size: of the window, in screen coordinates.
         full_screen: whether it covers the screen.
-
-    Attributes:
-        page: what is offered, and opened.
     """
 
     def __init__(
@@ -76,13 +70,11 @@ class StartWindow:
         self._typed = self._search = ""
 
     def run(self) -> Mirror | None:
-        """Shows frames until something is opened; returns None when the window was closed."""
         while self.frame():
             pass
         return self.page.chosen
 
     def frame(self) -> bool:
-        """Shows one frame; returns whether it goes on."""
         gl, page = self.gl, self.page
         if gl.is_closing or page.chosen is not None:
             return False
@@ -234,7 +226,6 @@ class StartWindow:
         ui.end_scope()
 
     def close(self) -> None:
-        """Closes the window."""
         self._layer.close()
         self.gl.close()
 

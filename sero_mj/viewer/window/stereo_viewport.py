@@ -19,9 +19,6 @@ class StereoViewport(Viewport):
     """See `Viewport`; it is always drawn in full.
 
     Args:
-        world: the compiled scene.
-        toggles: what is shown.
-        context: of the window, current.
         stereo: `side-by-side` for a half of the picture for each eye, or `anaglyph` for red-cyan
             glasses.
         eye_distance: between the eyes, m.
@@ -46,7 +43,6 @@ class StereoViewport(Viewport):
 
     @property
     def width(self) -> int:
-        """See `Viewport`."""
         return super().width // (1 if self._is_anaglyph else 2)
 
     def update(
@@ -57,12 +53,10 @@ class StereoViewport(Viewport):
         typesetter: Typesetter,
         covered: float = 0.0,
     ) -> None:
-        """See `Viewport`."""
         super().update(data, camera, rect, typesetter, covered)
         self._distance = looked_at(self._scene, camera, self._centre)
 
     def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
-        """See `Viewport`: draws for one eye after the other."""
         rect, scene = self.rect, self._scene
         left = int(rect.left)
         starts = [left, left if self._is_anaglyph else left + self.width]

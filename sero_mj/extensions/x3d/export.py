@@ -1,4 +1,4 @@
-"""`sero-mj convert`: an X3D scene as TOML, and the other way round."""
+"""X3D scenes as TOML and TOML scenes as X3D, for `sero-mj export`."""
 
 from __future__ import annotations
 
@@ -7,55 +7,39 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...base.errors import UsageError
-from ...base.options import Options, ending, positional
-from ...cli.arguments import check_new, command, read_scene, writing
+from ...cli.arguments import check_new, read_scene, writing
 from .importer import X3d
 
 if TYPE_CHECKING:
     from ...base.declaration import Declaration
+    from ...cli.export import ExportOptions
     from ...robots.declared.robot import SerialRobot
     from ...robots.declared.robot_parts import LinkGeometry
     from ...robots.declared.scene import Scene
 
-_EPILOG = """\
-examples:
-  sero-mj convert fig7.x3d scene.toml      a scene of the SeRo-Viewer as a file of ours
-  sero-mj convert lwr_udp fig.x3d          what X3D and the paper's protos can say of a scene
-
-What the other format has no word for is left out and named. X3D is read and written in its classic
-encoding (.x3d, .x3dv, .wrl). To X3D, links are written as files of VRML97 to OUT_links/ROBOT/,
-unless they are such files already.
-"""
 # Fields of robots in other units or orders, which are converted when a robot is built.
 _OTHER_FORMS = ("name", "dh_params", "dh_columns", "length_unit")
-ORDER = 58  # in the help of `sero-mj`
 
 
-class ConvertOptions(Options):
-    """Convert an X3D scene to TOML, or the other way round.
-
-    Attributes:
-        scene: a scene's file, or a shipped name.
-        output: .toml, or .x3d, .x3dv, .wrl.
-        overwrite: write over a file that exists.
-    """
-
-    scene: Annotated[str, positional("SCENE")]
-    output: Annotated[Path, ending(".toml", *X3d.endings), positional("OUT")]
-    overwrite: bool = False
+def write_toml(options: ExportOptions) -> int:
+    """Writes an X3D scene as TOML; returns 0."""
+    return _write(options, to_x3d=False)
 
 
-def run(options: ConvertOptions) -> int:
-    """Writes the file; returns 0."""
-    output = options.output
-    to_x3d = output.suffix.lower() in X3d.endings
-    is_x3d = Path(options.scene).suffix.lower() in X3d.endings
-    if to_x3d == is_x3d:
+def write_x3d(options: ExportOptions) -> int:
+    """Writes a scene as X3D, with its links as VRML97 files in OUT_links/ROBOT; returns 0."""
+    return _write(options, to_x3d=True)
+
+
+def _write(options: ExportOptions, *, to_x3d: bool) -> int:
+    options.accept("overwrite")
+    output = options.path
+    if to_x3d == (Path(options.scene).suffix.lower() in X3d.endings):
         both = "X3D" if to_x3d else "TOML"
         raise UsageError(f"{options.scene} and {output}: both are {both}; expected one of each")
     files: dict[Path, str] = {}
@@ -76,9 +60,6 @@ def run(options: ConvertOptions) -> int:
         print(fill(line, 100, subsequent_indent="  ", break_on_hyphens=False), file=sys.stderr)
     print(output)
     return 0
-
-
-add_to = command("convert", run, ConvertOptions, _EPILOG)
 
 
 def _as_toml(name: str, output: Path) -> str:
