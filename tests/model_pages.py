@@ -81,12 +81,12 @@ def classic(
 # The picture alone at some size, as digits of red, green, blue and alpha.
 DRAWN = """([width, height, time, hidden, hasShadows]) => {
     const { stage } = player;
-    player.seek(time);
+    player.recording.seek(time);
     stage.resize(width, height);
     stage.renderer.setPixelRatio(1);
     stage.renderer.setSize(width, height, false);
     stage.chooseCamera(stage.run.eye.fixed);
-    player.switches.shadows = hasShadows;
+    player.stage.hasShadows = hasShadows;
     player.draw();
     for (const each of hidden) (stage[each] ?? stage.surroundings[each]).visible = false;
     stage.draw();

@@ -33,8 +33,9 @@ OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xm
 # A command with nothing that a shell would do for it.
 ALONE = re.compile(r"(?:\.venv/bin/)?sero-mj [^|&;<>$*`#]*(#.*)?|#.*|\s*")
 # A minute of windows, films and processes.
-LONGEST = ("compare", "controllers", "first_arm", "groups", "headless", "learning", "mirror",
-           "player", "recordings", "robots", "simulate", "tutorial", "view")  # fmt: skip
+LONGEST = ("compare", "control_laws", "controllers", "first_arm", "groups", "headless", "interact",
+           "learning", "mirror", "player", "program_view", "recordings", "robots", "simulate",
+           "tutorial", "view")  # fmt: skip
 PAGES = sorted(
     [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/extensions").glob("*.md")],
     key=lambda page: (page.stem in LONGEST, page),

@@ -287,7 +287,7 @@ def test_whatever_part_of_a_tool_fails_the_rest_goes_on(tmp_path: Path, part: st
     printed = run(tmp_path, f"""
 from decor_tools import view_at
 from sero_mj import Mirror, load_scene
-from sero_mj.viewer.host.dragging import Dragging
+from sero_mj.viewer.host.pointer import Dragging
 from sero_mj.viewer.session.input import Moved
 from sero_mj.viewer.session.tool import DrawnTool, Tools
 from shown import Shown

@@ -23,8 +23,7 @@ from sero_mj.robots.assemble.gravity_torques import GravityTorques
 from sero_mj.simulate.control.compiler import Compiler
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.image.scene_decor import SceneDecor
-from sero_mj.viewer.session.joint_goal import JointGoal
-from sero_mj.viewer.session.pose_text import as_command, as_python, as_toml
+from sero_mj.viewer.session.joint_goal import JointGoal, as_command, as_python, as_toml
 from sero_mj.viewer.tools.jogging import Jogging, approached
 
 BENT = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])

@@ -225,7 +225,7 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
         ("robots.declared.dh", "from sero_mj import Mirror", "imports data.drive.mirror"),
         ("robots.declared.dh", "from ... import HeadlessRenderer", "imports viewer.image"),
         ("data.receive.source", "from ..drive.place import follow", "imports data.drive.place"),
-        ("data.send.play", "from ..drive._units import UNITS", "imports data.drive._units"),
+        ("data.send.play", "from ..drive.units import UNITS", "imports data.drive._units"),
         (
             "data.drive.place",
             "from ...viewer.decor.geom_buffer import GeomBuffer",

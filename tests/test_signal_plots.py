@@ -22,8 +22,7 @@ from sero_mj.base.errors import UsageError
 from sero_mj.data.receive.mailbox import Packets
 from sero_mj.load import load_scene
 from sero_mj.viewer.panels.signal_plots import MOST_LINES, MOST_PLOTS
-from sero_mj.viewer.program.outbox import Outbox
-from sero_mj.viewer.program.signals import UserSignals
+from sero_mj.viewer.program.outbox import Outbox, UserSignals
 from sero_mj.viewer.session.binned_history import SPAN, BinnedHistory
 from sero_mj.viewer.session.signals import PROGRAM, Signal
 from sero_mj.viewer.tools.plots import Plots

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from sero_mj.viewer.decor.card_names import card_names
-from sero_mj.viewer.decor.font import drawable, line_of
+from sero_mj.viewer.decor.font import drawable, line_of, value_columns
 from sero_mj.viewer.decor.panels import Panels
-from sero_mj.viewer.decor.value_columns import value_columns
 from sero_mj.viewer.image.typesetting import (
     Placed,
     Text,

@@ -27,7 +27,7 @@ from sero_mj.viewer.decor.handles import SEGMENTS
 from sero_mj.viewer.decor.toggles import PART_NAMES, Toggles
 from sero_mj.viewer.image.camera import find_camera
 from sero_mj.viewer.image.switches import SWITCH_NAMES, apply_switches, switches_text
-from sero_mj.viewer.session.kept_views import file_of, find_view, keep_view
+from sero_mj.viewer.session.recent_views import file_of, find_view, keep_view
 from sero_mj.viewer.session.view_state import (
     ViewSnapshot,
     ViewState,

@@ -24,8 +24,7 @@ from sero_mj.simulate.tools.bookmarks import Bookmarks
 from sero_mj.viewer.host.live import LiveHost
 from sero_mj.viewer.image.clicks import CLICKS, KEYS
 from sero_mj.viewer.panels.help import build_help
-from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line
-from sero_mj.viewer.panels.time_line import build_time_line
+from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line, build_time_line
 from sero_mj.viewer.session.capture import Capture, due_frames, unused_name
 from sero_mj.viewer.session.clock import SPEEDS, Clock, Tick, time_text
 from sero_mj.viewer.session.input import (
@@ -47,9 +46,9 @@ from sero_mj.viewer.session.keys import (
 from sero_mj.viewer.session.status_line import clock_text, source_text, status_pieces
 from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.session.torque_history import TorqueHistory
+from sero_mj.viewer.window.chrome import arrange
 from sero_mj.viewer.window.glfw_window import spread_times
 from sero_mj.viewer.window.host import Pace, Window
-from sero_mj.viewer.window.places import arrange
 
 # ---- clock
 

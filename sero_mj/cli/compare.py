@@ -18,8 +18,7 @@ from ..base.declaration import expecting
 from ..base.errors import UsageError
 from ..base.options import NotNegative, Option, ending, positional
 from ..study.explanation import OF_ONE_RUN
-from ..viewer.image.film_kinds import FILMS
-from ..viewer.image.picture_options import FilmOptions, SizeOptions
+from ..viewer.image.picture_options import FILMS, FilmOptions, SizeOptions
 from .arguments import command, print_json, print_table, progress_bar
 from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
 

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Self
 from pydantic import model_validator
 
 from ..base.options import Option, Time, ending
-from ..viewer.image.film_kinds import FILMS, PASS_ENDINGS, PICTURES
-from ..viewer.image.picture_options import FilmOptions
+from ..viewer.image.picture_options import FILMS, PASS_ENDINGS, PICTURES, FilmOptions
 from .arguments import command, progress_bar
 from .shared_options import EyeOptions, OverOptions, SceneArgument, ShownOptions
 

@@ -11,8 +11,8 @@ from pydantic import model_validator
 
 from ..base.errors import SimulationError, UsageError
 from ..base.options import NotNegative, Option, Seed, Time, ending, positional
-from ..viewer.image.film_kinds import FILMS
 from ..viewer.image.picture_options import (
+    FILMS,
     CameraOptions,
     FilmOptions,
     MotionOptions,

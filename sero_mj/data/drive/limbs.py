@@ -12,11 +12,7 @@ from ...robots.declared.double import OUT_OF_SIGHT
 
 
 class Limbs:
-    """The objects of shape `limb` of a world.
-
-    Args:
-        world: the compiled scene.
-    """
+    """The objects of shape `limb` of a world."""
 
     def __init__(self, world: WorldView) -> None:
         self._world = world

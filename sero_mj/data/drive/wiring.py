@@ -11,7 +11,7 @@ origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.tor
        | frame                   lwr/flange: its pose in the world
        | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
 
-`language` has the grammar of expressions, `values` and `conditions` their meaning.
+`language` has the grammar of expressions, `evaluator` their meaning.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from ...base.errors import (
     UnknownName,
     collect,
     did_you_mean,
+    mismatch,
     nearest,
     problems_of,
 )
@@ -51,8 +52,7 @@ from ...robots.declared.route_text import NOT, names_in, parts_of_origin
 from ...robots.declared.scene import Scene
 from ..receive.led_robot import LedJoint, LedLinks
 from ..receive.source import SIGNALS, Source, make_source
-from ._units import UNITS, robot_of, units_of, wrong_unit
-from .conditions import condition_of
+from .evaluator import condition_of, evaluate
 from .joint_routes import (
     JointPart,
     joint_parts,
@@ -64,7 +64,8 @@ from .joint_routes import (
 from .language import Expression, parse
 from .model_torques import MODEL_TORQUES, model_output, origins_of, why_unknown
 from .route import FrameRoute, Origin, Route
-from .values import Value, constant, evaluate, joined, numbers_of
+from .units import UNITS, robot_of, units_of, wrong_unit
+from .values import Value, constant, joined, numbers_of
 
 FWD_KIN = "fwd_kin_base_to_flange"
 # Readable values of robots, doubles and arrows: their inputs except switches and poses.
@@ -76,12 +77,8 @@ class Wiring:
     """The sources of a scene and the routes from them.
 
     Attributes:
-        sources: by name, not yet opened.
-        routes: valid routes of numbers.
         later: those among them that need more than one packet, each after its own origins.
-        frame_routes: valid routes from frames.
         levels: names of bodies placed by frames, each after its dependencies.
-        problems: errors of the others.
     """
 
     sources: dict[str, Source] = field(default_factory=dict)
@@ -144,11 +141,6 @@ def wire(scene: Scene) -> Wiring:
 def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) -> Source:
     """Builds a source of a scene, which is told the joints that its routes lead to.
 
-    Args:
-        scene: the declaration.
-        name: of the source.
-        declared: its table, or the source itself.
-
     Raises:
         DeclarationError: as `make_source`.
     """
@@ -160,7 +152,6 @@ def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) 
 
 
 def _links_led_to(scene: Scene, source: str) -> LedLinks | None:
-    """The links of the first robot of which a source moves joints or base."""
     for target, origin in scene.routes.items():
         name, _, key = target.partition(".")
         robot = scene.robots.get(name)
@@ -174,7 +165,6 @@ def _links_led_to(scene: Scene, source: str) -> LedLinks | None:
 
 
 def _joints_led_to(scene: Scene, source: str) -> list[LedJoint]:
-    """The independent joints of the first robot or group to which a source's values are routed."""
     inputs = list_inputs(scene)
     for target, origin in scene.routes.items():
         if not any(name.partition(".")[0] == source for name in names_in(origin)):
@@ -200,7 +190,6 @@ def _led_twice(
     joint: int,
     led_by: Mapping[tuple[str, int], str],
 ) -> Problem:
-    """Reports that a number of an input already has an origin."""
     first = led_by[route.to.target, joint]
     if not isinstance(route, JointPart):
         return Problem("", f"{route.to.target} has a route already, {first}; remove one of them")
@@ -210,7 +199,6 @@ def _led_twice(
 
 
 def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
-    """Ports shared by two sources of a scene."""
     problems = []
     taken: dict[tuple[str, int], str] = {}
     for name, source in sources.items():
@@ -241,7 +229,6 @@ def _allow_blanks(wiring: Wiring) -> None:
 
 
 def _limit_numbers(wiring: Wiring) -> None:
-    """Limits the numbers of events to what the inputs take that they are routed to."""
     for name, source in wiring.sources.items():
         limits: dict[str, Array] = {}
         routed = (
@@ -315,8 +302,6 @@ def _circle(what: str, error: CycleError) -> Problem:
 
 
 class _RouteChecker:
-    """Resolves the targets and origins of routes, and reports errors."""
-
     def __init__(self, scene: Scene, sources: Mapping[str, Source]) -> None:
         self._scene, self._sources = scene, sources
         self._inputs = list_inputs(scene)
@@ -326,25 +311,14 @@ class _RouteChecker:
         self._events: dict[Origin, Value] = {}  # cached: an event may have 65,000 numbers
 
     def check(self, target: str, origin: str) -> list[Route | FrameRoute | JointPart]:
-        """Returns checked routes: one, or one for each member of a group, or for some joints.
-
-        Empty if the error is reported elsewhere.
-
-        Raises:
-            DeclarationError: errors of the target, the origin, or both.
-        """
+        """Returns the routes of an entry; empty if its error is reported elsewhere."""
         name, _, key = target.partition(".")
         limb, dot, of_limb = key.partition(".")
         dot = "" if f"{name}.{limb}" in self._inputs else dot  # lwr.torques.0 is not a limb
         parts = parts_of_origin(origin)
         if dot or parts[0][1] is not None:
             if dot and parts[0][1] is not None:
-                raise Problem(
-                    "",
-                    "found joints for the limb",
-                    found=limb,
-                    expected=f"them for {name}.{of_limb}",
-                ).error()
+                raise mismatch(limb, f"them for {name}.{of_limb}", "found joints for the limb")
             if dot:
                 key, parts = of_limb, [(origin, [limb])]
             return self._parts(name, key, parts)
@@ -358,7 +332,6 @@ class _RouteChecker:
     def _parts(
         self, name: str, key: str, parts: Sequence[tuple[str, list[str] | None]]
     ) -> list[Route | FrameRoute | JointPart]:
-        """Returns the routes to some joints of a robot, a double or a group."""
         scene, target, members = self._scene, f"{name}.{key}", self._scene.members(name)
         found: Sequence[Input | Problem | None] = [self._input(target)]
         if members is not None:
@@ -386,7 +359,6 @@ class _RouteChecker:
         return made
 
     def _value(self, origin: str) -> tuple[Value, str] | None:
-        """The value of a numeric origin, and its text; None if its error is reported elsewhere."""
         try:
             expression = parse(origin)
         except RouteError as error:
@@ -400,7 +372,6 @@ class _RouteChecker:
     def _evaluated(
         self, expression: Expression, problems: list[Problem]
     ) -> tuple[Value, str] | None:
-        """The value of a parsed origin, and its text; errors include `problems`."""
         known = self._known(expression, problems)
         if known is None:
             return None
@@ -414,7 +385,6 @@ class _RouteChecker:
     def _known(
         self, expression: Expression, problems: Sequence[Problem]
     ) -> dict[str, Value] | None:
-        """Values by name; None if an error is reported elsewhere. Raises as above."""
         found = {name: self._find(name) for name in names_in(expression.text)}
         problems = [*problems, *(v for v in found.values() if isinstance(v, Problem))]
         if problems:
@@ -425,7 +395,6 @@ class _RouteChecker:
     def _group_inputs(
         self, group: str, key: str, members: Sequence[str]
     ) -> list[Input | Problem | None]:
-        """The members' inputs of a route to a group, or its problem."""
         try:
             return list(inputs_of_group(self._inputs, group, key, members))
         except UnknownName as error:
@@ -495,7 +464,6 @@ class _RouteChecker:
         problems: list[Problem],
         target: str,
     ) -> list[Route | FrameRoute]:
-        """Routes from a condition."""
         if items and items[0].kind != "toggle":
             message = f"comparisons are for switches; {target} takes {items[0].meaning}"
             problems = [*problems, Problem("", message)]
@@ -510,7 +478,6 @@ class _RouteChecker:
         return [Route(item, text, compiled, condition=condition) for item in items]
 
     def _input(self, target: str) -> Input | Problem | None:
-        """The input of a route, its problem, or None if that is reported elsewhere."""
         if target in self._inputs:
             return self._inputs[target]
         scene, (name, _, key) = self._scene, target.partition(".")
@@ -541,7 +508,6 @@ class _RouteChecker:
         )
 
     def _is_frame(self, name: str) -> bool:
-        """Whether a name refers to a frame, not to numbers."""
         return "/" in name or name in self._frames or self._is_fwd_kin(name)
 
     def _is_fwd_kin(self, name: str) -> bool:
@@ -549,7 +515,6 @@ class _RouteChecker:
         return key == FWD_KIN and robot in self._scene.robots and robot not in self._scene.sources
 
     def _no_frame(self, name: str) -> Problem | None:
-        """Reports an unknown frame; None if its robot is invalid."""
         if self._scene.is_broken(name.partition("/")[0]):
             return None
         events = [f"{n}.{event}" for n, source in self._sources.items() for event in source.events]
@@ -577,13 +542,11 @@ class _RouteChecker:
         return FrameRoute(item, name.partition(".")[0] if is_fwd_kin else name, is_fwd_kin)
 
     def _find(self, name: str) -> Value | Problem | None:
-        """The value of a name, its problem, or None if that is reported elsewhere."""
         if name in UNITS:
             return constant(*UNITS[name])
         return self._no_number(name) if self._is_frame(name) else self._numbers(name)
 
     def _no_number(self, name: str) -> Problem | None:
-        """Reports that a name refers to a frame; None if its robot is invalid."""
         message = f"{name} is a 4 x 4 frame, which cannot be indexed or combined"
         is_known = self._scene.frame_name(name) in self._frames or self._is_fwd_kin(name)
         return Problem("", message) if is_known else self._no_frame(name)
@@ -642,7 +605,6 @@ class _RouteChecker:
         return Problem("", f"no output '{key}' of {name}{hint or did_you_mean(key, keys)}")
 
     def _group_output(self, members: Sequence[str], key: str) -> Value | Problem | None:
-        """The concatenated values of a group's members."""
         found = []
         for name in members:
             if name not in self._owners:
@@ -654,7 +616,6 @@ class _RouteChecker:
         return joined(found)
 
     def _unknown(self, owner: str, *, is_bare: bool) -> str:
-        """A message about an unknown name, with the nearest known one."""
         sources = self._scene.declared("sources")
         if nearest(owner, sources) is None:
             near = nearest(owner, self._owners)
@@ -667,11 +628,6 @@ class _RouteChecker:
 
 
 def _shares(value: Value, items: Sequence[Input], text: str, target: str) -> list[Value]:
-    """The values of a group's members, in order: of all joints, or of the independent ones.
-
-    Raises:
-        DeclarationError: the number of values matches neither.
-    """
     if value.is_constant and not value.shape:
         return [value] * len(items)  # one number for all
     full = [item.count for item in items]
@@ -688,13 +644,11 @@ def _shares(value: Value, items: Sequence[Input], text: str, target: str) -> lis
 
 
 def _with_coupled(value: Value, item: Input, coupled: CoupledJoints) -> Value:
-    """Values of all joints, from those of the independent ones."""
     factors, constants = coupled.factors(item.key), coupled.constants(item.key)
     return value.gather(coupled.source, factors, constants)
 
 
 def _wrong_shape(value: Value, item: Input) -> str:
-    """Explains why a value has a wrong shape for an input; empty if correct."""
     count, shape = value.entries.size, value.shape
     many = "1 value" if count == 1 else f"{count} values"
     if item.shape == (4, 4):

@@ -31,7 +31,6 @@ class LedLinks:
     """The links of a robot to which routes lead, for sources of transforms.
 
     Attributes:
-        tree: kinematics of the robot, n joints.
         joints: indices of the independent ones, as in `Source.led_to`, (k,).
         positions: returns the positions of all joints (n,), from those of the independent (k,).
         home: declared positions of the independent ones, (k,), rad or m.

@@ -41,7 +41,6 @@ class Packets:
     Attributes:
         values: event name to its arrays, (n, ...), float64, n >= 1.
         arrivals: (n,), s, on the clock of `Source.now`.
-        number: of the last one.
     """
 
     values: Mapping[str, Array]
@@ -62,12 +61,10 @@ class Mailbox:
     """Keeps good packets until they are taken; the consumer decodes them.
 
     Args:
-        decode: converts packets in rows to values.
         on_superseded: called with the number of packets replaced by newer ones before use.
 
     Attributes:
         is_lossless: whether every packet is kept, and `put` waits for room; else only the newest.
-        number: of packets put so far.
         closing: set while the source is being closed, so that `put` does not wait.
     """
 

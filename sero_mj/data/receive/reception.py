@@ -146,7 +146,6 @@ class Reception(PacketDeclaration, Timeline):
 
     @property
     def _mail(self) -> Mailbox:
-        """The mailbox of good packets."""
         if self._kept is None:
             self._kept = Mailbox(
                 self._decode_rows,
@@ -253,7 +252,6 @@ class Reception(PacketDeclaration, Timeline):
             self._failure = None
 
     def _warn(self, fault: str) -> None:
-        """Logs a fault, at a limited rate."""
         now = clock.monotonic()
         if self.debug_level >= 1 and now - self._warned > _WARN_INTERVAL:
             self._warned = now
@@ -272,7 +270,6 @@ class Reception(PacketDeclaration, Timeline):
         """Shows that reception has failed, counts it, and logs it at a limited rate.
 
         Args:
-            error: the reason.
             what: the failure; without an effect for `Disconnected`, which is only `trouble`.
         """
         if isinstance(error, Disconnected):

@@ -14,7 +14,11 @@ from typing import Any, Self
 from pydantic import PrivateAttr
 
 from ...base.declaration import file_fields, kind_of
-from ...base.errors import PluginError, Problem
+from ...base.errors import (
+    PluginError,
+    Problem,
+    mismatch,
+)
 from ...base.plugins import SOURCES, load_plugin, plugin_name, plugins
 from .led_robot import LeadsRobot
 from .mailbox import Packet
@@ -156,7 +160,7 @@ def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
     if not isinstance(declared, Mapping):
         if isinstance(declared, Source):
             return declared
-        raise Problem(found=declared, expected="a table with kind, or a source").error()
+        raise mismatch(declared, "a table with kind, or a source")
     if "name" in declared:
         raise Problem("name", "belongs in the header; leave it out").error()
     try:

@@ -12,7 +12,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr
 
-from ...base.errors import Problem, RecordingError, SourceError
+from ...base.errors import (
+    RecordingError,
+    SourceError,
+    mismatch,
+)
 from ...base.frames import Array
 from ..receive.intake import Intake
 from ..receive.mailbox import Packets
@@ -27,7 +31,7 @@ _BATCH = 4096  # packets
 def _as_path(file: Any) -> Path:
     if isinstance(file, str | Path) and str(file):
         return Path(file)
-    raise Problem(found=file, expected="the name of a recording, REC.mcap say").error()
+    raise mismatch(file, "the name of a recording, REC.mcap say")
 
 
 class FileSource(Source):
@@ -84,17 +88,14 @@ class FileSource(Source):
 
     @cached_property
     def layout(self) -> Structure:
-        """The decoder."""
         return self.original.layout
 
     @property
     def events(self) -> Mapping[str, tuple[int, ...]]:
-        """Event name to its shape, as when it was recorded."""
         return self.original.events
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         if self.recorded.is_unreadable:
             return f"replay of {self.file}, none of whose {self.recorded.count} packets can be used"
         return f"replay of {self.file}, {self.duration:.1f} s"
@@ -112,7 +113,6 @@ class FileSource(Source):
 
     @property
     def trouble(self) -> str:
-        """That it has ended, as shown to the user; empty while it plays."""
         return super().trouble or ("the recording has ended" if self._beyond > 0.0 else "")
 
     @property
@@ -122,25 +122,20 @@ class FileSource(Source):
 
     @property
     def is_live(self) -> bool:
-        """False: packets follow `advance_to`."""
         return False
 
     @property
     def end(self) -> float | None:
-        """Its duration, s; None for a loop."""
         return None if self.loop else self.duration / self.speed
 
     def now(self) -> float:
-        """The time on the recording's clock, which continues after the end without packets."""
         return self._position + self._beyond
 
     def allow_nan(self, events: Collection[str]) -> None:
-        """Lets NaN and infinity mean `no data` in these events; see `Source.allow_nan`."""
         super().allow_nan(events)
         self.original.allow_nan(events)  # whose decoder this is
 
     def limit(self, limits: Mapping[str, Array]) -> None:
-        """Sets the largest magnitudes of numbers; see `Source.limit`."""
         super().limit(limits)
         self.original.limit(limits)  # whose decoder this is
 
@@ -148,11 +143,7 @@ class FileSource(Source):
         return self.original._new_intake()
 
     def open(self) -> None:
-        """Opens the file and goes to the start.
-
-        Raises:
-            SourceError: it cannot be read any more.
-        """
+        """Opens the file and goes to the start; raises SourceError."""
         self.close()
         try:
             self._recording = self.open_recording()
@@ -167,14 +158,12 @@ class FileSource(Source):
         self._go_to(self._begin)
 
     def close(self) -> None:
-        """Closes the file; harmless when it is not open."""
         if self._recording is not None:
             self._recording.close()
         self._recording, self._held = None, None
         self._coming = iter(())
 
     def wait(self, timeout: float) -> bool:
-        """Whether there are packets at all; returns immediately."""
         return self.recorded.count > 0
 
     def advance_to(self, time: float) -> None:
@@ -223,12 +212,10 @@ class FileSource(Source):
         self._anchor = (clock, self._position)
 
     def take(self) -> Packets | None:
-        """Returns the good packets since the last call, or None when there is none."""
         with self._lock:
             return super().take()
 
     def _go_to(self, position: float) -> None:
-        """Seeks: discards played packets, and plays the last packet before that time."""
         assert self._recording is not None
         self._intake = self._new_intake()
         self._position, self._beyond = position, 0.0
@@ -261,7 +248,6 @@ class FileSource(Source):
         self._log_faults()
 
     def _log_faults(self) -> None:
-        """Logs errors of the recording when they are found."""
         assert self._recording is not None
         faults = self._recording.faults
         for fault in faults[self._faults_told :] if self.debug_level else []:

@@ -13,9 +13,9 @@ from pydantic import PrivateAttr, ValidationInfo, field_validator
 from ...base.errors import (
     DeclarationError,
     PluginError,
-    Problem,
     RecordingError,
     did_you_mean,
+    mismatch,
 )
 from ...base.plugins import SOURCES, load_plugin, plugins
 from ..receive.led_robot import LedJoint, LedLinks
@@ -100,18 +100,16 @@ class Replay(FileSource):
         else:
             begin, word = _first_of(look_into(info.data["file"])), "where its first packet came"
         if not begin < stop < np.inf:
-            raise Problem(found=stop, expected=f"more than {begin:g}, {word}, in s").error()
+            raise mismatch(stop, f"more than {begin:g}, {word}, in s")
         return stop
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:
-        """Takes the joints that routes lead to, for recordings whose messages name them."""
         if joints and (source := self._messages_of_source(is_led=True)) is not None:
             self._of_messages = source
             source.led_to(joints)
             self._forget_original()
 
     def led_to_links(self, links: LedLinks) -> None:
-        """Takes the links of the robot that routes lead to, for transforms in messages."""
         source = self._of_messages or self._messages_of_source(is_led=False)
         if source is not None:
             self._of_messages = source
@@ -131,7 +129,6 @@ class Replay(FileSource):
 
     @property
     def of_messages(self) -> Source | None:
-        """What it reads of messages, once its joints are known; None for packets."""
         return self._of_messages
 
     @property
@@ -142,12 +139,10 @@ class Replay(FileSource):
 
     @cached_property
     def recorded(self) -> RecordedSource:
-        """The source as it was recorded."""
         return look_into(self.file, self._wanted).sources[self.source]
 
     @cached_property
     def original(self) -> Source:
-        """The receiver as it was recorded; never opened, it only decodes."""
         receiver = receiver_of(self.file, self.recorded, self.name)
         receiver.only_latest_packet = self.only_latest_packet
         return receiver
@@ -159,7 +154,6 @@ class Replay(FileSource):
         return _first_of(look_into(self.file, self._wanted))
 
     def open_recording(self) -> PacketFile:
-        """Opens the file as this source reads it; raises RecordingError."""
         return open_recording(self.file, self._wanted, self.tell_once)
 
 
@@ -169,11 +163,6 @@ def _message_source(file: Path, topics: Mapping[str, Any]) -> Source | None:
 
 def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
     """The receiver that a recording declares; never opened, it only decodes.
-
-    Args:
-        file: the recording.
-        recorded: its source.
-        name: of the receiver.
 
     Raises:
         RecordingError: its kind is unknown, its fields are invalid, or they result in other events.
@@ -198,7 +187,6 @@ def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
 
 
 def _first_of(recording: PacketFile) -> float:
-    """Arrival of the first packet of any source, s since the recording began."""
     firsts = [each.first for each in recording.sources.values()]
     return min((first for first in firsts if not np.isnan(first)), default=0.0)
 

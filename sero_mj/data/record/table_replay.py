@@ -8,7 +8,11 @@ from typing import Any, ClassVar, Self
 
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
-from ...base.errors import CsvError, Problem
+from ...base.errors import (
+    CsvError,
+    Problem,
+    mismatch,
+)
 from ...base.frames import Array
 from ..receive.led_robot import LedJoint
 from ..receive.source import Source
@@ -63,9 +67,9 @@ class TableReplay(FileSource):
             raise ValueError("structure and columns: expected one of them")
         begin, end = self.start or 0.0, float(table.times[-1] - table.times[0])
         if begin > end:
-            raise Problem("start", found=begin, expected=f"at most {end:g}, where it ends").error()
+            raise mismatch(begin, f"at most {end:g}, where it ends", key="start")
         if self.stop is not None and not begin < self.stop:
-            raise Problem("stop", found=self.stop, expected=f"more than {begin:g}, in s").error()
+            raise mismatch(self.stop, f"more than {begin:g}, in s", key="stop")
         return self
 
     @property
@@ -76,7 +80,6 @@ class TableReplay(FileSource):
         )
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:
-        """Takes the names of the joints that routes lead to, which columns may be called like."""
         self._joints = [joint.name for joint in joints]
         self.__dict__.pop("_events_of_rows", None)
         for key in ("recorded", "original", "layout"):
@@ -98,7 +101,6 @@ class TableReplay(FileSource):
 
     @cached_property
     def original(self) -> Source:
-        """A receiver of the packets that rows become; never opened, it only decodes."""
         packets, rows = self._packets, self._events_of_rows
         if not self.structure:
             counts = {event: each.shape[1] for event, each in rows.items()}
@@ -109,7 +111,6 @@ class TableReplay(FileSource):
 
     @cached_property
     def recorded(self) -> RecordedSource:
-        """The rows as a source that was recorded."""
         return self.open_recording().sources[SOURCE]
 
     @cached_property
@@ -117,10 +118,6 @@ class TableReplay(FileSource):
         return self.start or 0.0
 
     def open_recording(self) -> PacketFile:
-        """Opens the table as if it were a recording of its rows.
-
-        Raises:
-            CsvError: it cannot be read, or its columns do not fit.
-        """
+        """Opens the table as if it were a recording of its rows; raises CsvError."""
         declared = self.original.decoding_fields()
         return TableFile(self._table, self._events_of_rows, self.layout, declared)

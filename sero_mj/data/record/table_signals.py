@@ -15,7 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.errors import CsvError, Problem, did_you_mean
+from ...base.errors import (
+    CsvError,
+    Problem,
+    did_you_mean,
+    mismatch,
+)
 from ...base.frames import Array
 from .csv_files import TIME
 from .table import Table, split_unit
@@ -71,7 +76,6 @@ class Selection:
     """The columns of a signal.
 
     Attributes:
-        names: of the columns, in the order of the joints.
         factor: from their numbers to SI units and our signs.
     """
 
@@ -81,14 +85,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns that differ by a number, or by the name of a joint.
-
-    Attributes:
-        stem: what is left of their names, in lower case.
-        unit: of them; empty for none.
-        pattern: their name with `*` for what differs.
-        names: of the columns, in order.
-    """
+    """Columns that differ by a number or by the name of a joint, `*` in their pattern."""
 
     stem: str
     unit: str
@@ -97,13 +94,10 @@ class _Group:
 
 
 def parse_columns(texts: Sequence[str]) -> dict[str, str | list[str]]:
-    """Reads `SIGNAL=COLUMNS`, as an option has them.
+    """Reads `SIGNAL=COLUMNS`, as an option has them; raises ValueError if one has no `=`.
 
     Args:
         texts: for example `joint_angles=A*`, `joint_angles [deg]=A1,A2` and `time=Zeit [s]`.
-
-    Raises:
-        ValueError: one has no `=`.
     """
     found: dict[str, str | list[str]] = {}
     for text in texts:
@@ -124,7 +118,7 @@ def signals_of(
     robot: str = "",
     counts: Sequence[int] = (),
 ) -> dict[str, Array]:
-    """Returns the signals of a robot's joints in a table.
+    """Returns the signals of a robot's joints in a table; raises CsvError or DeclarationError.
 
     Args:
         table: of one robot, or of several with their names in those of the columns.
@@ -132,16 +126,11 @@ def signals_of(
         columns: signal, with a unit in brackets where columns have none, to its columns: their
             names, or one with `*` for a number or name of a joint. Signals that are not in it are
             recognised.
-        robot: its name, which the names of columns may begin with.
         counts: numbers of columns that a signal can have; any when empty.
 
     Returns:
         `joint_angles`, `torques`, ... to values, (T, number of columns), SI units and our signs. If
         torques were not measured, those commanded are `torques` as well.
-
-    Raises:
-        CsvError: a column is missing or has text.
-        DeclarationError: `columns` has something else than names.
     """
     names = [*table.columns]
     chosen = _recognised(names, joints, robot, counts) | _declared(table, columns or {})
@@ -164,7 +153,6 @@ def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
     """The error for a table without columns of joint angles, or with another number of them.
 
     Args:
-        table: that was read.
         count: joints of the robot; 0 where it is not known.
         how: how columns are declared, with SIGNAL=COLUMNS or the like for what.
     """
@@ -184,7 +172,6 @@ def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
 
 
 def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
-    """The columns that are declared."""
     found = {}
     for key, wanted in columns.items():
         if key == TIME:
@@ -192,11 +179,11 @@ def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
         match = _SIGNAL.fullmatch(key)
         if match is None:
             expected = "a signal, with or without a unit: joint_angles [deg]"
-            raise Problem("columns", found=key, expected=expected).error()
+            raise mismatch(key, expected, key="columns")
         signal, unit = match[1], match[2] or ""
         if signal == TIME:
             expected = "time without a unit, which the name of its column has: time = 'Zeit [ms]'"
-            raise Problem("columns", found=key, expected=expected).error()
+            raise mismatch(key, expected, key="columns")
         if unit and unit not in _FACTORS:
             of = f"in {key}"
             raise Problem("columns", "no unit", found=unit, of=of, available=_FACTORS).error()
@@ -209,7 +196,6 @@ def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
 
 
 def _matching(table: Table, pattern: str) -> list[str]:
-    """The columns of a name, or those that are called so with something for its `*`, in order."""
     if pattern in table.columns or pattern in table.wrong or "*" not in pattern:
         table.column(pattern)
         return [pattern]
@@ -225,7 +211,6 @@ def _matching(table: Table, pattern: str) -> list[str]:
 def _recognised(
     names: Sequence[str], joints: Sequence[str], robot: str, counts: Sequence[int]
 ) -> dict[str, Selection]:
-    """The columns that are recognised, by signal."""
     groups = [
         group for group in _groups(names, joints, robot) if not counts or len(group.names) in counts
     ]

@@ -40,15 +40,8 @@ class Host(Protocol):
 class FciLink(Link):
     """Serves one client at a time, as the robot does.
 
-    Args:
-        declared: the address, and the program that is started, if any.
-        robot: its name, for messages.
-        messages: of the version that is served.
-        host: is told of requests.
-
     Attributes:
         clients: number of those that have connected so far.
-        foreign: datagrams that came from others.
     """
 
     def __init__(self, declared: Reachable, robot: str, messages: Messages, host: Host) -> None:
@@ -65,7 +58,6 @@ class FciLink(Link):
 
     @property
     def name(self) -> str:
-        """The address that clients connect to, for messages."""
         return f"{self._declared.host}:{self.port}"
 
     @property
@@ -128,7 +120,6 @@ class FciLink(Link):
         return self.clients > 0
 
     def close(self) -> None:
-        """Ends the program and all connections; harmless when that is done."""
         for opened in (self._client, self._listener):
             if opened is not None:
                 opened.close()
@@ -136,14 +127,12 @@ class FciLink(Link):
         super().close()
 
     def check(self, time: float) -> None:
-        """Raises SimulationError where the program has failed; `time` is s since the start."""
         if self._program is not None and self._program.has_failed:
             raise self.error(time, self._program.why())
 
     # ---- states and commands
 
     def send(self, packet: bytes | bytearray) -> bool:
-        """Sends a state; whether there is a client."""
         if self._peer is None or self._socket is None:
             return False
         try:
@@ -153,7 +142,6 @@ class FciLink(Link):
         return True
 
     def receive(self, take: Callable[[int], object]) -> None:
-        """Passes on the sizes of all commands that have come, which are in `buffer`."""
         if self._socket is None:
             return
         for _ in range(_MOST_AT_ONCE):
@@ -169,7 +157,6 @@ class FciLink(Link):
                 self.foreign += 1
 
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
-        """Likewise until it is a time, s since the start, or a step has been answered."""
         due = self._due(time, step)
         while self.is_connected and self.answered != step:
             left = due - clock.monotonic()
@@ -277,7 +264,6 @@ class FciLink(Link):
             self._host.connected()
 
     def _drop(self, why: str) -> None:
-        """Ends the connection to the client."""
         if self._client is not None:
             self._client.close()
         was_connected = self._peer is not None

@@ -62,11 +62,9 @@ class RobotCommand:
     """What a client commands in one cycle.
 
     Attributes:
-        message_id: of the state that it answers.
         angles: (7,), rad.
         velocities: (7,), rad/s.
         torques: (7,), Nm, without gravity.
-        is_last: whether the motion is finished.
     """
 
     message_id: int
@@ -106,14 +104,7 @@ class Messages:
         return {name: number for number, (name, _) in self.requests.items()}
 
     def answer(self, request: str, number: int, status: int, more: bytes = b"") -> bytes:
-        """An answer.
-
-        Args:
-            request: its name.
-            number: its id.
-            status: of the answer.
-            more: what follows the status.
-        """
+        """An answer."""
         size = HEAD.size + 1 + len(more)
         return HEAD.pack(self.numbers[request], number, size) + bytes([status]) + more
 

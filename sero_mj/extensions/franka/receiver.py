@@ -148,7 +148,6 @@ def state_size(version: int) -> int:
 
 
 def _picker(version: int) -> struct.Struct:
-    """What reads the fields of `EVENTS` from a state, and skips the others."""
     kinds = (
         kind.replace("?", "s") if name in EVENTS else f"{struct.calcsize(f'<{kind}')}x"
         for name, (_, kind) in state_fields(version).items()
@@ -191,31 +190,26 @@ class FrankaReceiver(ConnectingSource):
 
     @cached_property
     def layout(self) -> Structure:
-        """The decoder."""
         return FrankaLayout(self.torque_sign)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot, in words."""
         said = [f"robot {_mode(float(values['robot_mode'][0]))}", *_errors(values["errors"])]
         if not values["errors"].any():
             said += [f"last: {name}" for name in _errors(values["reflex_reasons"])]
         return ", ".join(said)
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """A packet's `robot_mode`, and which of `ERRORS` is the first, counted from 1; 0: none."""
         errors = values["errors"] != 0
         first = 1 + int(np.argmax(errors)) if errors.any() else 0
         return float(values["robot_mode"][0]), float(first)
 
     def link_faults(self, state: float, quality: float) -> list[str]:
-        """What keeps the robot from moving, one per line."""
         if state in _GOOD and quality <= 0:
             return []
         error = f": {ERRORS[int(quality) - 1]}" if 1 <= quality <= len(ERRORS) else ""
         return [f"robot {_mode(state)}{error}"]
 
     def _converse(self, wake: socket.socket) -> None:
-        """Connects and receives; see `ConnectingSource`."""
         asked = set[int]()
         while True:
             with Connection(self.host, self.port, wake) as connection:
@@ -251,7 +245,6 @@ class FrankaReceiver(ConnectingSource):
             self._receive_states(connection, states, peer, version)
 
     def _ask(self, connection: Connection, port: int) -> tuple[int, int]:
-        """Asks for states; returns the status and the server's version."""
         number = 1
         size = _HEAD.size + _QUESTION.size
         question = _HEAD.pack(CONNECT, number, size) + _QUESTION.pack(self._version, port)
@@ -283,7 +276,6 @@ class FrankaReceiver(ConnectingSource):
     def _receive_states(
         self, connection: Connection, states: socket.socket, peer: str, version: int
     ) -> NoReturn:
-        """Receives states until the connection ends."""
         expected = canonical_address(pack_address(peer, 0))[0]
         datagrams = Datagrams(states, _LONGEST_STATE + 1)
         connection.watch(states)
@@ -305,7 +297,6 @@ class FrankaReceiver(ConnectingSource):
                 raise Nonsense("says what it was not asked", connection.read())
 
     def _take_in(self, batch: Batch, expected: bytes) -> bool:
-        """Accepts what the robot has sent; returns whether there was any."""
         rows, lengths, arrivals = batch.rows, batch.lengths, batch.arrivals
         known = np.array([canonical_address(s.tobytes())[0] == expected for s in batch.senders])
         if not known.all():
@@ -319,11 +310,7 @@ class FrankaReceiver(ConnectingSource):
 
 
 class FrankaLayout(Structure):
-    """The packets of `FrankaReceiver`, made of states of all versions.
-
-    Args:
-        torque_sign: factor of measured and commanded torques.
-    """
+    """The packets of `FrankaReceiver`, made of states of all versions."""
 
     message = "state"
 
@@ -333,7 +320,6 @@ class FrankaLayout(Structure):
         super().__init__(STRUCTURE, signs={**own, **external})
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
-        """Turns states into packets; see `Structure.unpack`."""
         packets = np.zeros((len(rows), self.size), np.uint8)
         sizes = np.full(len(rows), -1)
         for i, length in enumerate(lengths.tolist()):
@@ -344,17 +330,14 @@ class FrankaLayout(Structure):
         return packets, sizes
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        """Describes why a packet is none; see `Structure.describe_wrong_size`."""
         sizes = ", ".join(map(str, sorted(_PICKERS)))
         return f"{length} bytes; a {self.message} of the robot has {sizes}"
 
 
 def _mode(state: float) -> str:
-    """The robot's mode in words."""
     known = 0 <= state < len(ROBOT_MODES)
     return ROBOT_MODES[int(state)] if known else f"in mode {state:.0f}"
 
 
 def _errors(flags: Array) -> list[str]:
-    """Names of the errors that are set."""
     return [ERRORS[i] for i in np.flatnonzero(flags)]

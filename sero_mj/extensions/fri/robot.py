@@ -59,18 +59,12 @@ class FriRobot(ABC):
     """Sends a packet in each cycle, takes the command that answers it, and acts on it.
 
     Args:
-        declared: how.
-        model: of the robot, for itself.
         timestep: s between two steps.
-        steps: of the simulation in a cycle.
         largest: bytes of a command.
 
     Attributes:
         logged: (3,), state and quality as FRI numbers them, and how late this step began, s.
-        state: as FRI numbers it.
         quality: of the link, 0 to 3.
-        error: whether a command has ended the command state.
-        wrong: received packets that are no commands.
     """
 
     def __init__(
@@ -98,11 +92,7 @@ class FriRobot(ABC):
         self._base_frame: Array = np.eye(4)
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,).
-
-        Raises:
-            SimulationError: the program has ended, or no client has ever answered.
-        """
+        """Writes the torques of this step, (n,); raises SimulationError."""
         self._step += 1
         self._model.update(sensed.motor_angles, sensed.motor_velocities)
         if self._step == 1:
@@ -156,7 +146,6 @@ class FriRobot(ABC):
         self._make_holder()
 
     def _exchange(self, sensed: Sensed) -> None:
-        """Sends a packet, and takes the command that answers it."""
         link, time, declared = self._link, sensed.time, self._declared
         self._time = time
         self.quality = self._statistics.quality
@@ -188,7 +177,6 @@ class FriRobot(ABC):
         link.check(time)
 
     def _take(self, size: int) -> bool:
-        """Takes what is in the buffer if it is a command; whether it answers the last packet."""
         reflected = self._read(memoryview(self._link.buffer)[:size])
         if reflected is None:
             self.wrong += 1
@@ -201,7 +189,6 @@ class FriRobot(ABC):
         return is_last
 
     def _hold_again(self, why: str) -> None:
-        """Ends the command state; the robot stays where it is commanded to."""
         log.warning("%s: command ends at %.3f s: %s", self._model.name, self._time, why)
         self._base += self._offset
         self._offset[:] = self._extra[:] = 0.0
@@ -217,7 +204,6 @@ class FriRobot(ABC):
             log.warning("%s: %s", self._model.name, text)
 
     def _command_angles(self, angles: Array, most: Array) -> bool:
-        """Takes commanded angles, (n,), rad, unless they are faster than `most`, (n,), rad/s."""
         offset = angles - self._base
         speeds = np.abs(offset - self._offset) / self._cycle
         if (speeds > most).any():
@@ -243,7 +229,6 @@ class FriRobot(ABC):
             self._holder = self._cartesian.make(self._model, self._timestep)
 
     def _act(self, sensed: Sensed, out: Array) -> None:
-        """Writes the torques of the robot's own control, (n,)."""
         wanted = self._base + self._offset
         if self._declared.control != "joint_impedance":
             self._own.angles[:] = self._own.posture[:] = wanted

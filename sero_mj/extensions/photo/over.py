@@ -16,10 +16,9 @@ from ...robots.declared.scene import Scene
 from ...viewer.decor.font import line_height
 from ...viewer.decor.picture_view import PictureView
 from ...viewer.image.film import check_film, default_fps
-from ...viewer.image.film_kinds import FILMS
 from ...viewer.image.held_torques import HeldTorques
 from ...viewer.image.painter import Painter, perform_clicks
-from ...viewer.image.picture_options import PictureOptions, Quality
+from ...viewer.image.picture_options import FILMS, PictureOptions, Quality
 from ...viewer.image.render import (
     MAX_SIDE,
     QUALITIES,

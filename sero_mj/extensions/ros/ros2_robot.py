@@ -92,7 +92,6 @@ class Ros2Node(Answering):
         return f"the nodes of ROS 2 domain{domain}"
 
     def make(self, model: RobotModel, timestep: float) -> ProgramController:
-        """The controller; it joins the domain with its first step."""
         n = model.n
         names = self.joint_names or list(model.joint_names)
         if len(names) != n:
@@ -124,14 +123,8 @@ class Ros2Node(Answering):
 class JointStatePacket:
     """The state of a robot as a message of ROS.
 
-    Args:
-        names: of its joints.
-
     Attributes:
-        names: of its joints.
-        packet: the message, in CDR.
         time: s since the start.
-        modulus: of a counter, which it has not.
     """
 
     modulus = modulus_of(None)
@@ -156,12 +149,7 @@ class JointStatePacket:
 
 
 class RosLink(Link):
-    """Topics to a node and from it, which is started where that is declared.
-
-    Args:
-        declared: the topics.
-        model: of the robot.
-    """
+    """Topics to a node and from it, which is started where that is declared."""
 
     commands: ClassVar[str] = messages.NUMBERS  # type of messages that command
 
@@ -172,17 +160,14 @@ class RosLink(Link):
 
     @property
     def name(self) -> str:
-        """Of the topic, for messages."""
         declared = self._topics
         return declared.full(declared.commands or _TOPICS[declared.interface])
 
     @property
     def is_open(self) -> bool:
-        """Whether it is."""
         return self._participant is not None
 
     def open(self, time: float) -> None:
-        """Joins the domain, and starts the program, if it is to be."""
         declared = self._topics
         try:
             self._participant = participant = Participant(
@@ -203,7 +188,6 @@ class RosLink(Link):
         self._began = clock.monotonic() - time
 
     def close(self) -> None:
-        """Leaves the domain, and ends the program; harmless when that is done."""
         if self._participant is not None:
             self._participant.close()
         self._participant = None
@@ -217,7 +201,6 @@ class RosLink(Link):
         take: Callable[[int], bool],
         patience: float | None = None,
     ) -> bool:
-        """Publishes a state, and waits for the command that follows; see `Link.ask`."""
         assert self._participant is not None
         if patience is None:
             patience = self._declared.patience if self.answered else self._declared.first_patience
@@ -245,11 +228,9 @@ class RosLink(Link):
         return f": {wrong}" if wrong else ""
 
     def _take_any(self, take: Callable[[int], object]) -> bool:
-        """Passes on what has come, until something is taken."""
         return any([take(self._numbers(raw)) for raw, _ in self._reader.take()])
 
     def _numbers(self, raw: bytes) -> int:
-        """Writes the numbers of a command into the buffer; returns their bytes, 0 for none."""
         try:
             message = messages.decode(raw, messages.NUMBERS)
         except MalformedMessage as error:
@@ -263,22 +244,18 @@ class RosLink(Link):
         return len(numbers)
 
     def send(self, packet: bytes | bytearray) -> bool:
-        """Publishes a state, and the time in it."""
         if self._topics.publishes_clock:
             self._clock.write(_CLOCK.pack(_HEAD, *struct.unpack_from("<iI", packet, 4)))
         self._states.write(bytes(packet))
         return True
 
     def drain(self) -> int:
-        """Discards commands that came before; returns how many."""
         return len([*self._reader.take()])
 
     def receive(self, take: Callable[[int], object]) -> None:
-        """Passes on all commands that have come."""
         self._take_any(take)
 
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
-        """Likewise until it is a time, s since the start, or a step has been answered."""
         assert self._participant is not None
         due = self._due(time, step)
         while self.answered != step and (left := due - clock.monotonic()) > 0.0:
@@ -296,9 +273,6 @@ class TrajectoryLink(RosLink):
     together with the robot's own dampers.
 
     Args:
-        declared: the topics.
-        model: of the robot.
-        state: what is sent.
         damping: (n,), Nm s/rad, of the robot's dampers.
     """
 
@@ -319,7 +293,6 @@ class TrajectoryLink(RosLink):
         take: Callable[[int], bool],
         patience: float | None = None,
     ) -> bool:
-        """Publishes a state, and waits for the first motion; see `Link.ask`."""
         if self._motion is None:
             return super().ask(packet, step, time, take, patience)
         self.send(packet)
@@ -329,7 +302,6 @@ class TrajectoryLink(RosLink):
         return True
 
     def _take_any(self, take: Callable[[int], object]) -> bool:
-        """Takes motions that have come; passes on the answer to the state that was sent last."""
         for raw, _ in self._reader.take():
             self._begin(raw, take)
         if self._motion is None:
@@ -355,15 +327,12 @@ class TrajectoryLink(RosLink):
             take(0)
 
     def drain(self) -> int:
-        """Discards nothing: a motion is for all steps that follow."""
         return 0
 
     def receive(self, take: Callable[[int], object]) -> None:
-        """Passes on the first answer; those that follow are due with their states."""
         if not self.answered:
             self._take_any(take)
 
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
-        """Passes on the answer of the motion in use, or waits for one until a time."""
         if self.answered != step and not self._take_any(take):
             super().receive_until(time, step, take)

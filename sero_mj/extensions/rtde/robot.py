@@ -88,16 +88,11 @@ class RtdeRobot:
     """Serves clients in each cycle, takes their commands, and acts on them.
 
     Args:
-        declared: how.
-        model: of the robot, for itself.
         timestep: s between two steps.
-        steps: of the simulation in a cycle.
 
     Attributes:
         logged: (3,), the state (`NOBODY` to `SILENT`), the age of the last command, s, and how late
             this step began, s.
-        wrong: messages and commands that were not taken.
-        silent: cycles in which a client that commands was silent.
     """
 
     def __init__(
@@ -137,12 +132,7 @@ class RtdeRobot:
         self._state.is_running = not has_script
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,).
-
-        Raises:
-            SimulationError: a port is in use, the program has failed, or no client ever answers in
-                lockstep.
-        """
+        """Writes the torques of this step, (n,); raises SimulationError."""
         self._step += 1
         self._time = sensed.time
         if self._step == 1:
@@ -237,13 +227,11 @@ class RtdeRobot:
         return True
 
     def _commands(self, peer: RtdePeer) -> bool:
-        """Whether a client has the registers of commands."""
         if self._declared.interface == "ur_rtde":
             return any(f"{INPUT_INT}{offset}" in peer.claimed for offset in _OFFSETS)
         return not peer.claimed.isdisjoint(self._plain)
 
     def _take_command(self, peer: RtdePeer, values: dict[str, Any]) -> bool:
-        """Does what a command of ur_rtde asks for; whether it was one."""
         offset = next((k for k in _OFFSETS if f"{INPUT_INT}{k}" in values), None)
         if offset is None:
             return False
@@ -284,7 +272,6 @@ class RtdeRobot:
         numbers: Callable[[int, int], Array],
         flag: int | None,
     ) -> None:
-        """Does what a command asks for of which ur_rtde waits for the end."""
         motion = self._motion
         self._state.registers[state] = DONE
         if command == _MOVE_J:
@@ -351,7 +338,6 @@ class RtdeRobot:
         self._began = clock.monotonic() - time
 
     def _exchange(self, sensed: Sensed) -> None:
-        """Takes what clients have sent, and sends them what they are to get in this cycle."""
         time, server = sensed.time, self._server
         if self._declared.clock == "real_time":
             due = self._began + time
@@ -369,7 +355,6 @@ class RtdeRobot:
         self.logged[0] = self._state_number()
 
     def _wait_for_answers(self, cycle: int, time: float) -> None:
-        """Waits until all clients that command have answered this cycle's package."""
         server, declared = self._server, self._declared
         if self._program is not None and self._has_answered and declared.same_core:
             self._program.come_beside()
@@ -437,7 +422,6 @@ class RtdeRobot:
             self._come_to_rest()
 
     def _come_to_rest(self) -> None:
-        """Ends motion; where torques act, at the angles of now."""
         if self._motion.mode == TORQUES:
             self._motion.hold()  # they are carried along
         elif self._motion.mode != HOLDS:
@@ -454,7 +438,6 @@ class RtdeRobot:
         return CONNECTED if peers else NOBODY
 
     def _check(self, time: float) -> None:
-        """Raises SimulationError where the program has failed."""
         program = self._program
         if program is None or not program.has_ended:
             return
@@ -471,7 +454,6 @@ class RtdeRobot:
     # ---- control
 
     def _act(self, sensed: Sensed, out: Array) -> None:
-        """Writes the torques of the robot's own control, (n,)."""
         motion = self._motion
         if motion.mode == TORQUES:
             motion.angles[:] = sensed.motor_angles

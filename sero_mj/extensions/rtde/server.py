@@ -75,13 +75,7 @@ class Desk(Protocol):
 
 
 class Peer(ABC):
-    """A connection from a client.
-
-    Args:
-        server: that it is of.
-        connection: accepted.
-        name: of the other end, for messages.
-    """
+    """A connection from a client."""
 
     def __init__(self, server: RtdeServer, connection: socket.socket, name: str) -> None:
         self.server, self.name = server, name
@@ -94,12 +88,7 @@ class Peer(ABC):
         """Acts on what has come, and returns what is incomplete; raises Nonsense."""
 
     def read(self) -> None:
-        """Takes what has come.
-
-        Raises:
-            OSError: the connection has ended.
-            Nonsense: what came is not of its protocol.
-        """
+        """Takes what has come; raises OSError or Nonsense."""
         more = self.socket.recv(65536)
         if not more:
             raise ConnectionError("it closed the connection")
@@ -124,11 +113,7 @@ class RtdePeer(Peer):
     """A client of RTDE.
 
     Attributes:
-        is_started: whether it gets packages.
-        is_awaited: whether the last one has not been answered.
         inputs: recipes, of which the first has number 1.
-        claimed: names of inputs that are its own.
-        skipped: packages that were left out because it does not read.
     """
 
     def __init__(self, server: RtdeServer, connection: socket.socket, name: str) -> None:
@@ -143,7 +128,6 @@ class RtdePeer(Peer):
         self._has_version = False
 
     def hear(self, received: bytes) -> bytes:
-        """See `Peer`."""
         at = 0
         while len(received) - at >= HEAD.size:
             size, kind = HEAD.unpack_from(received, at)
@@ -262,7 +246,6 @@ class DashboardPeer(Peer):
         self.send(b"Connected: Universal Robots Dashboard Server\n")
 
     def hear(self, received: bytes) -> bytes:
-        """See `Peer`."""
         *lines, rest = received.split(b"\n")
         if len(rest) > _MOST_BYTES:
             raise Nonsense("sent no line")
@@ -298,7 +281,6 @@ class ScriptPeer(Peer):
     """A client that sends URScript, of which no more than the end is seen."""
 
     def hear(self, received: bytes) -> bytes:
-        """See `Peer`."""
         if received.rstrip().endswith((b"\nend", b"\r\nend")):  # others in it are indented
             self.server.desk.take_script(received)
             return b""
@@ -306,18 +288,7 @@ class ScriptPeer(Peer):
 
 
 class RtdeServer:
-    """Listens, and serves all clients.
-
-    Args:
-        desk: what they get and give.
-        cycle: s between packages at most.
-
-    Attributes:
-        port: of RTDE, where it is open.
-        peers: clients of RTDE.
-        desk: as given.
-        cycle: as given.
-    """
+    """Listens, and serves all clients. `cycle`: s between packages at most."""
 
     def __init__(self, desk: Desk, cycle: float, name: str) -> None:
         self.desk, self.cycle = desk, cycle
@@ -334,16 +305,12 @@ class RtdeServer:
         return [peer for peer in self._peers.values() if isinstance(peer, RtdePeer)]
 
     def open(self, host: str, port: int, dashboard: int = 0, script: int = 0) -> None:
-        """Listens.
+        """Listens; raises OSError.
 
         Args:
-            host: address.
             port: of RTDE; 0 for a free one.
             dashboard: port of the dashboard server; 0 for none.
             script: port that takes URScript; 0 for none.
-
-        Raises:
-            OSError: there is no such address, or a port is in use; says which one.
         """
         self._selector = selectors.DefaultSelector()
         for number, make in ((port, RtdePeer), (dashboard, DashboardPeer), (script, ScriptPeer)):
@@ -377,11 +344,7 @@ class RtdeServer:
         self._selector = None
 
     def serve(self, seconds: float = 0.0) -> bool:
-        """Takes what has come; whether anything had.
-
-        Args:
-            seconds: to wait for something.
-        """
+        """Takes what has come; whether anything had. `seconds`: to wait for something."""
         if self._selector is None:
             return False
         ready = self._selector.select(max(seconds, 0.0))
@@ -435,7 +398,6 @@ class RtdeServer:
             self._do(peer, peer.greet)
 
     def _do(self, peer: Peer, act: Callable[[], None]) -> None:
-        """Lets a client act, and drops it where that fails."""
         try:
             act()
         except BlockingIOError:

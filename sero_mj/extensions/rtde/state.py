@@ -33,12 +33,10 @@ class RtdeState:
 
     Args:
         model: of the robot, shared with the control, which updates it before.
-        motion: where it is commanded to.
         timestep: s.
         constants: (n,), Nm/A; None where currents are 0.
 
     Attributes:
-        registers: outputs, and inputs as clients have set them, by name.
         is_running: whether the robot's program is.
     """
 
@@ -90,12 +88,7 @@ class RtdeState:
         }
 
     def observe(self, sensed: Sensed, commanded: Array) -> None:
-        """Takes a step.
-
-        Args:
-            sensed: what is measured.
-            commanded: (n,), Nm, torques of the last step.
-        """
+        """Takes a step. `commanded`: (n,), Nm, torques of the last step."""
         self._observer.update(sensed)
         self._sensed = sensed
         self._commanded[:] = commanded
@@ -152,7 +145,6 @@ class RtdeState:
         return pose
 
     def _jacobian(self) -> Array:
-        """(6, n), in the directions of the base."""
         back = self._model.base()[:3, :3].T
         return np.kron(np.eye(2), back) @ self._model.jacobian()
 

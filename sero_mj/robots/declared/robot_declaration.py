@@ -157,7 +157,7 @@ class RobotDeclaration(Declaration):
         axes_transparency: 0 opaque to 1 invisible.
         show_arrows: whether round arrows are shown.
         arrow_quantity: quantity of the arrows: `torques`, `torque_error` (commanded - measured),
-            `joint_accelerations`, `singularity` (see `viewer.decor.singularity`),
+            `joint_accelerations`, `singularity` (see `viewer.decor.quantities`),
             `torque_without_gravity` (measured less what the model needs to hold itself), or
             `torque_without_friction` (measured less the friction that `dynamics` declares).
         arrow_dead_band: fraction of the limit below which no arrow is shown, to hide noise.

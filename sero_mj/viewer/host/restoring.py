@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...base.errors import UsageError
 from ..image.camera import copy_camera
-from ..session.kept_views import find_view, keep_view
+from ..session.recent_views import find_view, keep_view
 from ..session.view_state import ViewState, apply_state
 from .live import LiveHost
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ...base.errors import Problem, RenderError, reason_of
-from .film_kinds import FILMS
+from .picture_options import FILMS
 
 if TYPE_CHECKING:  # importing it takes 0.1 s, and only films need it
     import av

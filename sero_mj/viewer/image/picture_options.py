@@ -1,7 +1,9 @@
-"""Options of pictures and films, in Python and in commands."""
+"""Options of images and videos, in Python and in commands; their file name extensions."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -136,3 +138,32 @@ class FilmOptions(PictureOptions, MotionOptions):
 
     duration: Duration = 5.0
     fps: Rate | None = None
+
+
+@dataclass(frozen=True)
+class FilmKind:
+    """Encoding of films with one file name extension.
+
+    Attributes:
+        codec: of FFmpeg.
+        options: of the codec; chosen to be fast compared to rendering.
+        has_palette: whether frames are limited to 256 colours.
+        fps: default frames per second.
+        most_fps: maximum frames per second that programs can show.
+    """
+
+    codec: str
+    options: Mapping[str, str]
+    has_palette: bool = False
+    fps: float = 30.0
+    most_fps: float = float("inf")
+
+
+_VP9 = {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "5", "row-mt": "1"}
+FILMS = {
+    ".mp4": FilmKind("libx264", {"crf": "18", "preset": "veryfast"}),
+    ".webm": FilmKind("libvpx-vp9", _VP9),
+    ".gif": FilmKind("gif", {}, has_palette=True, fps=20.0, most_fps=50.0),
+}
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+PASS_ENDINGS = (".png", ".npy")  # of segmentation and depth

@@ -28,10 +28,9 @@ from ..decor.font import line_height
 from ..decor.picture_view import PictureView
 from .added_surroundings import added_surroundings
 from .backend import adopt_backend, backend_problem
-from .camera import find_camera, followed
+from .camera import Follower, find_camera, followed
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
-from .film_frames import film_frames
-from .following import Follower
+from .film_frames import SUBFRAMES, Exposure, film_frames
 from .framing import (
     Framing,
     bounding_sphere,
@@ -39,11 +38,9 @@ from .framing import (
     stand_back,
 )
 from .held_torques import HeldTorques
-from .motion_blur import SUBFRAMES, Exposure
 from .mujoco_private import context_of
 from .painter import Painter, perform_clicks
-from .pass_files import check_pass_file, save_depth, save_segmentation
-from .passes import PassRenderer
+from .passes import PassRenderer, check_pass_file, save_depth, save_segmentation
 from .picking import Pixel
 from .picture_options import (
     DEFAULT_SIZE,

@@ -18,12 +18,13 @@ from PIL import Image, ImageDraw, ImageFont
 from ..decor.font import (
     FONTS,
     Font,
+    Value,
     drawable,
     font_with,
     open_face,
+    value_columns,
 )
 from ..decor.panels import BAR_RGBA, PADDING, Panels
-from ..decor.value_columns import Value, value_columns
 
 Bytes = NDArray[np.uint8]
 Rgb = tuple[float, float, float]

@@ -9,8 +9,7 @@ import numpy as np
 from ...base.frames import Array, frame, inverse, rotation_from_rpy, rpy_from_rotation
 from ...robots.assemble.world_view import WorldView
 from ..decor.card_names import card_names
-from ..session.joint_goal import JointGoal
-from ..session.pose_text import as_command, as_python, as_toml
+from ..session.joint_goal import JointGoal, as_command, as_python, as_toml
 from ..session.widgets import Widgets
 
 UNITS = ("deg", "rad")

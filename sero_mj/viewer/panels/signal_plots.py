@@ -14,7 +14,7 @@ from ..session.widgets import (
     Rgb,
     Widgets,
 )
-from .time_plots import time_plot, with_gaps
+from .torque_plots import time_plot, with_gaps
 
 # Distinct for the colour-blind, on a dark background (after Okabe and Ito).
 _COLOURS: tuple[Rgb, ...] = (

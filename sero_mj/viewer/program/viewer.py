@@ -24,12 +24,11 @@ from ..image.film import Picture
 from ..image.picture_options import DEFAULT_SIZE
 from ..panels.user_widgets import TOOL as PANELS
 from .memory import OverlayMemory, SceneMemory, ViewerMemory
-from .outbox import Outbox
+from .outbox import Outbox, UserSignals
 from .overlay import Overlay
 from .panels import UserPanel, UserPanels
 from .process import ViewerProcess
 from .robot_inputs import RobotInputs
-from .signals import UserSignals
 
 if TYPE_CHECKING:
     from ..web.host import WebHost

@@ -18,8 +18,7 @@ from ..image.held_torques import HeldTorques, unrouted
 from ..image.picking import Pixel
 from ..image.switches import MODELLED
 from ..panels.jog_panel import JogPanel
-from ..session.joint_goal import JointGoal, set_goals
-from ..session.pose_text import setting
+from ..session.joint_goal import JointGoal, set_goals, setting
 from ..session.tool import Grab, Shown, Tool
 from ..session.widgets import Widgets
 from .handle_drag import target_of

@@ -1,7 +1,8 @@
-"""`Pictures`: screenshots and films of what is shown."""
+"""Screenshots and videos of what is shown, and the command that renders it."""
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Collection, Mapping
 from typing import ClassVar
@@ -66,3 +67,27 @@ class Pictures(Tool):
 
     def close(self) -> None:
         self.capture.close()
+
+
+class CopyCommand(Tool):
+    """Ctrl+C: the command, on the clipboard."""
+
+    order: ClassVar[int] = 85
+    keys: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "ctrl+c": ("copy", "copy the command that renders this picture")
+    }
+
+    def actions(self) -> Mapping[str, Action]:
+        return {"copy": self._copy}
+
+    def _copy(self) -> str:
+        shown = self.shown
+        if shown.decor.fixed:
+            return f"{shown.decor.fixed}; no command makes this picture, F2 keeps it"
+        state, (width, height) = shown.view_state(), shown.picture_size
+        words = ["sero-mj", "render", *shown.render_words()]
+        words += [] if state.time is None else ["--at", f"{state.time:g}"]
+        words += ["--size", f"{width}x{height}", "-o", "picture.png"]
+        shown.to_clipboard(shlex.join(words))
+        live = "; what is live will have gone on" if shown.clock.is_live else ""
+        return f"copied: the command that renders this picture{live}"

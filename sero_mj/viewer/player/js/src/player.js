@@ -1,10 +1,10 @@
-/** A live page: it shows the state that a server sends, and sends what its user does. */
+/** A page: it shows the state that its transport brings, and sends what its user does. */
 
 import { isOnHandle } from "./handles.js";
 import { Input } from "./input.js";
-import { contentsOf } from "./live_cards.js";
 import { lookIn, lookToOpen, onOtherLook } from "./look.js";
 import { byId, valueIn } from "./page.js";
+import { Recording } from "./recording.js";
 import { readSections } from "./sections.js";
 import { State } from "./state.js";
 import { Surround } from "./surround.js";
@@ -19,8 +19,8 @@ const LOOK = "sero-mj look"; // where the browser keeps it
 const IN_PICTURE = ["labels", "cards", "camera", "lookAt", "selected", "shading"];
 
 /** The page. */
-export class Live {
-  /** @param {Transport & {open: () => void}} transport */
+export class Player {
+  /** @param {Transport} transport of a live run, or a `Recording` */
   constructor(transport = new SocketTransport("/live", accessOf())) {
     this.transport = transport;
     /** What has come and is not shown yet, the latest of each. @type {import("./sections.js").Sections} */
@@ -29,7 +29,8 @@ export class Live {
     this.serial = -1; // of the last camera that the server has moved
     /** The latest of the sections that are asked for later. @type {Record<string, any>} */
     this.now = {};
-    /** @type {State | null} */
+    this.recording = transport instanceof Recording ? transport : null;
+    /** @type {State | Recording | null} */
     this.state = null;
     this.isFollowing = true; // whether the camera is that of who is in control
     this.isTurned = false; // whether we have turned it, which nobody knows yet
@@ -42,7 +43,8 @@ export class Live {
       resize: () => this.#tellSize(),
     });
     this.view.labels.onClick = (key, event) => this.#card(key, event);
-    this.view.setLook(lookToOpen(keptLook()));
+    document.body.classList.add(this.recording ? "file" : "live");
+    this.view.setLook(lookToOpen(this.#keptLook()));
     this.input = new Input(this.view.renderer.domElement, {
       send: (message) => this.#act(message),
       canAct: () => this.isInControl,
@@ -63,7 +65,12 @@ export class Live {
 
   get stage() { return this.view.stage; }
 
+  get run() { return this.view.stage.run; }
+
   get calls() { return this.view.calls; }
+
+  /** The look that the user has chosen on a page of this server; null for none. */
+  #keptLook() { return this.recording ? null : keptLook(); }
 
   /** Whether the server listens to us. */
   get isInControl() {
@@ -79,8 +86,10 @@ export class Live {
       this.serial = -1;
       this.now = {};
       this.isNew = true;
+      if (this.recording) this.#show(this.recording);
       this.#tellSize();
     };
+    transport.onframe = () => this.view.wake();
     transport.onclose = () => tell("server", "The viewer has gone. This page connects again as soon as it is back.");
     transport.onlocked = () => tell("server", accessOf().locked);
     transport.onmessage = (message) => {
@@ -93,7 +102,7 @@ export class Live {
 
   #listen() {
     const press = (/** @type {string} */ id, /** @type {() => void} */ act) => byId(id).addEventListener("click", act);
-    press("look", () => keep(this.view.look));
+    press("look", () => { if (!this.recording) keep(this.view.look); });
     press("open", () => this.#act({ t: "key", key: "t", repeat: false }));
     press("help", () => this.#act({ t: "key", key: "h", repeat: false }));
     press("take", () => this.#takeControl());
@@ -103,15 +112,15 @@ export class Live {
       this.#showControl();
     });
     byId("camera").addEventListener("change", (event) => this.#chooseCamera(Number(valueIn(event))));
-    onOtherLook(() => this.view.setLook(lookToOpen(keptLook())));
+    onOtherLook(() => this.view.setLook(lookToOpen(this.#keptLook())));
   }
 
-  /** @param {ArrayBuffer} message */
+  /** @param {ArrayBuffer | import("./sections.js").Sections} message */
   #receive(message) {
     const { waiting } = this;
     this.unanswered++;
     try {
-      const { json, bytes } = readSections(message);
+      const { json, bytes } = message instanceof ArrayBuffer ? readSections(message) : message;
       // What has come for another model does not fit any more.
       if (bytes.has("run")) waiting.bytes.clear();
       for (const [name, value] of json) waiting.json.set(name, value);
@@ -135,21 +144,25 @@ export class Live {
     this.waiting = { json: new Map(), bytes: new Map() };
     try {
       const run = bytes.get("run");
-      if (run) {
-        this.state = new State(run, this.state?.keys);
-        this.view.show(this.state.run);
-        this.stage.robots.shade(this.now.shading ?? {});
-      }
+      if (run) this.#show(new State(run, this.state instanceof State ? this.state.keys : []));
       for (const [name, value] of json) this.#takeJson(name, value);
-      for (const [name, value] of bytes) if (this.state?.take(name, value)) this.view.isDirty = true;
+      if (this.state instanceof State) for (const [name, value] of bytes) if (this.state.take(name, value)) this.view.isDirty = true;
     } catch (error) {
       misunderstood(error);
     }
   }
 
+  /** @param {State | Recording} state */
+  #show(state) {
+    this.state = state;
+    this.view.show(state.run);
+    if (this.recording) this.recording.stage = this.stage;
+    this.stage.robots.shade(this.now.shading ?? {});
+  }
+
   /** @param {string} name @param {any} value */
   #takeJson(name, value) {
-    if (this.state?.takeJson(name, value)) this.view.isDirty = true;
+    if (this.state instanceof State && this.state.takeJson(name, value)) this.view.isDirty = true;
     if (name === "hover" && !this.isInControl) return; // it is beside the pointer of another one
     if (name === "request") {
       this.now.request = value;
@@ -172,20 +185,23 @@ export class Live {
     }
   }
 
+  /** Draws now. */
+  draw() {
+    this.view.isDirty = true;
+    this.#frame(0);
+  }
+
   /** @param {number} passed ms since the last picture */
   #frame(passed) {
+    this.recording?.advance(passed);
     this.#take();
     this.#tellCamera();
     this.input.flush();
     for (; this.unanswered; this.unanswered--) this.transport.send('{"t":"got"}');
-    const { state, view, now } = this;
+    const { state, view } = this;
     if (!state || !view.isDirty) return;
     view.stage.notePace(passed);
-    view.draw({
-      at: 0, hasDoubles: true, hasArrow: (joint) => state.arrowOn[joint] > 0,
-      geoms: () => state.geoms, sites: state.sites,
-      labels: now.labels ?? [], cards: () => contentsOf(now.cards ?? [], now.selected ?? -1),
-    });
+    view.draw(state.moment(view.stage, this.now));
   }
 
   /** Sends what only counts from who is in control. @param {object} message */
@@ -226,7 +242,7 @@ export class Live {
   /** @param {Seen | undefined} camera */
   #see(camera) {
     if (!camera || !this.view.current) return;
-    if (camera.fixed >= 0) this.stage.chooseCamera(camera.fixed);
+    if (camera.fixed >= 0 || this.recording) this.stage.chooseCamera(camera.fixed);
     else this.stage.look(camera);
     this.view.wake();
   }
