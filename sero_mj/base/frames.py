@@ -63,7 +63,6 @@ def rotation_to_z(rotation: Array, axis: Array) -> Array:
     """Returns the rotation (3, 3) with a given z axis nearest to another rotation.
 
     Args:
-        rotation: (3, 3).
         axis: (3,), of any length but zero.
     """
     z = np.asarray(axis, np.float64) / np.linalg.norm(axis)

@@ -19,7 +19,7 @@ from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 from ...robots.declared.scene import Scene
-from ..decor.billboards import Line, has_chosen_lines, joint_formats, shows_errors
+from ..decor.billboards import LineFormat, has_chosen_lines, joint_formats, shows_errors
 from ..decor.draw import Decor
 from ..decor.geom_buffer import GEOM, Kind
 from ..decor.legend import Legend
@@ -107,8 +107,8 @@ class Capture:
     begin: float
     toggles: Toggles
     camera: mujoco.MjvCamera
-    lines: list[list[Line]]
-    details: list[list[Line]]
+    lines: list[list[LineFormat]]
+    details: list[list[LineFormat]]
     bodies: Ints
     positions: Array
     rotations: Array
@@ -363,7 +363,7 @@ def _continuous(rotations: Array) -> Array:
 
 def _lines(
     world: WorldView, values: dict[str, Array], toggles: Toggles
-) -> tuple[list[list[Line]], list[list[Line]]]:
+) -> tuple[list[list[LineFormat]], list[list[LineFormat]]]:
     """Returns the lines of the cards of all joints, and of all their values.
 
     Angles give way to torques if there are some, and these to what arrows show.

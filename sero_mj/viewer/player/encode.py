@@ -13,7 +13,7 @@ from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ..decor import round_arrows
-from ..decor.billboards import Line, has_chosen_lines
+from ..decor.billboards import LineFormat, has_chosen_lines
 from ..decor.geom_buffer import GREY, Kind
 from ..decor.legend import arrows_line
 from ..decor.quantities import QUANTITY_NAMES, torque_and_unit
@@ -202,7 +202,7 @@ def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
     ]
 
 
-def _lines(lines: list[Line]) -> list[dict[str, Any]]:
+def _lines(lines: list[LineFormat]) -> list[dict[str, Any]]:
     title = lines[0].head.split("  ")[0] if lines else ""
     return [
         {
