@@ -217,7 +217,7 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
 @pytest.mark.parametrize(
     ("module", "line", "found"),
     [
-        ("robots.declared.dh", "from ...data.receive.source import age", "imports data.receive"),
+        ("robots.declared.dh", "from ...data.receive.mailbox import age", "imports data.receive"),
         ("robots.declared.dh", "from ...data.receive import source", "imports data.receive"),
         ("robots.declared.dh", "from ...data import receive", "imports data.receive"),
         ("robots.declared.dh", "import sero_mj.data.receive.udp", "imports data.receive.udp"),
