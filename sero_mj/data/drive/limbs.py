@@ -21,10 +21,7 @@ class Limbs:
             for item in world.scene.objects
             if item.shape == "limb" and world.has_sites  # else the model is somebody else's
         ]
-
-    @property
-    def are_any(self) -> bool:
-        return bool(self._limbs)
+        self.are_any = bool(self._limbs)
 
     def place(self, data: mujoco.MjData) -> None:
         """Places both links of all limbs, out of sight where what they reach for is."""
