@@ -13,7 +13,7 @@ from typing import Any
 
 from ...base.errors import UsageError
 from ...robots.declared.scene import Scene
-from .capture import Capture, Mark, capture
+from .capture import CapturedRun, Mark, capture
 from .encode import encode
 
 # Adds the player, which is compressed as the run is; the policy knows its hash.
@@ -52,10 +52,10 @@ def export_html(
 
     Args:
         scene: what to show, see `load_scene`.
-        path: the file; .html.
-        title: of the page; the scene's name when empty.
-        marks: on the time line.
-        meanings: of labels on cards, by label: the file that `A` is, say.
+        path: path of the .html file.
+        title: title of the page; the scene's name if empty.
+        marks: on the timeline.
+        meanings: meaning of labels on cards, such as the file that `A` is.
         **keywords: of `capture`: `seconds` and `begin` (s), `fps`, `camera`, `follow`,
             `wait` (s), `on_progress`.
 
@@ -71,16 +71,11 @@ def export_html(
     return captured.silent
 
 
-def write_page(captured: Capture, path: Path, title: str = "") -> None:
-    """Writes a run that was collected as a page.
-
-    Args:
-        captured: the run.
-        path: the file.
-        title: of the page; the scene's name when empty.
+def write_page(captured: CapturedRun, path: Path, title: str = "") -> None:
+    """Writes a run as a page; its title is the scene's name if empty.
 
     Raises:
-        UsageError: it cannot be written.
+        UsageError: the file cannot be written.
     """
     title = title or captured.world.scene.name
     look = look_asked_for(captured.world.scene)
@@ -108,12 +103,9 @@ def player_files() -> dict[str, bytes]:
 
 
 def cell_page(cell: str, title: str, look: str) -> str:
-    """Returns a page for a cell of a notebook: live, or the run that its notebook has kept.
+    """Returns a page for a cell of a notebook: live, or the run that its notebook has stored.
 
-    Args:
-        cell: id, which the page sends to its kernel, see `web/notebook.py`.
-        title: of the page.
-        look: see `look_asked_for`.
+    The page sends the id of the cell to its kernel, see `web/notebook.py`.
     """
     return _page_alone(_PLAYER, KIND=f' data-cell="{html.escape(cell)}"', TITLE=title, LOOK=look)
 
