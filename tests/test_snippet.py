@@ -18,7 +18,7 @@ from newton_euler import inverse_dynamics
 from polling import until
 
 from sero_mj import Mirror, load_scene
-from sero_mj.cli.snippet import snippets
+from sero_mj.cli.new import snippets
 from sero_mj.load import load_robot
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 

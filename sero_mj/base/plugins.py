@@ -18,7 +18,7 @@
     sero_mj.senders         what `sero-mj send` does for a kind of source with its own protocol
     sero_mj.known_packets   what `structure --sniff` knows by size, see `data.receive.sniffer`
     sero_mj.explainers      what explains differences of torques, see `study.explainer`
-    sero_mj.backgrounds     what `--over` draws over, see `cli.background`
+    sero_mj.backgrounds     what `--over` draws over, see `cli.shared_options.Background`
     sero_mj.engines         what does many tasks at once, see `study.engine`
     sero_mj.listed          functions that return title and lines, for `sero-mj list`
     sero_mj.names           further public names of the package `sero_mj`

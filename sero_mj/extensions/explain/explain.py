@@ -51,15 +51,9 @@ _FINE, _MIN_NOISE = 2e-4, 1.5e-3  # of the torque limit
 
 
 def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -> list[Explanation]:
-    """Diagnoses a robot in a run, see `explain`.
+    """Diagnoses a robot in a run, see `explain`; raises UsageError for too little data.
 
-    Args:
-        log: a run.
-        robot: its name.
-        found: residuals of the run; computed when None.
-
-    Raises:
-        UsageError: there is too little data, or no torques.
+    `found` are its residuals, if they are known.
     """
     found = found or torque_residuals(log, robot)
     # A run aborted by a runaway joint ends too early for the low-pass filter.
@@ -161,11 +155,7 @@ def _explain_first(
 ) -> list[Explanation]:
     """Explains the difference of two runs by faults of the first, where that makes a difference.
 
-    Args:
-        a: of the first run.
-        b: of the second one.
-        mine: what is found in `a` by itself, outside of fits.
-        theirs: likewise in `b`.
+    `mine` and `theirs` are found in `a` and `b` by themselves, outside of fits.
     """
     known = {(each.joint, each.part) for each in theirs}
     told = [each for each in mine if (each.joint, each.part) not in known]
@@ -181,13 +171,7 @@ def _explain_first(
 def explain_runs(
     a: RunLog, b: RunLog, robots: tuple[str, str], offset: float = 0.0
 ) -> list[Explanation]:
-    """Explains the difference of two runs, see `explain_pair`.
-
-    Args:
-        a: a run.
-        b: another one.
-        robots: the robot's names in both.
-        offset: s, added to the times of `b`.
+    """Explains the difference of two runs, see `explain_pair`; `offset` (s) is added to `b`.
 
     Raises:
         UsageError: one of them has too little data, or no torques.
@@ -236,11 +220,7 @@ def _with_drives_that_run_off(
 ) -> list[Explanation]:
     """Explanations, with those of runaway joints, which have little data, from the run's end.
 
-    Args:
-        told: of a run.
-        last: of its last moments.
-        found: of the run.
-        ending: of its last moments.
+    `last` and `ending` are of its last moments.
     """
     names = found.robot.names
     left = np.nanmax(np.abs(ending.motor), axis=0, initial=0.0)
@@ -311,7 +291,6 @@ def _wrong_drives(found: TorqueResiduals, least: float) -> list[Explanation]:
 
 
 def _still_joints(found: TorqueResiduals) -> list[Explanation]:
-    """Joints at rest under more torque than their friction can hold."""
     told = []
     for joint, name in enumerate(found.robot.names):
         least = max(0.025 * float(found.scale[joint]), 3.0 * float(found.coulomb[joint]))
@@ -336,7 +315,6 @@ def _still_joints(found: TorqueResiduals) -> list[Explanation]:
 
 
 def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
-    """Torque sensors with a constant value although changes are expected."""
     told = []
     for joint, (name, (begin, end, value)) in enumerate(
         zip(found.robot.names, found.held, strict=True)
@@ -353,7 +331,6 @@ def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
 
 
 def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
-    """Joints with noisy measured torque: from some time on, or compared with others."""
     told = []
     rough = np.maximum(a.roughness, _FINE * a.scale)
     for joint, name in enumerate(a.robot.names):

@@ -137,12 +137,8 @@ class Identified:
 def identify(log: RunLog, name: str) -> Identified:
     """Estimates a robot's friction, payload and torque sensors' offsets.
 
-    Args:
-        log: a run in which it moves, with measured torques; for friction with commanded ones.
-        name: of the robot in it.
-
     Raises:
-        UsageError: no such robot, no measured torques, the run is too short, or no joint moves.
+        UsageError: no such robot, no measured torques, the run is too short, or it hardly moves.
     """
     found = torque_residuals(log, name, most_rows=_MAX_ROWS)
     n = found.robot.n
@@ -300,7 +296,6 @@ def _estimates(
 
 
 def _is_negative(mass: Estimate) -> bool:
-    """Whether a mass or an inertia is less than 0 beyond doubt."""
     return mass.value is not None and mass.value < -_MIN_SIGNIFICANCE * (mass.error or 0.0)
 
 
@@ -441,13 +436,9 @@ def _brief(estimate: Estimate) -> str:
 def plot_identified(found: Identified, path: Path | str) -> None:
     """Draws measurements and fits: a row for each joint, motor and link side.
 
-    Args:
-        found: the estimates.
-        path: where to: .png (300 dpi), .pdf or .svg.
-
     Raises:
         RenderError: the file cannot be written.
-        UsageError: another suffix.
+        UsageError: another suffix than .png (300 dpi), .pdf or .svg.
     """
     path = check_suffix(path)
     from matplotlib.lines import Line2D

@@ -263,10 +263,6 @@ def pair_with_model(log: RunLog, found: TorqueResiduals) -> Pair:
 
     The model follows the robot's motion, and its torques result from inverse dynamics: driven by
     the commanded torques it would diverge within a second in any case. Both are low-pass filtered.
-
-    Args:
-        log: a run.
-        found: its residuals.
     """
     name = found.robot.name
     angles = at_times(log.times, log.of(name, "joint_angles"), found.times)
@@ -312,16 +308,9 @@ class _LowPass:
     """A Gaussian low-pass filter with its derivatives, evaluated at few times only.
 
     Args:
-        at: (T,), s, times of the rows.
-        step: between them, s.
-        wanted: (K,), s, evaluation times; equidistant when None.
-        most: maximum number of these.
+        at: (T,), s, times of the rows, `step` apart.
+        wanted: (K,), s, evaluation times; at most `most` equidistant ones when None.
         window: its standard deviation, s, one row at least.
-
-    Attributes:
-        width: its standard deviation, s.
-        times: (K,), at which it is evaluated.
-        step: between these, s.
     """
 
     def __init__(
@@ -352,11 +341,9 @@ class _LowPass:
         return self._at_rows(values, self._kernel)
 
     def first(self, values: Array) -> Array:
-        """The derivative by time."""
         return self._at_rows(values, self._first)
 
     def second(self, values: Array) -> Array:
-        """The second derivative by time."""
         return self._at_rows(values, self._second)
 
     def _at_rows(self, values: Array, kernel: Array) -> Array:
@@ -515,7 +502,6 @@ def _scale(robot: SerialRobot, measured: Array) -> Array:
 
 
 def _why_no_model(robot: SerialRobot, log: RunLog, estimated: Sequence[str]) -> str:
-    """Why torques at a robot's links cannot be known; empty where they can."""
     if "masses" in estimated:
         return f"the masses of {robot.name} are not declared, but estimated"
     if robot.mount is not None or robot.free_base:
@@ -529,7 +515,6 @@ def _why_no_model(robot: SerialRobot, log: RunLog, estimated: Sequence[str]) -> 
 
 
 def _at_stops(robot: SerialRobot, angles: Array) -> Bools:
-    """Where joints are at their end stops, (K, n), which hold them."""
     low, high = robot.plausible_limits.T
     near = _STOP * np.ptp(robot.display_ranges, axis=1)
     with np.errstate(invalid="ignore"):
@@ -537,7 +522,6 @@ def _at_stops(robot: SerialRobot, angles: Array) -> Bools:
 
 
 def _is_smaller(a: Array, b: Array) -> bool:
-    """Whether residuals (K, n) are smaller than others at most joints."""
     known = np.isfinite(a) & np.isfinite(b)
     joints = known.sum(axis=0) > _MIN_ROWS
     if not joints.any():
