@@ -206,7 +206,7 @@ class Search:
             sides = slice(None) if each.part == "torque sensor" else 1
             residuals[sides, rows, joint] = np.nan
         still = np.maximum(_spread(residuals), _FLOOR * found.scale)
-        moving = np.hypot(_FLOOR_SHARE * found.model, _FLOOR_TIME * found.rates)
+        moving = np.hypot(_FLOOR_SHARE * found.torques.model, _FLOOR_TIME * found.torques.rates)
         self.sigma = np.hypot(still[:, None], np.nan_to_num(moving))  # (2, K, n)
         for each in noisy:  # the effect of noise on residuals is not evidence of anything else
             joint, rows = found.robot.names.index(each.joint), found.times >= each.begin
@@ -231,7 +231,7 @@ class Search:
         found, zero = self.found, np.zeros_like(self.found.link)
         one = np.ones_like(zero)
         has_link = bool(self.known[0].any())
-        true, late = found.model, found.late_model
+        true, late = found.torques.model, found.torques.late_model
         for fit in self.fits:  # sensors also measure a payload, say, or at other angles
             if fit.common is not None:
                 seen = self.edges.share(*fit.edges)[:, None]
@@ -239,7 +239,7 @@ class Search:
                 slope = np.gradient(extra, found.step, axis=0)
                 true, late = true + extra, late - DELAYS[:, None, None] * slope
         if not has_link:
-            true = found.commanded - found.lag + np.nan_to_num(found.motor)
+            true = found.torques.commanded - found.lag + np.nan_to_num(found.motor)
         # Joint torque control regulates the measured torque, whatever the sensor's error.
         seen_by_drive = 0.0 if found.torque_control else 1.0
         sensor: Part = "torque sensor" if has_link else "sensor or drive"
@@ -257,11 +257,11 @@ class Search:
             ]
         if self.known[1].any():
             if not found.torque_control:
-                friction = [(zero, found.signs), (zero, found.velocities)]
+                friction = [(zero, found.motion.signs), (zero, found.motion.velocities)]
                 told.append(_Candidate("friction", "joint", friction, torque.repeat(2, axis=1)))
-            told.append(_Candidate("gain", "drive", [(zero, -found.commanded)], gain))
+            told.append(_Candidate("gain", "drive", [(zero, -found.torques.commanded)], gain))
             told += [
-                _delayed("drive", found.late_commanded, (0.0, -1.0), factor, delay)
+                _delayed("drive", found.torques.late_commanded, (0.0, -1.0), factor, delay)
                 for delay in _TRIED_DELAYS
             ]
             if has_link:
@@ -408,9 +408,9 @@ class Search:
 
     def _commons(self) -> list[_Common]:
         found, names = self.found, self.found.robot.names
-        masses = found.model[..., None]
+        masses = found.torques.model[..., None]
         commons = [
-            _Common("payload", "flange", FLANGE, found.payload, _PAYLOAD),
+            _Common("payload", "flange", FLANGE, found.torques.payload, _PAYLOAD),
             _Common("masses", "links", LINKS, masses, _MASSES, is_constant=True),
         ]
         # To try all encoders with all times would take long: those that explain most all along.
@@ -539,7 +539,7 @@ class Search:
         known = self.known[1, :, joint]
         rows = known & during
         before, after = ((each[1, rows, joint] ** 2).sum() for each in (self.y, self.left))
-        asked = 2.0 * found.commanded[rows, joint] / self.sigma[1, rows, joint]
+        asked = 2.0 * found.torques.commanded[rows, joint] / self.sigma[1, rows, joint]
         by_sign = ((self.y[1, rows, joint] - asked) ** 2).sum()
         # Joint torque control commands no motors.
         is_far_better = not found.torque_control and after < _RESIDUAL_RATIO * by_sign
