@@ -31,7 +31,7 @@ from sero_mj.load import load_scene
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.host.restoring import keep, restore
 from sero_mj.viewer.image.scene_decor import SceneDecor
-from sero_mj.viewer.player.capture import shown_bodies
+from sero_mj.viewer.player.frame import shown_bodies
 from sero_mj.viewer.web import browsers
 from sero_mj.viewer.web.host import WebHost
 from sero_mj.viewer.web.messages import (

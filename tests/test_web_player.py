@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from decor_tools import view_at
+from decor_tools import look, view_at
 from web_tools import MISSING
 
 import sero_mj
@@ -22,6 +22,7 @@ from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.image.render import HeadlessRenderer
 from sero_mj.viewer.player.capture import Mark, capture
 from sero_mj.viewer.player.page import write_page
+from sero_mj.viewer.web.page_state import card_lines
 
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 
@@ -45,6 +46,7 @@ begin = 0.48
 """
 HOSTILE = "</script><script>globalThis.bad=1</script><img src=x onerror='globalThis.bad=2'>"
 SIZE = (640, 400)
+IMAGE = (1280, 900)
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 # What the robots cover, without decor: alpha of the picture, one digit a pixel, top row first.
 SILHOUETTE = """([width, height, time]) => {
@@ -125,6 +127,39 @@ def test_numbers_are_those_of_the_run(page: Any, scene: sero_mj.Scene) -> None:
             [key, list(frames)],
         )
         assert np.array_equal(found, log.of("lwr", key)[rows])
+
+
+def cards_of_image(scene: sero_mj.Scene, time: float) -> set[tuple[str, ...]]:
+    """Title, labels and values of the cards that an image of a scene shows."""
+    with Mirror(scene) as mirror:
+        mirror.advance(time)
+        decor, toggles = Decor(mirror.world), Toggles(mirror.world)
+        toggles.billboards[:] = mirror.world.joints.owner == 0
+        decor.draw(mirror.data, toggles, look((2.6, -2.2, 1.2), (0, 0, 0.5), *IMAGE))
+        texts = [
+            text for each in decor.panels if each.kind == Kind.BILLBOARD for text in each.texts
+        ]
+    cards = [card_lines(text) for text in texts]
+    return {(title, *(word for line in lines for word in line)) for title, lines in cards}
+
+
+CARDS = """() => [...document.querySelectorAll(".card")].filter(e => e.offsetWidth).map(card =>
+    [card.querySelector("i").textContent, ...[...card.querySelectorAll("span")].flatMap(line =>
+        [line.querySelector("i").textContent, line.querySelector("b").textContent])])"""
+
+
+@pytest.mark.parametrize("lines", [None, ["commanded_torques", "torques", "joint_angles"]])
+def test_a_page_shows_the_cards_of_an_image(browser: Any, tmp_path: Path, lines: Any) -> None:
+    scene = load_scene("impedance_push")
+    if lines:
+        scene.robots["lwr"].billboard_lines = lines
+    write_page(capture(scene, fps=FPS, seconds=2.0), tmp_path / "push.html")
+    viewport = dict(zip(("width", "height"), IMAGE, strict=True))
+    page = opened(browser, tmp_path / "push.html", at=1.5, viewport=viewport)
+    page.evaluate("player.draw()")
+    cards = {tuple(card) for card in page.evaluate(CARDS)}
+    assert len(cards) == 7 and cards == cards_of_image(scene, 1.5)
+    page.context.close()
 
 
 def shown_in(choice: Any) -> str:

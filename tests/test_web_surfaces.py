@@ -229,6 +229,8 @@ def test_a_page_of_a_model_of_dm_control_looks_as_in_mujoco(
     assert page.said == []
     assert page.evaluate("player.calls") <= 12
     # Nothing to switch or to choose where there is no joint.
+    page.locator("#open").click()
+    page.locator("#panel label.check").wait_for()
     assert page.locator("#panel label.check").all_inner_texts() == ["shadows"]
     assert page.locator("#areas").is_hidden()
 

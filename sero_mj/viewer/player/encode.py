@@ -32,12 +32,7 @@ _BY_TURNS = ("torques", "torque_error")  # what arrows can show by turns in a pa
 
 
 def encode(capture: Capture, title: str) -> bytes:
-    """Returns the bytes of a run, not compressed.
-
-    Args:
-        capture: the run.
-        title: what it is, for people.
-    """
+    """Returns the bytes of a run with a title, not compressed."""
     parts = Parts()
     frames = capture.frames
     opacity = np.round(capture.opacity * 255)
@@ -86,7 +81,6 @@ def encode(capture: Capture, title: str) -> bytes:
 
 
 def _look(capture: Capture, look: Look) -> dict[str, Any]:
-    """The looks of the model, and of the bodies that are there twice."""
     found = look.head()
     of_geoms = capture.world.model.geom_bodyid
     for number, copied in enumerate(capture.copies, len(capture.bodies)):
@@ -104,9 +98,9 @@ def _index(capture: Capture, body: int) -> int:
 
 
 def _bodies(capture: Capture) -> list[dict[str, Any]]:
-    """Name of every body, the joint that moves it and the double that it is part of; else -1.
+    """Returns name, joint and double of every body, -1 for none.
 
-    `moves` says whether anything can move it, as MuJoCo understands that.
+    `moves` is whether anything can move it, as MuJoCo understands that.
     """
     world, found = capture.world, []
     doubles = list(world.doubles)
@@ -178,7 +172,6 @@ def _joints(capture: Capture) -> list[dict[str, Any]]:
 
 
 def _place(capture: Capture, site: int) -> dict[str, Any]:
-    """Body and pose of a joint's centre; of the world where the model has no site there."""
     if not capture.world.has_sites:
         return {"body": 0, "pos": [0, 0, 0], "quat": [1, 0, 0, 0]}
     model = capture.world.model
@@ -190,12 +183,7 @@ def _place(capture: Capture, site: int) -> dict[str, Any]:
 
 
 def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
-    """Returns what the arrow of every joint follows from, as `widthOf` of the player takes it.
-
-    Args:
-        world: the compiled scene.
-        limit: value of an arrow of full width, (N,); inf for none.
-    """
+    """Returns what the arrow of every joint follows from, as `widthOf` of the player takes it."""
     joints = world.joints
     has_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(has_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
@@ -215,7 +203,6 @@ def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
 
 
 def _lines(lines: list[Line]) -> list[dict[str, Any]]:
-    """What a card says: label, value, and how it is written."""
     title = lines[0].head.split("  ")[0] if lines else ""
     return [
         {
@@ -231,7 +218,6 @@ def _lines(lines: list[Line]) -> list[dict[str, Any]]:
 
 
 def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
-    """Shapes and colours of round arrows, their values where these are not torques, and others."""
     shape = ribbon_shape(round_arrows.ARROW_GEOMS)
     names = ("middle", "half_angle", "rings", "own", "flare", "triangles")
     torques = capture.values.get("torques")
@@ -252,10 +238,10 @@ def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
 
 
 def _quantities(capture: Capture) -> list[dict[str, str]]:
-    """What arrows can show by turns, that of the capture first; empty where there is no choice.
+    """Returns what arrows can show in turn, first what they show; nothing if there is no choice.
 
-    Torque and its error: both follow from values that are there, and have one limit. That of two
-    runs is no error.
+    Torque and its error both follow from values that are there, and have one limit. The error
+    between two runs is none.
     """
     joints, toggles = capture.world.joints, capture.toggles
     lines = [line for owner in capture.world.owners.values()
@@ -275,7 +261,6 @@ def _quantities(capture: Capture) -> list[dict[str, str]]:
 
 
 def _items(capture: Capture, parts: Parts) -> dict[str, Any]:
-    """Decor as it stands in an `MjvScene`: type, pose, size, colour, of every frame."""
     items = capture.items
     if not items:
         return {"of": []}
@@ -310,7 +295,7 @@ def _legend(capture: Capture, parts: Parts) -> dict[str, Any]:
 
 
 def _texts(texts: list[str], parts: Parts) -> dict[str, Any]:
-    """Texts once each, and which one every frame has."""
+    """Returns each text once, and the number of the text of every frame."""
     unique = list(dict.fromkeys(texts))
     number = {text: k for k, text in enumerate(unique)}
     at = np.array([[number[text]] for text in texts])
@@ -318,7 +303,6 @@ def _texts(texts: list[str], parts: Parts) -> dict[str, Any]:
 
 
 def _switches(capture: Capture) -> dict[str, bool]:
-    """What is on at first."""
     toggles = capture.toggles
     return {
         "arrows": bool(toggles.arrows.any())

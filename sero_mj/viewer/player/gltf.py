@@ -23,13 +23,11 @@ _SMALLEST = 1e-6  # scale of what is out of sight: glTF has no switch for it
 
 
 class _Blob:
-    """The binary part and what describes it."""
-
     def __init__(self, gltf: Any) -> None:
         self.gltf, self.data = gltf, bytearray()
 
     def put(self, array: np.ndarray, component: int, kind: str, *, bounds: bool = False) -> int:
-        """Adds an array; returns the number of its accessor."""
+        """Adds an array and returns the number of its accessor."""
         import pygltflib
 
         self.data += bytes(-len(self.data) % 4)
@@ -49,11 +47,7 @@ class _Blob:
 
 
 def write_glb(captured: Capture, path: Path) -> None:
-    """Writes bodies and their motion; arrows and text are for pages and films.
-
-    Args:
-        captured: the run.
-        path: the file; .glb.
+    """Writes bodies and their motion as a .glb file.
 
     Raises:
         UsageError: pygltflib is not installed, or the file cannot be written.
@@ -108,7 +102,6 @@ def write_glb(captured: Capture, path: Path) -> None:
 def _add_body(
     captured: Capture, blob: _Blob, animation: Any, clock: int, body: int, children: list[int]
 ) -> int:
-    """Adds the node of a body, and how it moves; returns its number."""
     import pygltflib
 
     positions = captured.positions[:, body].astype(np.float32)
@@ -141,7 +134,6 @@ def _add_body(
 
 
 def _metal(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
-    """Metallic and roughness of a geom, by its material where that has them."""
     material = int(model.geom_matid[geom])
     if material < 0:
         return _METALLIC, _ROUGHNESS

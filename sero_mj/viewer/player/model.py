@@ -1,7 +1,7 @@
 """What a model looks like in a player: geoms, sites, meshes, materials, textures, skins, lights.
 
-Meshes and textures that are equal are there once; of both there is only what something visible
-needs. Height fields become meshes.
+Equal meshes and textures are stored once, those of invisible geoms never. Height fields become
+meshes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _OUR_FLOOR = "floor"
 
 
 def visible_geoms(model: mujoco.MjModel) -> Ints:
-    """Returns the ids of the geoms that MuJoCo draws unless told otherwise, without our floor."""
+    """Returns the ids of the geoms that MuJoCo draws by default, without our floor."""
     shown = (model.geom_group < _GROUPS) & (geom_colours(model)[:, 3] > 0)
     shown &= model.geom_type <= _SDF
     floor = our_floor(model)
@@ -81,7 +81,6 @@ def our_floor(model: mujoco.MjModel) -> int | None:
 
 
 def _has_own_lights(model: mujoco.MjModel) -> bool:
-    """Whether it has other lights than those that a scene without any is given."""
     return [model.light(i).name for i in range(model.nlight)] != [_OUR_LIGHT]
 
 
@@ -155,8 +154,8 @@ class Look:
 
     Args:
         model: compiled.
-        parts: where arrays go.
-        body_index: from the id of a body to its number on the page.
+        parts: stores the arrays.
+        body_index: returns the number on the page of a body's id.
     """
 
     def __init__(
@@ -169,7 +168,7 @@ class Look:
         self._known: dict[Any, int] = {}
 
     def head(self) -> dict[str, Any]:
-        """Returns what the head has of it; what is in no scene of ours only where there is any."""
+        """Returns the entries of the head, those that are rare only if they are not empty."""
         model = self._model
         found: dict[str, Any] = {
             "meshes": self._meshes,
@@ -187,18 +186,15 @@ class Look:
         return found | {key: each for key, each in extra.items() if each}
 
     def _is_endless(self) -> bool:
-        """Whether there is a plane without an end that is drawn."""
         model, shown = self._model, visible_geoms(self._model)
         planes = shown[model.geom_type[shown] == _PLANE]
         return bool((model.geom_size[planes, :2] <= 0).any())
 
     @cached_property
     def shown_flexes(self) -> Bools:
-        """Which flexes are drawn, (nflex,)."""
         return shown_flexes(self._model)
 
     def material(self, material: int) -> int:
-        """Returns the number of a material on the page; -1 for none."""
         if material < 0:
             return -1
         key = ("material", material)
@@ -219,7 +215,6 @@ class Look:
         return self._known[key]
 
     def _physical(self, material: int) -> dict[str, float]:
-        """Roughness and metallic of a material, if it has them."""
         numbers = {"roughness": self._model.mat_roughness, "metallic": self._model.mat_metallic}
         return {
             name: round(float(each[material]), 3)
@@ -228,7 +223,6 @@ class Look:
         }
 
     def _geom(self, i: int) -> dict[str, Any]:
-        """Shape, place, body, colour and material of a geom."""
         model = self._model
         found = self._shape("geom", i)
         kind, data = int(model.geom_type[i]), int(model.geom_dataid[i])
@@ -242,13 +236,7 @@ class Look:
         return found
 
     def copied(self, geom: int, body: int, rgba: Array) -> dict[str, Any]:
-        """Returns a geom of the model once more, in one colour.
-
-        Args:
-            geom: its id.
-            body: number of a body on the page, to which it is fixed as to its own one.
-            rgba: its colour, (4,).
-        """
+        """Returns a geom once more, in one color and fixed to a body of the page."""
         found = self._geom(geom)
         found.pop("material", None)
         return found | {"body": body, "rgba": np.round(rgba * 255).astype(int).tolist()}
@@ -269,7 +257,6 @@ class Look:
         return self._shape("site", i)
 
     def _shape(self, what: str, i: int) -> dict[str, Any]:
-        """What geoms and sites have in common."""
         model = self._model
 
         def of(name: str) -> Any:
@@ -288,7 +275,6 @@ class Look:
         return found | ({"material": material} if material >= 0 else {})
 
     def _mesh(self, name: Any, corners: Callable[[], Any]) -> int:
-        """The number of a mesh on the page, (points, normals, texture places, corners)."""
         known = self._known
         if name in known:
             return known[name]
@@ -321,7 +307,6 @@ class Look:
         return self._parts.put(differing(index))
 
     def _uv(self, uv: Array) -> dict[str, Any]:
-        """Places in a texture, (n, 2)."""
         low = uv.min(axis=0)
         step = max(float(np.ptp(uv, axis=0).max()) / _MESH_STEPS, 1e-9)
         places = np.round((uv - low) / step).astype(np.int64)
@@ -331,7 +316,6 @@ class Look:
         }  # fmt: skip
 
     def _texture(self, texture: int) -> int:
-        """The number of a texture on the page; -1 for none."""
         if texture < 0:
             return -1
         model = self._model
@@ -357,7 +341,7 @@ class Look:
         return self._known[key]
 
     def _skin(self, i: int) -> dict[str, Any]:
-        """Vertices as the bones are at first, and how much each bone moves them."""
+        """Returns vertices in the initial pose of the bones, and the weight of each bone."""
         model, parts = self._model, self._parts
         begin, count = int(model.skin_vertadr[i]), int(model.skin_vertnum[i])
         faces = slice(model.skin_faceadr[i], model.skin_faceadr[i] + model.skin_facenum[i])
@@ -391,7 +375,6 @@ class Look:
         return found
 
     def _soft(self, rgba: Array, material: int) -> dict[str, Any]:
-        """Colour and material of a skin or a flex."""
         ids = np.array([material])
         (colour,) = _colours(self._model, np.asarray(rgba)[None], ids)
         found: dict[str, Any] = {"rgba": np.round(colour * 255).astype(int).tolist()}
@@ -399,7 +382,6 @@ class Look:
         return found | ({"material": number} if number >= 0 else {})
 
     def _flex(self, i: int) -> dict[str, Any]:
-        """Triangles or lines between vertices, which `Soft` has for every frame."""
         model = self._model
         dim, shown = int(model.flex_dim[i]), self.shown_flexes
         before = int(model.flex_vertnum[:i][shown[:i]].sum())
@@ -424,7 +406,6 @@ class Look:
         return found
 
     def _lights(self) -> dict[str, Any]:
-        """The headlight and all others that are on; directions and places in their bodies."""
         model = self._model
         head, on = model.vis.headlight, model.light_active.astype(bool)
         is_fixed = model.light_mode == int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
@@ -459,7 +440,7 @@ class Look:
 
 
 def shown_flexes(model: mujoco.MjModel) -> Bools:
-    """Returns which flexes MuJoCo draws unless told otherwise, (nflex,)."""
+    """Returns which flexes MuJoCo draws by default, (nflex,)."""
     if not model.nflex:
         return np.zeros(0, bool)
     return np.asarray(model.flex_group < _GROUPS)
@@ -470,7 +451,7 @@ def _differences(places: Array) -> Array:
 
 
 def _octahedral(normals: Array) -> np.ndarray:
-    """Unit vectors (n, 3) on the square to which an octahedron unfolds, (2, n)."""
+    """Returns unit vectors (n, 3) on the square to which an octahedron unfolds, (2, n)."""
     normals = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-12)
     over = (1 - np.abs(normals[:, 1::-1])) * np.where(normals[:, :2] >= 0, 1, -1)
     square = np.where(normals[:, 2:] < 0, over, normals[:, :2])
@@ -478,7 +459,7 @@ def _octahedral(normals: Array) -> np.ndarray:
 
 
 def _halved(picture: np.ndarray) -> np.ndarray:
-    """Pictures (k, h, w, c) at half their size, or at half their longer side."""
+    """Halves pictures (k, h, w, c), or their longer side, until they are small enough."""
     for axis in (1, 2):
         size = picture.shape[axis] // 2 * 2
         if size > _MOST_PIXELS:
@@ -490,10 +471,9 @@ def _halved(picture: np.ndarray) -> np.ndarray:
 
 
 def _filtered(rows: np.ndarray) -> tuple[int, np.ndarray]:
-    """A picture (h, w, c), or differences of neighbours, whichever deflate packs best.
+    """Returns a picture (h, w, c) or differences of neighbors, whichever deflate packs best.
 
-    Returns:
-        axis of the differences, -1 for none, and numbers (h, w, c).
+    The first value is the axis of the differences, -1 for none.
     """
     tries = {-1: rows}
     for axis in (0, 1):

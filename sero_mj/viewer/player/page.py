@@ -52,10 +52,10 @@ def export_html(
 
     Args:
         scene: what to show, see `load_scene`.
-        path: the file; .html.
-        title: of the page; the scene's name when empty.
-        marks: on the time line.
-        meanings: of labels on cards, by label: the file that `A` is, say.
+        path: path of the .html file.
+        title: title of the page; the scene's name if empty.
+        marks: on the timeline.
+        meanings: meaning of labels on cards, such as the file that `A` is.
         **keywords: of `capture`: `seconds` and `begin` (s), `fps`, `camera`, `follow`,
             `wait` (s), `on_progress`.
 
@@ -72,15 +72,10 @@ def export_html(
 
 
 def write_page(captured: Capture, path: Path, title: str = "") -> None:
-    """Writes a run that was collected as a page.
-
-    Args:
-        captured: the run.
-        path: the file.
-        title: of the page; the scene's name when empty.
+    """Writes a run as a page; its title is the scene's name if empty.
 
     Raises:
-        UsageError: it cannot be written.
+        UsageError: the file cannot be written.
     """
     title = title or captured.world.scene.name
     look = look_asked_for(captured.world.scene)
@@ -108,12 +103,9 @@ def player_files() -> dict[str, bytes]:
 
 
 def cell_page(cell: str, title: str, look: str) -> str:
-    """Returns a page for a cell of a notebook: live, or the run that its notebook has kept.
+    """Returns a page for a cell of a notebook: live, or the run that its notebook has stored.
 
-    Args:
-        cell: id, which the page sends to its kernel, see `web/notebook.py`.
-        title: of the page.
-        look: see `look_asked_for`.
+    The page sends the id of the cell to its kernel, see `web/notebook.py`.
     """
     return _page_alone(_PLAYER, KIND=f' data-cell="{html.escape(cell)}"', TITLE=title, LOOK=look)
 

@@ -10,8 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..decor.feature import Frame
-from ..player.capture import CapturedFrame, FrameCapturer
+from ..player.capture import FrameCapturer
 from ..player.encode import encode
+from ..player.frame import CapturedFrame
 from ..player.page import packed
 from ..session.tool import Shown, Tool
 

@@ -1,4 +1,4 @@
-"""`Browsers`: all browsers that show a page. One of them has control, the others only see it."""
+"""`Browsers`: all browsers that show a page, of which one has control."""
 
 from __future__ import annotations
 
@@ -52,17 +52,14 @@ class Browsers:
 
     @property
     def are_there(self) -> bool:
-        """Whether any browser is connected."""
         return bool(self._browsers)
 
     @property
     def holder(self) -> int | None:
-        """Id of the browser in control; None without browsers."""
         return self._holder
 
     @property
     def holder_is_local(self) -> bool | None:
-        """Whether the browser in control is on this machine; None without browsers."""
         browser = self._browsers.get(self._holder or 0)
         return None if browser is None else browser.sender.is_local
 
@@ -72,7 +69,6 @@ class Browsers:
         return browser is not None and same_text(key, browser.key)
 
     def take(self) -> Iterator[Said]:
-        """Yields the messages of the browser in control since the last call, oldest first."""
         while self._said:
             yield self._said.popleft()
 
@@ -84,14 +80,12 @@ class Browsers:
             browser.events.append(json.dumps(event))
 
     def wake(self) -> None:
-        """Sends what has changed; on the server's thread."""
         for browser in [*self._browsers.values()]:
             browser.wake.set()
 
     # ---- on the server's thread
 
     async def talk(self, connection: ServerConnection) -> None:
-        """Sends a browser the state of the page, and reads its messages, until it goes."""
         if len(self._browsers) >= _MOST_BROWSERS:
             reason = f"{_MOST_BROWSERS} browsers show this page already"
             await connection.close(_TRY_LATER, reason)
@@ -112,7 +106,6 @@ class Browsers:
             self._leave(browser)
 
     async def _wait_for_room(self, browser: _Browser) -> None:
-        """Lets a browser wait that sends too much; its messages stay in its connection."""
         while (
             len(self._said) >= _MOST_SAID
             and browser.id == self._holder
@@ -127,7 +120,6 @@ class Browsers:
             await asyncio.sleep(browser.second + 1.0 - now)
 
     async def _send_all(self, browser: _Browser) -> None:
-        """Sends what changes, as fast as a browser answers."""
         send, seen = browser.connection.send, 0
         you = {"id": browser.id, "isLocal": browser.sender.is_local, "key": browser.key}
         try:
@@ -192,12 +184,6 @@ class Browsers:
 
 
 class _Browser:
-    """A connection, and what is on its way to it.
-
-    Attributes:
-        key: shows that an upload comes from the same page as this connection.
-    """
-
     def __init__(self, id_: int, connection: ServerConnection) -> None:
         self.id, self.connection = id_, connection
         self.sender = Sender(id_, is_local(connection))

@@ -36,18 +36,13 @@ class WebHost(LiveHost):
     Any number of browsers can connect; one at a time has control by mouse, keys and panels.
 
     Args:
-        mirror: must be open; is driven by the page's clock.
+        mirror: an open mirror, driven by the page's clock.
         camera: see `find_camera`.
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
         token: see `PageServer`.
         waits: whether recordings and simulations start when the first browser connects.
         folder: see `LiveHost`.
-
-    Attributes:
-        server: of the page.
-        browsers: that look at it.
-        view: the camera of the browser in control.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -102,27 +97,22 @@ class WebHost(LiveHost):
 
     @property
     def url(self) -> str:
-        """Address of the page for browsers on this machine, with its token if it has one."""
         return self.server.url
 
     @property
     def urls(self) -> list[str]:
-        """All addresses of the page, including that for other machines if they can reach it."""
         return self.server.urls
 
     @property
     def is_open(self) -> bool:
-        """Whether it serves, and was not asked to end."""
         return self.server.is_running and not (self._is_closing or self._is_closed)
 
     @property
     def is_seen(self) -> bool:
-        """Whether a browser is connected."""
         return self.browsers.are_there
 
     @property
     def is_due(self) -> bool:
-        """Whether it is time for the next frame."""
         return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
 
     def frame(self, *, wait: bool = True) -> bool:
@@ -166,10 +156,7 @@ class WebHost(LiveHost):
 
     @property
     def link(self) -> str:
-        """Address that opens the page with this view: camera, switches, selection, time.
-
-        It has no token: it is for browsers that have opened the page before.
-        """
+        """Address of the page with this view, without the token, which browsers store."""
         view = urllib.parse.quote(self.view_state().to_text(), safe="")
         return f"{self.server.plain_url}#view={view}"
 
@@ -178,18 +165,15 @@ class WebHost(LiveHost):
         return "copied: a link that opens this view"
 
     def to_clipboard(self, text: str) -> None:
-        """See `LiveHost`: that of the browser in control."""
         self.browsers.tell({"copy": text})
 
     # ---- pictures
 
     @property
     def picture_size(self) -> tuple[int, int]:
-        """See `LiveHost`: whatever the size of the page."""
         return DEFAULT_SIZE
 
     def picture(self) -> Pixels:
-        """Returns the current view, (height, width, 3), uint8, rendered by the classic renderer."""
         from ..image.render import HeadlessRenderer
 
         if self._renderer is None:
@@ -199,7 +183,6 @@ class WebHost(LiveHost):
         return renderer.render(self.data).copy()
 
     def _may_upload(self, key: str) -> str | None:
-        """See `uploads.MayUpload`."""
         if self.others.opener is None:
             return "files are opened by `sero-mj view` alone"
         return None if self.browsers.is_in_control(key) else NOT_IN_CONTROL
@@ -210,11 +193,9 @@ class WebHost(LiveHost):
             self._renderer = None
 
     def request_close(self) -> None:
-        """Lets the next frame be the last."""
         self._is_closing = True
 
     def close(self) -> None:
-        """Closes the page and informs the browsers."""
         if self._is_closed:
             return
         self._is_closed = True

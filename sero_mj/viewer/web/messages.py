@@ -198,18 +198,14 @@ class Sender(NamedTuple):
 
 
 class Said(NamedTuple):
-    """A message, and the browser that has sent it."""
+    """A message with its sender."""
 
     message: Message | Left
     sender: Sender
 
 
 class Reader:
-    """Reads messages of the kinds of a page.
-
-    Args:
-        kinds: `ForScene` or `ForStartPage`.
-    """
+    """Reads the messages of `ForScene` or `ForStartPage`."""
 
     def __init__(self, kinds: Any) -> None:
         self.kinds: tuple[type[Message], ...] = get_args(kinds)
@@ -217,7 +213,6 @@ class Reader:
         self._adapter: TypeAdapter[Message] = TypeAdapter(found)
 
     def read(self, message: str | bytes) -> Message | None:
-        """Returns a message; None if it is not one of these kinds, or not within their bounds."""
         # The parser limits nesting; texts that are too long are not parsed.
         if not isinstance(message, str) or len(message) > MAX_BYTES:
             return None

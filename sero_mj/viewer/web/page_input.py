@@ -38,18 +38,12 @@ log = logging.getLogger(__name__)
 
 
 class PageInput:
-    """Acts on messages of the browser in control; those that do not fit are counted and ignored.
-
-    Args:
-        host: of the page.
-        view: of the page.
-        panels: of the page.
+    """Acts on messages of the browser in control, and counts those about what does not exist.
 
     Attributes:
-        wrong: number of messages about something that is not there.
-        sender: the browser whose message is handled.
+        wrong: number of these.
+        sender: browser whose message is handled.
         is_dragging: whether a tool has the drag, and the camera stays.
-        is_on_handle: whether the pointer is over a handle.
     """
 
     def __init__(self, host: LiveHost, view: PageView, panels: PagePanels) -> None:
@@ -75,7 +69,6 @@ class PageInput:
         }
 
     def take(self, said: Iterable[Said]) -> None:
-        """Acts on messages, the oldest first."""
         for message, sender in said:
             self.sender = sender
             try:
@@ -102,7 +95,7 @@ class PageInput:
         self._look_again()
 
     def _look_again(self) -> None:
-        """Lets pixels be those of the camera as it is now, before one is pressed."""
+        """Uses the current camera for the next click."""
         self._host.decor.view = self._page_view.picture(self._host.data)
 
     def _pointer(self, said: Pointer) -> None:
@@ -120,7 +113,8 @@ class PageInput:
         elif isinstance(found, Moved):
             places = (found.pulls_from, found.pressed)
             self.is_dragging |= pointer.dragging.take(found, at, *places)
-        if not self._mouse.is_down:
+        is_click = isinstance(found, Clicked) and not self.is_dragging
+        if not (self._mouse.is_down or is_click):
             self.is_dragging = False
             pointer.dragging.release()
 
@@ -180,7 +174,7 @@ class PageInput:
             self._host.say(str(error), is_bad=True)
 
     def _leave(self, said: Left | None = None) -> None:
-        """The browser that had control has gone, and a button is no longer down."""
+        """Releases a button that the browser in control can no longer release."""
         del said
         self._mouse, self._host.pointer.at, self.is_dragging = Mouse(), None, False
         self._host.pointer.dragging.release()

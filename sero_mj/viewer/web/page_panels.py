@@ -26,12 +26,7 @@ _TALL = 400.0  # a panel's height, which is scrolled
 
 
 class PagePanels:
-    """Builds the panels of a page some times a second, and puts them into its state.
-
-    Args:
-        host: of the page.
-        sections: of the page.
-    """
+    """Builds the panels of a page some times a second, and puts them into its sections."""
 
     def __init__(self, host: LiveHost, sections: Sections) -> None:
         self._host, self._sections = host, sections
@@ -41,19 +36,17 @@ class PagePanels:
         self._is_narrow, self._width = False, 1280
 
     def act(self, tree: str, id_: str, value: Any) -> None:
-        """Notes what the user did with a widget of a tree."""
         if tree in self._trees:
             self._trees[tree].act(id_, value)
             self._is_asked = True
 
     def fold(self, tree: str, id_: str, *, is_open: bool) -> None:
-        """Folds or unfolds a section of a tree."""
         if tree in self._trees:
             self._trees[tree].fold(id_, is_open=is_open)
             self._is_asked = True
 
     def fit(self, width: int) -> None:
-        """Hides the panel where a page becomes narrow, shows it where it becomes wide, pixels."""
+        """Hides the panel if the page becomes narrow, and shows it if the page becomes wide."""
         if self._is_narrow != (width < _NARROW):
             self._is_narrow = width < _NARROW
             self._host.shows_panel = not self._is_narrow
@@ -62,13 +55,13 @@ class PagePanels:
     def put(
         self, frame_rate: float, geoms: int, size: tuple[int, int], *, is_local: bool | None = None
     ) -> None:
-        """Puts the panels; less often than pictures, but at once where the user has acted.
+        """Puts the panels, less often than pictures, but at once if the user has acted.
 
         Args:
             frame_rate: frames per second.
             geoms: number of geoms of decor.
             size: of the picture, pixels.
-            is_local: whether the browser in control is on this machine; None without one.
+            is_local: whether the browser in control is on this machine; None if there is none.
         """
         host, put, now = self._host, self._sections.put, time.monotonic()
         ongoing = host.tools.ongoing

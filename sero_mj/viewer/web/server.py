@@ -55,9 +55,8 @@ class Answer(NamedTuple):
     """The body of an answer.
 
     Attributes:
-        body: of it.
-        ending: `.html`, ..., which says its type.
-        is_kept: whether browsers may keep it, and ask whether it has changed.
+        ending: file name ending, which gives the type, such as `.html`.
+        is_kept: whether browsers may store it, and ask whether it has changed.
     """
 
     body: bytes
@@ -70,22 +69,15 @@ class PageServer:
 
     Args:
         page: HTML, without secrets.
-        files: of the page, by their name, without secrets.
-        talk: is given every connection to the websocket at `socket_path`.
-        socket_path: of the websocket.
+        files: files of the page by name, without secrets.
+        talk: called with every connection to the websocket at `socket_path`.
+        socket_path: path of the websocket.
         may_upload: see `take_files`.
-        on_file: is given what was dropped on the page.
-        find: answers other paths, given path and query; None for one that is not there.
+        on_file: called with each file that was dropped on the page.
+        find: answers other paths, from path and query; None for one that does not exist.
         host: address to listen on.
         port: 0 for the first free one from 8080 on; or a listener, which outlives the page.
-        token: whether the page needs a secret token, which its address contains; a text is that
-            token.
-
-    Attributes:
-        port: that it listens on.
-        address: IP address that it listens on.
-        token: in the page's address; None without.
-        guard: checks requests.
+        token: secret token that the page needs, or whether it gets one.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -146,7 +138,6 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Address of the page for browsers on this machine, with its token if it has one."""
         return page_url(self._host, self.port, self.token)
 
     @property
@@ -157,17 +148,15 @@ class PageServer:
 
     @property
     def is_running(self) -> bool:
-        """Whether it serves."""
         return self._thread.is_alive()
 
     def call(self, act: Callable[[], object]) -> None:
-        """Lets the server's thread do something soon."""
+        """Runs a function on the server's thread soon."""
         if self.loop is not None:
             with contextlib.suppress(RuntimeError):  # it has just ended
                 self.loop.call_soon_threadsafe(act)
 
     def close(self) -> None:
-        """Ends the server and all connections."""
         if self._stop is not None and self._thread.is_alive():
             self.call(self._stop.set)
         self._thread.join()
@@ -258,13 +247,6 @@ class Listener:
     Between two pages no other process can get the port, and with it the token that browsers send
     there. Connections wait until the next page is served.
 
-    Args:
-        host: address.
-        port: 0 for the first free one from 8080 on.
-
-    Attributes:
-        sockets: the sockets; a page serves duplicates of them.
-
     Raises:
         RenderError: there is no such address or port, or it is in use.
     """
@@ -276,20 +258,15 @@ class Listener:
         self.sockets = listen(host, port)
 
     def close(self) -> None:
-        """Stops listening, except where a page is still served."""
         for each in self.sockets:
             each.close()
 
 
 def listen(host: str, port: int) -> list[socket.socket]:
-    """Returns sockets that listen at an address and, for `localhost`, at its other IP version.
-
-    Args:
-        host: address.
-        port: 0 for the first free one from 8080 on.
+    """Returns sockets at an address and, for `localhost`, at its other IP version.
 
     Raises:
-        RenderError: there is none.
+        RenderError: there are none.
     """
     family, *_, address = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM,
                                              flags=socket.AI_PASSIVE)[0]  # fmt: skip
@@ -312,7 +289,6 @@ def listen(host: str, port: int) -> list[socket.socket]:
 
 
 def _listening(family: int, address: tuple[Any, ...]) -> socket.socket:
-    """Returns a socket that listens; raises OSError."""
     found = socket.socket(family, socket.SOCK_STREAM)
     try:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -326,7 +302,6 @@ def _listening(family: int, address: tuple[Any, ...]) -> socket.socket:
 
 
 def _twin(address: str, port: int) -> list[socket.socket]:
-    """Returns a socket at the other address of `localhost`; raises OSError if it is in use."""
     twin = _TWINS.get(address)
     if twin is None:
         return []
@@ -353,24 +328,13 @@ def check_address(host: str) -> str:
 
 
 def socket_url(url: str, path: str) -> str:
-    """Returns the address of a websocket of a page, with the token of the page.
-
-    Args:
-        url: of the page.
-        path: of the websocket, for example `/live`.
-    """
+    """Returns the address of a websocket of a page at `url`, with the token of the page."""
     parts = urlsplit(url)
     return urlunsplit(("ws", parts.netloc, path, parts.query, ""))
 
 
 def page_url(address: str, port: int, token: str | None = None) -> str:
-    """Returns the address of a page for browsers on this machine.
-
-    Args:
-        address: IP address that the server listens on.
-        port: of the server.
-        token: of the page; None for none.
-    """
+    """Returns the address of a page for browsers on this machine."""
     if address in (*ANY_ADDRESS, LOOPBACK, "::1"):
         address = "localhost"
     query = "" if token is None else f"?token={token}"

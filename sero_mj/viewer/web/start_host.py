@@ -36,21 +36,16 @@ _LOOKS = 0.05  # s between two looks at messages of browsers
 
 
 class StartHost:
-    """Shows on a web page what can be opened, until something is.
+    """Serves a page with all that can be opened, until something is opened.
 
     Any number of browsers can connect; one at a time has control, and can open something.
 
     Args:
-        opener: returns what shows what was chosen.
-        listening: hears the data that is awaited.
+        opener: opens what was chosen.
+        listening: receives the data that sources wait for.
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
         token: see `PageServer`.
-
-    Attributes:
-        server: of the page.
-        browsers: that look at it.
-        sender: the browser whose message is handled.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -93,7 +88,7 @@ class StartHost:
         )
 
     def run(self) -> Mirror | None:
-        """Returns what shows the scene that was chosen; None when the server has ended."""
+        """Returns what shows the chosen scene, or None when the server has ended."""
         while self.server.is_running:
             for message, sender in self.browsers.take():
                 self.sender = sender
@@ -112,7 +107,6 @@ class StartHost:
             raise
 
     def _may_upload(self, key: str) -> str | None:
-        """See `uploads.MayUpload`."""
         return None if self.browsers.is_in_control(key) else NOT_IN_CONTROL
 
     def _find(self, path: str, query: str) -> Answer | None:
@@ -129,7 +123,6 @@ class StartHost:
         return None
 
     def _described(self, words: str) -> dict[str, Any]:
-        """Returns the texts of the page, and its tiles that have these words in them."""
         numbers = {id(tile): number for number, tile in enumerate(self._page.tiles)}
         return {
             "title": TITLE,
@@ -165,7 +158,6 @@ class StartHost:
             self._page.choose(shown[message.scene])
 
     def _report(self) -> None:
-        """Puts what is awaited, and what is said about the files that were chosen."""
         now = time.monotonic()
         told = self._page.notice
         if told != self._told:
@@ -181,7 +173,6 @@ class StartHost:
         self.server.call(self.browsers.wake)
 
     def close(self) -> None:
-        """Ends the server."""
         self.server.close()
 
     def __enter__(self) -> Self:
