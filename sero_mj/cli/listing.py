@@ -19,6 +19,7 @@ from ..base.plugins import (
     LISTED,
     RENDERERS,
     ROBOTS,
+    SNIPPETS,
     SOURCES,
     TARGET_MOTIONS,
     TOOLS,
@@ -116,6 +117,7 @@ _KINDS = {
     RENDERERS: "renderers besides the classic one",
     ENGINES: "engines of many tasks besides the local one",
     COMMANDS: "commands",
+    SNIPPETS: "example code of extensions",
 }
 
 

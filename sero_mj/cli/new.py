@@ -8,7 +8,7 @@ import shutil
 import tomllib
 from importlib import resources
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, NamedTuple, Self
 
 from pydantic import AfterValidator, model_validator
 
@@ -16,6 +16,7 @@ from ..base import paths
 from ..base.declaration import is_name
 from ..base.errors import UnknownName, UsageError
 from ..base.options import Option, Options, Port, positional, whole
+from ..base.plugins import SNIPPETS, load_all
 from .arguments import check_new, command, writing
 from .schema import schema_text
 
@@ -26,14 +27,14 @@ _HELP = """\
 examples:
   sero-mj new my_robot                     my_robot/robot.toml with 6 joints, and a scene
   sero-mj new my_lwr --like lwr            a copy of a shipped robot
-  sero-mj new --snippet franka-cpp         code for a libfranka loop that sends to sero-mj
+  sero-mj new --snippet c                  code for a control loop that sends to sero-mj
 
 Robot and scene begin with a line that lets editors complete and check their keys. Existing files
 are not replaced.
 
---snippet prints example code that sends data from your control loop to a scene: franka-cpp,
-franka-python, ur, ros2, lcm, simulink, c, rust. Or it prints a controller for a simulated robot, as
-a library (controller-c, controller-cpp, controller-rust) or as a program (controller-udp-c,
+--snippet prints example code that sends data from your control loop to a scene: c, rust, simulink,
+lcm, or one of an extension (sero-mj list). Or it prints a controller for a simulated robot, as a
+library (controller-c, controller-cpp, controller-rust) or as a program (controller-udp-c,
 controller-udp-python). --scene prints the scene or scenario for it instead. Each packet has a
 count, a time (s), and angles (rad), measured and commanded torques (Nm) of all joints as
 little-endian float64. NaN means no data.
@@ -289,19 +290,37 @@ _CONTROLLERS = {
     "controller-udp-python": 'kind = "udp"\ncommand = ["python3", "controller.py", "{port}"]',
 }
 _HEADER = '#include "sero_mj_controller.h"\n'
-_MORE = {  # what is added to commanded torques; those of Franka are without gravity
-    name: " + {robot}.gravity_torques" for name in ("franka-cpp", "franka-python")
-}
-_ROBOTS = {"franka-cpp": "fr3", "franka-python": "fr3", "lcm": "iiwa14", "ur": "ur5e"}
 _HOST, _PORT = re.compile(r"127\.0\.0\.1"), re.compile(r"\b32000\b")
 _JOINTS = re.compile(r"(JOINTS\b[^\d\n]{1,9})\d+")
 
 
-def snippets() -> Mapping[str, str]:
-    """Returns the texts of all snippets by name."""
-    folder = resources.files(__package__) / "snippets"
-    files = sorted(folder.iterdir(), key=lambda file: file.name)
-    return {PurePath(each.name).stem: each.read_text("utf-8") for each in files if each.is_file()}
+class Snippet(NamedTuple):
+    """Example code in a file of a package's folder `snippets`.
+
+    A package adds one by an entry point in the group `sero_mj.snippets`, which has its name.
+
+    Attributes:
+        robot: model that the scene of the snippet shows.
+        commanded: expression that is added to the commanded torques in this scene.
+    """
+
+    package: str
+    file: str
+    robot: str = "lwr"
+    commanded: str = ""
+
+    @property
+    def text(self) -> str:
+        """The code."""
+        return (resources.files(self.package) / "snippets" / self.file).read_text("utf-8")
+
+
+def snippets() -> Mapping[str, Snippet]:
+    """Returns all snippets by name."""
+    files = sorted(each.name for each in (resources.files(__package__) / "snippets").iterdir())
+    own = {PurePath(name).stem: Snippet(__package__, name) for name in files if "." in name}
+    own["lcm"] = own["lcm"]._replace(robot="iiwa14")
+    return {**own, **load_all(SNIPPETS)}
 
 
 def snippet_text(name: str, robot: str | None, host: str, port: int, *, is_scene: bool) -> str:
@@ -319,18 +338,20 @@ def snippet_text(name: str, robot: str | None, host: str, port: int, *, is_scene
     known = snippets()
     if name not in known:
         raise UnknownName("snippet", name, known)
-    model = robot or _ROBOTS.get(name, "lwr")
+    snippet = known[name]
+    model = robot or snippet.robot
     loaded = load_robot(model)
     n = loaded.coupled.k  # the other joints follow
     names = {"name": name, "robot": loaded.name, "model": model}
     if is_scene and name in _CONTROLLERS:
         return _SCENARIO.format(controller=_CONTROLLERS[name], **names)
     if is_scene:
-        more = _MORE.get(name, "").format(robot=loaded.name)
+        more = snippet.commanded.format(robot=loaded.name)
         return _SNIPPET_SCENE.format(n=n, more=more, host=host, port=port, **names)
-    if _HEADER in known[name]:
+    code = snippet.text
+    if _HEADER in code:
         from ..simulate.external_control.library import HEADER
 
-        return known[name].replace(_HEADER, HEADER.read_text(encoding="utf-8"))
-    text = _JOINTS.sub(rf"\g<1>{n}", known[name])
+        return code.replace(_HEADER, HEADER.read_text(encoding="utf-8"))
+    text = _JOINTS.sub(rf"\g<1>{n}", code)
     return _PORT.sub(str(port), _HOST.sub(host, text))
