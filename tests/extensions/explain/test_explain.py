@@ -242,8 +242,9 @@ def test_a_sensor_that_stood_still_where_nothing_is_compared_is_not_told() -> No
     """As that of a robot that rests before another run begins."""
     found = torque_residuals(swing(), "lwr")
     before = float(found.times[0]) - 1.0
-    held = [(before, before + 0.9, 1.5)] * found.robot.n
-    assert explain(replace(found, held=held)) == explain(found)
+    held = ((before, before + 0.9, 1.5),) * found.robot.n
+    noise = replace(found.noise, held=held)
+    assert explain(replace(found, noise=noise)) == explain(found)
 
 
 @pytest.mark.thorough
