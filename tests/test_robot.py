@@ -10,10 +10,10 @@ import pytest
 from conftest import raises_with
 
 from sero_mj.base.errors import DeclarationError, Problem, shown
-from sero_mj.robots.declared.dh import COLUMNS
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.surroundings import Object
 from sero_mj.robots.importers.mesh_files import mesh_endings
+from sero_mj.robots.kinematics.dh import COLUMNS
 
 TWO_JOINTS = [[0, 0, 0, 0.3], [0, 0.4, 0, 0]]
 

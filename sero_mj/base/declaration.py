@@ -305,9 +305,7 @@ def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:
     """Builds the declaration of a table's `kind`; returns an instance of `base` unchanged.
 
     Args:
-        table: as in a file.
         kinds: name to class; each has a field `kind`.
-        base: of all of these classes.
 
     Raises:
         DeclarationError: there is no such kind, or fields are invalid.

@@ -46,7 +46,6 @@ def with_value(
         built: the object built from the table; missing lists are taken from its arrays.
         below: another table that this one overrides; missing lists and frames are taken from it.
         n: number of elements that a single number in the table stands for; 0 for a scalar.
-        lists: lengths of lists that may be missing, by their names.
 
     Raises:
         ValueError: a part does not exist.
@@ -94,8 +93,6 @@ def lacking(
     """Describes what a table that is not in a file lacks; None if only its values are wrong.
 
     Args:
-        section: of the table.
-        name: of the table.
         problems: why it could not be built, by its keys.
         keys: dotted keys that created it.
         others: names of the tables in the file.
@@ -115,7 +112,6 @@ def no_table(section: str, name: str, others: Iterable[str]) -> str:
 
 
 def _with_element(values: Any, indices: list[str | int], value: Any, name: str) -> Any:
-    """Returns lists with one element replaced."""
     if not indices:
         return value
     index, *rest = indices

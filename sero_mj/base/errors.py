@@ -107,7 +107,6 @@ def shown(value: object, depth: int = 3) -> str:
     Arrays are lists; None is `nothing`; of any other object the class is named.
 
     Args:
-        value: any object.
         depth: of nested tables and lists that are shown.
     """
     value = value.tolist() if hasattr(value, "tolist") else value
@@ -210,7 +209,6 @@ class Problem:
 
     @property
     def near(self) -> str | None:
-        """The available name that is nearest to the wrong one, if there is any."""
         return nearest(self._name, self.available or ())
 
     @property
@@ -234,7 +232,6 @@ class Problem:
         return str(self), shown(self.found), str(self.expected)  # `found` may be an array
 
     def inside(self, prefix: str) -> Problem:
-        """Returns this problem with `prefix` put before its key."""
         key = f"{prefix}.{self.key}" if self.key and prefix else prefix or self.key
         return replace(self, key=key)
 
@@ -266,6 +263,12 @@ def mismatch(
     return DeclarationError([Problem(key, reason, found=found, of=of, expected=expected)])
 
 
+def raise_any(problems: Sequence[Problem]) -> None:
+    """Raises DeclarationError if there are any problems."""
+    if problems:
+        raise DeclarationError(problems)
+
+
 def problems_of(error: Exception, key: str = "") -> list[Problem]:
     """The problems of an error, inside `key`; one with its text if it has no values."""
     if isinstance(error, DeclarationError):
@@ -289,9 +292,6 @@ class UnknownName(SeroError, KeyError):
 
     Attributes:
         kind: of the name, e.g. `camera`.
-        name: the unknown name.
-        available: existing names.
-        near: the nearest of these, or None.
         hint: what is said instead of these, if anything.
     """
 
@@ -308,13 +308,7 @@ class UnknownName(SeroError, KeyError):
 
 
 class StructureError(SeroError, ValueError):
-    """A packet structure string that cannot be parsed.
-
-    Attributes:
-        structure: the whole string.
-        position: index of the first wrong character.
-        reason: what was expected there.
-    """
+    """A packet structure string that cannot be parsed."""
 
     def __init__(self, structure: str, position: int, reason: str) -> None:
         self.structure = structure
@@ -324,13 +318,7 @@ class StructureError(SeroError, ValueError):
 
 
 class RouteError(SeroError, ValueError):
-    """An expression in a route that cannot be parsed or has no meaning.
-
-    Attributes:
-        text: the whole expression.
-        position: index of the first wrong character.
-        reason: what was expected there.
-    """
+    """An expression in a route that cannot be parsed or has no meaning."""
 
     def __init__(self, text: str, position: int, reason: str, length: int = 1) -> None:
         self.text = text
@@ -340,7 +328,6 @@ class RouteError(SeroError, ValueError):
 
 
 def _pointing(text: str, position: int, length: int) -> str:
-    """Quotes the characters of a text at an error."""
     end = min(position + length, position + _MAX_SHOWN)
     found = f"'{text[position:end]}'" if position < len(text) else "the end"
     first, last = max(position - _MAX_SHOWN, 0), end + _MAX_SHOWN
@@ -350,24 +337,13 @@ def _pointing(text: str, position: int, length: int) -> str:
 
 
 class _ProblemError(SeroError):
-    """An error with one problem.
-
-    Attributes:
-        problem: what is wrong, and with what; of a text alone, it is the reason.
-    """
-
     def __init__(self, problem: Problem | str, place: str = "") -> None:
         self.problem = problem if isinstance(problem, Problem) else Problem("", problem)
         super().__init__(": ".join(part for part in (place, str(self.problem)) if part))
 
 
 class SourceError(_ProblemError, OSError):
-    """A source that cannot be opened.
-
-    Attributes:
-        source: its name.
-        reason: what stood in the way and what would help.
-    """
+    """A source that cannot be opened."""
 
     def __init__(self, source: str, reason: Problem | str) -> None:
         super().__init__(reason, f"source '{source}'")
@@ -376,12 +352,7 @@ class SourceError(_ProblemError, OSError):
 
 
 class RecordingError(_ProblemError, OSError):
-    """A recording that cannot be written on, or read.
-
-    Attributes:
-        path: the file.
-        reason: what stood in the way, what is kept, and what would help.
-    """
+    """A recording that cannot be written on, or read."""
 
     def __init__(self, path: object, reason: Problem | str) -> None:
         super().__init__(reason, str(path))
@@ -393,8 +364,6 @@ class CsvError(_ProblemError, ValueError):
     """A table of comma-separated values that cannot be read or written.
 
     Attributes:
-        path: the file.
-        reason: what was found and what would be right.
         line: its line, from 1, if one is at fault.
         column: the name of its column, if one is at fault.
     """
@@ -419,9 +388,7 @@ class SimulationError(_ProblemError, RuntimeError):
     """A simulation that cannot continue; data recorded so far is kept.
 
     Attributes:
-        time: of the error, s.
         joint: e.g. `lwr/A3`, or the name of another element at fault.
-        reason: what was found and what would be right.
     """
 
     def __init__(self, time: float, joint: str, reason: Problem | str) -> None:
@@ -432,12 +399,7 @@ class SimulationError(_ProblemError, RuntimeError):
 
 
 class NotTrusted(SeroError, PermissionError):
-    """A file asks to run something, and may not; see `base.trust`.
-
-    Attributes:
-        file: the file.
-        actions: what it asks for, each as text.
-    """
+    """A file asks to run something, and may not; see `base.trust`."""
 
     def __init__(self, file: Path, actions: list[str]) -> None:
         self.file, self.actions = file, actions
@@ -452,12 +414,7 @@ class RenderError(_ProblemError, RuntimeError):
 
 
 class ClusterError(_ProblemError, ConnectionError):
-    """A cluster that cannot be reached, or whose workers differ from this machine.
-
-    Attributes:
-        address: of its scheduler.
-        reason: what stood in the way and what would help.
-    """
+    """A cluster that cannot be reached, or whose workers differ from this machine."""
 
     def __init__(self, address: str, reason: Problem | str) -> None:
         super().__init__(reason, address)
@@ -469,7 +426,6 @@ def about_fault(error: Exception, kind: type) -> str:
     """Returns kind, text and place of an error that code of another package has raised.
 
     Args:
-        error: with its traceback.
         kind: the class whose file is looked for there; its innermost line is told.
     """
     file = getattr(sys.modules.get(kind.__module__), "__file__", None)
@@ -480,12 +436,7 @@ def about_fault(error: Exception, kind: type) -> str:
 
 
 class PluginError(SeroError):
-    """An entry point that cannot be loaded.
-
-    Attributes:
-        group: `sero_mj.sources`, say.
-        point: the entry point.
-    """
+    """An entry point that cannot be loaded."""
 
     def __init__(self, group: str, point: EntryPoint, cause: Exception) -> None:
         self.group, self.point = group, point

@@ -93,7 +93,6 @@ class Options(Declaration):
 
 
 def _metadata(kind: Any) -> Iterator[Any]:
-    """All that `Annotated` has put into a type."""
     yield from getattr(kind, "__metadata__", ())
     for each in get_args(kind):
         yield from _metadata(each)

@@ -98,8 +98,6 @@ def load_plugin(group: str, name: str, base: type | None = None) -> Any:
     """Imports what an entry point names.
 
     Args:
-        group: of entry points.
-        name: of the entry point.
         base: of the class that it has to name.
 
     Raises:
@@ -132,7 +130,6 @@ def load_all(group: str, base: type | None = None) -> Mapping[str, Any]:
     """All of a group by name; logs once which cannot be loaded, and leaves them out.
 
     Args:
-        group: of entry points.
         base: of the classes that they have to name.
     """
     found: dict[str, Any] = {}

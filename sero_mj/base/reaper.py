@@ -61,7 +61,6 @@ def _end_groups(groups: set[int]) -> None:
 
 
 def _is_signaled(group: int, number: int) -> bool:
-    """Sends a signal to a process group; returns whether there is one."""
     try:
         os.killpg(group, number)
     except (ProcessLookupError, PermissionError):

@@ -96,7 +96,6 @@ def _parse(text: str) -> dict[str, Any]:
 
 
 def _hint(text: str, message: str) -> str:
-    """Returns what to write instead of a value that is spelled as in Python; empty for others."""
     place = re.search(r"at line (\d+), column (\d+)", message)
     if place is None:
         return ""
@@ -151,7 +150,6 @@ def _as_text(contents: bytes) -> str:
 
 
 def _other_format(contents: bytes) -> str | None:
-    """The format of a file mistaken for a scene or a robot, and what to do with it."""
     if contents.startswith(_MCAP):
         return "is a recording; expected a TOML file. view, render and export show recordings"
     if (found := format_of(contents)) is None:
@@ -206,7 +204,6 @@ def _lines_of(text: str) -> dict[str, int]:
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yields the line number and the text of every header and every `key = value`."""
     depth = begin = 0
     line = first = 1  # of the text, and of the statement
     for token in chain(_TOKENS.finditer(text), [None]):
@@ -251,7 +248,6 @@ def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str,
 
 
 def _array_in(parsed: dict[str, Any]) -> str:
-    """The dotted key of the array declared by a statement; empty for none."""
     keys: list[str] = []
     value: Any = parsed
     while isinstance(value, dict) and len(value) == 1:
@@ -261,7 +257,6 @@ def _array_in(parsed: dict[str, Any]) -> str:
 
 
 def _keys(value: Any, prefix: str = "") -> Iterator[str]:
-    """Yields the dotted key of every entry of tables in a parsed value, the outer ones first."""
     pairs = value.items() if isinstance(value, dict) else enumerate(value)
     for key, inner in pairs:
         name = f"{prefix}.{key}" if prefix else str(key)
@@ -278,7 +273,6 @@ def located(
 
     Args:
         problems: in the file; those that have a file already are in another one.
-        path: of the file.
         lines: by dotted key; `key_lines` of the file when None.
     """
     problems = list(problems)

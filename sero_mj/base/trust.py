@@ -59,12 +59,7 @@ class Action:
 
 @dataclass(frozen=True)
 class Origin:
-    """The file that a declaration was read from.
-
-    Attributes:
-        file: the file.
-        is_trusted: whether it may run what it asks for.
-    """
+    """The file that a declaration was read from."""
 
     file: Path
     is_trusted: bool = False
@@ -75,8 +70,6 @@ class Request:
     """Everything that a file asks for.
 
     Attributes:
-        file: the file that was opened.
-        actions: what it asks for, at least one.
         tables: the other files that say what is run, such as an extended scenario.
         digest: SHA-256 of the contents of all its files, and of what is run, as they were when the
             request was made: what a user allows is what was shown.
@@ -126,10 +119,6 @@ def is_allowed(request: Request) -> bool:
 def require(origin: Origin | None, actions: Collection[Action]) -> None:
     """Checks that a declaration may run what it asks for.
 
-    Args:
-        origin: of the declaration; None if it was made in Python.
-        actions: what it asks for.
-
     Raises:
         NotTrusted: its file is not trusted.
     """
@@ -139,11 +128,6 @@ def require(origin: Origin | None, actions: Collection[Action]) -> None:
 
 def import_listed(package: str, module: str, listed: Iterable[str]) -> Any:
     """Imports a module that a file may have named.
-
-    Args:
-        package: an installed package.
-        module: of it.
-        listed: the modules that the package itself lists.
 
     Raises:
         UnknownName: the package does not list it.

@@ -19,11 +19,7 @@ if TYPE_CHECKING:
 
 
 def when_imported(package: str) -> None:
-    """Calls what extensions name for a package: now, or when the package is imported.
-
-    Args:
-        package: a top-level package.
-    """
+    """Calls what extensions name for a package: now, or when the package is imported."""
     if package in sys.modules:
         _act(package)
     elif not any(isinstance(each, _Finder) and each.package == package for each in sys.meta_path):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...base.frames import Array, Ints
-from ...robots.declared.joint_tree import JointTree
+from ...robots.kinematics.joint_tree import JointTree
 
 
 class LedJoint(NamedTuple):

@@ -63,7 +63,6 @@ def _write(options: ExportOptions, *, to_x3d: bool) -> int:
 
 
 def _as_toml(name: str, output: Path) -> str:
-    """Returns the text of a TOML file; reading has logged what is left out of the X3D."""
     from ...robots.importers.toml_text import toml_text
     from .reader import read_x3d
 
@@ -80,7 +79,6 @@ def _as_toml(name: str, output: Path) -> str:
 
 
 def _relative(folder: Path, output: Path) -> str:
-    """Returns a folder as written in a file: relative to the file's, if possible."""
     try:
         return Path(os.path.relpath(folder.absolute(), output.absolute().parent)).as_posix()
     except ValueError:  # on another drive
@@ -88,7 +86,6 @@ def _relative(folder: Path, output: Path) -> str:
 
 
 def _as_x3d(name: str, output: Path, files: dict[Path, str]) -> tuple[str, list[str]]:
-    """Returns the text of an X3D file and what it leaves out; adds link files to `files`."""
     from .writer import x3d_text
 
     text, lost = x3d_text(scene_tables(read_scene(name), output, files))
@@ -101,7 +98,6 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
     """Returns the tables of a scene file with all fields of the robots, without `model`.
 
     Args:
-        scene: loaded.
         output: a file; folders are relative to its own.
         files: gets the texts of files of links, to be written.
     """
@@ -163,13 +159,11 @@ def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dic
 
 
 def _is_vrml(part: LinkGeometry) -> bool:
-    """Whether a part of a link is a VRML97 file without any other field."""
     is_file = part.file is not None and Path(part.file).suffix.lower() == ".wrl"
     return is_file and not _changed(part, "file")
 
 
 def _changed(declaration: Declaration, *but: str) -> dict[str, Any]:
-    """Returns the fields that differ from their defaults, as in a file."""
     changed = {}
     for key, field in type(declaration).model_fields.items():
         value = getattr(declaration, key)
@@ -180,7 +174,6 @@ def _changed(declaration: Declaration, *but: str) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Returns a value as `tomllib` would read it; of a declaration its changed fields."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):

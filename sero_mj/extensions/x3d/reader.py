@@ -64,8 +64,6 @@ def read_x3d(path: Path) -> ImportedTables:
 
 
 class _Reader:
-    """Reads one document."""
-
     def __init__(self, document: Document) -> None:
         self.document, self.path = document, document.path
         self.problems = Problems(document.path)
@@ -131,7 +129,6 @@ class _Reader:
         return bool(own_kind(node)) or id(node) in self.moved
 
     def _name(self, node: Node, text: str = "") -> str:
-        """Our unique name of a node: that of its DEF if it is valid."""
         if id(node) in self.names:
             return self.names[id(node)]
         wanted = node.name or text or node.kind.lower()
@@ -234,7 +231,6 @@ class _Reader:
             table["children"] = table_children
 
     def _child(self, seen: VisitedNode, robot: str) -> list[dict[str, Any]]:
-        """Objects fixed to a robot's flange; a robot there is mounted on it."""
         if own_kind(seen.node) == "SerialRobot":
             self._robot(seen, f"{robot}/flange")
         elif own_kind(seen.node) or seen.node.kind in (
@@ -251,7 +247,6 @@ class _Reader:
         return []
 
     def _with_files(self, found: dict[str, Any], node: Node, name: str) -> dict[str, Any]:
-        """Fields of a robot, without files if one is missing; the folder has slashes."""
         directory = found.get("directory", "")
         if "://" in directory:
             value = node.value("directory")
@@ -308,7 +303,6 @@ class _Reader:
         others: Collection[str],
         events: Collection[str],
     ) -> dict[str, Any]:
-        """The fields set by a node or its PROTO, by our names."""
         found: dict[str, Any] = {}
         declared = {} if node.proto is None else node.proto.fields
         for name, value in _values(node).items():
@@ -330,7 +324,6 @@ class _Reader:
         return found
 
     def _frame(self, node: Node, name: str) -> Array:
-        """A matrix as a frame (4, 4); identity, and reported, if it is invalid."""
         value = node.value(name)
         if value is None:
             return np.eye(4)
@@ -355,7 +348,6 @@ class _Reader:
     # Surroundings.
 
     def _shapes(self, seen: VisitedNode) -> list[tuple[str, dict[str, Any]]]:
-        """Name and table of the object of a Shape; empty for an invisible one."""
         shape = seen.node
         table, text, count = object_table(seen, self.problems.of(seen.path), self.not_shown)
         self.triangles += count
@@ -420,7 +412,6 @@ class _Reader:
             self._take(VisitedNode(each.node, T @ each.T, each.path))
 
     def _carries(self, robot: Node, event: str, T: Array) -> bool:
-        """Whether a group at T with this event is at the flange of a robot with a fixed base."""
         is_flange = event.removesuffix("_changed") == FLANGE
         table = self.robots.get(self.names.get(id(robot), ""))
         if not is_flange or own_kind(robot) != "SerialRobot" or table is None:
@@ -461,7 +452,6 @@ class _Reader:
         return None
 
     def _route(self, route: Route, origin: str, robot: str, text: str, *, is_turned: bool) -> None:
-        """Adds a ROUTE to a robot."""
         field, line = route.input.removeprefix("set_"), route.line
         target = self.document.names[route.target]
         if field in ("flangeFrame", "axesTransparency", "enableTouchSensor", "children"):
@@ -502,7 +492,6 @@ class _Reader:
 
 
 def _why_not(file: Path) -> str:
-    """Why a file of geometry cannot be drawn; empty where it can."""
     if "\0" in str(file) or not file.is_file():
         return _MISSING
     try:
@@ -513,14 +502,12 @@ def _why_not(file: Path) -> str:
 
 
 def _values(node: Node) -> dict[str, Value]:
-    """Values of a node's fields, with its PROTO's defaults."""
     declared = {} if node.proto is None else node.proto.fields
     given = {name: each.value for name, each in declared.items() if each.value is not None}
     return {**given, **node.fields}
 
 
 def _rigid(T: Array) -> Array:
-    """The same frame; raises ValueError where it scales or shears."""
     try:
         return frame_from(T, np.asarray)
     except ValueError:

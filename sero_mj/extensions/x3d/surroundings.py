@@ -23,8 +23,6 @@ def object_table(
     """The table of a Shape: a primitive, or triangles as MJCF.
 
     Args:
-        seen: the Shape.
-        problems: receives its errors.
         left_out: receives the kind and line of an unknown geometry.
 
     Returns:
@@ -47,7 +45,6 @@ def object_table(
 
 
 def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] | None:
-    """The table of a box, a sphere, an ellipsoid or a cylinder; None for other shapes."""
     scales = np.linalg.norm(T[:3, :3], axis=0)
     if not (scales > 0).all():
         return None

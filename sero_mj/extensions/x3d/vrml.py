@@ -106,7 +106,6 @@ def _read_text(path: Path) -> str:
 
 
 def _what_else(start: str) -> str:
-    """The format of a file that has neither header."""
     expected = "expected a first line #X3D V3.0 utf8 or #VRML V2.0 utf8"
     if re.match(r"<\?xml|<!DOCTYPE X3D|<X3D", start):
         return f"is X3D in the XML encoding; {expected} (X3D's classic encoding)"
@@ -141,8 +140,6 @@ class _TooMuch(Exception):
 
 
 class _Scope:
-    """A scope of names: the document, or the body of a PROTO."""
-
     def __init__(self, protos: dict[str, Proto]) -> None:
         self.names: dict[str, Node] = {}
         self.open: list[Node] = []  # named nodes that enclose the current one
@@ -151,8 +148,6 @@ class _Scope:
 
 
 class _Parser:
-    """Parses tokens into nodes, and continues after errors."""
-
     def __init__(self, text: str, path: Path) -> None:
         self.problems = Problems(path)
         self._tokens = self._scan(text)
@@ -202,13 +197,11 @@ class _Parser:
             yield _Token("end", "the end of the file", line)
 
     def _next(self) -> _Token:
-        """Advances, and returns the previous token."""
         token = self._token
         self._token = next(self._tokens)
         return token
 
     def _wrong(self, expected: str, token: _Token | None = None, key: str = "") -> None:
-        """Reports an unexpected token."""
         token = token or self._token
         shown = token.text if token.kind == "end" else reprlib.repr(token.text)
         if token.kind == "text":
@@ -226,14 +219,12 @@ class _Parser:
         self._mistakes += 1
 
     def _takes(self, mark: str) -> bool:
-        """Whether the next token is this mark; if so, advances."""
         is_it = self._token.kind == "mark" and self._token.text == mark
         if is_it:
             self._next()
         return is_it
 
     def _name(self, what: str) -> str | None:
-        """A name; None, and reported, if there is none."""
         if self._token.kind == "name":
             return self._next().text
         self._wrong(what)
@@ -253,7 +244,6 @@ class _Parser:
     # Statements.
 
     def _statement(self, nodes: list[Node]) -> None:
-        """Reads one statement at the top level of a file or of a PROTO's body."""
         token = self._token
         if token.kind == "name" and token.text in ("PROTO", "EXTERNPROTO", "ROUTE"):
             self._declaration()
@@ -272,7 +262,6 @@ class _Parser:
             self._skip()
 
     def _skip(self) -> None:
-        """Skips unknown text; in brackets, the whole group."""
         opened = 0
         while self._token.kind != "end":
             token = self._next()
@@ -369,7 +358,6 @@ class _Parser:
         return self._token.kind == "name" and (text in _ACCESS or text in _ACCESS.values())
 
     def _field(self, fields: dict[str, Field], *, has_values: bool) -> str | None:
-        """Reads the declaration of a field, and stores its value in `fields`."""
         token = self._next()
         access = _ACCESS.get(token.text, token.text)
         kind, line = self._token.text, self._token.line
@@ -394,7 +382,6 @@ class _Parser:
     # Nodes and values.
 
     def _node(self) -> Node | None:
-        """Reads `DEF name Type { ... }`, `USE name` or `NULL`; None if there is no node."""
         token = self._next()
         name = ""
         if token.text == "NULL":
@@ -464,7 +451,6 @@ class _Parser:
                     self._is_lost &= self._mistakes > before
 
     def _value(self, key: str) -> Value | None:
-        """Reads the value of a field; None, and reported, if there is none."""
         token = self._token
         if token.kind == "numbers":
             self._next()
@@ -496,7 +482,6 @@ class _Parser:
         return Value(items, token.line)
 
     def _item(self, items: list[Any]) -> bool:
-        """Reads one value, and returns whether there was one."""
         token = self._token
         if token.kind == "number":
             self._next()
@@ -523,7 +508,6 @@ _SKIPPED = {"PROFILE": 1, "COMPONENT": 1, "META": 2, "UNIT": 3, "EXPORT": 1, "IM
 
 
 def _numbers(text: str, begin: int) -> tuple[int, Array | None]:
-    """The end of a list of numbers only, and the numbers; None for other lists."""
     found = _NUMBERS.match(text, begin)
     end = begin if found is None else found.end()
     if not text.startswith("]", end):

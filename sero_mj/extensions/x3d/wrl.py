@@ -46,9 +46,7 @@ class VisitedNode(NamedTuple):
     """A node visited in a scene.
 
     Attributes:
-        node: a Shape, a light, a robot, ...
         T: from its coordinates to those of the root, (4, 4), affine.
-        path: of the file that it stands in.
     """
 
     node: Node
@@ -120,7 +118,6 @@ def visit(
     """Traverses groups, transforms, PROTOs and inlined files, and returns all other nodes in order.
 
     Args:
-        nodes: to begin with.
         path: of their file; inlined files are searched for in its folder.
         problems: receives errors of the visited nodes.
         is_kept: whether to return a node instead of its children.
@@ -185,7 +182,6 @@ def inlined_file(node: Node, path: Path) -> Path | None:
     """The file of an Inline: the first of its addresses found in the folder of its file.
 
     Args:
-        node: the Inline.
         path: of the file that it stands in.
 
     Raises:
@@ -279,8 +275,6 @@ def triangles_of(
     """The triangles of a Shape by colour, in the coordinates of the root.
 
     Args:
-        seen: the Shape.
-        problems: receives its errors.
         left_out: receives the kind and line of an unknown geometry.
     """
     shape = seen.node

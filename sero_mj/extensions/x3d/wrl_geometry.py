@@ -65,7 +65,6 @@ def _cone(node: Node, problems: Problems) -> list[Triangles]:
 
 
 def _profiles(node: Node, problems: Problems, parts: dict[str, Any]) -> list[Triangles]:
-    """The visible parts of a round body."""
     return [
         _revolved(np.array(profile, dtype=np.float64))
         for name, profile in parts.items()
@@ -74,7 +73,6 @@ def _profiles(node: Node, problems: Problems, parts: dict[str, Any]) -> list[Tri
 
 
 def _revolved(profile: Array) -> Triangles:
-    """Revolves a profile (k, 2) of radius and height, from top to bottom, about y."""
     k = len(profile)
     turns = rotation_about(1, np.arange(_SIDES) * 2 * np.pi / _SIDES)
     points = np.column_stack([profile[:, 0], profile[:, 1], np.zeros(k)])
@@ -224,7 +222,6 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _is_empty(a: Array, b: Array, c: Array, points: Array) -> bool:
-    """Whether a triangle contains none of the points (k, 2) except its corners."""
     inside = (_cross(b - a, points - a) >= 0) & (_cross(c - b, points - b) >= 0)
     inside &= _cross(a - c, points - c) >= 0
     for corner in (a, b, c):
@@ -235,7 +232,6 @@ def _is_empty(a: Array, b: Array, c: Array, points: Array) -> bool:
 def _of_corners(
     node: Node, problems: Problems, points: Array, index: Ints, corners: Ints
 ) -> list[Triangles]:
-    """Builds triangles from corners, with sharp edges, grouped by colour."""
     faces = index[corners]
     sides = points[faces]
     normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
@@ -287,7 +283,6 @@ def _has_ends(faces: Ints) -> bool:
 def _smoothing(
     node: Node, problems: Problems, normals: Array, faces: Ints, corners: Ints, polygon: Ints
 ) -> Ints:
-    """A number for every corner of triangles (f, 3), equal across smooth edges."""
     normal: Node | None = get(node, "normal", "SFNode", None, problems)
     if normal is not None:
         if not get(node, "normalPerVertex", "SFBool", True, problems):
@@ -347,7 +342,6 @@ def smoothed(normals: Array, faces: Ints, least_cosine: float) -> Ints:
 def _by_colour(
     node: Node, problems: Problems, index: Ints, corners: Ints, polygon: Ints
 ) -> list[tuple[Any, Array | None]]:
-    """The triangles of each own colour, (3,) or (4,); None for the material's colour."""
     everything: list[tuple[Any, Array | None]] = [(slice(None), None)]
     color: Node | None = get(node, "color", "SFNode", None, problems)
     if color is None or not len(corners):

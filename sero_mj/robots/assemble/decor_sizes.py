@@ -34,7 +34,6 @@ class MeasuredBodies(NamedTuple):
     """The part of a model that is a robot.
 
     Attributes:
-        bodies: ids of its bodies.
         joints: ids of its hinges and slides, (n,).
         trunk: ids of the world's geoms that are part of it.
         centres: ids of the sites at the centres of its arrows, (n,); None for the joints' anchors.
@@ -70,9 +69,7 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, robot: MeasuredBodies) -
     """Computes the sizes of a robot's decor.
 
     Args:
-        model: compiled.
         data: in the pose to measure, after `mj_fwdPosition`.
-        robot: which one.
     """
     anchors = data.xanchor[robot.joints]
     low, high = boxes = geom_boxes(model, data)
@@ -134,13 +131,7 @@ def _radii(
 def _half_lengths(
     model: mujoco.MjModel, boxes: tuple[Array, Array], robot: MeasuredBodies
 ) -> dict[int, float]:
-    """Returns half the length of bodies welded together, m, by the first of them.
-
-    Args:
-        model: compiled.
-        boxes: about all geoms, see `geom_boxes`.
-        robot: whose joints connect the bodies; bodies without geoms are left out.
-    """
+    """Returns half the length of bodies welded together, m, by the first of them."""
     low, high = boxes
     bodies = model.jnt_bodyid[robot.joints]
     lengths = {}

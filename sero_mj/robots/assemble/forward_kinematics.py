@@ -22,12 +22,6 @@ class ForwardKinematics:
     `SerialRobot.fwd_kin_base_to_flange`, in half the time that a loop over MuJoCo's takes.
 
     It keeps the state of a pose, so several threads need one each.
-
-    Args:
-        robot: its table, flange and couplings.
-
-    Attributes:
-        n: number of joints.
     """
 
     def __init__(self, robot: SerialRobot) -> None:

@@ -26,9 +26,6 @@ class GravityTorques:
 
     Mounted robots load their carriers. Bases are at their declared frames.
 
-    Args:
-        robots: by name.
-
     Raises:
         DeclarationError: MuJoCo cannot compile the robots, or one of them floats.
     """
@@ -51,11 +48,7 @@ class GravityTorques:
         self._torques: Array = np.zeros(self._world.model.nv)
 
     def of(self, angles: Mapping[str, Array]) -> dict[str, Array]:
-        """Returns the torques of every robot, (n,), Nm or N.
-
-        Args:
-            angles: of every robot, (n,), rad or m.
-        """
+        """Returns the torques of every robot, (n,), Nm or N."""
         model, data, parts = self._world.model, self._data, self._world.robots
         for name, part in parts.items():
             data.qpos[part.qpos] = angles[name]
@@ -101,10 +94,6 @@ def gravity_torques(world: WorldView, data: Any) -> Array:
 
     Those of doubles are NaN, and all are where the robots have no model of it, which is logged
     once. The first call for a world compiles that model.
-
-    Args:
-        world: with robots.
-        data: its state.
     """
     found = np.full(len(world.joints.names), np.nan)
     if world in _WITHOUT:

@@ -54,8 +54,6 @@ def drawn_links(
     """Returns the attributes of the visible geoms of base and links, in their frames.
 
     Args:
-        root: receives the meshes, materials and textures; existing ones are reused.
-        robot: from MJCF.
         scope: prefix of their names.
         shrink: factor of all sizes, about each link's origin.
     """
@@ -147,7 +145,6 @@ def _mesh(
     scope: str,
     shrink: float,
 ) -> str:
-    """Adds a mesh, unless it exists, and returns its name."""
     name = f"{scope}mesh{mesh}"
     if root.mesh(name) is not None:
         return name

@@ -29,8 +29,6 @@ def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> 
     """Returns the visible geoms of bodies, or all if none is visible, (k,).
 
     Args:
-        model: compiled.
-        bodies: ids.
         trunk: the world's geoms of a fused trunk.
     """
     mine = np.isin(model.geom_bodyid, bodies) & (model.geom_bodyid > 0)
@@ -52,8 +50,6 @@ def geom_corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: Bools | None
     """Returns the corners of the boxes about geoms that turn with them, (k, 8, 3), m.
 
     Args:
-        model: compiled.
-        data: its state, with frames up to date.
         geoms: which, (ngeom,); all when None.
     """
     which = slice(None) if geoms is None else geoms
@@ -82,7 +78,6 @@ class Solids:
     """The shown geoms and skins of a model, in one pose.
 
     Args:
-        model: compiled.
         data: the pose, after `mj_fwdPosition`.
     """
 
@@ -128,7 +123,6 @@ class Solids:
     def _crossings(
         self, start: Array, direction: Array, reach: float, skins: list[_Skin]
     ) -> Iterator[tuple[int, float, bool]]:
-        """Yields the surfaces along a ray: geom or skin, distance, whether the ray leaves it."""
         geom, normal, step = self._geom, self._normal, _STEP * reach
         at = 0.0
         for _ in range(_MAX_CROSSINGS):
@@ -175,7 +169,6 @@ def _posed_skins(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Skin]:
 
 
 def _near(skin: _Skin, centre: Array, reach: float) -> _Skin:
-    """Returns a skin reduced to its faces near a point."""
     faces, vertices, normals = skin
     corners = vertices[faces]
     near = corners.min(axis=1) <= centre + reach

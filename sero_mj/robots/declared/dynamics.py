@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
 from ...base.declaration import Declaration, numbers, of_shape
-from ...base.errors import DeclarationError, Problem, mismatch
+from ...base.errors import Problem, mismatch, raise_any
 from ...base.frames import Array
 
 # Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
@@ -104,7 +104,6 @@ def balanced_tensor(tensor: Array, mass: float) -> Array:
 
     Args:
         tensor: about the centre of mass, (3, 3), kg m2, symmetric.
-        mass: kg.
     """
     moments, axes = np.linalg.eigh(tensor)
     moments = np.maximum(moments, 0.4 * mass * _POINT_RADIUS**2)
@@ -235,8 +234,7 @@ class Dynamics(Declaration):
             changed = f"principal moments {before} are now {after} kg m2"
             self._repaired.append(f"{link_name(k)}: {changed}")
             tensors[k] = balanced
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         if self._repaired:
             self.__dict__["inertias"] = tensors
         return self
@@ -260,8 +258,7 @@ class Dynamics(Declaration):
         """
         problems = _count_problems(self, _PER_LINK, n + 1, "the base and one per joint")
         problems += _count_problems(self, _PER_JOINT, n, _ROWS)
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
 
 
 class TorqueControl(Declaration):
@@ -284,14 +281,8 @@ class TorqueControl(Declaration):
     friction_bandwidth: float = Field(100.0, ge=0, le=1e5)
 
     def check_counts(self, n: int) -> None:
-        """Checks that every table has n entries, one per joint.
-
-        Raises:
-            DeclarationError: with the key of this table.
-        """
         problems = _count_problems(self, ("motor_inertias",), n, _ROWS)
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
 
 
 _ROWS = "one per row of dh_params"
@@ -313,7 +304,6 @@ def merge_tables(file_table: Any, override: Any) -> Any:
     When masses, centres and tensors are all overridden, so is the frame they are given in.
 
     Args:
-        file_table: the file's table.
         override: the overriding table; a `Dynamics` replaces the file's table as a whole.
     """
     if not (isinstance(file_table, Mapping) and isinstance(override, Mapping)):

@@ -27,6 +27,7 @@ from ...base.errors import (
     did_you_mean,
     mismatch,
     problems_of,
+    raise_any,
 )
 from ...base.frames import MIRROR, Array, frame_from, inverse
 from ...base.toml_file import key_lines, located, read_toml
@@ -65,7 +66,6 @@ class Expanded:
 
     @property
     def is_full(self) -> bool:
-        """Whether a maximum is exceeded."""
         groups = len(self.groups) + len(self.broken)
         return len(self.robots) > self.most["robots"] or groups > self.most["groups"]
 
@@ -92,7 +92,6 @@ def where(problem: Problem, declared: Declared) -> Problem:
     """Returns a problem with its file, key and line, for a table declared in several places.
 
     Args:
-        problem: whose key is inside the table.
         declared: the places; the first one with the key is used, else the last.
     """
     key = problem.key.partition(".")[0]
@@ -112,10 +111,8 @@ class _Place:
 
     Attributes:
         scope: prefix of their names, e.g. `justin_left_hand_`.
-        T: frame (4, 4) of the group.
         mirrored: whether all of it is mirrored at the xz plane of that frame.
         mount: frame of a robot that T is relative to; None in the world.
-        mounted: where the mount is declared.
         inside: files of the models that are being expanded, outermost first.
     """
 
@@ -127,11 +124,6 @@ class _Place:
     inside: tuple[Path, ...] = ()
 
     def of(self, name: str, table: Mapping[str, Any], declared: Declared) -> _Place:
-        """Returns the place of a member, from its `mount`, `base_frame` and `mirrored`.
-
-        Raises:
-            DeclarationError: one of these is invalid.
-        """
         T, mirrored, mount = np.eye(4), table.get("mirrored", False), table.get("mount")
         problems = []
         try:
@@ -142,8 +134,7 @@ class _Place:
             problems.append(Problem("mirrored", found=mirrored, expected="true or false"))
         if not isinstance(mount, str | None):
             problems.append(Problem("mount", found=mount, expected="a frame of a robot"))
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         if self.mirrored:
             T = MIRROR @ T @ MIRROR
         if mount is None:
@@ -157,7 +148,6 @@ class _Place:
 def _add_group(
     found: Expanded, around: _Place, name: str, entry: Mapping[str, Any], declared: Declared
 ) -> None:
-    """Adds a group with a model and all of its members, or reports why it is invalid."""
     if found.is_full:
         return
     problems = [
@@ -184,11 +174,6 @@ def _add_group(
 
 
 def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
-    """Returns the file of a group's model.
-
-    Raises:
-        DeclarationError: there is none, or it would contain itself.
-    """
     if not isinstance(model, str | Path):
         raise mismatch(model, "a group's name")
     try:
@@ -204,18 +189,11 @@ def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
 
 
 def _name_of(path: Path) -> str:
-    """Returns the name of a model with this file: that of its folder."""
     return path.resolve().parent.name
 
 
 class _Members:
     """Adds the members of one group with a model.
-
-    Args:
-        found: receives them.
-        place: of the group; its innermost file is the model.
-        entry: the group's table, with tables of members whose keys override the model's.
-        declared: where that is declared.
 
     Raises:
         DeclarationError: the model cannot be read.
@@ -231,7 +209,6 @@ class _Members:
         self._standing: tuple[str, Array] | None = None  # the robot that carries the objects
 
     def add(self) -> None:
-        """Adds the group and its members."""
         name = self._place.scope.removesuffix("_")
         for key in self._tables:
             if key not in _OF_FILE:
@@ -261,7 +238,6 @@ class _Members:
         self._found.problems += located(self._problems, self._path)
 
     def _members(self, known: Mapping[str, Mapping[str, Any]]) -> list[str]:
-        """Returns the names of the members in their order: by default all, each once."""
         every = [*known["robots"], *known["groups"]]
         others = [name for name, table in known["groups"].items() if "model" not in table]
         members = self._tables.get("members", [name for name in every if name not in others])
@@ -311,7 +287,6 @@ class _Members:
             self._found.objects.setdefault(robot, []).append(item)
 
     def _section(self, tables: Mapping[str, Any], section: str) -> dict[str, dict[str, Any]]:
-        """Returns the tables of a section, of the model or of the group's table."""
         entries = tables.get(section, {})
         wrong = [Problem(section, found=entries, expected=f"tables [{section}.NAME]")]
         if isinstance(entries, Mapping):
@@ -338,7 +313,6 @@ class _Members:
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Merges a table over another one of a group, member by member."""
     merged = {**below, **above}
     for section in ("robots", "groups"):
         one, other = below.get(section), above.get(section)
@@ -355,7 +329,6 @@ def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -
     that contains them.
 
     Args:
-        folder: base folder of their names.
         tables: of a model, with its sections, or of a group in a scene.
         beside: whether models may also be siblings of that folder, as models usually are.
     """

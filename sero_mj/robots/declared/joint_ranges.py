@@ -36,7 +36,6 @@ def independent_limits(limits: Array, coupled: CoupledJoints) -> Array:
 
     Args:
         limits: (n, 2), rad or m; may be infinite.
-        coupled: couplings of the joints.
     """
     own = limits[coupled.independent]
     found = own.copy()
@@ -61,9 +60,6 @@ def display_ranges(
 
     Args:
         position_limits: (n, 2), rad or m; may be infinite or None.
-        types: `revolute` or `prismatic`, of every joint.
-        home: (n,), rad or m.
-        coupled: couplings of the joints.
     """
     limits = plausible_limits(position_limits, len(types))
     if not coupled.is_coupled:

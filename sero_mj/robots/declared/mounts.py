@@ -81,7 +81,6 @@ def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
     """Returns T_base_mount (..., 4, 4) of a frame that robots can be mounted on.
 
     Args:
-        robot: the carrier.
         label: one of `mount_labels`.
         frames: result of `robot.kinematics.frames`, (..., n + 1, 4, 4).
     """
@@ -103,7 +102,6 @@ def base_frames(
     """Returns T_world_base (..., 4, 4) of every robot, by the kinematics of its carriers.
 
     Args:
-        robots: by name.
         joint_angles: (..., n) by name, rad or m; the declared ones where missing.
         placed: T_world_base (..., 4, 4) of robots not at their declared frames.
     """
@@ -133,7 +131,6 @@ def mount_problems(robots: Mapping[str, SerialRobot], broken: Mapping[str, bool]
     """Returns mounts on unknown frames, and cycles of mounts.
 
     Args:
-        robots: by name.
         broken: for every missing carrier, whether its declaration is invalid, which is reported
             elsewhere.
     """

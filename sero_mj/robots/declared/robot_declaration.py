@@ -17,11 +17,11 @@ from pydantic import (
 )
 
 from ...base.declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
-from ...base.errors import DeclarationError, Problem, mismatch
+from ...base.errors import Problem, mismatch, raise_any
 from ...base.frames import Array
 from ..importers.joint_names import BASE, link_of_parent
+from ..kinematics.dh import COLUMNS
 from .couplings import Coupling, coupled_joints, coupling_problems
-from .dh import COLUMNS
 from .dynamics import Dynamics, TorqueControl
 from .fixed_rows import fixed_row_problem
 from .limbs import limb_problems
@@ -317,8 +317,7 @@ class RobotDeclaration(Declaration):
                 message = f"{names[i]} is on {parent}; expected it behind that and its branch whole"
                 problems.append(Problem(str(i), message))
             branch = [*branch[: branch.index(link) + 1 if link in branch else 1], i + 1]
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         return parents
 
     @field_validator("link_names")
@@ -344,8 +343,7 @@ class RobotDeclaration(Declaration):
     ) -> dict[str, Coupling]:
         if _count(info.data) is not None and "joint_names" in info.data:
             problems = coupling_problems(_joint_names(info.data), couplings)
-            if problems:
-                raise DeclarationError(problems)
+            raise_any(problems)
         return couplings
 
     @field_validator("limbs")
@@ -355,8 +353,7 @@ class RobotDeclaration(Declaration):
     ) -> dict[str, list[str]]:
         if _count(info.data) is not None and "joint_names" in info.data:
             problems = limb_problems(_joint_names(info.data), limbs)
-            if problems:
-                raise DeclarationError(problems)
+            raise_any(problems)
         return limbs
 
     @field_validator("dynamics", "torque_control")
@@ -456,8 +453,7 @@ class RobotDeclaration(Declaration):
             for name, link in links.items()
             if link.on not in known
         ]
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         return links
 
     @field_validator("children")
@@ -475,8 +471,7 @@ class RobotDeclaration(Declaration):
                 for k, child in enumerate(children)
                 if child.on not in frames
             ]
-            if problems:
-                raise DeclarationError(problems)
+            raise_any(problems)
         return children
 
     @model_validator(mode="after")
@@ -511,7 +506,6 @@ class RobotDeclaration(Declaration):
 
 
 def _count(fields: Mapping[str, Any]) -> int | None:
-    """The number of joints; None if the table or the frames are invalid."""
     rows = fields.get("joint_frames")
     if rows is None:
         rows = fields.get("dh_params")
@@ -519,7 +513,6 @@ def _count(fields: Mapping[str, Any]) -> int | None:
 
 
 def _each(fields: Mapping[str, Any]) -> str:
-    """What each entry belongs to, for messages."""
     by_frames = fields.get("joint_frames") is not None
     return "one per frame of joint_frames" if by_frames else "one per row of dh_params"
 

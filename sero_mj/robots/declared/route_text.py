@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from ...base.errors import DeclarationError, did_you_mean, mismatch, problems_of
+from ...base.errors import did_you_mean, mismatch, problems_of, raise_any
 
 NOT = "not"
 JOINING = ("and", "or", NOT)  # words between comparisons
@@ -37,8 +37,7 @@ def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
             texts[target] = origin_text(origin)
         except ValueError as error:
             problems += problems_of(error, f"routes.{target}")
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     return texts
 
 
@@ -47,8 +46,6 @@ class Token(NamedTuple):
 
     Attributes:
         kind: `number`, `name`, `sign`, or `other` for characters that are invalid in a route.
-        text: its characters.
-        at: index of its first character.
     """
 
     kind: str
@@ -107,7 +104,6 @@ def _plain_text(origin: Any) -> str:
 
 
 def _text_for_joints(table: Any) -> str:
-    """Returns an origin for some joints as text, see `origin_text`."""
     example = '{ from = "udp.values0", joints = ["A1", "A2"] }'
     if not isinstance(table, Mapping) or not table.keys() & {*_OF_JOINTS}:
         if not isinstance(table, Mapping):
@@ -142,7 +138,6 @@ def parts_of_origin(text: str) -> list[tuple[str, list[str] | None]]:
 
 
 def _number_text(value: Any) -> str | None:
-    """Returns a number or a list of numbers as text; None for anything else."""
     if isinstance(value, list | tuple):
         entries = [_number_text(entry) for entry in value]
         texts = [entry for entry in entries if entry is not None]

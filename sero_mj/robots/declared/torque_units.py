@@ -39,7 +39,6 @@ def torque_units(largest: Array, revolute: Bools | Sequence[bool]) -> list[Torqu
     Args:
         largest: torque that is expected of every joint, (n,), Nm or N; its limit, say. Infinite or
             NaN where it is unknown.
-        revolute: whether a joint is revolute, otherwise it is prismatic, (n,).
     """
     turns = np.asarray(revolute, bool)
     known = np.where(np.isfinite(largest), largest, 0.0)

@@ -27,10 +27,7 @@ class ModelState:
     """The state of an external model, as decor reads it.
 
     Attributes:
-        data: the user's.
-        userdata: values of all inputs.
         site_xpos: positions of the joints, then the frames, then fixed points, (S, 3), m.
-        site_xmat: their rotations, (S, 9).
         doubles: states of the doubles that have a pose, by name; several for a path.
     """
 
@@ -42,27 +39,22 @@ class ModelState:
 
     @property
     def time(self) -> float:
-        """Of the user's data, s."""
         return float(self.data.time)
 
     @property
     def qpos(self) -> Array:
-        """Of the user's data."""
         return np.asarray(self.data.qpos)
 
     @property
     def qvel(self) -> Array:
-        """Of the user's data."""
         return np.asarray(self.data.qvel)
 
     @property
     def xpos(self) -> Array:
-        """Positions of the bodies, m."""
         return np.asarray(self.data.xpos)
 
     @property
     def xmat(self) -> Array:
-        """Rotations of the bodies."""
         return np.asarray(self.data.xmat)
 
 
@@ -129,8 +121,6 @@ class JointPoses:
     Several hinges of one body rotate in sequence.
 
     Args:
-        model: compiled.
-        joints: their ids, (n,).
         offset: of the frames' origins from the anchors, in the joints' frames, (n, 3), m.
     """
 
@@ -153,9 +143,6 @@ class JointPoses:
 
     def place(self, data: mujoco.MjData) -> tuple[Array, Array]:
         """Computes the frames at the current joint angles.
-
-        Args:
-            data: kinematics up to date.
 
         Returns:
             positions (n, 3), m, and rotations (n, 3, 3).
@@ -180,17 +167,11 @@ class JointPoses:
 
     @staticmethod
     def _across(axis: Array, vectors: Array) -> Array:
-        """Returns the components of vectors (n, 3) perpendicular to axes (n, 3)."""
         return np.asarray(vectors - np.einsum("ni,ni->n", axis, vectors)[:, None] * axis)
 
 
 class ModelDoubles:
-    """Computes the poses of the doubles of a model.
-
-    Args:
-        model: compiled.
-        doubles: by name.
-    """
+    """Computes the poses of the doubles of a model."""
 
     def __init__(self, model: mujoco.MjModel, doubles: Mapping[str, DoublePart]) -> None:
         self._model = model
@@ -206,7 +187,6 @@ class ModelDoubles:
         """Computes the state of every double that has joint angles; all else is as in `data`.
 
         Args:
-            data: the user's, kinematics up to date.
             angles: (n,) of every double that has any, except paths, rad or m.
         """
         poses = {}
@@ -223,12 +203,7 @@ class ModelDoubles:
         return poses
 
     def drawn(self, state: Any, name: str) -> list[DrawnDouble]:
-        """Returns what to draw of one double: its links that do not coincide with the robot's.
-
-        Args:
-            state: the `ModelState`.
-            name: of the double.
-        """
+        """Returns what to draw of one double: its links that do not coincide with the robot's."""
         part = self._doubles[name]
         poses = state.doubles.get(name, [])
         mine = np.isin(self._model.body_rootid, self._model.body_rootid[part.of.bodies[1:]])

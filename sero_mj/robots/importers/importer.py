@@ -59,7 +59,6 @@ class Importer(ABC):
         """Reads a file; file names in the tables are relative to its folder.
 
         Args:
-            path: of the file.
             packages: folders of ROS packages by name.
             arguments: of the file by name, as in xacro.
 
@@ -101,11 +100,6 @@ def read_imported(
     arguments: Mapping[str, Any] | None = None,
 ) -> ImportedTables | None:
     """Reads a file by its importer; None where its ending is no one's.
-
-    Args:
-        path: of the file.
-        packages: see `Importer.read`.
-        arguments: likewise.
 
     Raises:
         DeclarationError: the file cannot be read.

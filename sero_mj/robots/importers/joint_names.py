@@ -32,9 +32,6 @@ def joint_names_of(names: Iterable[str]) -> tuple[list[str], list[str]]:
     """Returns names of joints for a robot file, and a description of each one that was changed.
 
     Changed are names that no joint can have, and the later ones of two equal names.
-
-    Args:
-        names: as in the file that is imported.
     """
     found: list[str] = []
     changed = []

@@ -28,8 +28,6 @@ def couplings_of(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str,
     follows another one. In a tendon, joints follow those before them.
 
     Args:
-        tree: the robot.
-        names: of its joints.
         lost: receives a sentence for every other constraint.
     """
     model, found = tree.model, dict[str, Any]()
@@ -107,7 +105,6 @@ def _weights(model: mujoco.MjModel, equality: int, item: int) -> dict[int, float
 
 
 def _leads_back(couplings: dict[str, Any], names: list[str], one: int, other: int) -> bool:
-    """Whether a joint is coupled already, or would follow itself."""
     at: str | None = names[other]
     while at is not None and at != names[one]:
         at = couplings[at]["to"] if at in couplings else None

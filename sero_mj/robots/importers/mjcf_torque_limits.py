@@ -37,7 +37,6 @@ def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
     largest found in 64 poses.
 
     Args:
-        model: compiled.
         joints: ids of hinges and slides, (n,).
     """
     dofs = model.jnt_dofadr[joints]
@@ -57,7 +56,6 @@ def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
 
 
 def _forces(model: mujoco.MjModel) -> Array:
-    """Returns the range of the force of every actuator output, (nout, 2), N or Nm."""
     forces = np.tile([-np.inf, np.inf], (model.nout, 1))
     of_tendons: dict[int, list[int]] = {}
     for actuator in range(model.nactuator):
@@ -129,7 +127,6 @@ def _moments(model: mujoco.MjModel) -> Iterator[Array]:
 
 
 def _has_constant_arms(model: mujoco.MjModel) -> bool:
-    """Whether all actuators act on joints or fixed tendons."""
     for kind, (item, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
         is_fixed = kind == _OF_TENDON and model.wrap_type[model.tendon_adr[item]] == _WRAPS_JOINT
         if kind not in ON_JOINT and not is_fixed:

@@ -38,8 +38,6 @@ def read_robot_file(
 
     Args:
         path: of the file: TOML, or any format with an importer.
-        packages: folders of ROS packages by name, for URDF.
-        arguments: of xacro by name.
 
     Raises:
         DeclarationError: the file cannot be read.

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ...base.frames import Array, frame
-from .dh_from_frames import DhChain, dh_from_frames
+from ..kinematics.dh_from_frames import DhChain, dh_from_frames
 from .joint_names import joint_names_of, parents_of
 
 MOVING = ("revolute", "prismatic")
@@ -55,14 +55,10 @@ class Geometry:
     """A mesh or a shape.
 
     Attributes:
-        frame: T_link_geometry (4, 4).
         file: of the mesh, absolute; None for a shape.
-        scale: of the mesh, m per unit, (3,).
         shape: `box`, `sphere`, `cylinder` or `capsule`.
         size: as `robots.declared.surroundings.SHAPE_SIZES`.
         color: name and rgba; None for none.
-        opacity: multiplies that of its colours.
-        line: of its element.
     """
 
     frame: Array
@@ -127,11 +123,7 @@ class TreeTables:
     """Builds the tables of a tree of links.
 
     Attributes:
-        tables: of a robot file.
-        lines: by their keys.
-        warnings: sentences.
         bodies: names of the links of every body, base first, for comments.
-        flange: the link whose frame is the flange.
         T_body_link: body and T_body_link (4, 4) of every link by name, in the frames of `tables`.
     """
 
@@ -189,7 +181,6 @@ class TreeTables:
         return names
 
     def _flange(self) -> tuple[int, str, Array]:
-        """The body, the link and the frame T_body_link of the flange."""
         body = flange_body([each.parent for each in self._bodies[1:]])
         links = self._bodies[body].links
         plain = [_NO_NAME.sub("_", link.name).lower() for link, _ in links]
@@ -260,7 +251,6 @@ class TreeTables:
         self._home()
 
     def _home(self) -> None:
-        """Sets joints whose range excludes zero to their limit nearest to zero."""
         home = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in self.joints}
         if not any(home.values()):
             return
@@ -352,8 +342,6 @@ class TreeTables:
 
 
 class _Colors:
-    """Unique names of colours."""
-
     def __init__(self) -> None:
         self.by_name: dict[str, Array] = {}
         self._taken: set[str] = set()
@@ -400,7 +388,6 @@ def aligned(axis: Array) -> Array:
 
 
 def _merged(links: list[Link], joints: list[Joint], root: str) -> list[_Body]:
-    """Bodies in depth-first order: each branch is complete before the next begins."""
     by_name = {link.name: link for link in links}
     below: dict[str, list[Joint]] = {}
     for each in joints:
@@ -432,7 +419,6 @@ def _merged(links: list[Link], joints: list[Joint], root: str) -> list[_Body]:
 
 
 def _inertia(parts: list[tuple[Link, Array]]) -> tuple[float, Array, Array]:
-    """Mass, centre and tensor about it of links at poses (4, 4)."""
     mass = sum(link.mass for link, _ in parts)
     if mass <= 0.0:
         return 0.0, np.zeros(3), np.zeros((3, 3))
@@ -454,7 +440,6 @@ def six_of(tensor: Array) -> list[float]:
 
 
 def _common_folder(files: list[Path]) -> Path:
-    """The common parent folder of all files, which are all on one drive."""
     if not files:
         return Path()
     return Path(os.path.commonpath([file.parent for file in files]))
@@ -466,7 +451,6 @@ def _entry(
     folder: Path,
     look: Callable[[tuple[str, Array]], str] | None,
 ) -> dict[str, Any]:
-    """The entry of a geometry in `filenames` or `collisions`."""
     entry: dict[str, Any] = {}
     if geometry.file is not None:
         entry["file"] = geometry.file.relative_to(folder).as_posix()

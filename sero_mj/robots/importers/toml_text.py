@@ -35,7 +35,6 @@ def _is_section(value: Any) -> bool:
 
 
 def _section(name: str, value: Any) -> list[str]:
-    """A table with its header, or an array of tables."""
     if isinstance(value, list):
         return [line for each in value for line in ["", f"[[{name}]]", *_body(name, each)]]
     body = _body(name, value)
@@ -77,7 +76,6 @@ def toml_entry(key: str, value: Any) -> list[str]:
 
 
 def _rows(values: list[Any]) -> list[str]:
-    """Entries of a list: nested lists and tables on separate lines, else as many as fit."""
     texts = [inline(value) for value in values]
     if any(isinstance(value, list | Mapping) for value in values):
         return texts

@@ -39,7 +39,6 @@ def expand(path: Path, arguments: Mapping[str, str], find: Callable[[str], str])
     """Returns the XML that a file of xacro becomes.
 
     Args:
-        path: of the file.
         arguments: values of `<xacro:arg>` by name.
         find: returns the folder of a ROS package, for `$(find NAME)`.
 
@@ -88,13 +87,7 @@ def _without_python(find: Callable[[str], str]) -> Iterator[None]:
 
 
 class _Scope(Mapping[str, Any]):
-    """Functions, then arguments, which are looked up only if an expression has them.
-
-    Args:
-        functions: by name.
-        arguments: names of arguments.
-        argument: returns the value of one.
-    """
+    """Functions, then arguments, which are looked up only if an expression has them."""
 
     def __init__(
         self,
@@ -118,11 +111,7 @@ class _Scope(Mapping[str, Any]):
 
 
 class _Interpreter(EvalWithCompoundTypes):  # type: ignore[misc]  # has no types
-    """Interprets one expression of xacro.
-
-    Args:
-        names: values and functions by name; xacro evaluates properties when they are looked up.
-    """
+    """Interprets one expression of xacro."""
 
     def __init__(self, names: Mapping[str, Any]) -> None:
         super().__init__(names=names, functions={})
@@ -147,12 +136,6 @@ class _Interpreter(EvalWithCompoundTypes):  # type: ignore[misc]  # has no types
 
 
 class _Functions(dict[str, Any]):
-    """The functions among names, as the interpreter looks them up.
-
-    Args:
-        names: see `_Interpreter`.
-    """
-
     def __init__(self, names: Mapping[str, Any]) -> None:
         super().__init__()
         self._names = names

@@ -46,7 +46,6 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
     files. Nothing is fetched from the network.
 
     Args:
-        contents: of the file.
         encoding: overrides the file's, by any name known to Python.
 
     Raises:
@@ -77,7 +76,6 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
 
 
 def _known(encoding: str) -> str:
-    """Returns lxml's name of an encoding, if Python knows it, too; else the name unchanged."""
     try:
         etree.XMLParser(encoding=encoding)
     except LookupError:
@@ -133,7 +131,6 @@ def _shown(text: bytes) -> str:
 
 
 def _plain(message: str) -> str:
-    """libxml2's message without advice meant for its callers."""
     if "amplification" in message:
         return "declares entities that grow without end; expected none"
     return message.partition(", use XML_PARSE_HUGE")[0].strip()

@@ -76,10 +76,12 @@ def choose_renderer(wanted: str | None, quality: Quality, width: int, height: in
     Raises:
         RenderError: there is no such renderer.
     """
+    if wanted == CLASSIC or (wanted is None and quality != "fine"):
+        return CLASSIC  # without importing the others
     known = renderers()
-    if wanted is None and quality == "fine":
-        wanted = next((name for name, each in known.items() if each.is_for_fine), None)
-    if wanted is None or wanted == CLASSIC:
+    if wanted is None:
+        wanted = next((name for name, each in known.items() if each.is_for_fine), CLASSIC)
+    if wanted == CLASSIC:
         return CLASSIC
     if wanted not in known:
         raise RenderError(Problem("renderer", found=wanted, expected=", ".join([CLASSIC, *known])))

@@ -17,7 +17,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...base.errors import Problem
-from ...base.frames import MIRROR, Array, Bools, Ints, empty_transforms, inverse
+from ...base.frames import (
+    MIRROR,
+    Array,
+    Bools,
+    Ints,
+    empty_transforms,
+    frame,
+    inverse,
+    rotation_about,
+)
 
 
 class JointTree(ABC):
@@ -70,12 +79,10 @@ class JointTree(ABC):
 
     @property
     def signs(self) -> Array:
-        """`sign`, (n,)."""
         return np.ones(len(self)) if self.sign is None else self.sign
 
     @property
     def carriers(self) -> Ints:
-        """`parents`, (n,)."""
         return np.arange(len(self), dtype=np.intp) if self.parents is None else self.parents
 
     @cached_property
@@ -143,7 +150,6 @@ class JointTree(ABC):
 
         Args:
             link: index of the frame, 0 for the base; from the end when negative.
-            joint_angles: (..., n), rad or m.
         """
         links = self.link_transforms(joint_angles)
         joints = self.moves[link].nonzero()[0].tolist()
@@ -239,7 +245,6 @@ class JointFrames(JointTree):
     root: Array | None = None
 
     def transforms(self, joint_values: Array) -> Array:
-        """Returns T_p(i),i without `root`, (..., n, 4, 4)."""
         angles = np.where(self.revolute, joint_values, 0.0)
         moved = np.where(self.revolute, 0.0, joint_values)
         c, s = np.cos(angles), np.sin(angles)
@@ -250,19 +255,41 @@ class JointFrames(JointTree):
         return T
 
     def step_lengths(self) -> Array:
-        """Returns the distances of neighbouring frames, (n,), m."""
         return self.distances()
 
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
-        """Returns the distances between the origins of neighbouring frames, (..., n), m."""
         extended = np.where(self.revolute, 0.0, extensions)[..., None] * self.fixed[:, :3, 2]
         return np.asarray(np.linalg.norm(self.fixed[:, :3, 3] + extended, axis=-1))
 
     def mirrored(self) -> JointFrames:
-        """Returns the table of the mirror image at the base's xz plane."""
         return replace(
             self,
             fixed=MIRROR @ self.fixed @ MIRROR,
             sign=np.where(self.revolute, -1.0, 1.0) * self.signs,
             root=None if self.root is None else MIRROR @ self.root @ MIRROR,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarBase:
+    """A base that moves in a plane, at x, y (m) and yaw (rad).
+
+    Attributes:
+        frame: T_world_base (4, 4) at zero, m.
+        axes: two right-handed directions of motion and the normal of the plane, in the base's
+            frame, (3, 3); x, y and z for the usual normal.
+    """
+
+    frame: Array
+    axes: Array
+
+    def pose(self, at: Array) -> Array:
+        """Returns T_world_base (4, 4) at x, y and yaw, (3,)."""
+        turned = self.axes.T @ rotation_about(2, at[2]) @ self.axes
+        return np.asarray(self.frame @ frame(turned, at[:2] @ self.axes[:2]))
+
+    def place(self, T_world_base: Array) -> Array:
+        """Returns x, y and yaw (3,) of a pose (4, 4) in the plane, the inverse of `pose`."""
+        T = inverse(self.frame) @ T_world_base
+        turned = self.axes @ T[:3, :3] @ self.axes.T
+        return np.append(self.axes[:2] @ T[:3, 3], np.arctan2(turned[1, 0], turned[0, 0]))

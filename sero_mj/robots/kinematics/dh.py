@@ -36,7 +36,6 @@ class DhTable(JointTree):
     """A Denavit-Hartenberg table of n joints.
 
     Attributes:
-        convention: `craig` or `standard`.
         alpha: link twists, (n,), rad.
         a: link lengths, (n,), m.
         theta: joint offsets, (n,), rad.
@@ -66,8 +65,6 @@ class DhTable(JointTree):
         """Builds a table from rows with the given column order.
 
         Args:
-            rows: (n, 4).
-            convention: `craig` or `standard`.
             columns: a permutation of alpha, a, theta, d. The paper's Fig. 7 shows alpha first
                 and d last and leaves the two between open; alpha, a, theta, d is our reading.
             revolute: (n,) bool; all revolute when None.
@@ -79,24 +76,17 @@ class DhTable(JointTree):
 
     @property
     def turns_in_carrier(self) -> bool:
-        """Whether joint i turns about z of frame i-1."""
         return self.convention == "standard"
 
     def mirrored(self) -> DhTable:
-        """Returns the table of the mirror image at the base's xz plane.
-
-        At equal joint values its frames are S T S of those of this one, S = diag(1, -1, 1, 1).
-        """
         sign = np.where(self.revolute, -1.0, 1.0) * self.signs
         root = None if self.root is None else MIRROR @ self.root @ MIRROR
         return replace(self, alpha=-self.alpha, theta=-self.theta, sign=sign, root=root)
 
     def step_lengths(self) -> Array:
-        """Returns the sum of the lengths a and d of every row, (n,), m."""
         return np.asarray(np.abs(self.a) + np.abs(self.d))
 
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
-        """Returns the distances between the origins of neighbouring frames, (..., n), m."""
         return np.hypot(self.a, self.d + np.where(self.revolute, 0.0, extensions))
 
     @cached_property
@@ -108,7 +98,6 @@ class DhTable(JointTree):
         return np.cos(self.alpha), np.sin(self.alpha)
 
     def transforms(self, joint_values: Array) -> Array:
-        """Returns T_{i-1,i} without `root`, (..., n, 4, 4)."""
         q = joint_values
         theta, d = self.theta + q, self.d
         if self._has_prismatic:

@@ -12,7 +12,7 @@ length a, and an angle alpha from A to B about x:
 
 Two normals enclose the angle theta about, and the distance d along, their common axis. Craig's row
 i has alpha and a of the normal before joint i, the standard one those of the normal after it (see
-`robots.declared.dh` for the two).
+`robots.kinematics.dh` for the two).
 """
 
 from __future__ import annotations
@@ -23,14 +23,9 @@ from typing import Literal
 
 import numpy as np
 
-from ...base.frames import (
-    Array,
-    Bools,
-    frame,
-    inverse,
-    rotation_about,
-    rotation_angles,
-)
+from ...base.frames import Array, Bools, frame, inverse, rotation_angles
+from .dh import DhTable
+from .joint_tree import JointFrames
 
 _PARALLEL = 1e-9  # rad; larger effects are detected by the check
 _ZERO = 1e-12  # m and rad: rounding
@@ -43,7 +38,6 @@ class DhChain:
     """A Denavit-Hartenberg table with the frames needed to replace a chain of joint frames.
 
     Attributes:
-        convention: `craig` or `standard`.
         rows: alpha, a, theta, d per joint, (n, 4), rad and m.
         base_frame: T_base_0 (4, 4), from the robot's base to frame 0 of the table.
         flange_frame: T_n_flange (4, 4), from frame n of the table.
@@ -82,24 +76,21 @@ def dh_from_frames(
             base's, at zero joint values, (n, 4, 4), m.
         revolute: True for joints that turn, False for those that slide, (n,).
         flange_frame: T_n_flange (4, 4) in the last joint's frame; identity when None.
-        convention: `craig` or `standard`.
 
     Returns:
         the table; None if its frames differ from the chain's by more than 1e-9 m or rad in any of
-        200 random poses. That happens where axes deviate from parallel by some 1e-6 rad, since
+        200 poses. That happens where axes deviate from parallel by some 1e-6 rad, since
         their normal is then far away.
     """
     flange = np.eye(4) if flange_frame is None else flange_frame
-    n = len(joint_frames)
-    at_zero = np.empty((n + 1, 4, 4))
-    at_zero[0] = np.eye(4)
-    for i in range(n):
-        at_zero[i + 1] = at_zero[i] @ joint_frames[i]
+    zero = np.zeros(len(joint_frames))
+    at_zero = JointFrames(joint_frames, revolute).frames(zero)
     make = _craig if convention == "craig" else _standard
     rows, T_base_0 = make(at_zero, at_zero[-1] @ flange)
     rows[np.abs(rows) < _ZERO] = 0.0
     # Links keep their frames of the chain at zero joint values, even if the table is rounded.
-    links = inverse(_chain(rows, convention, revolute, np.zeros(n), T_base_0)[1:]) @ at_zero[1:]
+    table = DhTable.from_rows(rows, convention, revolute=revolute)
+    links = inverse(table.frames(zero, T_base_0)[1:]) @ at_zero[1:]
     chain = DhChain(convention, rows, T_base_0, links[-1] @ flange, links)
     return chain if _agrees(chain, joint_frames, revolute, flange) else None
 
@@ -131,7 +122,6 @@ def _standard(at_zero: Array, flange: Array) -> tuple[Array, Array]:
 
 
 def _normals(axes: Array) -> list[_Normal]:
-    """The normals of neighbouring axes, each the z axis of a frame (m, 4, 4)."""
     x, foot = axes[0][:3, 0], axes[0][:3, 3]
     normals = []
     for A, B in pairwise(axes):
@@ -144,7 +134,6 @@ def _normal(z_a: Array, on_a: Array, z_b: Array, on_b: Array, before: Array) -> 
     """The normal of two axes with directions z through points.
 
     Args:
-        z_a: direction of axis A.
         on_a: foot of the previous normal on A.
         z_b: direction of axis B.
         on_b: any point on B.
@@ -178,13 +167,11 @@ def _at_right_angles(x: Array, z: Array) -> Array:
 
 
 def _nearer(x: Array, before: Array, z: Array) -> float:
-    """The sign of x for which theta about z from the previous normal is in -90 to 90 degrees."""
     cosine, sine = before @ x, np.cross(before, x) @ z
     return 1.0 if cosine > _ZERO or (abs(cosine) <= _ZERO and sine > 0) else -1.0
 
 
 def _screw(before: _Normal, normal: _Normal, z: Array) -> tuple[float, float]:
-    """Theta about, and d along, the common axis z of two normals."""
     theta = np.arctan2(np.cross(before.x, normal.x) @ z, before.x @ normal.x)
     return float(theta), float((normal.foot_a - before.foot_b) @ z)
 
@@ -196,41 +183,19 @@ def _frame_on(z: Array, x: Array, origin: Array) -> Array:
     return T
 
 
-def _chain(rows: Array, convention: str, revolute: Bools, q: Array, T_base_0: Array) -> Array:
-    """Frames 0 to n of a table in the base frame at joint values (..., n): (..., n + 1, 4, 4)."""
-    frames = np.empty((*q.shape[:-1], len(rows) + 1, 4, 4))
-    frames[..., 0, :, :] = T_base_0
-    for i, (alpha, a, theta, d) in enumerate(rows):
-        along_x = frame(rotation_about(0, alpha), np.array([a, 0.0, 0.0]))
-        along_z = np.zeros((*q.shape[:-1], 4, 4))
-        along_z[..., :3, :3] = rotation_about(2, theta + q[..., i] * revolute[i])
-        along_z[..., 2, 3] = d + q[..., i] * (not revolute[i])
-        along_z[..., 3, 3] = 1.0
-        link = along_x @ along_z if convention == "craig" else along_z @ along_x
-        frames[..., i + 1, :, :] = frames[..., i, :, :] @ link
-    return frames
-
-
 def _agrees(chain: DhChain, joint_frames: Array, revolute: Bools, flange: Array) -> bool:
-    """Whether every link and the flange agree with the chain in random poses."""
-    random = np.random.default_rng(0)
-    n = len(joint_frames)
-    q = random.uniform(-1.0, 1.0, (_POSES, n)) * np.where(revolute, np.pi, 1.0)
-    table = _chain(chain.rows, chain.convention, revolute, q, chain.base_frame)
-    found = table[:, 1:] @ chain.link_frames
-    found = np.concatenate([found, (table[:, -1] @ chain.flange_frame)[:, None]], axis=1)
-    expected = np.empty_like(found)
-    at = np.tile(np.eye(4), (_POSES, 1, 1))
-    for i in range(n):
-        moved = np.zeros((_POSES, 4, 4))
-        moved[:] = np.eye(4)
-        if revolute[i]:
-            moved[:, :3, :3] = rotation_about(2, q[:, i])
-        else:
-            moved[:, 2, 3] = q[:, i]
-        at = at @ joint_frames[i] @ moved
-        expected[:, i] = at
-    expected[:, -1] = at @ flange
+    # Spread over the ranges as random ones are; numpy.random takes 15 ms to import.
+    q = np.sin(np.outer(np.arange(_POSES), np.sqrt(np.arange(len(joint_frames)) + 1.5)))
+    q *= np.where(revolute, np.pi, 1.0)
+    table = DhTable.from_rows(chain.rows, chain.convention, revolute=revolute)
+    found = table.frames(q, chain.base_frame)
+    expected = JointFrames(joint_frames, revolute).frames(q)[:, 1:]
+    links = found[:, 1:] @ chain.link_frames
+    flanges = found[:, -1:] @ chain.flange_frame
+    found, expected = (
+        np.concatenate([links, flanges], axis=1),
+        np.concatenate([expected, expected[:, -1:] @ flange], axis=1),
+    )
     if np.abs(found[..., :3, 3] - expected[..., :3, 3]).max() > _TOLERANCE:
         return False
     turned = expected[..., :3, :3].mT @ found[..., :3, :3]
