@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..robots.declared.scene import Scene
     from ..simulate.runs.run_log import RunLog
     from ..study.engine import Engine
-    from ..viewer.window.host import Viewport
+    from ..viewer.window.viewport import Viewport
 
 
 def _drawn(path: Path | None) -> Path | None:
