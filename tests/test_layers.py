@@ -218,7 +218,7 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
 @pytest.mark.parametrize(
     ("module", "line", "found"),
     [
-        ("robots.kinematics.dh", "from ...data.receive.source import age", "imports data.receive"),
+        ("robots.kinematics.dh", "from ...data.receive.mailbox import age", "imports data.receive"),
         ("robots.kinematics.dh", "from ...data.receive import source", "imports data.receive"),
         ("robots.kinematics.dh", "from ...data import receive", "imports data.receive"),
         ("robots.kinematics.dh", "import sero_mj.data.receive.udp", "imports data.receive.udp"),

@@ -8,6 +8,7 @@
     sero_mj.networks        schemes of addresses, such as `ros2` of `ros2://`: objects with
                             `scene_of_network`, which writes a scene of the robot at an address,
                             and `print_topics`, for `sero-mj status --topics`
+    sero_mj.columns         names of columns in tables, see `data.record.table_signals.ColumnNames`
     sero_mj.controllers     kinds of controllers, see `simulate.control.controller`
     sero_mj.target_motions  kinds of targets, see `simulate.control.target_motions`
     sero_mj.decor           visual features, see `viewer.decor.feature.Feature`
@@ -50,7 +51,7 @@ CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
 DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
 NAMES, WHEN_IMPORTED = "sero_mj.names", "sero_mj.when_imported"
 MESHES, EXPORTS = "sero_mj.meshes", "sero_mj.exports"
-RECORDINGS, NETWORKS = "sero_mj.recordings", "sero_mj.networks"
+RECORDINGS, NETWORKS, COLUMNS = "sero_mj.recordings", "sero_mj.networks", "sero_mj.columns"
 EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
 LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"
