@@ -170,8 +170,7 @@ def expecting(what: str) -> WrapValidator:
 def numbers(value: Any) -> Array:
     """Returns a float64 array of finite numbers.
 
-    Raises:
-        ValueError: something in it is not a number, or is NaN or infinite.
+    Raises ValueError if something in it is not a number, or is NaN or infinite.
     """
     try:
         array = np.asarray(value)
@@ -221,8 +220,7 @@ def _in_range(rgba: Array) -> Array:
 def is_name(text: str) -> str:
     """Returns the text if it is a valid name of a robot, a source or an object.
 
-    Raises:
-        ValueError: it has invalid characters.
+    Raises ValueError if it has invalid characters.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", text):
         expected = "letters, digits, _ and -, the first a letter or _"
@@ -325,8 +323,7 @@ def file_fields(kind: type[Declaration]) -> list[str]:
 def kind_of(table: Any, kinds: Collection[str]) -> str:
     """The `kind` of a table.
 
-    Raises:
-        DeclarationError: it is not a table, or there is no such kind.
+    Raises DeclarationError if it is not a table, or there is no such kind.
     """
     if not isinstance(table, Mapping):
         raise mismatch(table, "a table with `kind`")

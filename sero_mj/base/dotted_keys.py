@@ -15,8 +15,7 @@ _PART = re.compile(r"([^.\[\]]+)((?:\[\d+\])*)")
 def parts_of(key: str) -> list[str | int]:
     """Returns names and indices of a dotted key, outermost first.
 
-    Raises:
-        ValueError: it is not a dotted key.
+    Raises ValueError if it is not a dotted key.
     """
     parts: list[str | int] = []
     for text in key.split("."):

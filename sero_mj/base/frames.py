@@ -182,8 +182,7 @@ def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:
 def nearest_rotation(matrix: Array) -> Array:
     """Returns the rotation nearest to a matrix typed with few digits; an exact one unchanged.
 
-    Raises:
-        ValueError: it is not even approximately a rotation, or it is a reflection.
+    Raises ValueError if it is not even approximately a rotation, or it is a reflection.
     """
     # Entries far above 1 are refused before their squares overflow.
     far = np.abs(matrix).max() > 2.0

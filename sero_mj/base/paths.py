@@ -179,8 +179,7 @@ def _plain(path: Path) -> Path:
 def model_in(folder: Path) -> Path | None:
     """The model of a third-party folder: its scene, or else the only one; None for none.
 
-    Raises:
-        DeclarationError: there are several.
+    Raises DeclarationError if there are several.
     """
     if os.path.isfile(folder / _SCENE_FILE):
         return folder / _SCENE_FILE
@@ -311,8 +310,7 @@ def list_scenarios() -> list[str]:
 def find_scenario(name: str) -> Path:
     """Returns the scenario file of a name: a TOML file, or a shipped scenario's name.
 
-    Raises:
-        UnknownName: nothing of that name exists; lists the shipped scenarios.
+    Raises UnknownName if nothing of that name exists; lists the shipped scenarios.
     """
     return _find("scenario", name, scenarios_dir(), list_scenarios)
 
@@ -320,8 +318,7 @@ def find_scenario(name: str) -> Path:
 def find_scene(name: str) -> Path:
     """Returns the scene file of a name: a TOML file, or a shipped scene's name.
 
-    Raises:
-        UnknownName: nothing of that name exists; lists the shipped scenes.
+    Raises UnknownName if nothing of that name exists; lists the shipped scenes.
     """
     return _find("scene", name, scenes_dir(), list_scenes)
 

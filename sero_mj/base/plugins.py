@@ -147,8 +147,7 @@ def load_first(group: str, base: type) -> Any | None:
 def plugin_name(group: str, item: type) -> str:
     """The name under which a class is an entry point of a group.
 
-    Raises:
-        UnknownName: it is not an entry point.
+    Raises UnknownName if it is not an entry point.
     """
     value = f"{item.__module__}:{item.__qualname__}"
     found = plugins(group)

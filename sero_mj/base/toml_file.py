@@ -79,8 +79,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_toml(text: str) -> dict[str, Any]:
     """Parses TOML.
 
-    Raises:
-        ValueError: it is invalid, or too large or deeply nested for the memory; says where.
+    Raises ValueError if it is invalid, or too large or deeply nested for the memory; says where.
     """
     return {key: _copied(value) for key, value in _tables_of(text).items()}
 

@@ -119,8 +119,7 @@ def is_allowed(request: Request) -> bool:
 def require(origin: Origin | None, actions: Collection[Action]) -> None:
     """Checks that a declaration may run what it asks for.
 
-    Raises:
-        NotTrusted: its file is not trusted.
+    Raises NotTrusted if its file is not trusted.
     """
     if actions and origin is not None and not origin.is_trusted:
         raise NotTrusted(origin.file, [str(action) for action in actions])
@@ -129,8 +128,7 @@ def require(origin: Origin | None, actions: Collection[Action]) -> None:
 def import_listed(package: str, module: str, listed: Iterable[str]) -> Any:
     """Imports a module that a file may have named.
 
-    Raises:
-        UnknownName: the package does not list it.
+    Raises UnknownName if the package does not list it.
     """
     known = list(listed)
     if module not in known:

@@ -68,8 +68,7 @@ _WITH_VALUE = ("initializeOnly", "inputOutput")
 def read_document(path: Path) -> Document:
     """Reads a file of VRML97, or of X3D in the classic encoding; it may be gzip-compressed.
 
-    Raises:
-        DeclarationError: all that is wrong with it, with lines.
+    Raises DeclarationError with all that is wrong with it, with lines.
     """
     return parse_document(_read_text(path), path)
 
@@ -119,8 +118,7 @@ def _what_else(start: str) -> str:
 def parse_document(text: str, path: Path) -> Document:
     """Parses text; the header is optional.
 
-    Raises:
-        DeclarationError: all that is wrong with it, with lines of `path`.
+    Raises DeclarationError with all that is wrong with it, with lines of `path`.
     """
     parser = _Parser(text, path)
     document = parser.document()

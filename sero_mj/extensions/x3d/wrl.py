@@ -219,8 +219,7 @@ def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:
 def transform_of(node: Node) -> Array:
     """T_parent_node (4, 4) of a grouping node, affine; identity for nodes without a transform.
 
-    Raises:
-        ValueError: a field is wrong.
+    Raises ValueError if a field is wrong.
     """
     if node.kind == "MatrixTransform":
         value = node.value("matrix")
@@ -255,8 +254,7 @@ def matrix(numbers: Array) -> Array:
 def rotation(axis_angle: Array) -> Array:
     """Rotation (3, 3) of an SFRotation: an axis of any length and an angle in rad.
 
-    Raises:
-        ValueError: the axis is zero.
+    Raises ValueError if the axis is zero.
     """
     axis, angle = axis_angle[:3], float(axis_angle[3])
     length = np.linalg.norm(axis)

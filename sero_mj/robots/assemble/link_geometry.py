@@ -73,8 +73,7 @@ def trim_geoms(robot: SerialRobot) -> list[list[Geom]]:
 def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
     """Returns the geoms of the declared `collisions`, or of MJCF.
 
-    Raises:
-        DeclarationError: a file cannot be read.
+    Raises DeclarationError if a file cannot be read.
     """
     if robot.mjcf is not None:
         return touching_links(root, robot)

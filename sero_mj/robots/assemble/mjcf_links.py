@@ -35,8 +35,7 @@ _MATERIAL = ("rgba", "emission", "specular", "shininess", "reflectance", "metall
 def mjcf_tree(robot: SerialRobot) -> MjcfTree:
     """Returns the robot in the model of its file.
 
-    Raises:
-        DeclarationError: it cannot be read, or has a different number of joints.
+    Raises DeclarationError if it cannot be read, or has a different number of joints.
     """
     from ..importers.mjcf_robot import kept_tree  # most robots are not read from MJCF
 

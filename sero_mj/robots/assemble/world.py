@@ -369,8 +369,7 @@ def _warn_of_lengths(scene: Scene) -> None:
 def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
     """Masses, friction and elasticity of all robots of a scene, by name.
 
-    Raises:
-        DeclarationError: all their errors.
+    Raises DeclarationError with all their errors.
     """
     found: dict[str, RobotDynamics] = {}
     problems: list[Problem] = []

@@ -75,8 +75,7 @@ class WorldView(Protocol):
     def weighed(self) -> mujoco.MjModel:
         """Returns the model with the masses of simulation: itself where it has them.
 
-        Raises:
-            DeclarationError: errors of the robots' masses.
+        Raises DeclarationError with errors of the robots' masses.
         """
         return self.model
 

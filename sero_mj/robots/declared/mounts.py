@@ -60,8 +60,7 @@ def mount_circles(robots: Mapping[str, SerialRobot]) -> list[list[str]]:
 def mount_order(robots: Mapping[str, SerialRobot]) -> list[str]:
     """Returns the names of all robots in declared order, but each after its carrier.
 
-    Raises:
-        CycleError: robots carry each other in a cycle.
+    Raises CycleError if robots carry each other in a cycle.
     """
     carriers = {name: carrier(robot) for name, robot in robots.items()}
     after = {name: {each} & set(robots) if each else set() for name, each in carriers.items()}

@@ -28,8 +28,7 @@ _TOKENS = re.compile(
 def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
     """Returns the routes with every origin as text.
 
-    Raises:
-        DeclarationError: an origin is neither text nor numbers nor a table of joints.
+    Raises DeclarationError if an origin is neither text nor numbers nor a table of joints.
     """
     texts, problems = {}, []
     for target, origin in routes.items():

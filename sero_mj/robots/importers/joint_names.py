@@ -19,8 +19,7 @@ LONGEST = 200  # characters
 def is_joint_name(name: str) -> str:
     """Returns the name if a joint can have it: `1`, `left/j1`, `a.b`, `hüfte`, but no line breaks.
 
-    Raises:
-        ValueError: it is empty, too long, or has characters that cannot be printed.
+    Raises ValueError if it is empty, too long, or has characters that cannot be printed.
     """
     if not name.strip() or not name.isprintable() or len(name) > LONGEST:
         expected = f"1 to {LONGEST} characters that can be printed"
