@@ -295,7 +295,7 @@ class World(WorldView):
         data = self._at_home() if fitted else None
         for name, part in fitted.items():
             joints = self.model.dof_jntid[part.dofs].astype(np.intp)
-            bodies = np.unique([*part.bodies, part.flange_body])
+            bodies = np.array(sorted({*part.bodies.tolist(), part.flange_body}), np.intp)
             names = [f"{part.scope}centre{i + 1}" for i in range(part.robot.n)]
             centres = np.array([self.model.site(each).id for each in names], np.intp)
             seen = MeasuredBodies(bodies, joints, np.zeros(0, np.intp), centres)
