@@ -37,7 +37,7 @@ _allowed: set[str] = set()  # digests of requests
 
 
 @dataclass(frozen=True)
-class Action:
+class RequestedAction:
     """Something that a file asks to do besides showing robots.
 
     Attributes:
@@ -58,7 +58,7 @@ class Action:
 
 
 @dataclass(frozen=True)
-class Origin:
+class FileOrigin:
     """The file that a declaration was read from."""
 
     file: Path
@@ -76,7 +76,7 @@ class Request:
     """
 
     file: Path
-    actions: tuple[Action, ...]
+    actions: tuple[RequestedAction, ...]
     tables: tuple[Path, ...] = ()
     digest: str = field(init=False)
 
@@ -116,7 +116,7 @@ def is_allowed(request: Request) -> bool:
     return request.digest in _allowed
 
 
-def require(origin: Origin | None, actions: Collection[Action]) -> None:
+def require(origin: FileOrigin | None, actions: Collection[RequestedAction]) -> None:
     """Checks that a declaration may run what it asks for.
 
     Raises NotTrusted if its file is not trusted.

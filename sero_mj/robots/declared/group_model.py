@@ -82,7 +82,7 @@ def expand_groups(tables: Mapping[str, Any], file: Path, most: Mapping[str, int]
     for name, table in tables.items():
         if isinstance(table, Mapping) and "model" in table:
             entry = _found_from(file.parent, {"groups": {name: table}})["groups"][name]
-            _add_group(found, _Place(), name, entry, ((file, f"groups.{name}"),))
+            _add_group(found, _Placement(), name, entry, ((file, f"groups.{name}"),))
         else:
             found.groups[name] = table
     return found
@@ -106,7 +106,7 @@ def has_key(place: tuple[Path, str], key: str) -> bool:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Placement:
     """The frame of the members of a model, or of a scene's robots.
 
     Attributes:
@@ -123,7 +123,7 @@ class _Place:
     mounted: Declared = ()
     inside: tuple[Path, ...] = ()
 
-    def of(self, name: str, table: Mapping[str, Any], declared: Declared) -> _Place:
+    def of(self, name: str, table: Mapping[str, Any], declared: Declared) -> _Placement:
         T, mirrored, mount = np.eye(4), table.get("mirrored", False), table.get("mount")
         problems = []
         try:
@@ -142,11 +142,11 @@ class _Place:
         else:  # on another member, which is mirrored if the group is
             mount = f"{self.scope}{mount}"
         scope = f"{self.scope}{name}_"
-        return _Place(scope, T, mirrored != self.mirrored, mount, declared, self.inside)
+        return _Placement(scope, T, mirrored != self.mirrored, mount, declared, self.inside)
 
 
 def _add_group(
-    found: Expanded, around: _Place, name: str, entry: Mapping[str, Any], declared: Declared
+    found: Expanded, around: _Placement, name: str, entry: Mapping[str, Any], declared: Declared
 ) -> None:
     if found.is_full:
         return
@@ -200,7 +200,7 @@ class _Members:
     """
 
     def __init__(
-        self, found: Expanded, place: _Place, entry: Mapping[str, Any], declared: Declared
+        self, found: Expanded, place: _Placement, entry: Mapping[str, Any], declared: Declared
     ) -> None:
         self._found, self._place, self._entry, self._declared = found, place, entry, declared
         self._path = place.inside[-1]

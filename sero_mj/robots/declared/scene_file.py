@@ -98,7 +98,7 @@ def scene_from_tables(
         DeclarationError: there are too many entries to build.
     """
     if not (too_many := excess(tables)):
-        reader = _Reader(path, tables, known, overrides or {}, lines)
+        reader = _SceneReader(path, tables, known, overrides or {}, lines)
         expanded = {section: reader.tables.get(section, {}) for section in ("robots", "groups")}
         too_many = excess(expanded)
     if too_many:
@@ -136,13 +136,13 @@ def group_from_model(
     """
     path = paths.find_group_model(model)
     entry = {"model": path, **fields}
-    reader = _Reader(path, {"groups": {name or path.resolve().parent.name: entry}}, (), {})
+    reader = _SceneReader(path, {"groups": {name or path.resolve().parent.name: entry}}, (), {})
     robots, groups = reader.robots(), reader.groups()
     raise_any(reader.problems)
     return robots, groups
 
 
-class _Reader:
+class _SceneReader:
     """Reads the sections of one file with overrides, and collects their problems."""
 
     def __init__(

@@ -69,7 +69,7 @@ def _without_python(find: Callable[[str], str]) -> Iterator[None]:
             "arg": argument,
             "dirname": lambda: substitution_args._eval_dirname(context["filename"]),
         }
-        return str(evaluate(text, _Scope(own, arguments, argument)))
+        return str(evaluate(text, _Names(own, arguments, argument)))
 
     patched: list[tuple[Any, str, Any]] = [
         (xacro, "safe_eval", evaluate),
@@ -86,7 +86,7 @@ def _without_python(find: Callable[[str], str]) -> Iterator[None]:
             setattr(module, name, value)
 
 
-class _Scope(Mapping[str, Any]):
+class _Names(Mapping[str, Any]):
     """Functions, then arguments, which are looked up only if an expression has them."""
 
     def __init__(

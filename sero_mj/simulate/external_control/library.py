@@ -21,7 +21,7 @@ from pydantic import Field
 from ...base.child_process import ChildProcess
 from ...base.errors import DeclarationError, Problem, SimulationError
 from ...base.frames import Array
-from ...base.trust import Action
+from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
 from ..control.controller import ControllerDeclaration, Sensed, Target
 from ..control.robot_model import RobotModel
@@ -67,9 +67,9 @@ class Library(ControllerDeclaration):
         """None: there is no library."""
         return None
 
-    def actions(self, key: str = "") -> list[Action]:
+    def actions(self, key: str = "") -> list[RequestedAction]:
         """See `ControllerDeclaration`."""
-        return [Action(key, f"load the library {self.file}", (self.file,))]
+        return [RequestedAction(key, f"load the library {self.file}", (self.file,))]
 
     def check_files(self) -> None:
         """See `ControllerDeclaration`."""
