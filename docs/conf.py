@@ -24,7 +24,7 @@ html_extra_path = ["_made/runs"]
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]
 html_title = f"sero-mj {version}"
-exclude_patterns = ["_made/README.md", "_made/wings.md"]
+exclude_patterns = ["_made/README.md", "_made/packages.md"]
 myst_heading_anchors = 3
 myst_enable_extensions = ["colon_fence"]
 default_role = "code"
@@ -52,7 +52,7 @@ def _declarations() -> str:
 
 
 def _reference() -> str:
-    """The public names of Python, in the order of the wings."""
+    """The public names of Python, in the order of the packages."""
     lines = ["Python", "======", "", ".. automodule:: sero_mj", "   :no-members:", ""]
     for name, home in sero_mj._HOME.items():
         item = getattr(sero_mj, name)
@@ -93,12 +93,12 @@ def setup(app: object) -> None:
     made = _HERE / "_made"
     made.mkdir(exist_ok=True)
     structure = (_HERE.parent / "sero_mj" / "data" / "receive" / "STRUCTURE.md").read_text("utf-8")
-    wings = (_HERE.parent / "README.md").read_text("utf-8").partition("## The wings")[2]
+    packages = (_HERE.parent / "README.md").read_text("utf-8").partition("## Packages")[2]
     pages = {
         "keys.md": _declarations(),
         "python.rst": _reference(),
         "structure.md": structure,
-        "wings.md": "# The wings\n" + re.split(r"\n\[CONTRIB", wings)[0],  # in `inside.md`
+        "packages.md": "# Packages\n" + re.split(r"\n\[CONTRIB", packages)[0],  # in `inside.md`
     }
     for name, text in pages.items():
         file = made / name

@@ -25,7 +25,7 @@ from sero_mj.base.errors import RenderError, SeroError, UsageError
 from sero_mj.viewer.panels.user_widgets import TOOL
 from sero_mj.viewer.program.outbox import Outbox
 from sero_mj.viewer.program.panels import UserPanels
-from sero_mj.viewer.tools.user_panels import UserPanels as UserPanelsTool
+from sero_mj.viewer.tools.user_panels import UserPanelsTool
 from sero_mj.viewer.web.host import WebHost
 
 

@@ -25,7 +25,7 @@ from sero_mj.viewer.host.live import LiveHost
 from sero_mj.viewer.image.clicks import CLICKS, KEYS
 from sero_mj.viewer.panels.help import build_help
 from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line, build_time_line
-from sero_mj.viewer.session.capture import Capture, due_frames, unused_name
+from sero_mj.viewer.session.capture import PictureWriter, due_frames, unused_name
 from sero_mj.viewer.session.clock import SPEEDS, Clock, Tick, time_text
 from sero_mj.viewer.session.input import (
     DOUBLE_CLICK_TIME,
@@ -543,7 +543,7 @@ def test_files_get_names_that_are_free(tmp_path: Path) -> None:
 
 
 def test_two_screenshots_within_a_second_are_two_files(tmp_path: Path) -> None:
-    capture = Capture("lwr", tmp_path)
+    capture = PictureWriter("lwr", tmp_path)
     with patch("sero_mj.viewer.session.capture.datetime") as clock:
         clock.now.return_value = datetime(2026, 5, 4, 17, 3, 12)
         for value in (0, 255):

@@ -6,7 +6,6 @@ No MuJoCo.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from types import EllipsisType
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,6 @@ from .errors import Problem, mismatch
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-# Of a first axis of equal things; that of the only one is ..., which leaves arrays as they are.
-RowIndex = int | EllipsisType
 
 _NICE = (1.0, 2.0, 5.0)
 _ROTATION_KEYS = ("rpy", "rpy_deg", "quat")

@@ -16,7 +16,7 @@ from .shared_options import SceneArgument, ShownOptions
 
 if TYPE_CHECKING:
     from ..robots.declared.scene import Scene
-    from ..viewer.player.capture import Capture
+    from ..viewer.player.capture import CapturedRun
 
 _HELP = """\
 examples:
@@ -148,7 +148,7 @@ def write_animation(options: ExportOptions) -> int:
     return _report(options)
 
 
-def _captured(options: ExportOptions) -> tuple[Scene, Capture]:
+def _captured(options: ExportOptions) -> tuple[Scene, CapturedRun]:
     from ..viewer.player.capture import capture
     from .opening import with_scene
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ..viewer.host.live import LiveHost
     from ..viewer.session.recent_views import RecentView
     from ..viewer.session.view_state import ViewState
-    from ..viewer.web.server import Listener, PageServer
+    from ..viewer.web.server import PageListener, PageServer
 
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
@@ -187,7 +187,7 @@ class Session:
         from ..robots.declared.scene import Scene
 
         self.options, self.on_page = options, on_page
-        self._listener: Listener | None = None  # as long as the session: see `Listener`
+        self._listener: PageListener | None = None  # as long as the session: see `PageListener`
         self._token: bool | str = not options.no_token  # as browsers know the page
         self.plain = Scene()
         self.is_at_start = options.scene is None
@@ -198,12 +198,12 @@ class Session:
         self._warnings: list[str] = []  # of the files of what is shown next
 
     @property
-    def _listening(self) -> Listener:
+    def _listening(self) -> PageListener:
         """The sockets of all pages of the session."""
         if self._listener is None:
-            from ..viewer.web.server import Listener
+            from ..viewer.web.server import PageListener
 
-            self._listener = Listener(self.options.host or _LOOPBACK, self.options.port or 0)
+            self._listener = PageListener(self.options.host or _LOOPBACK, self.options.port or 0)
         return self._listener
 
     def first(self) -> Mirror | None:

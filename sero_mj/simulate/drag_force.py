@@ -12,7 +12,7 @@ import numpy as np
 from ..base.errors import UsageError
 from ..base.frames import Array
 from .external_loads import Push
-from .plant_rows import PlantRow
+from .plant import Plant
 from .runs.run_log import event_of
 from .scenario import Scenario
 
@@ -68,7 +68,7 @@ class DragForce:
 
     limit = LIMIT
 
-    def __init__(self, plant: PlantRow, scenario: Scenario) -> None:
+    def __init__(self, plant: Plant, scenario: Scenario) -> None:
         scene = scenario.scene
         taken = {*scene.robots, *scene.doubles, *scene.arrows, *scene.frames, *scene.cameras}
         taken |= {*scenario.disturbances, *(each.name for each in scene.objects)}
@@ -201,7 +201,7 @@ class _SpringPush(Push):
         is_due: whether a step of the controllers begins.
     """
 
-    def __init__(self, drag: DragForce, plant: PlantRow, frame: str, point: Array) -> None:
+    def __init__(self, drag: DragForce, plant: Plant, frame: str, point: Array) -> None:
         super().__init__(plant.world, frame, np.zeros(3), np.zeros(3), "world", point)
         self.offset = np.array(point, np.float64)
         self.mass = 1.0

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.frames import Array, Ints, RowIndex
+from ..base.frames import Array, Ints
 from .disturbances import Force, Payload
 from .due_actions import DueActions
 from .external_loads import Push
 from .fault_schedule import FaultSchedule
-from .plant_rows import PlantRow, PlantRows
+from .plant import Plant, PlantRows
 from .runs.run_log import event_of
 from .scenario import Scenario
 
@@ -26,12 +26,12 @@ class CarriedObjects:
     def __init__(self, plant: PlantRows) -> None:
         self._plant = plant
         # By row and name: the flange's body, T_flange_object, and where poses are written.
-        self._carried: dict[tuple[RowIndex, str], tuple[int, Array, Array]] = {}
+        self._carried: dict[tuple[int, str], tuple[int, Array, Array]] = {}
 
     def __bool__(self) -> bool:
         return bool(self._carried)
 
-    def take(self, plant: PlantRow, name: str, robot: str, grasp: Array, poses: Array) -> None:
+    def take(self, plant: Plant, name: str, robot: str, grasp: Array, poses: Array) -> None:
         """Lets an object be carried.
 
         Args:
@@ -41,12 +41,12 @@ class CarriedObjects:
             grasp: T_flange_object.
             poses: (T, 16), its poses at every step, to be written.
         """
-        self._carried[plant.index, name] = plant.flange_body(robot), grasp, poses
+        self._carried[plant.row, name] = plant.flange_body(robot), grasp, poses
         self._sort()
 
-    def put_down(self, plant: PlantRow, name: str) -> None:
+    def put_down(self, plant: Plant, name: str) -> None:
         """Lets an object be carried no more."""
-        del self._carried[plant.index, name]
+        del self._carried[plant.row, name]
         self._sort()
 
     def clear(self) -> None:
@@ -62,7 +62,7 @@ class CarriedObjects:
 
     def write(self, k: int) -> None:
         """Writes where they are now into the rows k of their poses."""
-        poses = self._plant.rows.poses_of(self._rows, self._bodies) @ self._grasps
+        poses = self._plant.physics.poses_of(self._rows, self._bodies) @ self._grasps
         for written, pose in zip(self._written, poses.reshape(-1, 16), strict=True):
             written[k] = pose
 
@@ -81,7 +81,7 @@ class EventSchedule:
     """
 
     scenario: Scenario
-    plant: PlantRow
+    plant: Plant
     steps: int
     gains: Array
     carried: CarriedObjects

@@ -15,7 +15,7 @@ from ..robots.assemble.mjcf_dynamics import PAYLOAD
 from ..robots.assemble.parts import robots_of_bodies
 from ..robots.assemble.world import World
 from ..robots.declared.dynamics import inertia_problem, principal_moments, tensors_from
-from .rows import ManyRows
+from .physics import Physics
 
 
 class Push:
@@ -99,10 +99,10 @@ class PushRows:
         pushes: the row and the push, of all that act.
     """
 
-    def __init__(self, rows: ManyRows, pushes: Sequence[tuple[int, Push]]) -> None:
-        model = rows.model
+    def __init__(self, physics: Physics, pushes: Sequence[tuple[int, Push]]) -> None:
+        model = physics.model
         acting = [push for _, push in pushes]
-        self._rows, self._wrenches = rows, np.zeros((len(pushes), 2, 3))
+        self._physics, self._wrenches = physics, np.zeros((len(pushes), 2, 3))
         for push, wrench in zip(acting, self._wrenches, strict=True):
             push.write_into(wrench)
         self._of: Ints = np.array([row for row, _ in pushes], np.intp)
@@ -112,8 +112,8 @@ class PushRows:
         self._sites: Ints = np.array([push.site for push in acting], np.intp)
         self._roots: Ints = model.body_rootid[bodies].astype(np.intp)
         self._moved: Bools = np.array([_moving(model, body) for body in bodies])
-        self._places = rows.bind("site_xpos")
-        self._centers, self._motions = rows.bind("subtree_com"), rows.bind("cdof")
+        self._places = physics.bind("site_xpos")
+        self._centers, self._motions = physics.bind("subtree_com"), physics.bind("cdof")
         ats = np.array([push.at for push in acting])
         is_off = bool(ats.any())
         self._off: Array | None = ats[..., None] if is_off else None
@@ -121,7 +121,7 @@ class PushRows:
         self._turned: Ints = np.array(turned, np.intp)
         self._axes: Ints = np.array([acting[k].axes for k in turned], np.intp)
         # Bound only where needed: what is bound is copied in every step.
-        self._turns = rows.bind("site_xmat") if is_off or turned else None
+        self._turns = physics.bind("site_xmat") if is_off or turned else None
 
     def write(self, torques: Array) -> None:
         """Writes their torques on the joints.
@@ -129,8 +129,8 @@ class PushRows:
         Args:
             torques: (m, nv), Nm or N: zeros.
         """
-        rows, of, sites = self._rows, self._of, self._sites
-        rows.look_ahead()
+        of, sites = self._of, self._sites
+        self._physics.look_ahead()
         wrenches = self._wrenches
         points = self._places[of, sites]
         if self._turns is not None:

@@ -7,7 +7,7 @@ from functools import partial
 from ..base.frames import Array
 from .disturbances import Fault
 from .due_actions import DueActions
-from .plant_rows import PlantRow
+from .plant import Plant
 from .scenario import Scenario
 
 
@@ -22,7 +22,7 @@ class FaultSchedule:
             to be written.
     """
 
-    def __init__(self, scenario: Scenario, plant: PlantRow, due: DueActions, gains: Array) -> None:
+    def __init__(self, scenario: Scenario, plant: Plant, due: DueActions, gains: Array) -> None:
         self._scenario, self._plant, self._gains = scenario, plant, gains
         self._active: list[Fault] = []
         model, parts = plant.world.model, plant.world.robots
@@ -40,8 +40,7 @@ class FaultSchedule:
         self._apply(fault)
 
     def _apply(self, fault: Fault) -> None:
-        with self._plant.sensors.only(self._plant.index):
-            fault.apply(self._plant, fault.rows(self._scenario.scene.robots), self._gains)
+        fault.apply(self._plant, fault.rows(self._scenario.scene.robots), self._gains)
 
     def _end(self, fault: Fault) -> None:
         """Ends a fault; others of the same part are applied again in their order."""
@@ -53,8 +52,7 @@ class FaultSchedule:
                 self._apply(other)
 
         if fault.part == "sensors":
-            with self._plant.sensors.only(self._plant.index):
-                self._plant.sensors.end_faults(apply_others)
+            self._plant.sensors.end_faults(apply_others)
             return
         if fault.part == "drives":
             self._gains[:] = 1.0

@@ -21,7 +21,7 @@ from ..robots.assemble.robot_dynamics import EARTH
 from ..robots.declared.degrees import look_like_degrees
 from ..robots.declared.scene import Scene
 from ..robots.declared.surroundings import Object
-from .control.controller import Controller, ControllerDeclaration, within
+from .control.controller import Controller, ControllerDeclaration, as_controller, within
 from .control.joint_control import GravityCompensation
 from .control.make_controller import controller_from
 from .control.plan import target_motion_from
@@ -363,22 +363,21 @@ class Scenario:
         """Whether a robot has a target pose: a declared one, or that at which it starts."""
         if self._is_wrong(f"controllers.{robot}", f"targets.{robot}"):
             return True  # its declaration is invalid, which is reported, not missing
-        return robot in self.targets or getattr(self.controller_of(robot), "needs_target", True)
+        return robot in self.targets or self.controller_of(robot).needs_target
 
     def is_in_real_time(self, robot: str) -> bool:
         """Whether a robot has a controller that runs in real time, and logs how late steps are."""
         controller = self.controller_of(robot)
-        is_timed = getattr(controller, "clock", "") == "real_time"
-        is_logged = STEP_LATENESS in getattr(controller, "logged", ())
-        return (is_timed and is_logged) or self._is_wrong(f"controllers.{robot}")
+        is_timed = controller.is_in_real_time and STEP_LATENESS in controller.logged
+        return is_timed or self._is_wrong(f"controllers.{robot}")
 
     def _is_wrong(self, *sections: str) -> bool:
         keys = [f"{problem.key}." for problem in self.problems]
         return any(key.startswith(f"{each}.") for key in keys for each in sections)
 
-    def controller_of(self, robot: str) -> Controller | ControllerDeclaration:
+    def controller_of(self, robot: str) -> Any:
         """The controller of a robot; gravity compensation where none is declared."""
-        return self.controllers.get(robot, GravityCompensation())
+        return as_controller(self.controllers.get(robot, GravityCompensation()))
 
     def make_sensors(self, seed: int) -> Sensors:
         """The sensors of all robots together.

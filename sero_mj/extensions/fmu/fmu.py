@@ -21,7 +21,7 @@ from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
 from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
-from ...simulate.control.controller import ControllerDeclaration, Sensed, Target
+from ...simulate.control.controller import Controller, ControllerDeclaration, Sensed, Target
 from ...simulate.control.robot_model import RobotModel
 from ...simulate.external_control.exchange import VALUES, State
 
@@ -90,7 +90,7 @@ class Fmu(ControllerDeclaration):
         return FmuController(self, description, model, timestep)
 
 
-class FmuController:
+class FmuController(Controller):
     """Steps a unit in every step of the simulation.
 
     Args:

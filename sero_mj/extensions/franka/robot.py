@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array
-from ...simulate.control.controller import Sensed, Target
+from ...simulate.control.controller import Controller, Sensed, Target
 from ...simulate.control.joint_control import JointImpedance
 from ...simulate.control.observer import MomentumObserver
 from ...simulate.control.robot_model import RobotModel
@@ -46,7 +46,7 @@ _STIFFEST = 5000.0  # Nm/rad, of the robot's own control
 _NO_MODEL = bytes(24 + 128 + 1)  # of the answer to GetCartesianLimit, which refuses
 
 
-class FrankaRobot:
+class FrankaRobot(Controller):
     """Sends a state in each cycle, takes the command that answers it, and acts on it.
 
     Between motions, and for motions of joint positions and velocities, springs and dampers about

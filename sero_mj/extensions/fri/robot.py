@@ -15,7 +15,7 @@ from pydantic import Field
 from ...base.frames import Array
 from ...base.once import Once
 from ...simulate.control.cartesian_control import CartesianImpedance
-from ...simulate.control.controller import PerJoint, Ratio, Sensed, Target, within
+from ...simulate.control.controller import Controller, PerJoint, Ratio, Sensed, Target, within
 from ...simulate.control.joint_control import JointPosition, design_damping
 from ...simulate.control.robot_model import RobotModel
 from ...simulate.external_control.datagrams import Link, Reachable
@@ -55,7 +55,7 @@ class FriSession(Reachable):
     damping: Ratio = np.array([0.7])
 
 
-class FriRobot(ABC):
+class FriRobot(Controller, ABC):
     """Sends a packet in each cycle, takes the command that answers it, and acts on it.
 
     Args:

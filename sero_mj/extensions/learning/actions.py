@@ -12,7 +12,7 @@ from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
 from ...robots.declared.joint_speeds import joint_speeds
 from ...robots.declared.robot import SerialRobot
-from ...simulate.control.controller import Sensed, Target
+from ...simulate.control.controller import Controller, Sensed, Target
 from ...simulate.control.joint_control import JointImpedance, Torque
 from ...simulate.control.make_controller import make_controller
 from ...simulate.control.robot_model import RobotModel
@@ -34,7 +34,7 @@ class Action(ABC):
     controller: JointImpedance | Torque
 
     @abstractmethod
-    def begin(self, target: Target, angles: Array, which: Any = ...) -> None:
+    def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
         """Begins an episode.
 
         Args:
@@ -90,7 +90,7 @@ class TorqueAction(Action):
         self.controller = Torque()
         self.spec = specs.BoundedArray((robot.n,), np.float64, -high, high, name="torques")
 
-    def begin(self, target: Target, angles: Array, which: Any = ...) -> None:
+    def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
         """Begins an episode without torques."""
         self._target = target
         target.torques[which] = 0.0
@@ -144,7 +144,7 @@ class ImpedanceAction(Action):
         self.controller: JointImpedance = JointImpedance(stiffness=stiffness, damping=damping)
         self.spec = specs.BoundedArray((robot.n,), np.float64, -most, most, name="target_offsets")
 
-    def begin(self, target: Target, angles: Array, which: Any = ...) -> None:
+    def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
         """Begins an episode: the target is where the robot stands."""
         self._target = target
         if self._goal.shape != target.angles.shape:
@@ -182,7 +182,7 @@ class ImpedanceAction(Action):
         }
 
 
-class AgentController:
+class AgentController(Controller):
     """The controller that carries out an agent's actions.
 
     Args:
@@ -199,9 +199,9 @@ class AgentController:
         self, action: Action, robot: SerialRobot, model: RobotModel, timestep: float
     ) -> None:
         self._action, self._robot, self.model, self._timestep = action, robot, model, timestep
-        self.begin(np.asarray(robot.home, np.float64))
+        self.begin_at(np.asarray(robot.home, np.float64))
 
-    def begin(self, angles: Array) -> None:
+    def begin_at(self, angles: Array) -> None:
         """Begins an episode: nothing that was remembered gets into it.
 
         Args:

@@ -203,7 +203,8 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         self.scenario.controllers = {**scenario.controllers, robot: self._agent}
         self.simulation = Simulation(self.scenario, settings.seed, self._compiler)
         if self.simulation.whole_body is not None:
-            model.follow(self.simulation.whole_body.mounting(robot), own.base_frame)
+            mounting = self.simulation.whole_body.mounting(robot)
+            model.follow((mounting, own.base_frame, own.n))
         self._robot = AgentRobot(self.simulation, robot)
         self.task: Episode = task.make(self._robot)
         self.seed, self.episode = settings.seed, -1
@@ -288,7 +289,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         rng = np.random.default_rng([self.seed, self.episode])
         start, noise = self._draw_start(rng)
         self._restart(start, noise)
-        self._agent.begin(start)
+        self._agent.begin_at(start)
         self.task.begin(rng)
         self._observation = self._observe()
         return dm_env.restart(self._observation)
@@ -359,7 +360,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             # Whoever got it before may have changed it.
             before = {name: value.copy() for name, value in self._observation.items()}
             return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, before)
-        self.plant.rows.look_ahead()  # `data` is as up to date as after MuJoCo's own step
+        self.plant.rows.physics.look_ahead()  # `data` is as up to date as after MuJoCo's own step
         self._is_over = simulation.is_done
         self._observation = self._observe()
         end = dm_env.truncation if self._is_over else dm_env.transition

@@ -16,9 +16,9 @@ from PIL import Image, ImageDraw
 from ...base.errors import UsageError
 from ...base.frames import Array
 from ...viewer.image.typesetting import (
-    Placed,
+    PlacedPanel,
+    PlacedText,
     Rgb,
-    Text,
     Typesetter,
     compose,
 )
@@ -253,17 +253,17 @@ class PointBoard:
                 draw.line([x, y - _MARK, x, y + _MARK], ink, wide)
             draw.text((x + 7, y + 5), str(k + 1), colour, stroke_width=2, stroke_fill=(0, 0, 0))
 
-    def _panel(self) -> Placed:
+    def _panel(self) -> PlacedPanel:
         line, height = self._row_height(), self._size[1]
         pad = 0.6 * self._typesetter.font.height
         right = 0.70 * self.panel_width
-        texts: list[Text] = []
+        texts: list[PlacedText] = []
 
         def add(
             row: float, text: str, rgb: Rgb = _NAME, x: float = pad, *, strong: bool = False
         ) -> None:
             lower = height - row * line - self._typesetter.font.height
-            texts.append(Text(x, lower, text, rgb, is_strong=strong))
+            texts.append(PlacedText(x, lower, text, rgb, is_strong=strong))
 
         add(0.4, "where is it in the photo?", _DIM)
         add(1.3, self._names[self.chosen], _CHOSEN, strong=True)
@@ -298,7 +298,7 @@ class PointBoard:
         for k, key in enumerate(_KEYS):
             add(last + 0.2 + k, key, _DIM)
         pixels = self._typesetter.panel((self.panel_width, height), _PANEL, tuple(texts), False)
-        return Placed(0, 0, pixels)
+        return PlacedPanel(0, 0, pixels)
 
     def _wrapped(self, text: str, most: int) -> list[str]:
         lines, room = [""], self.panel_width - 1.2 * self._typesetter.font.height

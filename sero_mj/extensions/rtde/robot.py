@@ -21,7 +21,15 @@ from pydantic import Field
 from ...base.errors import SimulationError
 from ...base.frames import Array
 from ...base.once import Once
-from ...simulate.control.controller import MaybePerJoint, PerJoint, Ratio, Sensed, Target, within
+from ...simulate.control.controller import (
+    Controller,
+    MaybePerJoint,
+    PerJoint,
+    Ratio,
+    Sensed,
+    Target,
+    within,
+)
 from ...simulate.control.joint_control import JointPosition
 from ...simulate.control.robot_model import RobotModel
 from ...simulate.external_control.commanded_motion import (
@@ -84,7 +92,7 @@ class RtdeSession(Reachable):
     torque_constants: MaybePerJoint = None
 
 
-class RtdeRobot:
+class RtdeRobot(Controller):
     """Serves clients in each cycle, takes their commands, and acts on them.
 
     Args:

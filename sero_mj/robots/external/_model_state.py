@@ -36,26 +36,11 @@ class ModelState:
     site_xpos: Array
     site_xmat: Array
     doubles: dict[str, list[mujoco.MjData]]
-
-    @property
-    def time(self) -> float:
-        return float(self.data.time)
-
-    @property
-    def qpos(self) -> Array:
-        return np.asarray(self.data.qpos)
-
-    @property
-    def qvel(self) -> Array:
-        return np.asarray(self.data.qvel)
-
-    @property
-    def xpos(self) -> Array:
-        return np.asarray(self.data.xpos)
-
-    @property
-    def xmat(self) -> Array:
-        return np.asarray(self.data.xmat)
+    time: float
+    qpos: Array
+    qvel: Array
+    xpos: Array
+    xmat: Array
 
 
 class Sites:

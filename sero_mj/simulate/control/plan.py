@@ -19,6 +19,7 @@ from ...base.plugins import TARGET_MOTIONS, load_all
 from ...robots.declared.inverse_kinematics import Reached, reach
 from ...robots.declared.robot import SerialRobot
 from .compiler import Compiler
+from .controller import Target
 from .robot_model import RobotModel
 from .target_motions import (
     CartesianMotion,
@@ -64,15 +65,19 @@ class Plan:
     moves: bool
 
     @cached_property
-    def rows(self) -> Array:
-        """(T, k), what is asked for at every step, as the first k numbers of `Target.planned`."""
-        if self.joints is None:
-            return np.zeros((1, 0))
-        joints, flange = self.joints, self.flange
-        parts = [joints.angles, joints.velocities, joints.accelerations]
-        if flange is not None:
-            parts += [flange.poses.reshape(len(flange.poses), 16), flange.twists]
-        return np.hstack(parts)
+    def motion(self) -> Array | None:
+        """(T, 3, n), angles, velocities and accelerations; None where there is no target."""
+        of = self.joints
+        return (
+            None if of is None else np.stack([of.angles, of.velocities, of.accelerations], axis=1)
+        )
+
+    def write(self, k: int, target: Target) -> None:
+        """Writes step k into a target of the robot."""
+        if self.motion is not None:
+            target.motion[...] = self.motion[k]
+        if self.flange is not None:
+            target.pose[...], target.twist[...] = self.flange.poses[k], self.flange.twists[k]
 
 
 def make_plan(

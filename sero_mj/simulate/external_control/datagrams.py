@@ -21,7 +21,7 @@ from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
 from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
-from ..control.controller import ControllerDeclaration, MaybePerJoint, Sensed, Target
+from ..control.controller import Controller, ControllerDeclaration, MaybePerJoint, Sensed, Target
 from ..control.robot_model import RobotModel
 from .exchange import Answer, State
 from .program import PORT, Program, find_program, held_port, is_file
@@ -97,6 +97,10 @@ class Reachable(ControllerDeclaration):
         if os.sep in name:  # where it is, which may be far from the file that was opened
             name = str(beside[0].absolute())
         return [RequestedAction(key, f"run the program {shlex.join([name, *words])}", files)]
+
+    @property
+    def is_in_real_time(self) -> bool:
+        return self.clock == "real_time"
 
     @property
     def _peer(self) -> str:
@@ -407,7 +411,7 @@ class UdpProgram(Answering):
                                  model, timestep)  # fmt: skip
 
 
-class ProgramController:
+class ProgramController(Controller):
     """Sends states to a program, and commands what it answers.
 
     Args:

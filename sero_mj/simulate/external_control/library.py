@@ -23,7 +23,7 @@ from ...base.errors import DeclarationError, Problem, SimulationError
 from ...base.frames import Array
 from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
-from ..control.controller import ControllerDeclaration, Sensed, Target
+from ..control.controller import Controller, ControllerDeclaration, Sensed, Target
 from ..control.robot_model import RobotModel
 from . import library_host
 from .library_host import ARRAYS, RobotStruct
@@ -126,7 +126,7 @@ def _machine(file: Path) -> str:
     return _MACHINES.get(number, f"machine {number}")
 
 
-class LibraryController:
+class LibraryController(Controller):
     """Calls a function of a library in every step.
 
     Args:
@@ -199,7 +199,7 @@ class LibraryController:
         raise TypeError("a loaded library is of this process")
 
 
-class IsolatedLibrary:
+class IsolatedLibrary(Controller):
     """Calls a function of a library in a process of its own.
 
     State and torques are in memory that both have; pipes carry whose turn it is, and tell of the

@@ -265,7 +265,11 @@ class Billboards(Feature):
         return np.nan_to_num(np.abs(frame.arrow_values) / full, nan=NO_SHARE, posinf=0.0)
 
     def _write(
-        self, index: list[int], lines: list[list[Line]], values: Mapping[str, Array], font: Font
+        self,
+        index: list[int],
+        lines: list[list[LineFormat]],
+        values: Mapping[str, Array],
+        font: Font,
     ) -> tuple[list[list[bytes]], Array]:
         numbers = {
             key: values[key].tolist() for key in {line.key for each in lines for line in each}
@@ -286,7 +290,7 @@ class Billboards(Feature):
             written.append(last)
         return [each.texts for each in written], np.array([each.width for each in written], float)
 
-    def _width(self, lines: list[Line], texts: list[bytes], font: Font) -> int:
+    def _width(self, lines: list[LineFormat], texts: list[bytes], font: Font) -> int:
         key = (font.height, id(lines))
         if key not in self._widths:
             widest = [line_of(line.widest) for line in lines]
@@ -306,7 +310,7 @@ class _LimbNames(NamedTuple):
 
 @dataclass(frozen=True)
 class _Written:
-    lines: list[Line]
+    lines: list[LineFormat]
     numbers: list[float]
     height: int
     texts: list[bytes]
@@ -325,11 +329,11 @@ class Formats:
         details: that a click on its arrow shows.
     """
 
-    declared: list[list[Line]]
-    torques: list[list[Line]]
-    modelled: list[list[Line]]
-    errors: list[list[Line]]
-    details: list[list[Line]]
+    declared: list[list[LineFormat]]
+    torques: list[list[LineFormat]]
+    modelled: list[list[LineFormat]]
+    errors: list[list[LineFormat]]
+    details: list[list[LineFormat]]
 
 
 def joint_titles(world: WorldView, longest: int) -> list[str]:
@@ -398,7 +402,7 @@ def _declared_heights(world: WorldView) -> Array:
 
 
 @dataclass(frozen=True)
-class Line:
+class LineFormat:
     """The format of one line of a joint's billboard."""
 
     head: str
@@ -457,7 +461,7 @@ def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
 
 def billboard_lines(
     joint: str, declared: list[BillboardLine], prismatic: bool, torque: TorqueUnit, full: float
-) -> list[Line]:
+) -> list[LineFormat]:
     """Returns the line formats of one joint's billboard.
 
     Args:
@@ -476,7 +480,7 @@ def billboard_lines(
 
 def detail_lines(
     joint: str, prismatic: bool, torque: TorqueUnit, full: float, *, is_largest: bool = False
-) -> list[Line]:
+) -> list[LineFormat]:
     """Returns the line formats of all values of one joint's arrow, see `billboard_lines`.
 
     Args:
@@ -498,7 +502,7 @@ def _line(
     torque: TorqueUnit,
     full: float,
     declared: BillboardLine | None = None,
-) -> Line:
+) -> LineFormat:
     scale = 1.0
     if key in _TORQUES:
         if declared is not None and (declared.unit is not None or declared.scale != 1.0):
@@ -517,4 +521,4 @@ def _line(
     head = "".join(f"{word}  " for word in words if word)
     tail = (f" {unit}" if unit else "").replace("%", "%%")
     form = f"%{decimals + 5 if decimals else 5}.{decimals}f" + tail
-    return Line(head, form, "%10.3e" + tail, scale, decimals, key, head + form % -888.8888)
+    return LineFormat(head, form, "%10.3e" + tail, scale, decimals, key, head + form % -888.8888)

@@ -21,7 +21,7 @@ from .geom_buffer import GeomBuffer
 from .panels import Panels
 from .picture_view import PictureView
 from .staleness import stale_mask
-from .toggles import Shown, Toggles
+from .toggles import ShownItems, Toggles
 
 
 @dataclass(eq=False)
@@ -47,7 +47,7 @@ class Frame:
     data: Any
     view: PictureView
     toggles: Toggles
-    shown: Shown
+    shown: ShownItems
     values: dict[str, Array]
     arrow_values: Array
     arrow_limit: Array

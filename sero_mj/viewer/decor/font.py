@@ -169,7 +169,7 @@ _GAP = " "  # before the numbers
 
 
 @dataclass(frozen=True)
-class Value:
+class ValueLine:
     """A line that ends in a number.
 
     Attributes:
@@ -203,7 +203,7 @@ class ValueColumns:
         width: of all columns.
     """
 
-    rows: list[Value | str]
+    rows: list[ValueLine | str]
     label: float
     tail: float
     width: float
@@ -216,7 +216,7 @@ def value_columns(lines: Sequence[bytes], width: Width) -> ValueColumns:
         width: of a text, pixels.
     """
     rows = [_parsed(line.decode("utf-8", "replace")) for line in lines]
-    values = [row for row in rows if isinstance(row, Value)]
+    values = [row for row in rows if isinstance(row, ValueLine)]
     names = max((width(row.name) for row in values), default=0.0)
     label = names + (2 * width(" ") if any(row.label for row in values) else 0.0)
     heads = max((label + width(row.label) for row in values if row.label), default=names)
@@ -228,13 +228,13 @@ def value_columns(lines: Sequence[bytes], width: Width) -> ValueColumns:
     return ValueColumns(rows, label, tail, max(inside, plain))
 
 
-def _parsed(line: str) -> Value | str:
+def _parsed(line: str) -> ValueLine | str:
     found = _VALUE.fullmatch(line)
     if found is None:
         return line
     head = found["head"]
     name, _, label = head.rstrip().partition("  ")
-    return Value(
+    return ValueLine(
         name, label.strip(), found["whole"] or found["none"], found["rest"] or "",
         found["unit"] or "",
     )  # fmt: skip

@@ -153,7 +153,7 @@ _LARGER = 1.3  # than the joint's arrow
 _HALF_WIDTH = 1.4  # pixels
 
 
-class Selection(Feature):
+class SelectionRing(Feature):
     """Draws the ring about the joint that a user has selected."""
 
     order = 84

@@ -20,7 +20,7 @@ PART_NAMES = ("nothing", "bodies", "joints", "geoms")
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class ShownItems:
     """Items to draw in one frame, as boolean arrays: they are switched on and have a pose."""
 
     joints: Bools
@@ -160,7 +160,7 @@ class Toggles:
             feature = {"show_arrows": self.arrows, "show_billboards": self.billboards}[item.key]
             feature[world.owners[item.name].joints] = on
 
-    def shown(self, data: mujoco.MjData) -> Shown:
+    def shown(self, data: mujoco.MjData) -> ShownItems:
         """Returns the items to draw; doubles without data and frames not received have no pose."""
         has = data.userdata[self._world.frames.has] > 0
         frames = has | (self._world.frames.has < 0)
@@ -173,7 +173,7 @@ class Toggles:
         # An arrow has a pose only if the frames that it acts at and is expressed in have one.
         anywhere = np.append(frames, True)[self._world.arrows.frames].all(axis=1)
         vectors = self.vectors & anywhere
-        return Shown(
+        return ShownItems(
             joints=joints,
             arrows=self.arrows & joints,
             billboards=(self.billboards | self.details) & joints,

@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..decor.font import (
     FONTS,
     Font,
-    Value,
+    ValueLine,
     drawable,
     font_with,
     open_face,
@@ -44,7 +44,7 @@ _PANELS_KEPT, _TEXTS_KEPT = 128, 512
 
 
 @dataclass(frozen=True)
-class Text:
+class PlacedText:
     """A line of text in a panel.
 
     Attributes:
@@ -59,7 +59,7 @@ class Text:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedPanel:
     """A panel at its place in a picture.
 
     Attributes:
@@ -121,7 +121,7 @@ class Typesetter:
     def _width(self, character: str) -> float:
         return float(self._face_of(character, False).getlength(character))
 
-    def place(self, groups: Sequence[Panels]) -> list[Placed]:
+    def place(self, groups: Sequence[Panels]) -> list[PlacedPanel]:
         placed, last = [], self._last
         self._last = {}
         for group in groups:
@@ -136,10 +136,10 @@ class Typesetter:
                     set_lines = self._values if group.has_values else self._lines
                     pixels = set_lines((size[0], size[1]), tuple(rgba), lines)
                 self._last[key] = pixels
-                placed.append(Placed(left, bottom, pixels))
+                placed.append(PlacedPanel(left, bottom, pixels))
             for left, bottom, *size in [] if group.bars is None else np.rint(group.bars).tolist():
                 bar = self.panel((int(size[0]), int(size[1])), BAR_RGBA, (), False)
-                placed.append(Placed(int(left), int(bottom), bar))
+                placed.append(PlacedPanel(int(left), int(bottom), bar))
         return placed
 
     def _lines(self, size: Size, rgba: Rgba, lines: list[bytes]) -> Bytes:
@@ -149,7 +149,7 @@ class Typesetter:
             size,
             rgba,
             tuple(
-                Text(pad, first - k * self._line, text.decode("utf-8", "replace"))
+                PlacedText(pad, first - k * self._line, text.decode("utf-8", "replace"))
                 for k, text in enumerate(lines)
             ),
         )
@@ -159,29 +159,34 @@ class Typesetter:
         found = value_columns(lines, self.font.width)
         right = size[0] - pad
         point = round(right - found.tail)
-        texts: list[Text] = []
+        texts: list[PlacedText] = []
         numbers: list[tuple[int, float, Bytes]] = []
         for k, row in enumerate(found.rows):
             y = size[1] - pad / 2 - (k + 1) * line
-            if not isinstance(row, Value):
-                texts.append(Text(pad, y, row, _NAME if k == 0 else _QUIET))
+            if not isinstance(row, ValueLine):
+                texts.append(PlacedText(pad, y, row, _NAME if k == 0 else _QUIET))
                 continue
-            texts += Text(pad, y, row.name), Text(pad + found.label, y, row.label, _QUIET)
+            texts += (
+                PlacedText(pad, y, row.name),
+                PlacedText(pad + found.label, y, row.label, _QUIET),
+            )
             if row.is_missing:
                 x = right - self.font.width(row.whole)
-                texts.append(Text(x, y, row.whole, _QUIET))
+                texts.append(PlacedText(x, y, row.whole, _QUIET))
                 continue
             cells = [self._figures[c] for c in row.whole + row.rest]
             start = point - sum(cell.shape[1] for cell in cells[: len(row.whole)])
             strip = np.concatenate(cells, axis=1)
-            texts.append(Text(start + strip.shape[1], y, row.unit, _QUIET))
+            texts.append(PlacedText(start + strip.shape[1], y, row.unit, _QUIET))
             numbers.append((start, y, strip))
         out = self.panel(size, rgba, tuple(texts)).copy()
         for start, y, strip in numbers:
             _blend(out, strip, start, round(size[1] - y - line), _NUMBER)
         return out
 
-    def _set(self, size: Size, rgba: Rgba, texts: tuple[Text, ...], is_round: bool = True) -> Bytes:
+    def _set(
+        self, size: Size, rgba: Rgba, texts: tuple[PlacedText, ...], is_round: bool = True
+    ) -> Bytes:
         out = _background(size, rgba, _RADIUS * self._line if is_round else 0.0).copy()
         for item in texts:
             text = "".join(c if drawable(c) else "?" for c in item.text)
@@ -225,7 +230,7 @@ def _blend(out: Bytes, coverage: Bytes, left: int, top: int, rgb: Rgb) -> None:
     below[:] = (below * (255 - cover) + ink.astype(np.uint16) * cover + 127) // 255
 
 
-def compose(picture: Bytes, panels: Sequence[Placed]) -> None:
+def compose(picture: Bytes, panels: Sequence[PlacedPanel]) -> None:
     """Lays panels over a picture (height, width, 3), top row first, in place."""
     height, width = picture.shape[:2]
     for placed in panels:

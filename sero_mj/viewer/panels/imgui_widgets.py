@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..session.status_line import Mood
-from ..session.widgets import Line, Plot, Rgb
+from ..session.widgets import Plot, PlotLine, Rgb
 
 # On light themes and on dark ones. Contrast with the window is at least 4.5 (WCAG).
 MOODS: dict[Mood, tuple[Rgb, Rgb]] = {
@@ -202,7 +202,7 @@ class ImguiWidgets:
                 implot.tag_y(limit, red, "limit")
         implot.end_plot()
 
-    def _plot_line(self, line: Line) -> None:
+    def _plot_line(self, line: PlotLine) -> None:
         spec = self._implot.Spec()
         spec.line_color, spec.line_weight = self._imgui.ImVec4(*line.rgb, 1.0), _LINE
         self._implot.plot_line(line.name, line.x, line.y, spec)

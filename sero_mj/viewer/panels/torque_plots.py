@@ -13,8 +13,8 @@ from ..decor.quantities import joint_name, torque_and_unit, torque_text
 from ..session.binned_history import SPAN
 from ..session.torque_history import TorqueHistory, split_at_gaps
 from ..session.widgets import (
-    Line,
     Plot,
+    PlotLine,
     Rgb,
     Widgets,
 )
@@ -81,10 +81,10 @@ class TorquePlots:
         limit = np.inf if joints.is_largest[joint] else float(joints.torque_limit[joint])
         what, (factor, unit) = torque_and_unit(self._world, joint)
         torques = [
-            Line("measured", _MEASURED, *with_gaps(times, factor * measured)),
-            Line("commanded", _COMMANDED, *with_gaps(times, factor * commanded)),
+            PlotLine("measured", _MEASURED, *with_gaps(times, factor * measured)),
+            PlotLine("commanded", _COMMANDED, *with_gaps(times, factor * commanded)),
         ]
-        errors = [Line("commanded - measured", _ERROR, *with_gaps(times, factor * error))]
+        errors = [PlotLine("commanded - measured", _ERROR, *with_gaps(times, factor * error))]
         return [
             time_plot(f"{what} [{unit}]", torques, factor * limit, _LEAST),
             time_plot(f"error [{unit}]", errors, np.inf, _LEAST),
@@ -104,7 +104,7 @@ _MARGIN = 1.15  # of the range over that of the values
 _NARROWEST = 1e-3  # half a range, of its middle
 
 
-def time_plot(label: str, lines: Sequence[Line], limit: float, least: float) -> Plot:
+def time_plot(label: str, lines: Sequence[PlotLine], limit: float, least: float) -> Plot:
     """Returns a plot of the last seconds."""
     values = np.concatenate([line.y for line in lines]) if lines else np.zeros(0)
     return Plot("s", label, lines, (-SPAN, 0.0), y_range(values, limit, least), (limit, -limit))

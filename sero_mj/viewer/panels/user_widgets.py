@@ -71,7 +71,7 @@ def to_number(label: str, value: object) -> float:
 
 
 @dataclass(frozen=True)
-class Number(_ValueWidget[float]):
+class NumberWidget(_ValueWidget[float]):
     """A field for a number.
 
     Attributes:
@@ -108,7 +108,7 @@ class Number(_ValueWidget[float]):
 
 
 @dataclass(frozen=True)
-class Slider(Number):
+class SliderWidget(NumberWidget):
     """A number that is set by a slider."""
 
     def build(self, ui: Widgets, value: float) -> object:
@@ -119,7 +119,7 @@ class Slider(Number):
 
 
 @dataclass(frozen=True)
-class Check(_ValueWidget[bool]):
+class CheckWidget(_ValueWidget[bool]):
     """A check box."""
 
     def checked(self, value: object) -> bool:
@@ -133,7 +133,7 @@ class Check(_ValueWidget[bool]):
 
 
 @dataclass(frozen=True)
-class Choice(_ValueWidget[str]):
+class ChoiceWidget(_ValueWidget[str]):
     """One of several names."""
 
     names: tuple[str, ...]
@@ -151,7 +151,7 @@ class Choice(_ValueWidget[str]):
 
 
 @dataclass(frozen=True)
-class Text(_ValueWidget[str]):
+class TextWidget(_ValueWidget[str]):
     """A text, which only the program changes."""
 
     def checked(self, value: object) -> str:
@@ -163,7 +163,7 @@ class Text(_ValueWidget[str]):
 
 
 @dataclass(frozen=True)
-class Button:
+class ButtonWidget:
     """A button; its value is how often it was pressed."""
 
     label: str
@@ -186,7 +186,7 @@ TOOL = "user_panels"  # that shows them
 Place = tuple[str, str]  # of a widget: the panel's title, and its label there
 
 
-class Placed(NamedTuple):
+class WidgetState(NamedTuple):
     """A widget as the viewer is told of it.
 
     Attributes:

@@ -19,7 +19,7 @@ from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 from ...robots.declared.scene import Scene
-from ..decor.billboards import Line, has_chosen_lines, joint_formats, shows_errors
+from ..decor.billboards import LineFormat, has_chosen_lines, joint_formats, shows_errors
 from ..decor.draw import Decor
 from ..decor.geom_buffer import GEOM, Kind
 from ..decor.legend import Legend
@@ -63,7 +63,7 @@ class Mark:
 
 
 @dataclass(frozen=True, eq=False)
-class Item:
+class DecorItem:
     """A geom of decor through F frames.
 
     Attributes:
@@ -80,7 +80,7 @@ class Item:
 
 
 @dataclass(eq=False)
-class Capture:
+class CapturedRun:
     """What a player shows of a scene in F frames; arrays as in `CapturedFrame`, frames first.
 
     Attributes:
@@ -107,8 +107,8 @@ class Capture:
     begin: float
     toggles: Toggles
     camera: mujoco.MjvCamera
-    lines: list[list[Line]]
-    details: list[list[Line]]
+    lines: list[list[LineFormat]]
+    details: list[list[LineFormat]]
     bodies: Ints
     positions: Array
     rotations: Array
@@ -119,7 +119,7 @@ class Capture:
     limit: Array
     stale: np.ndarray
     soft: Soft
-    items: list[Item]
+    items: list[DecorItem]
     labels: list[Any]
     notes: list[str]
     legend: list[str]
@@ -199,7 +199,7 @@ class FrameCapturer:
         silent: Sequence[str] = (),
         toggles: Toggles | None = None,
         needed: float | None = None,
-    ) -> Capture:
+    ) -> CapturedRun:
         """Returns one or more frames as a run; without toggles it begins as declared."""
         world = self._world
         poses = np.array([each.poses for each in frames])
@@ -210,7 +210,7 @@ class FrameCapturer:
             toggles = Toggles(world)
             toggles.modelled[:] = self.toggles.modelled
         lines, details = _lines(world, values, toggles)
-        return Capture(
+        return CapturedRun(
             world=world,
             fps=fps,
             begin=begin,
@@ -251,7 +251,7 @@ def capture(
     wait: float = 2.0,
     marks: Sequence[Mark] = (),
     on_progress: Callable[[int, int], None] | None = None,
-) -> Capture:
+) -> CapturedRun:
     """Collects a scene as it moves; live sources in real time, others as fast as possible.
 
     Args:
@@ -303,7 +303,7 @@ def capture_pose(
     data: mujoco.MjData,
     camera: mujoco.MjvCamera,
     needed: float | None = None,
-) -> Capture:
+) -> CapturedRun:
     """Collects one pose without decor and values, which a server sends for every frame."""
     capturer = FrameCapturer(world, camera)
     return capturer.result([capturer.pose(data)], fps=DEFAULT_FPS, needed=needed)
@@ -363,7 +363,7 @@ def _continuous(rotations: Array) -> Array:
 
 def _lines(
     world: WorldView, values: dict[str, Array], toggles: Toggles
-) -> tuple[list[list[Line]], list[list[Line]]]:
+) -> tuple[list[list[LineFormat]], list[list[LineFormat]]]:
     """Returns the lines of the cards of all joints, and of all their values.
 
     Angles give way to torques if there are some, and these to what arrows show.
@@ -382,9 +382,9 @@ def _lines(
     return declared, formats.details
 
 
-def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[Item]:
+def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[DecorItem]:
     """Sorts the geoms of all frames by their item."""
-    found: dict[tuple[int, int, int, int], Item] = {}
+    found: dict[tuple[int, int, int, int], DecorItem] = {}
     for k, (geoms, kinds, items) in enumerate(rows):
         count: dict[tuple[int, int, int], int] = {}
         for row, kind, item in zip(geoms, kinds.tolist(), items.tolist(), strict=True):
@@ -392,7 +392,9 @@ def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[Item]:
             number = count[key] = count.get(key, -1) + 1
             place = found.get((*key, number))
             if place is None:
-                place = Item(Kind(kind), item, np.zeros(len(rows), GEOM), np.zeros(len(rows), bool))
+                place = DecorItem(
+                    Kind(kind), item, np.zeros(len(rows), GEOM), np.zeros(len(rows), bool)
+                )
                 found[*key, number] = place
             place.rows[k], place.visible[k] = row, True
     return list(found.values())
@@ -403,7 +405,7 @@ def _cards(cards: list[dict[int, str]]) -> dict[int, list[str]]:
     return {item: [each.get(item, "") for each in cards] for item in items}
 
 
-def eye(capture: Capture) -> dict[str, Any]:
+def eye(capture: CapturedRun) -> dict[str, Any]:
     """Returns the first camera of a page, as JSON."""
     camera, world, needed = capture.camera, capture.world, capture.needed
     fixed = int(camera.fixedcamid) if camera.type == mujoco.mjtCamera.mjCAMERA_FIXED else -1

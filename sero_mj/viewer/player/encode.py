@@ -13,16 +13,16 @@ from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ..decor import round_arrows
-from ..decor.billboards import Line, has_chosen_lines
+from ..decor.billboards import LineFormat, has_chosen_lines
 from ..decor.geom_buffer import GREY, Kind
 from ..decor.legend import arrows_line
 from ..decor.quantities import QUANTITY_NAMES, torque_and_unit
 from ..decor.ribbons import ribbon_shape
-from .capture import Capture, eye
+from .capture import CapturedRun, eye
 from .items import poses
 from .labels import labels_head
 from .model import Look
-from .packing import Parts, rounded
+from .packing import PackedArrays, rounded
 from .surroundings import surroundings_head
 
 VERSION = 1
@@ -31,9 +31,9 @@ ROTATION_STEP = 1 / 16384  # of a component of a unit quaternion
 _BY_TURNS = ("torques", "torque_error")  # what arrows can show by turns in a page
 
 
-def encode(capture: Capture, title: str) -> bytes:
+def encode(capture: CapturedRun, title: str) -> bytes:
     """Returns the bytes of a run with a title, not compressed."""
-    parts = Parts()
+    parts = PackedArrays()
     frames = capture.frames
     opacity = np.round(capture.opacity * 255)
     look = Look(capture.world.model, parts, lambda body: _index(capture, body))
@@ -80,7 +80,7 @@ def encode(capture: Capture, title: str) -> bytes:
     return b"".join([len(text).to_bytes(4, "little"), text, *parts.arrays])
 
 
-def _look(capture: Capture, look: Look) -> dict[str, Any]:
+def _look(capture: CapturedRun, look: Look) -> dict[str, Any]:
     found = look.head()
     of_geoms = capture.world.model.geom_bodyid
     for number, copied in enumerate(capture.copies, len(capture.bodies)):
@@ -93,11 +93,11 @@ def _finite(number: float) -> float | None:
     return float(number) if math.isfinite(number) else None
 
 
-def _index(capture: Capture, body: int) -> int:
+def _index(capture: CapturedRun, body: int) -> int:
     return int(np.searchsorted(capture.bodies, body))
 
 
-def _bodies(capture: Capture) -> list[dict[str, Any]]:
+def _bodies(capture: CapturedRun) -> list[dict[str, Any]]:
     """Returns name, joint and double of every body, -1 for none.
 
     `moves` is whether anything can move it, as MuJoCo understands that.
@@ -126,7 +126,7 @@ def _bodies(capture: Capture) -> list[dict[str, Any]]:
     return found
 
 
-def _cameras(capture: Capture) -> list[dict[str, Any]]:
+def _cameras(capture: CapturedRun) -> list[dict[str, Any]]:
     model = capture.world.model
     return [
         {
@@ -140,7 +140,7 @@ def _cameras(capture: Capture) -> list[dict[str, Any]]:
     ]
 
 
-def _joints(capture: Capture) -> list[dict[str, Any]]:
+def _joints(capture: CapturedRun) -> list[dict[str, Any]]:
     world, joints = capture.world, capture.world.joints
     doubles, owners = list(world.doubles), list(world.owners)
     looks = arrow_looks(world, capture.limit)
@@ -171,7 +171,7 @@ def _joints(capture: Capture) -> list[dict[str, Any]]:
     return found
 
 
-def _place(capture: Capture, site: int) -> dict[str, Any]:
+def _place(capture: CapturedRun, site: int) -> dict[str, Any]:
     if not capture.world.has_sites:
         return {"body": 0, "pos": [0, 0, 0], "quat": [1, 0, 0, 0]}
     model = capture.world.model
@@ -202,7 +202,7 @@ def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
     ]
 
 
-def _lines(lines: list[Line]) -> list[dict[str, Any]]:
+def _lines(lines: list[LineFormat]) -> list[dict[str, Any]]:
     title = lines[0].head.split("  ")[0] if lines else ""
     return [
         {
@@ -217,7 +217,7 @@ def _lines(lines: list[Line]) -> list[dict[str, Any]]:
     ]
 
 
-def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
+def _arrows(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
     shape = ribbon_shape(round_arrows.ARROW_GEOMS)
     names = ("middle", "half_angle", "rings", "own", "flare", "triangles")
     torques = capture.values.get("torques")
@@ -237,7 +237,7 @@ def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
     }
 
 
-def _quantities(capture: Capture) -> list[dict[str, str]]:
+def _quantities(capture: CapturedRun) -> list[dict[str, str]]:
     """Returns what arrows can show in turn, first what they show; nothing if there is no choice.
 
     Torque and its error both follow from values that are there, and have one limit. The error
@@ -260,7 +260,7 @@ def _quantities(capture: Capture) -> list[dict[str, str]]:
     ]
 
 
-def _items(capture: Capture, parts: Parts) -> dict[str, Any]:
+def _items(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
     items = capture.items
     if not items:
         return {"of": []}
@@ -286,7 +286,7 @@ def _type(item: Any) -> int:
     return int(item.rows["type"][item.visible.argmax()])
 
 
-def _legend(capture: Capture, parts: Parts) -> dict[str, Any]:
+def _legend(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
     """The lines of every frame, with None for the line of the quantity that arrows show."""
     own = {quantity["line"] for quantity in _quantities(capture)[:1]}
     found = _texts(capture.legend, parts)
@@ -294,7 +294,7 @@ def _legend(capture: Capture, parts: Parts) -> dict[str, Any]:
     return found | {"texts": [[None if line in own else line for line in each] for each in texts]}
 
 
-def _texts(texts: list[str], parts: Parts) -> dict[str, Any]:
+def _texts(texts: list[str], parts: PackedArrays) -> dict[str, Any]:
     """Returns each text once, and the number of the text of every frame."""
     unique = list(dict.fromkeys(texts))
     number = {text: k for k, text in enumerate(unique)}
@@ -302,7 +302,7 @@ def _texts(texts: list[str], parts: Parts) -> dict[str, Any]:
     return {"texts": unique, "at": parts.moving(at, 1)}
 
 
-def _switches(capture: Capture) -> dict[str, bool]:
+def _switches(capture: CapturedRun) -> dict[str, bool]:
     toggles = capture.toggles
     return {
         "arrows": bool(toggles.arrows.any())

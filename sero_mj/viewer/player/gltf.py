@@ -11,7 +11,7 @@ import numpy as np
 
 from ...base.errors import UsageError
 from ...base.frames import Array
-from .capture import Capture
+from .capture import CapturedRun
 from .model import field_corners, geom_colours, mesh_corners
 
 _FLOAT, _UINT = 5126, 5125
@@ -46,7 +46,7 @@ class _Blob:
         return len(gltf.accessors) - 1
 
 
-def write_glb(captured: Capture, path: Path) -> None:
+def write_glb(captured: CapturedRun, path: Path) -> None:
     """Writes bodies and their motion as a .glb file.
 
     Raises:
@@ -100,7 +100,7 @@ def write_glb(captured: Capture, path: Path) -> None:
 
 
 def _add_body(
-    captured: Capture, blob: _Blob, animation: Any, clock: int, body: int, children: list[int]
+    captured: CapturedRun, blob: _Blob, animation: Any, clock: int, body: int, children: list[int]
 ) -> int:
     import pygltflib
 

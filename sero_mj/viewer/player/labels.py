@@ -12,7 +12,7 @@ from ...robots.assemble.world_view import WorldView
 from ..decor.card_names import frame_titles
 from ..decor.feature import Frame
 from ..decor.part_names import named_parts
-from .packing import Parts
+from .packing import PackedArrays
 
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 _Key = tuple[str, int]
@@ -36,7 +36,7 @@ def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
 
 
 def labels_head(
-    frames: list[dict[_Key, tuple[str, Array]]], parts: Parts, step: float
+    frames: list[dict[_Key, tuple[str, Array]]], parts: PackedArrays, step: float
 ) -> dict[str, Any]:
     """Returns what the head of a page has of labels, with places in steps of so many meters."""
     keys = list(dict.fromkeys(key for each in frames for key in each))

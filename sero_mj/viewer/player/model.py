@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Bools, Ints
-from .packing import Parts, differing, rounded
+from .packing import PackedArrays, differing, rounded
 
 _GROUPS = 3  # of geoms and sites, that MuJoCo shows unless told otherwise
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)  # of geoms whose material has the colour
@@ -159,7 +159,7 @@ class Look:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, parts: Parts, body_index: Callable[[int], int]
+        self, model: mujoco.MjModel, parts: PackedArrays, body_index: Callable[[int], int]
     ) -> None:
         self._model, self._parts, self._index = model, parts, body_index
         self._meshes: list[dict[str, Any]] = []

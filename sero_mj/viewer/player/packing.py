@@ -13,7 +13,7 @@ import numpy as np
 from ...base.frames import Ints
 
 
-class Parts:
+class PackedArrays:
     """Arrays behind the head, known by their number."""
 
     def __init__(self) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from ...base.errors import UsageError
 from ...robots.declared.scene import Scene
-from .capture import Capture, Mark, capture
+from .capture import CapturedRun, Mark, capture
 from .encode import encode
 
 # Adds the player, which is compressed as the run is; the policy knows its hash.
@@ -71,7 +71,7 @@ def export_html(
     return captured.silent
 
 
-def write_page(captured: Capture, path: Path, title: str = "") -> None:
+def write_page(captured: CapturedRun, path: Path, title: str = "") -> None:
     """Writes a run as a page; its title is the scene's name if empty.
 
     Raises:

@@ -13,7 +13,7 @@ from ...base.frames import Array, Ints
 from ..decor.geom_buffer import GEOM
 from ..decor.scene_writer import struct_view
 from .model import shown_flexes
-from .packing import Parts, rounded
+from .packing import PackedArrays, rounded
 
 _TENDON = int(mujoco.mjtObj.mjOBJ_TENDON)
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
@@ -37,7 +37,7 @@ class Soft:
     radius: Array
     colours: Array
 
-    def head(self, parts: Parts, step: float) -> dict[str, Any]:
+    def head(self, parts: PackedArrays, step: float) -> dict[str, Any]:
         """Returns what the head of a page has of it, with places in steps of so many meters."""
         frames = len(self.radius)
         found: dict[str, Any] = {}

@@ -16,16 +16,16 @@ from typing import Any, Generic
 from ...base.errors import RenderError, UsageError, shown
 from ..panels.user_widgets import (
     TOOL,
-    Button,
-    Check,
-    Choice,
-    Number,
+    ButtonWidget,
+    CheckWidget,
+    ChoiceWidget,
+    NumberWidget,
     Place,
-    Placed,
-    Slider,
-    Text,
+    SliderWidget,
+    TextWidget,
     UserWidget,
     Value,
+    WidgetState,
     check_label,
     check_range,
     to_number,
@@ -40,7 +40,7 @@ class WidgetHandle(Generic[Value]):
         self,
         panels: UserPanels,
         place: Place,
-        placed: Placed,
+        placed: WidgetState,
         callback: Callable[..., object] | None,
     ) -> None:
         self._panels, self._callback = panels, callback
@@ -99,7 +99,7 @@ class UserPanel:
         """
         low, high = to_number(label, low), to_number(label, high)
         check_range(label, low, high)
-        widget = Slider(label, low, high, unit)
+        widget = SliderWidget(label, low, high, unit)
         return self._add(widget, low if value is None else value, on_change, "on_change")
 
     def number(
@@ -119,7 +119,7 @@ class UserPanel:
             high: greatest value.
         """
         check_range(label, low, high)
-        return self._add(Number(label, low, high, unit), value, on_change, "on_change")
+        return self._add(NumberWidget(label, low, high, unit), value, on_change, "on_change")
 
     def check(
         self,
@@ -129,7 +129,7 @@ class UserPanel:
         on_change: Callable[[bool], object] | None = None,
     ) -> WidgetHandle[bool]:
         """Adds a check box."""
-        return self._add(Check(label), value, on_change, "on_change")
+        return self._add(CheckWidget(label), value, on_change, "on_change")
 
     def choice(
         self,
@@ -149,18 +149,18 @@ class UserPanel:
             check_label(f"{label}: names", name)
         if len({*names}) < max(len(names), 1):
             raise UsageError(f"{label}: found the names {shown(names)}; expected different ones")
-        widget = Choice(label, tuple(names))
+        widget = ChoiceWidget(label, tuple(names))
         return self._add(widget, names[0] if value is None else value, on_change, "on_change")
 
     def button(
         self, label: str, *, on_click: Callable[[], object] | None = None
     ) -> WidgetHandle[int]:
         """Adds a button; its value is how often it was pressed."""
-        return self._add(Button(label), 0, on_click, "on_click")
+        return self._add(ButtonWidget(label), 0, on_click, "on_click")
 
     def text(self, text: str) -> WidgetHandle[str]:
         """Adds a text; its value is the text, which can be changed."""
-        return self._add(Text(f"text {len(self._labels)}"), text, None, "")
+        return self._add(TextWidget(f"text {len(self._labels)}"), text, None, "")
 
     def clear(self) -> None:
         for label in self._labels:
@@ -226,7 +226,7 @@ class UserPanels:
         with self._lock:
             number = next(self._numbers)
             handle = WidgetHandle[Value](
-                self, place, Placed(widget, value, number, number), callback
+                self, place, WidgetState(widget, value, number, number), callback
             )
             self._handles[place] = handle
             self._unsent.add(place)
@@ -248,7 +248,7 @@ class UserPanels:
             self._unsent.add(place)
         self._outbox.wake()
 
-    def _take_unsent(self) -> dict[Place, Placed | None] | None:
+    def _take_unsent(self) -> dict[Place, WidgetState | None] | None:
         with self._lock:
             unsent, self._unsent = self._unsent, set()
             handles = self._handles

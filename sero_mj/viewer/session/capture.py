@@ -40,7 +40,7 @@ def due_frames(seconds: float, sent: int) -> int:
     return max(int(seconds * FPS) + 1 - sent, 0)
 
 
-class Capture:
+class PictureWriter:
     """Writes screenshots and films."""
 
     def __init__(self, scene: str, folder: Path | None = None) -> None:

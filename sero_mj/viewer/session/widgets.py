@@ -16,7 +16,7 @@ from .status_line import Mood
 Rgb = tuple[float, float, float]
 
 
-class Line(NamedTuple):
+class PlotLine(NamedTuple):
     """A line of a plot.
 
     Attributes:
@@ -39,7 +39,7 @@ class Plot(NamedTuple):
 
     x_unit: str
     y_label: str
-    lines: Sequence[Line]
+    lines: Sequence[PlotLine]
     x_range: tuple[float, float]
     y_range: tuple[float, float]
     limits: Sequence[float]

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from typing import ClassVar
 
 from ..image.film import Pixels
-from ..session.capture import Capture
+from ..session.capture import PictureWriter
 from ..session.clock import time_text
 from ..session.keys import Key
 from ..session.status_line import Piece
@@ -26,7 +26,7 @@ class Pictures(Tool):
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
-        self.capture = Capture(shown.world.scene.name, shown.folder)
+        self.capture = PictureWriter(shown.world.scene.name, shown.folder)
         self._is_screenshot_due = False
 
     def actions(self) -> Mapping[str, Action]:

@@ -12,7 +12,7 @@ from ..panels.torque_plots import TorquePlots
 from ..session import live_history
 from ..session.binned_history import SPAN
 from ..session.keys import Key
-from ..session.signals import Signal, Signals
+from ..session.signals import PlotSignal, PlotSignals
 from ..session.tool import Action, Shown, Tool
 from ..session.torque_history import TorqueHistory
 from ..session.widgets import Widgets
@@ -35,7 +35,7 @@ class Plots(Tool):
         kept = SPAN + live_history.SPAN if clock.is_live and clock.can_go_back else SPAN
         routes = mirror.routes if mirror.is_live else ()
         self.history = TorqueHistory(shown.world, routes, kept)
-        self.signals = Signals(mirror, self.history)
+        self.signals = PlotSignals(mirror, self.history)
         self.plots = SignalPlots(self.signals)
         self._has_joints = self.shows_torques = bool(shown.world.joints.names)
         self.area = _AREA if self.signals.groups else ""
@@ -102,10 +102,10 @@ class Plots(Tool):
             shown.select(joint)
 
     @property
-    def state(self) -> tuple[bool, tuple[tuple[Signal, ...], ...]]:
+    def state(self) -> tuple[bool, tuple[tuple[PlotSignal, ...], ...]]:
         return self.shows_torques, tuple(tuple(lines) for lines in self.plots.shown)
 
-    def restore(self, state: tuple[bool, tuple[tuple[Signal, ...], ...]]) -> None:
+    def restore(self, state: tuple[bool, tuple[tuple[PlotSignal, ...], ...]]) -> None:
         self.shows_torques = state[0]
         self.plots.shown = [[*lines] for lines in state[1]]
 
@@ -118,7 +118,7 @@ class Plots(Tool):
 
     def take_kept(self, kept: Any) -> None:
         """Plots that again, as far as there are such signals, or a program may have them."""
-        plots = [[Signal(*map(str, signal)) for signal in lines] for lines in kept["plots"]]
+        plots = [[PlotSignal(*map(str, signal)) for signal in lines] for lines in kept["plots"]]
         known = [[each for each in lines if self.signals.may_have(each)] for lines in plots]
         self.plots.shown = [lines for lines in known if lines]
         self.shows_torques = bool(kept["torques"])

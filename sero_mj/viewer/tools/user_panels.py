@@ -1,4 +1,4 @@
-"""`UserPanels`: shows the widgets that the program of a viewer has added to it.
+"""`UserPanelsTool`: shows the widgets that the program of a viewer has added to it.
 
 Their other side is `program/panels.py`, which says what is sent.
 """
@@ -9,22 +9,22 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from ...base.errors import UsageError
-from ..panels.user_widgets import Place, Placed
+from ..panels.user_widgets import Place, WidgetState
 from ..session.tool import Shown, Tool
 from ..session.widgets import Widgets
 
 
-class UserPanels(Tool):
+class UserPanelsTool(Tool):
     """A section of the panel for each panel of the program."""
 
     order: ClassVar[int] = 10
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
-        self._placed: dict[Place, Placed] = {}
+        self._placed: dict[Place, WidgetState] = {}
         self._changes: dict[Place, tuple[Any, int]] = {}
 
-    def hear(self, message: Mapping[Place, Placed | None]) -> None:
+    def hear(self, message: Mapping[Place, WidgetState | None]) -> None:
         if not self._placed:
             self.shown.shows_panel = True
         now = {**self._placed, **message}
@@ -36,7 +36,7 @@ class UserPanels(Tool):
         return changes or None
 
     def build(self, ui: Widgets) -> None:
-        panels: dict[str, list[tuple[Place, Placed]]] = {}
+        panels: dict[str, list[tuple[Place, WidgetState]]] = {}
         for place, placed in self._placed.items():
             panels.setdefault(place[0], []).append((place, placed))
         for title, widgets in panels.items():
@@ -46,7 +46,7 @@ class UserPanels(Tool):
                     self._build(ui, place, placed)
             ui.end_scope()
 
-    def _build(self, ui: Widgets, place: Place, placed: Placed) -> None:
+    def _build(self, ui: Widgets, place: Place, placed: WidgetState) -> None:
         found = placed.widget.build(ui, placed.value)
         if found is None:
             return

@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.protocol import State
 
 from .guard import is_local, same_text
-from .messages import MAX_BYTES, Control, Got, Left, PageSize, Reader, Said, Sender
+from .messages import MAX_BYTES, Control, Got, Left, MessageReader, MessageSender, PageSize, Said
 from .sections import Sections, message_of
 
 # Messages on the way to a browser: with more, a slow one would lag behind.
@@ -33,7 +33,7 @@ class Browsers:
 
     Args:
         sections: the state that they are sent.
-        kinds: the messages that they may send, see `Reader`.
+        kinds: the messages that they may send, see `MessageReader`.
 
     Attributes:
         sent: number of states that were sent to any of them.
@@ -41,7 +41,7 @@ class Browsers:
     """
 
     def __init__(self, sections: Sections, kinds: Any) -> None:
-        self._sections, self._reader = sections, Reader(kinds)
+        self._sections, self._reader = sections, MessageReader(kinds)
         self._lock = threading.Lock()
         self._browsers: dict[int, _Browser] = {}  # in the order in which they came
         self._last_id = 0
@@ -186,7 +186,7 @@ class Browsers:
 class _Browser:
     def __init__(self, id_: int, connection: ServerConnection) -> None:
         self.id, self.connection = id_, connection
-        self.sender = Sender(id_, is_local(connection))
+        self.sender = MessageSender(id_, is_local(connection))
         self.key = secrets.token_urlsafe(16)
         self.wake = asyncio.Event()
         self.wake.set()

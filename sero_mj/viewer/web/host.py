@@ -21,7 +21,7 @@ from .page_panels import PagePanels
 from .page_state import PageState
 from .page_view import PageView
 from .sections import Sections
-from .server import LOOPBACK, Listener, PageServer
+from .server import LOOPBACK, PageListener, PageServer
 from .uploads import NOT_IN_CONTROL, drops
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class WebHost(LiveHost):
         *,
         camera: str | None = None,
         host: str = LOOPBACK,
-        port: int | Listener = 0,
+        port: int | PageListener = 0,
         token: bool | str = True,
         waits: bool = False,
         folder: Path | None = None,

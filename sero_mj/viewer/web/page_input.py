@@ -15,19 +15,19 @@ from ..image.picking import Picked, Pixel, picked_of
 from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.view_state import ViewState
 from .messages import (
-    Camera,
+    CameraMessage,
     Card,
     CloseArea,
     Fold,
-    Hold,
-    Key,
+    HoldMessage,
+    KeyMessage,
     Left,
-    Message,
+    MessageSender,
+    PageMessage,
     PageSize,
-    Pointer,
+    PointerMessage,
     Said,
-    Sender,
-    View,
+    ViewMessage,
     Wheel,
     Widget,
 )
@@ -50,21 +50,21 @@ class PageInput:
         self._host, self._page_view, self._panels = host, view, panels
         self._mouse = Mouse()
         self.wrong = 0
-        self.sender = Sender(0, is_local=False)
+        self.sender = MessageSender(0, is_local=False)
         self.is_dragging = self.is_on_handle = False
         # One for each kind of `ForScene`, except those that `Browsers` handles.
-        self._acts: dict[type[Message | Left], Callable[[Any], None]] = {
+        self._acts: dict[type[PageMessage | Left], Callable[[Any], None]] = {
             PageSize: self._size,
-            Camera: self._camera,
-            Pointer: self._pointer,
+            CameraMessage: self._camera,
+            PointerMessage: self._pointer,
             Wheel: self._wheel,
-            Hold: self._hold,
-            Key: self._key,
+            HoldMessage: self._hold,
+            KeyMessage: self._key,
             Card: self._card,
             Widget: self._widget,
             Fold: self._fold,
             CloseArea: self._close,
-            View: self._view,
+            ViewMessage: self._view,
             Left: self._leave,
         }
 
@@ -89,7 +89,7 @@ class PageInput:
         self._panels.fit(said.page)
         self._look_again()
 
-    def _camera(self, said: Camera) -> None:
+    def _camera(self, said: CameraMessage) -> None:
         numbers = (said.distance, said.azimuth, said.elevation)
         self._page_view.take(said.fixed, said.lookAt, numbers)
         self._look_again()
@@ -98,7 +98,7 @@ class PageInput:
         """Uses the current camera for the next click."""
         self._host.decor.view = self._page_view.picture(self._host.data)
 
-    def _pointer(self, said: Pointer) -> None:
+    def _pointer(self, said: PointerMessage) -> None:
         if said.kind == "leave":  # a finger was taken away: what was pressed is not released
             self._leave()
             return
@@ -118,7 +118,7 @@ class PageInput:
             self.is_dragging = False
             pointer.dragging.release()
 
-    def _pixel(self, said: Pointer | Card) -> Pixel:
+    def _pixel(self, said: PointerMessage | Card) -> Pixel:
         return said.x, self._page_view.size[1] - said.y
 
     def _is_inside(self, at: Pixel) -> bool:
@@ -136,12 +136,12 @@ class PageInput:
             pointer = self._host.pointer
             pointer.dragging.take(Moved("zoom", 0.0, said.n), pointer.at, None, None)
 
-    def _hold(self, said: Hold) -> None:
+    def _hold(self, said: HoldMessage) -> None:
         del said
         if self._mouse.is_down and self._mouse.hold(self._host.pointer.dragging.announce):
             self.is_dragging = True
 
-    def _key(self, said: Key) -> None:
+    def _key(self, said: KeyMessage) -> None:
         if said.key == "escape":
             if self._host.shows_help:
                 self._host.toggle("shows_help")
@@ -167,7 +167,7 @@ class PageInput:
             if tool.area == said.area:
                 tool.shows_area = False
 
-    def _view(self, said: View) -> None:
+    def _view(self, said: ViewMessage) -> None:
         try:
             show_state(self._host, ViewState.from_text(said.text))
         except UsageError as error:

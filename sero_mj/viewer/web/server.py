@@ -51,7 +51,7 @@ _TWINS = {"127.0.0.1": "::1", "::1": "127.0.0.1", "0.0.0.0": "::1"}
 Talk = Callable[[ServerConnection], Awaitable[None]]
 
 
-class Answer(NamedTuple):
+class PageAnswer(NamedTuple):
     """The body of an answer.
 
     Attributes:
@@ -93,9 +93,9 @@ class PageServer:
         may_upload: MayUpload,
         on_file: Callable[[Path], None],
         *,
-        find: Callable[[str, str], Answer | None] = lambda path, query: None,
+        find: Callable[[str, str], PageAnswer | None] = lambda path, query: None,
         host: str = LOOPBACK,
-        port: int | Listener = 0,
+        port: int | PageListener = 0,
         token: bool | str = True,
     ) -> None:
         self.is_private = is_loopback(check_address(host))
@@ -104,7 +104,7 @@ class PageServer:
             self.token = token if isinstance(token, str) else make_token()
         elif not self.is_private:
             raise UsageError(f"host {host}: a page for other machines needs a token")
-        listener = port if isinstance(port, Listener) else Listener(host, port)
+        listener = port if isinstance(port, PageListener) else PageListener(host, port)
         self._sockets = [each.dup() for each in listener.sockets]
         if listener is not port:
             listener.close()
@@ -206,13 +206,13 @@ class PageServer:
             headers["Cache-Control"] = "no-store"
         return Response(200, "OK", headers, found.body)
 
-    def _answer(self, path: str, query: str) -> Answer | None:
+    def _answer(self, path: str, query: str) -> PageAnswer | None:
         if path in ("/", "/index.html"):
-            return Answer(self._page, ".html")
+            return PageAnswer(self._page, ".html")
         if path in self._files:
-            return Answer(self._files[path], Path(path).suffix, is_kept=True)
+            return PageAnswer(self._files[path], Path(path).suffix, is_kept=True)
         if path == _WHICH:
-            return Answer(json.dumps({"page": self._path}).encode(), ".json")
+            return PageAnswer(json.dumps({"page": self._path}).encode(), ".json")
         return self._find(path, query)
 
     def _response(
@@ -241,7 +241,7 @@ def static_text(name: str) -> str:
     return (_STATIC / name).read_text("utf-8")
 
 
-class Listener:
+class PageListener:
     """Sockets that listen at an address while pages are served there one after the other.
 
     Between two pages no other process can get the port, and with it the token that browsers send

@@ -25,9 +25,9 @@ from ..host.start_page import (
 from ..panels.message import Message as Notice
 from ..session.recent_views import RecentView
 from .browsers import Browsers
-from .messages import ForStartPage, Left, Message, OpenShown, OpenTile, Sender
+from .messages import ForStartPage, Left, MessageSender, OpenShown, OpenTile, PageMessage
 from .sections import Sections
-from .server import Answer, Listener, PageServer, static_text
+from .server import PageAnswer, PageListener, PageServer, static_text
 from .uploads import NOT_IN_CONTROL, drops
 
 _LIVE, _TILES, _PICTURES = "/sero-mj/start", "/sero-mj/tiles", "/sero-mj/pictures/"
@@ -56,7 +56,7 @@ class StartHost:
         opener: Opener,
         listening: PortMonitor,
         host: str,
-        port: int | Listener = 0,
+        port: int | PageListener = 0,
         *,
         token: bool | str = True,
     ) -> None:
@@ -64,9 +64,9 @@ class StartHost:
         self._page = StartPage(self._open, listening)
         self._sections = Sections()
         self.browsers = Browsers(self._sections, ForStartPage)
-        self.sender = Sender(0, is_local=False)
+        self.sender = MessageSender(0, is_local=False)
         # One for each kind of `ForStartPage`, except those that `Browsers` handles.
-        self._acts: dict[type[Message | Left], Callable[[Any], None]] = {
+        self._acts: dict[type[PageMessage | Left], Callable[[Any], None]] = {
             OpenTile: self._open_tile,
             OpenShown: self._open_shown,
             Left: lambda message: None,
@@ -109,15 +109,15 @@ class StartHost:
     def _may_upload(self, key: str) -> str | None:
         return None if self.browsers.is_in_control(key) else NOT_IN_CONTROL
 
-    def _find(self, path: str, query: str) -> Answer | None:
+    def _find(self, path: str, query: str) -> PageAnswer | None:
         if path == _TILES:
             words = urllib.parse.parse_qs(query).get("search", [""])[0]
-            return Answer(json.dumps(self._described(words)).encode(), ".json")
+            return PageAnswer(json.dumps(self._described(words)).encode(), ".json")
         tiles, number = self._page.tiles, path.removeprefix(_PICTURES)
         if path.startswith(_PICTURES) and number.isdecimal() and int(number) < len(tiles):
             picture = tiles[int(number)].picture
             try:
-                return Answer(picture.read_bytes() if picture else b"", ".jpg")
+                return PageAnswer(picture.read_bytes() if picture else b"", ".jpg")
             except OSError:
                 return None
         return None

@@ -9,7 +9,7 @@ from typing import Any
 import glfw
 
 from ..image.film import Pixels
-from ..image.typesetting import Placed
+from ..image.typesetting import PlacedPanel
 
 # Of gl.h.
 _ALL_ATTRIBUTES = 0x000FFFFF
@@ -54,7 +54,7 @@ class Blender:
         self._store(_UNPACK_ALIGNMENT, 4)
         self._pop()
 
-    def draw(self, panels: Sequence[Placed], left: int = 0, bottom: int = 0) -> None:
+    def draw(self, panels: Sequence[PlacedPanel], left: int = 0, bottom: int = 0) -> None:
         """Lays panels over the picture."""
         self._push(_ALL_ATTRIBUTES)
         for name in _OFF:
