@@ -1,19 +1,4 @@
-"""All exceptions of sero-mj.
-
-    SeroError
-    ├── DeclarationError      a robot, scene or source is declared wrongly (lists every problem)
-    ├── UnknownName           a name that is not among those available
-    ├── StructureError        a packet structure string that cannot be parsed
-    ├── RouteError            an expression in a route that cannot be parsed or has no meaning
-    ├── SourceError           a source that cannot be opened (a port in use, say)
-    ├── RecordingError        a recording that cannot be written on, or read
-    ├── SimulationError       a simulation that cannot go on
-    ├── CsvError              a table of comma-separated values that cannot be read or written
-    ├── NotTrusted            a file that asks to run something, and may not
-    ├── PluginError           an entry point of another package that cannot be loaded
-    ├── ClusterError          a cluster that cannot be reached, or whose workers differ
-    ├── RenderError           no picture can be made (no GL, no room for the file)
-    └── UsageError            a command line that asks for something impossible
+"""All exceptions of sero-mj; each is a `SeroError`.
 
 Errors take the objects at fault, store them as attributes and build the text themselves, so that
 the same fault has the same message everywhere.

@@ -1,9 +1,7 @@
 """`World`: a compiled scene with index arrays of its robots, doubles, frames and inputs.
 
-Values that decor shows and `MjData` has no field for (received torques, billboard values, the
-state of sources) are stored in named slots of `MjData.userdata`. This is part of MuJoCo's
-integration state, so copies, history and recordings include it. `mj_resetData` zeroes it: apply
-the latest packet again afterwards.
+Values that decor shows and `MjData` has no field for are stored in named slots of
+`MjData.userdata`, which copies, history and recordings include. `mj_resetData` zeroes it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,6 @@
-"""`ModelState`: the state that decor reads, for an external model.
+"""`ModelState`: the state of an external model, with the sites and `userdata` that decor reads.
 
-Decor reads the poses of sites and the contents of `userdata`. An external model has no sites and
-slots for decor, and neither can be added to a compiled model. So `ModelWorld` creates this object
-for every frame: it has the fields of `MjData` that decor reads, with a site for every joint and
-frame, and a `userdata` array of its own. The user's model and data are not changed.
+A compiled model accepts neither, so `ModelWorld` creates this object for every frame.
 """
 
 from __future__ import annotations

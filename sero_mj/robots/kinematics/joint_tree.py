@@ -1,9 +1,7 @@
 """`JointTree`: kinematics of a tree of joints in numpy, independent of MuJoCo.
 
-Frame 0 is the base, frame i that of the link moved by joint i. The parent of each joint is the link
-of another one or the base: T_0,i = T_0,p(i) T_p(i),i(q_i), with p(i) < i. A serial robot has p(i) =
-i - 1. T_p(i),i is given by a Denavit-Hartenberg table (`dh`), or by the joints' frames
-(`JointFrames`).
+Frame 0 is the base, frame i that of the link moved by joint i. The parent p(i) < i of each joint is
+a link or the base: T_0,i = T_0,p(i) T_p(i),i(q_i). A serial robot has p(i) = i - 1.
 """
 
 from __future__ import annotations
@@ -145,7 +143,7 @@ class JointTree(ABC):
 
     @property
     def axis_frames(self) -> Array:
-        """Frames (n, 4, 4) of joint axes in those of their links; values increase about or along z."""
+        """Frames (n, 4, 4) of joint axes in those of their links; values increase along z."""
         T = np.tile(np.eye(4), (len(self), 1, 1))
         if self.turns_in_carrier:
             T = inverse(self.link_transforms(np.zeros(len(self))))
