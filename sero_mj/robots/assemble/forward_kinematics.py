@@ -41,13 +41,9 @@ class ForwardKinematics:
         self._position, self._rotation = flange.xpos, flange.xmat.reshape(3, 3)
 
     def __call__(self, joint_angles: ArrayLike) -> Array:
-        """Returns T_base_flange, (..., 4, 4), translation in m.
+        """Returns T_base_flange (..., 4, 4), m, at (..., n) or (..., k) independent angles.
 
-        Args:
-            joint_angles: (..., n), rad or m, or (..., k) of the independent joints.
-
-        Raises:
-            ValueError: the last axis is neither n nor k long.
+        Raises ValueError if the last axis is neither n nor k long.
         """
         q = np.asarray(joint_angles, np.float64)
         if self._coupled is not None and q.shape[-1:] == (self._coupled.k,):

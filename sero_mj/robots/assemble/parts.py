@@ -356,10 +356,7 @@ def make_tables(
 ) -> tuple[JointTable, FrameTable, ArrowTable]:
     """Builds the tables of all joints, named frames and smart arrows of a compiled scene.
 
-    Args:
-        owners: robots, then doubles that have joints, by name.
-        flags: index in `userdata` of the flag that an input was set, by its name.
-        sites: returns the ids of sites (k,) by their names.
+    Owners are robots, then doubles that have joints; `sites` returns the ids of sites by name.
     """
     return (
         _joint_table(owners, slots, flags, sites),

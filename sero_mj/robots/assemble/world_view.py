@@ -80,15 +80,9 @@ class WorldView(Protocol):
         return self.model
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
-        """Sets an input.
+        """Sets an input, `name.input` of `inputs`, to values of its shape, SI units.
 
-        Args:
-            target: `name.input`, e.g. `lwr.torques`; see `inputs`.
-            values: of the input's shape, SI units.
-
-        Raises:
-            UnknownName: no such name or input.
-            ValueError: the values do not fit the input.
+        Raises UnknownName for an unknown input, and ValueError for values that do not fit.
         """
 
     def set_declared(self, data: mujoco.MjData, declared: Any, keys: Iterable[str]) -> None:

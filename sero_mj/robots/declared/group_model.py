@@ -73,10 +73,8 @@ class Expanded:
 def expand_groups(tables: Mapping[str, Any], file: Path, most: Mapping[str, int]) -> Expanded:
     """Expands the groups of a scene that have a model; others are kept.
 
-    Args:
-        tables: of the scene's `groups`, by name.
-        file: of the scene; models are searched for beside it, and among the shipped ones.
-        most: maximum numbers of `robots` and `groups`; expansion stops soon after them.
+    Models are searched for beside the scene's file, and among the shipped ones. Expansion stops
+    soon after `most` robots and groups.
     """
     found = Expanded(most=most)
     for name, table in tables.items():
@@ -326,11 +324,7 @@ def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -
     """Returns tables with models, meshes and MJCF files resolved to absolute paths.
 
     An existing model is replaced by the `Path` of its file; names are searched for beside the file
-    that contains them.
-
-    Args:
-        tables: of a model, with its sections, or of a group in a scene.
-        beside: whether models may also be siblings of that folder, as models usually are.
+    that contains them, and with `beside` also beside its folder.
     """
     found: dict[str, Any] = deepcopy(dict(tables))
     whole = folder.absolute()  # file names in it are not prefixed again

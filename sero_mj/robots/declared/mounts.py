@@ -77,12 +77,7 @@ def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, in
 
 
 def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
-    """Returns T_base_mount (..., 4, 4) of a frame that robots can be mounted on.
-
-    Args:
-        label: one of `mount_labels`.
-        frames: result of `robot.kinematics.frames`, (..., n + 1, 4, 4).
-    """
+    """Returns T_base_mount (..., 4, 4) of one of `mount_labels`, by `robot.kinematics.frames`."""
     if label == "base":
         return frames[..., 0, :, :]
     if label.startswith("link") and label[4:].isdigit():
@@ -129,9 +124,7 @@ def unmounted(robot: SerialRobot, T_world_base: Array) -> SerialRobot:
 def mount_problems(robots: Mapping[str, SerialRobot], broken: Mapping[str, bool]) -> list[Problem]:
     """Returns mounts on unknown frames, and cycles of mounts.
 
-    Args:
-        broken: for every missing carrier, whether its declaration is invalid, which is reported
-            elsewhere.
+    Errors of missing carriers that are `broken`, invalid, are reported elsewhere.
     """
     problems = []
     frames = [f"{name}/{label}" for name, robot in robots.items() for label in mount_labels(robot)]

@@ -516,11 +516,8 @@ def _known_names(fields: Mapping[str, Any]) -> list[str] | None:
 def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     """Returns the angles of all joints, given these or those of the independent ones.
 
-    Other quantities of the independent joints are kept: those of coupled joints are unknown.
-
-    Raises:
-        ValueError: the value of a coupled joint contradicts its coupling; or the number of values
-            is neither that of the joints nor of the independent ones.
+    Other quantities are returned unchanged. Raises ValueError if a value contradicts its coupling,
+    or the number of values is neither n nor k.
     """
     names = _joint_names(info.data)
     coupled = coupled_joints(names, info.data["couplings"])

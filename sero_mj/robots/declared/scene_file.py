@@ -56,13 +56,9 @@ _OF_DYNAMICS = (
 def read_scene_file(
     path: Path, overrides: Mapping[str, Any] | None = None
 ) -> tuple[Scene, list[Problem]]:
-    """Reads a scene file in any format; what was lost of another format is logged.
+    """Reads a scene file in any format, as `scene_from_tables`; logs what another format loses.
 
-    Args:
-        overrides: see `scene_from_tables`, as what is returned.
-
-    Raises:
-        DeclarationError: the file cannot be read.
+    Raises DeclarationError if the file cannot be read.
     """
     imported = read_imported(path)
     if imported is None:
