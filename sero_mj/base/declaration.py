@@ -302,11 +302,7 @@ _PROBLEMS: dict[str, Callable[[ErrorDetails, type[Declaration]], Problem]] = {
 def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:
     """Builds the declaration of a table's `kind`; returns an instance of `base` unchanged.
 
-    Args:
-        kinds: name to class; each has a field `kind`.
-
-    Raises:
-        DeclarationError: there is no such kind, or fields are invalid.
+    Raises DeclarationError if there is no such kind, or fields are invalid.
     """
     return table if isinstance(table, base) else kinds[kind_of(table, kinds)](**table)
 

@@ -91,10 +91,8 @@ def lacking(
 ) -> str | None:
     """Describes what a table that is not in a file lacks; None if only its values are wrong.
 
-    Args:
-        problems: why it could not be built, by its keys.
-        keys: dotted keys that created it.
-        others: names of the tables in the file.
+    The problems are why it could not be built, by its keys; `keys` are the dotted keys that created
+    it, and `others` the names of the tables in the file.
     """
     for problem in problems:
         place = f"{section}.{name}.{problem.key}."

@@ -133,12 +133,8 @@ def find_model(name: str, beside: Path | None = None) -> Path:
 def find_group_model(name: str, beside: Path | None = None) -> Path:
     """Returns the file of a group of robots by its name, like `find_model`.
 
-    Args:
-        name: a shipped group's name, a folder with a `group.toml`, or a TOML file.
-        beside: folder that relative paths start from; the working directory when None.
-
-    Raises:
-        UnknownName: nothing of that name exists; lists the groups beside it and the shipped ones.
+    It is a shipped group's name, a folder with a `group.toml`, or a TOML file. Raises UnknownName,
+    which lists the groups beside it and the shipped ones.
     """
     return _find_model("model of a group", name, beside, GROUP_FILE)
 

@@ -69,14 +69,9 @@ def is_own_class(kind: type) -> bool:
 
 
 def load_plugin(group: str, name: str, base: type | None = None) -> Any:
-    """Imports what an entry point names.
+    """Imports what an entry point names, a subclass of `base` if given.
 
-    Args:
-        base: of the class that it has to name.
-
-    Raises:
-        UnknownName: no such name; names the nearest.
-        PluginError: its package cannot be imported, or it names something else.
+    Raises UnknownName, or PluginError if its package cannot be imported or it names something else.
     """
     known = plugins(group)
     if name not in known:

@@ -48,17 +48,10 @@ _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
 
 
 def read_x3d(path: Path) -> ImportedTables:
-    """Reads a scene of robots, sources, routes, shapes, viewpoints and lights.
+    """Reads a scene in X3D's classic encoding, or in VRML97.
 
     Other nodes are listed in one warning; so are missing geometry files of robots, whose links are
-    generated from the DH table.
-
-    Args:
-        path: of a file in X3D's classic encoding, or VRML97.
-
-    Raises:
-        DeclarationError: all X3D errors, with lines. Errors in a robot or a source are reported
-            when it is built from the tables.
+    generated from the DH table. Raises DeclarationError with all X3D errors, with lines.
     """
     return _X3dReader(read_document(path)).described()
 

@@ -117,13 +117,8 @@ def visit(
 ) -> list[VisitedNode]:
     """Traverses groups, transforms, PROTOs and inlined files, and returns all other nodes in order.
 
-    Args:
-        path: of their file; inlined files are searched for in its folder.
-        problems: receives errors of the visited nodes.
-        is_kept: whether to return a node instead of its children.
-
-    Raises:
-        DeclarationError: there are too many nodes.
+    With `is_kept` a node is returned instead of its children. Inlined files are searched for in the
+    folder of `path`. Raises DeclarationError if there are too many nodes.
     """
     found: list[VisitedNode] = []
     inlined: dict[Path, list[Node]] = {}
@@ -181,11 +176,7 @@ def _children(node: Node, problems: Problems) -> list[Node]:
 def inlined_file(node: Node, path: Path) -> Path | None:
     """The file of an Inline: the first of its addresses found in the folder of its file.
 
-    Args:
-        path: of the file that it stands in.
-
-    Raises:
-        ValueError: its addresses are not strings.
+    Raises ValueError if its addresses are not strings.
     """
     value = node.value("url")
     for url in [] if value is None else read_field(value, "MFString"):

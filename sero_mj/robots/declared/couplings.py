@@ -74,7 +74,7 @@ class CoupledJoints:
         return np.asarray(independent[..., self.source] * self.ratio)
 
     def full(self, key: str, values: Array) -> Array:
-        """Returns a per-joint input of all joints (..., n), or from that of independent ones (..., k).
+        """Returns a per-joint input (..., n), given it or that of the independent joints (..., k).
 
         Coupled joints get computed positions and accelerations, and NaN, no data, for anything
         else.

@@ -96,14 +96,11 @@ class Sites:
 
 
 class JointPoses:
-    """Frames of some joints of a model.
+    """Frames of some joints of a model, offset from their anchors by (n, 3), m.
 
     A frame is at a joint's anchor with z along the axis. Like the sites of a compiled scene it
     turns with the link, and it is parallel to the link's frame where the axis is the link's z.
     Several hinges of one body rotate in sequence.
-
-    Args:
-        offset: of the frames' origins from the anchors, in the joints' frames, (n, 3), m.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Ints, offset: Array) -> None:

@@ -60,11 +60,10 @@ def identifiers(names: Sequence[str]) -> dict[str, int]:
 
 
 def parents_of(links: Iterable[int], names: Sequence[str]) -> list[str]:
-    """Returns the entries of `parents` in a robot file.
+    """Returns the entries of `parents` in a robot file, by the link that carries each joint.
 
-    Args:
-        links: for each joint the link that carries it: 0 for the base, i for the link of joint i.
-        names: of the joints. One called `base` is referred to by its link, `link2`.
+    It is 0 for the base, i for the link of joint i. A joint called `base` is referred to by its
+    link, `link2`.
     """
     return [
         BASE if not link else f"link{link}" if names[link - 1] == BASE else names[link - 1]

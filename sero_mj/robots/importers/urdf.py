@@ -89,13 +89,9 @@ def read_urdf(
 
 
 def read_rigid_urdf(path: Path | str) -> ImportedTables:
-    """Reads a URDF file without movable joints: a table, a tool, a ball.
+    """Reads a URDF file without movable joints, a tool say, as a robot with the base alone.
 
-    Returns:
-        `filenames`, `collisions`, `colors` and `directory` of a robot file, for the base alone.
-
-    Raises:
-        DeclarationError: all errors in it, with lines; or it has joints.
+    Raises DeclarationError with all errors in it, with lines, or if it has joints.
     """
     file = UrdfFile(Path(path))
     if file.tree.joints:
@@ -208,9 +204,8 @@ class UrdfFile:
     def check(self) -> None:
         """Refuses what an object may be and no robot.
 
-        Raises:
-            NoJoints: no joint is movable.
-            DeclarationError: it was given arguments that it does not ask for.
+        Raises NoJoints if no joint is movable, and DeclarationError for arguments that it does not
+        ask for.
         """
         given, asked = self._arguments.given, self._arguments.asked
         for name in sorted(given - asked):

@@ -36,14 +36,9 @@ _LOCK = threading.Lock()
 
 
 def expand(path: Path, arguments: Mapping[str, str], find: Callable[[str], str]) -> str:
-    """Returns the XML that a file of xacro becomes.
+    """Returns the XML that a file of xacro becomes; raises whatever xacro raises.
 
-    Args:
-        arguments: values of `<xacro:arg>` by name.
-        find: returns the folder of a ROS package, for `$(find NAME)`.
-
-    Raises:
-        Exception: the file cannot be expanded; xacro raises many kinds.
+    `find` returns the folder of a ROS package, for `$(find NAME)`.
     """
     said = io.StringIO()
     with _LOCK, _without_python(find), redirect_stderr(said), redirect_stdout(said):
