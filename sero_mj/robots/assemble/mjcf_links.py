@@ -52,9 +52,7 @@ def drawn_links(
 ) -> list[list[dict[str, Any]]]:
     """Returns the attributes of the visible geoms of base and links, in their frames.
 
-    Args:
-        scope: prefix of their names.
-        shrink: factor of all sizes, about each link's origin.
+    Names begin with `scope`; sizes are scaled by `shrink` about each link's origin.
     """
     tree = mjcf_tree(robot)
     model, geoms = tree.model, tree.geoms

@@ -287,11 +287,9 @@ class JointTable:
         return np.concatenate([data.qpos[self.qpos], data.userdata[self.angle_slots]])
 
     def note_largest(self, torques: Array, most: float) -> None:
-        """Raises `torque_limit` to torques that are larger, where `is_largest`.
+        """Raises `torque_limit` to torques (N,) that are larger, where `is_largest`.
 
-        Args:
-            torques: (N,), Nm or N; NaN for no data.
-            most: multiple of the limit so far above which a torque counts as a fault.
+        A torque above `most` times the limit so far counts as a fault.
         """
         limit, size = self.torque_limit, np.abs(torques)
         with np.errstate(invalid="ignore"):

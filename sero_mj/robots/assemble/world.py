@@ -208,15 +208,10 @@ class World(WorldView):
         userdata[self.flags[target]] = SET_BY_PROGRAM
 
     def export(self, path: Path) -> list[Path]:
-        """Writes the scene as MJCF with its mesh files; key frame `home` is the declared pose.
+        """Writes the scene as MJCF, and its mesh files in `NAME_assets`; returns all files.
 
-        Masses are those of simulation; a comment says which ones are estimated.
-
-        Args:
-            path: the XML file; meshes go into a folder beside it, `NAME_assets`.
-
-        Returns:
-            the files written, the XML first.
+        Key frame `home` is the declared pose. Masses are those of simulation; a comment says which
+        ones are estimated.
         """
         spec, about = self._weighed()
         if self.model.nq and spec.key("home") is None:

@@ -96,12 +96,7 @@ class WorldView(Protocol):
                 self.set_input(data, f"{declared.name}.{key}", getattr(declared, key))
 
     def set_pose(self, data: mujoco.MjData, name: str, T_world: Array) -> None:
-        """Sets the pose of a base, received frame, object or camera.
-
-        Args:
-            name: one of `placed`.
-            T_world: pose in the world, (4, 4), translation in m.
-        """
+        """Sets the pose (4, 4), m, in the world of one of `placed`."""
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, T_world[:3, :3].ravel())
         data.mocap_pos[self.placed[name]] = T_world[:3, 3]
