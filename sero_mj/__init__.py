@@ -13,7 +13,7 @@ Conventions, everywhere in this package:
   `HeadlessRenderer.click`) are counted from the upper left corner, x to the right, y down. Within
   `viewer` they are counted from the lower left one, y up.
 - The data moves one way: assemble, receive, drive, decor, hosts. A file imports only from folders
-  above its own in the README's list of wings.
+  above its own in the README's table of packages.
 
 The public names are imported when they are first used, because `import mujoco` takes a while.
 Extensions add names by entry points in the group `sero_mj.names`.

@@ -50,7 +50,7 @@ for name in ("button", "checkbox", "combo", "slider_float", "input_double", "col
 clicks = []
 if "stereo" in options:
     from functools import partial
-    from sero_mj.viewer.window.stereo_viewport import StereoViewport
+    from sero_mj.viewer.window.viewport import StereoViewport
     options["make_viewport"] = partial(StereoViewport, stereo=options.pop("stereo"))
 if "over" in options:  # a camera and its file
     from functools import partial

@@ -17,7 +17,7 @@ from ..base.plugins import BACKGROUNDS, load_first
 
 if TYPE_CHECKING:
     from ..data.drive.mirror import Mirror
-    from ..viewer.window.host import Viewport
+    from ..viewer.window.viewport import Viewport
     from .shared_options import OverOptions
 
 

@@ -392,14 +392,13 @@ class Session:
 
     def _open_window(self, mirror: Mirror) -> Mirror | None:
         from ..viewer.host.restoring import restore
-        from ..viewer.window.host import Viewport, Window
+        from ..viewer.window.host import Window
+        from ..viewer.window.viewport import StereoViewport, Viewport
 
         options = self.options
         with ExitStack() as stack:
             make_viewport: Callable[..., Viewport] = Viewport
             if options.stereo is not None:
-                from ..viewer.window.stereo_viewport import StereoViewport
-
                 make_viewport = partial(
                     StereoViewport, stereo=options.stereo, eye_distance=options.eye_distance
                 )

@@ -15,9 +15,9 @@ from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
 from ..receive.intake import Counters
-from ..receive.mailbox import Packet, Packets
+from ..receive.mailbox import Packet, Packets, age
 from ..receive.reception import QUIET_AFTER
-from ..receive.source import Source, age
+from ..receive.source import Source
 from .place import Placer, Router, follow
 from .route import Route
 from .velocities import Velocities
@@ -297,7 +297,7 @@ class _SourceStates:
                 age(packet, now) if packet is not None else -1.0,
                 counters.wrong_size,
                 counters.last_size,
-                source.size,
+                source.layout.size,
                 max(now - counters.last_fault_time, 0.0) if counters.malformed else -1.0,
                 counters.not_frames,
                 counters.wrong_constant,

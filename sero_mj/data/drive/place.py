@@ -62,7 +62,8 @@ class Placer:
                 else:
                     self._place_received(data, name)
             pose_doubles(self._world, data)
-        self._limbs.place(data)
+        if self._limbs.are_any:
+            self._limbs.place(data)
         follow(self._world.model, data)
         for route in self._checks:
             self._keep(data, route)

@@ -34,6 +34,14 @@ class Packet:
     number: int
 
 
+def age(packet: Packet | None, now: float) -> float:
+    """Seconds since the packet arrived, `now` being `Source.now()`.
+
+    Infinite without a packet, 0 if it arrived after `now`.
+    """
+    return float("inf") if packet is None else max(now - packet.arrival, 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Packets:
     """Consecutive good packets.

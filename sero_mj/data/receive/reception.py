@@ -20,7 +20,6 @@ from .mailbox import Mailbox, Packet, Packets
 from .packet_declaration import PacketDeclaration
 from .receiving_thread import LONGEST, Disconnected
 from .structure import Rows
-from .timeline import Timeline
 
 log = logging.getLogger("sero_mj.data.receive.source")
 
@@ -29,6 +28,42 @@ _WARN_INTERVAL = 10.0  # s
 _ERROR_SHOWN_FOR = 2 * LONGEST  # s after the last failure, if no packets arrive
 # Receives raw packets: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
 Tap = Callable[[Rows, Ints, Array], object]
+
+
+class Timeline:
+    """When packets come, in real time by default; recordings and runs override all of it."""
+
+    def now(self) -> float:
+        """The time on the clock of arrivals, s: that of `time.monotonic`, or of a recording."""
+        return clock.monotonic()
+
+    @property
+    def is_live(self) -> bool:
+        """Whether packets arrive in real time; those of a recording follow `advance_to`."""
+        return True
+
+    @property
+    def end(self) -> float | None:
+        """Time of the last packet, s on the clock of `advance_to`; None for endless sources."""
+        return None
+
+    @property
+    def begin(self) -> float:
+        """Time of the first packet, s on the clock of `advance_to`."""
+        return 0.0
+
+    @property
+    def newest(self) -> float | None:
+        """Time of the newest packet, s, for endless sources with a visible past."""
+        return None
+
+    @property
+    def step(self) -> float | None:
+        """Time step of a simulation, whose `advance_to` is slow, s; None for all others."""
+        return None
+
+    def advance_to(self, time: float) -> None:
+        """Advances to a time, s, if the source does not run in real time."""
 
 
 class Reception(PacketDeclaration, Timeline):
@@ -248,7 +283,7 @@ class Reception(PacketDeclaration, Timeline):
                 failure = error
         if failure is not None:
             self.note_failure(failure, "a callback of on_receive failed")
-        else:
+        elif self._failure is not None:
             self._failure = None
 
     def _warn(self, fault: str) -> None:

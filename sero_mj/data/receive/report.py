@@ -8,7 +8,8 @@ from typing import Any
 
 from ...base.errors import SourceError
 from .intake import Counters
-from .source import Source, age
+from .mailbox import age
+from .source import Source
 
 _SAME_DAY = 86_400.0  # s; stamps farther from the time count from something else
 # Diagnoses by counter, in the order in which to check them.

@@ -21,7 +21,6 @@ from ...base.errors import (
 )
 from ...base.plugins import SOURCES, load_plugin, plugin_name, plugins
 from .led_robot import LeadsRobot
-from .mailbox import Packet
 from .receiving_thread import ReceivingThread
 from .reception import Reception
 
@@ -133,14 +132,6 @@ class Source(Reception, LeadsRobot):
 
     def __exit__(self, *exc: object) -> None:
         self.close()
-
-
-def age(packet: Packet | None, now: float) -> float:
-    """Seconds since the packet arrived, `now` being `Source.now()`.
-
-    Infinite without a packet, 0 if it arrived after `now`.
-    """
-    return float("inf") if packet is None else max(now - packet.arrival, 0.0)
 
 
 def _declared_again(kind: type[Source], fields: Mapping[str, Any]) -> Source:

@@ -10,7 +10,7 @@ import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -22,31 +22,28 @@ from ...base.errors import (
     mismatch,
 )
 from ...base.frames import Array
+from ...base.plugins import COLUMNS, load_all
 from .csv_files import TIME
 from .table import Table, split_unit
 
 # Names of columns, in lower case and without number, joint and unit, by the signal that they are,
-# first those that are preferred. In `actual_...` and `target_...`: RTDE of Universal Robots, whose
-# example record.py writes such tables. `tau_J`, `dq`: libfranka (`franka::logToCSV`); its `tau_J_d`
-# is without gravity, and therefore not the commanded torque. `position`, `effort`: ROS.
+# first those that are preferred. `position`, `effort`: ROS.
 _NAMES: Mapping[str, tuple[str, ...]] = {
     "joint_angles": (
-        "joint_angles", "joint_angle", "angles", "angle", "q", "actual_q", "joint_positions",
-        "joint_position", "measured_joint_positions", "positions", "position", "joints", "joint",
+        "joint_angles", "joint_angle", "angles", "angle", "q", "joint_positions", "joint_position",
+        "measured_joint_positions", "positions", "position", "joints", "joint",
     ),
     "joint_velocities": (
-        "joint_velocities", "joint_velocity", "velocities", "velocity", "dq", "qd", "actual_qd",
+        "joint_velocities", "joint_velocity", "velocities", "velocity", "dq", "qd",
     ),
     "torques": (
-        "torques", "torque", "joint_torques", "joint_torque", "measured_torques", "tau_j", "tau",
-        "actual_current_as_torque", "efforts", "effort",
+        "torques", "torque", "joint_torques", "joint_torque", "measured_torques", "tau", "efforts",
+        "effort",
     ),
-    "commanded_torques": ("commanded_torques", "commanded_torque", "target_moment"),
-    "commanded_angles": ("commanded_angles", "commanded_angle", "target_angles", "q_d", "target_q"),
-    "external_torques": ("external_torques", "external_torque", "tau_ext_hat_filtered", "tau_ext"),
+    "commanded_torques": ("commanded_torques", "commanded_torque"),
+    "commanded_angles": ("commanded_angles", "commanded_angle", "target_angles"),
+    "external_torques": ("external_torques", "external_torque", "tau_ext"),
 }  # fmt: skip
-# libfranka's external torques are what the robot exerts; docs/conventions.md has the sources.
-_OPPOSITE = ("tau_ext_hat_filtered",)
 _FACTORS = {
     "rad": 1.0, "deg": np.pi / 180.0, "°": np.pi / 180.0, "degree": np.pi / 180.0,
     "degrees": np.pi / 180.0, "mrad": 1e-3, "m": 1.0, "mm": 1e-3, "rad/s": 1.0,
@@ -62,13 +59,38 @@ _BY_UNIT = {
 _NUMBER = re.compile(r"\d+(?!.*\d)")
 _SUFFIX = re.compile(r"_(rad|deg|nm)$", re.IGNORECASE)
 _BETWEEN = "[]()._/ "  # characters between the number and the rest of a name
-_BEFORE = ("state.",)  # libfranka since 2024
 _SIGNAL = re.compile(r"([A-Za-z_]\w*)(?:\s*\[\s*(.+?)\s*\])?")
 _MANY = 8  # columns in a message
 
 log = logging.getLogger(__name__)
 
 Columns = Mapping[str, str | Sequence[str]]
+
+
+@dataclass(frozen=True)
+class ColumnNames:
+    """Names of columns in tables of a program; an entry point in the group `sero_mj.columns`.
+
+    Attributes:
+        names: signal to names of columns, in lower case and without number, joint and unit.
+        opposite: names whose numbers have the opposite sign of ours.
+        prefixes: what names may begin with.
+    """
+
+    names: Mapping[str, tuple[str, ...]]
+    opposite: tuple[str, ...] = ()
+    prefixes: tuple[str, ...] = ()
+
+
+@cache
+def _known_names() -> ColumnNames:
+    found = load_all(COLUMNS).values()
+    names = {
+        signal: sum((each.names.get(signal, ()) for each in found), own)
+        for signal, own in _NAMES.items()
+    }
+    opposite = sum((each.opposite for each in found), ())
+    return ColumnNames(names, opposite, sum((each.prefixes for each in found), ()))
 
 
 @dataclass(frozen=True)
@@ -215,10 +237,11 @@ def _recognised(
         group for group in _groups(names, joints, robot) if not counts or len(group.names) in counts
     ]
     found: dict[str, Selection] = {}
-    for signal, known in _NAMES.items():
+    all_names = _known_names()
+    for signal, known in all_names.names.items():
         ranked = [group for name in known for group in groups if group.stem == name]
         if ranked:
-            sign = -1.0 if ranked[0].stem in _OPPOSITE else 1.0
+            sign = -1.0 if ranked[0].stem in all_names.opposite else 1.0
             found[signal] = Selection(ranked[0].names, sign * _FACTORS.get(ranked[0].unit, 1.0))
     of_joints = [group for group in groups if not group.stem]
     if "joint_angles" not in found and of_joints:
@@ -268,7 +291,7 @@ def _of_joint(name: str, joints: Sequence[str]) -> tuple[int, str]:
 
 def _stem(pattern: str, robot: str) -> str:
     """What the name of a column says beside robot, joint and number, in lower case."""
-    for before in (*_BEFORE, *(f"{robot}{each}" for each in "._/" if robot)):
+    for before in (*_known_names().prefixes, *(f"{robot}{each}" for each in "._/" if robot)):
         pattern = pattern.removeprefix(before)
     before, _, behind = pattern.partition("*")
     return (behind.strip(_BETWEEN) or before.strip(_BETWEEN)).lower()

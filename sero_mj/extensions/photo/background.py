@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ...cli.shared_options import OverOptions
     from ...data.drive.mirror import Mirror
     from ...robots.declared.scene import Scene
-    from ...viewer.window.host import Viewport
+    from ...viewer.window.viewport import Viewport
 
 
 class Photos(Background):

@@ -87,13 +87,7 @@ def run(options: CalibrateOptions) -> int:
                 "which pixel shows which point of the robot"
             )
         os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo takes its OpenGL from the window here
-    from .calibration import (
-        calibrate,
-        point_names,
-        point_of,
-        read_points,
-        write_points,
-    )
+    from .calibration import calibrate, point_names, point_of, read_points, write_points
     from .camera_file import ENDINGS, write_camera
     from .footage import read_photo
 

@@ -19,14 +19,7 @@ import mujoco
 import numpy as np
 
 from ...base.declaration import numbers
-from ...base.errors import (
-    DeclarationError,
-    Problem,
-    UsageError,
-    mismatch,
-    problems_of,
-    reason_of,
-)
+from ...base.errors import DeclarationError, Problem, UsageError, mismatch, problems_of, reason_of
 from ...base.frames import Array, Bools, frame, inverse
 from ...base.paths import open_file
 from ...base.toml_file import key_lines, located, read_toml

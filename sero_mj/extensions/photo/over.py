@@ -28,12 +28,7 @@ from ...viewer.image.render import (
     render_picture,
     write_film,
 )
-from ...viewer.image.renderer import (
-    CLASSIC,
-    SceneRenderer,
-    choose_renderer,
-    renderers,
-)
+from ...viewer.image.renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
 from ...viewer.image.scene_decor import SceneDecor
 from ...viewer.image.typesetting import Typesetter, compose
 from .camera_file import read_camera

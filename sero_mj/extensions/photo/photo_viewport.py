@@ -9,10 +9,9 @@ from PIL import Image
 from ...robots.assemble.world_view import WorldView
 from ...viewer.decor.toggles import Toggles
 from ...viewer.image.film import Pixels
-from ...viewer.image.typesetting import Typesetter
 from ...viewer.session.status_line import Piece
 from ...viewer.window.glfw_window import GlWindow
-from ...viewer.window.host import Viewport
+from ...viewer.window.viewport import Pane, Viewport
 from .camera_feed import CameraFeed, VideoFeed
 from .over_photo import PhotoPainter
 
@@ -44,15 +43,9 @@ class PhotoViewport(Viewport):
     def pieces(self) -> list[Piece]:
         return [self._feed.piece]
 
-    def update(
-        self,
-        data: mujoco.MjData,
-        camera: mujoco.MjvCamera,
-        rect: mujoco.MjrRect,
-        typesetter: Typesetter,
-        covered: float = 0.0,
-    ) -> None:
+    def update(self, data: mujoco.MjData, camera: mujoco.MjvCamera, pane: Pane) -> None:
         """See `Viewport`; the view is that of the feed's camera, and `camera` has no meaning."""
+        rect, typesetter, covered = pane
         of = self._feed.camera
         scale = min(rect.width / of.width, rect.height / of.height)
         size = max(round(of.width * scale), 1), max(round(of.height * scale), 1)

@@ -15,13 +15,7 @@ from PIL import Image, ImageDraw
 
 from ...base.errors import UsageError
 from ...base.frames import Array
-from ...viewer.image.typesetting import (
-    PlacedPanel,
-    PlacedText,
-    Rgb,
-    Typesetter,
-    compose,
-)
+from ...viewer.image.typesetting import PlacedPanel, PlacedText, Rgb, Typesetter, compose
 from .calibration import Calibration, calibrate
 from .photo_camera import PhotoCamera
 

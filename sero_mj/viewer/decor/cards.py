@@ -18,16 +18,7 @@ from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.mounts import carrier
 from .geom_buffer import GeomBuffer, Kind
-from .layout import (
-    LEFT,
-    RIGHT,
-    bends,
-    columns,
-    is_narrow,
-    tangle,
-    uncross,
-    with_room,
-)
+from .layout import LEFT, RIGHT, bends, columns, is_narrow, tangle, uncross, with_room
 from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
 from .picture_view import PictureView
 

@@ -27,11 +27,7 @@ from ..panels.message import Message
 from ..panels.robot_panel import RobotPanel
 from ..panels.status_line import SourcesPanel
 from ..session.clock import Clock
-from ..session.tool import (
-    Action,
-    DrawnTool,
-    Tools,
-)
+from ..session.tool import Action, DrawnTool, Tools
 from ..session.view_state import ViewState, view_state_of
 from ..session.widgets import Widgets
 from .actions import Actions

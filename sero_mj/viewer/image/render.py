@@ -31,12 +31,7 @@ from .backend import adopt_backend, backend_problem
 from .camera import Follower, find_camera, followed
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
 from .film_frames import SUBFRAMES, Exposure, film_frames
-from .framing import (
-    Framing,
-    bounding_sphere,
-    declared_data,
-    stand_back,
-)
+from .framing import Framing, bounding_sphere, declared_data, stand_back
 from .held_torques import HeldTorques
 from .mujoco_private import context_of
 from .painter import Painter, perform_clicks
@@ -53,12 +48,7 @@ from .picture_options import (
 )
 from .renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
 from .scene_decor import SceneDecor
-from .stereo import (
-    anaglyph,
-    check_stereo,
-    each_eye,
-    looked_at,
-)
+from .stereo import anaglyph, check_stereo, each_eye, looked_at
 from .switches import apply_switches
 from .textures import upload_textures, without_textures
 from .typesetting import Typesetter, compose

@@ -15,15 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from ..decor.font import (
-    FONTS,
-    Font,
-    ValueLine,
-    drawable,
-    font_with,
-    open_face,
-    value_columns,
-)
+from ..decor.font import FONTS, Font, ValueLine, drawable, font_with, open_face, value_columns
 from ..decor.panels import BAR_RGBA, PADDING, Panels
 
 Bytes = NDArray[np.uint8]

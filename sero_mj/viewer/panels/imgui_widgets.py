@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..session.status_line import Mood
-from ..session.widgets import Plot, PlotLine, Rgb
+from ..session.widgets import Plot, PlotLine, Rgb, Ticks
 
 # On light themes and on dark ones. Contrast with the window is at least 4.5 (WCAG).
 MOODS: dict[Mood, tuple[Rgb, Rgb]] = {
@@ -142,13 +142,7 @@ class ImguiWidgets:
         return changed, now
 
     def slide(
-        self,
-        label: str,
-        value: float,
-        low: float,
-        high: float,
-        text: str,
-        ticks: Sequence[tuple[float, Mood, str]] = (),
+        self, label: str, value: float, low: float, high: float, text: str, ticks: Ticks = ()
     ) -> tuple[bool, float]:
         imgui = self._imgui
         grab = _GRAB * self._unit

@@ -8,12 +8,7 @@ from collections.abc import Collection
 import numpy as np
 
 from ..session.signals import PlotSignal, PlotSignals
-from ..session.widgets import (
-    Plot,
-    PlotLine,
-    Rgb,
-    Widgets,
-)
+from ..session.widgets import Plot, PlotLine, Rgb, Widgets
 from .torque_plots import time_plot, with_gaps
 
 # Distinct for the colour-blind, on a dark background (after Okabe and Ito).

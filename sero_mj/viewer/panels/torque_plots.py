@@ -12,12 +12,7 @@ from ...robots.assemble.world_view import WorldView
 from ..decor.quantities import joint_name, torque_and_unit, torque_text
 from ..session.binned_history import SPAN
 from ..session.torque_history import TorqueHistory, split_at_gaps
-from ..session.widgets import (
-    Plot,
-    PlotLine,
-    Rgb,
-    Widgets,
-)
+from ..session.widgets import Plot, PlotLine, Rgb, Widgets
 
 # Light blue and orange: distinct for the colour-blind and on a dark background.
 _MEASURED: Rgb = (0.45, 0.78, 1.0)

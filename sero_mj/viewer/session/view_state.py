@@ -15,12 +15,7 @@ from ...robots.assemble.world_view import WorldView
 from ..decor.quantities import joint_name
 from ..decor.toggles import Toggles
 from ..image.camera import find_camera
-from ..image.switches import (
-    SWITCH_NAMES,
-    apply_switches,
-    find_joint,
-    switches_text,
-)
+from ..image.switches import SWITCH_NAMES, apply_switches, find_joint, switches_text
 from .clock import Clock
 
 _DECIMALS = 4  # of degrees and m

@@ -14,6 +14,8 @@ from ...base.frames import Array
 from .status_line import Mood
 
 Rgb = tuple[float, float, float]
+# Values that a slider marks, how, and what is shown while the value is near.
+Ticks = Sequence[tuple[float, Mood, str]]
 
 
 class PlotLine(NamedTuple):
@@ -135,13 +137,7 @@ class Widgets(Protocol):
         """Builds a list to choose from; returns whether it was changed, and the chosen index."""
 
     def slide(
-        self,
-        label: str,
-        value: float,
-        low: float,
-        high: float,
-        text: str,
-        ticks: Sequence[tuple[float, Mood, str]] = (),
+        self, label: str, value: float, low: float, high: float, text: str, ticks: Ticks = ()
     ) -> tuple[bool, float]:
         """Builds a slider; returns whether it was moved, and its value.
 

@@ -13,89 +13,20 @@ import numpy as np
 from ...base.errors import RenderError
 from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
-from ..decor.geom_buffer import CAPACITY
-from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..host.live import LiveHost
-from ..image.added_surroundings import added_surroundings
 from ..image.film import Pixels
-from ..image.framing import stand_back
-from ..image.picking import Pixel
 from ..image.picture_options import DEFAULT_SIZE
-from ..image.scene_decor import SceneDecor
-from ..image.typesetting import Typesetter
 from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.keys import help_columns
-from ..session.status_line import Piece, status_pieces
+from ..session.status_line import status_pieces
 from ..session.tool import tool_keys
 from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
 from .glfw_window import GlWindow
+from .viewport import Pane, Viewport
 
 _RESTS = 0.3  # s without motion or action after which frames have full quality
 _SAME_VIEW = 1e-6  # m, and of the unit vector of its direction
-_MORE = 2000  # additional capacity for geoms that MuJoCo adds to those of the model
-
-
-class Viewport(SceneDecor):
-    """The picture of a world in a rectangle of a window."""
-
-    def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
-        super().__init__(world, toggles, with_text=False)
-        self.needed = 0.0
-        self._surroundings = added_surroundings(world, context)
-        self.rect = mujoco.MjrRect(0, 0, 1, 1)
-        self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
-        self._typesetter: Typesetter | None = None
-
-    @property
-    def pieces(self) -> list[Piece]:
-        return []
-
-    def update(
-        self,
-        data: mujoco.MjData,
-        camera: mujoco.MjvCamera,
-        rect: mujoco.MjrRect,
-        typesetter: Typesetter,
-        covered: float = 0.0,
-    ) -> None:
-        """Lays out scene and decor.
-
-        Args:
-            covered: width of what covers its left edge, pixels; numbers stay beside it.
-        """
-        scene = self._scene
-        self.fill(data, camera, scene)
-        if self._surroundings is not None:
-            self._surroundings.add(scene)
-        self.rect, self._typesetter = rect, typesetter
-        stand_back(scene, camera, self.width, rect.height, self.needed)
-        inset = (min(covered, 0.6 * self.width), 0.0, 0.0, 0.0)
-        view = PictureView.of_scene(scene, self.width, rect.height, typesetter.font, inset)
-        self.draw(data, view, scene)
-
-    @property
-    def width(self) -> int:
-        """Width of what one eye sees, pixels."""
-        return int(self.rect.width)
-
-    def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
-        """Renders the picture in a window."""
-        if quickly:
-            gl.render_quickly(self.rect, self._scene)
-        else:
-            mujoco.mjr_render(self.rect, self._scene, gl.context)
-        self._draw_panels(gl, int(self.rect.left))
-
-    def _draw_panels(self, gl: GlWindow, left: int) -> None:
-        if self._typesetter is not None:
-            gl.blender.draw(self._typesetter.place(self.panels), left, self.rect.bottom)
-
-    def to_picture(self, x: float, y: float) -> Pixel | None:
-        x, y = x - self.rect.left, y - self.rect.bottom
-        if not (0 <= x < self.rect.width and 0 <= y < self.rect.height):
-            return None
-        return x % self.width, y
 
 
 class Pace:
@@ -215,7 +146,7 @@ class Window(LiveHost):
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
         is_kept = self.tools.takes_pictures
         covered = 0.0 if is_kept else chrome.covered  # pictures are as without chrome
-        self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
+        self.decor.update(self.data, self.navigator.camera, Pane(rect, typesetter, covered))
         self._place_pointer()
         at = self._mouse.position
         is_over_chrome = at is not None and chrome.is_over(*at)
@@ -252,7 +183,7 @@ class Window(LiveHost):
     def picture(self) -> Pixels:
         rect = self.decor.rect
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
-        self.decor.update(self.data, self.navigator.camera, rect, typesetter)
+        self.decor.update(self.data, self.navigator.camera, Pane(rect, typesetter))
         self.decor.render(self.gl)
         return self.gl.read(rect)
 
