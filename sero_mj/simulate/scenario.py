@@ -104,7 +104,6 @@ class Run(Declaration):
     @model_validator(mode="before")
     @classmethod
     def _without_jit(cls, table: dict[str, Any]) -> dict[str, Any]:
-        """Drops `jit`, which once selected machine code, with a warning."""
         if "jit" in table:
             _warn_of_jit()
         return {key: value for key, value in table.items() if key != "jit"}
@@ -270,7 +269,6 @@ class Scenario:
                 expect.check(self)
 
     def _check_starts(self) -> None:
-        """Checks that robots start within their position limits."""
         for name, robot in self.scene.robots.items():
             if robot.position_limits is None:
                 continue
@@ -286,7 +284,6 @@ class Scenario:
                 self.problems.append(Problem(f"robots.{name}.joint_angles", message))
 
     def _check_disturbance(self, place: str, disturbance: Disturbance) -> None:
-        """Checks that its frame, robot or object exists."""
         known: list[tuple[str, str, list[str]]] = []
         if isinstance(disturbance, Force):
             frames = [*self.scene.named_frames(), "world"]
@@ -382,9 +379,6 @@ class Scenario:
     def make_sensors(self, seed: int) -> Sensors:
         """The sensors of all robots together.
 
-        Args:
-            seed: of their noise.
-
         Raises:
             DeclarationError: errors that do not fit the joints, or delays that differ.
         """
@@ -450,7 +444,6 @@ def build_entry(section: str, table: Any) -> Any:
 
     Args:
         section: `controllers`, `targets`, `sensors`, `disturbances`, `faults` or `expect`.
-        table: of one of its names.
 
     Raises:
         DeclarationError: what is wrong in it.

@@ -12,8 +12,13 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from ...base.once import Once
-from ...simulate.external_control.datagrams import DONT_WAIT, RECEIVE_BUFFER, Link, Reachable
 from ...simulate.external_control.program import PORT, Program
+from ...simulate.external_control.program_controller import (
+    DONT_WAIT,
+    RECEIVE_BUFFER,
+    Link,
+    Reachable,
+)
 from .messages import HEAD, INCOMPATIBLE, MOST_BYTES, SUCCESS, Messages
 
 log = logging.getLogger(__name__)

@@ -13,7 +13,7 @@ from ...simulate.control.controller import Controller, Sensed, Target
 from ...simulate.control.joint_control import JointImpedance
 from ...simulate.control.observer import MomentumObserver
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.datagrams import Reachable
+from ...simulate.external_control.program_controller import Reachable
 from .link import FciLink
 from .messages import (
     CARTESIAN_IMPEDANCE,

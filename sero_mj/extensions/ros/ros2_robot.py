@@ -22,9 +22,9 @@ from ...base.frames import Array
 from ...data.record.joint_state_messages import JointStateMessages, JointStates
 from ...simulate.control.controller import MaybePerJoint, Sensed, Target
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.datagrams import Answering, Link, ProgramController
 from ...simulate.external_control.exchange import Answer, modulus_of
 from ...simulate.external_control.program import Program
+from ...simulate.external_control.program_controller import Answering, Link, ProgramController
 from . import messages
 from .dds import LOCALHOST, MOST_DOMAIN, Participant, domain_number
 from .joint_trajectory import JointTrajectory

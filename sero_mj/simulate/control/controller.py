@@ -39,14 +39,7 @@ def _one_or_more(value: Any) -> Any:
 
 
 def within(low: float, high: float, unit: str = "", note: str = "") -> AfterValidator:
-    """Returns a validator for arrays of numbers.
-
-    Args:
-        low: the least that is allowed.
-        high: the greatest.
-        unit: for the message.
-        note: at its end.
-    """
+    """Returns a validator for arrays of numbers."""
     unit = unit and f" {unit}"
 
     def validate(array: Array) -> Array:
@@ -71,7 +64,6 @@ class Sensed:
     """What the sensors of one robot measure; the buffers are the same ones at every step.
 
     Args:
-        n: number of joints.
         values: (3, n), row after row in memory, to be used in place: what a simulation or a
             receiver writes is then seen without a copy.
         motor_state: (2n,), angles, then velocities of the motors where joints are elastic, to be
@@ -134,10 +126,6 @@ class Target:
     """The target of one robot; a controller reads what it needs and ignores the rest.
 
     Write into the arrays (`target.angles[:] = ...`): controllers keep them.
-
-    Args:
-        n: number of joints.
-        rows: as for `Sensed`.
 
     Attributes:
         motion: (3, n), angles, velocities and accelerations.
@@ -272,8 +260,6 @@ class Controller:
 
         Args:
             each: of the robots of the first row, of the second, and so on.
-            robots: number of robots of a row.
-            model: of all of them.
         """
         raise NotImplementedError
 
@@ -394,9 +380,6 @@ class ControllerDeclaration(Declaration, ABC):
         """Returns what it starts or loads, see `base.trust`; nothing by default.
 
         A kind that starts a program or loads code has to override this.
-
-        Args:
-            key: of its table.
         """
         return []
 
@@ -423,10 +406,6 @@ class ControllerDeclaration(Declaration, ABC):
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
         """The controller that a robot to play with has at first.
 
-        Args:
-            robot: as it stands in the world.
-            model: of it, in the pose it has at first.
-
         Returns:
             one with default gains; None where it cannot be chosen there, as where gains have no
             defaults.
@@ -439,12 +418,7 @@ class ControllerDeclaration(Declaration, ABC):
         return None
 
     def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
-        """The gains that can be changed while it runs.
-
-        Args:
-            robot: that is controlled.
-            first: the controller as it was at first.
-        """
+        """The gains that can be changed while it runs."""
         return []
 
     def changed(self, fields: Mapping[str, Any]) -> Self:
