@@ -19,7 +19,8 @@
     sero_mj.senders         what `sero-mj send` does for a kind of source with its own protocol
     sero_mj.known_packets   what `structure --sniff` knows by size, see `data.receive.sniffer`
     sero_mj.explainers      what explains differences of torques, see `study.explainer`
-    sero_mj.backgrounds     what `--over` draws over, see `cli.background`
+    sero_mj.snippets        example code for `sero-mj new --snippet`, see `cli.new.Snippet`
+    sero_mj.backgrounds     what `--over` draws over, see `cli.shared_options.Background`
     sero_mj.engines         what does many tasks at once, see `study.engine`
     sero_mj.listed          functions that return title and lines, for `sero-mj list`
     sero_mj.names           further public names of the package `sero_mj`
@@ -52,6 +53,7 @@ DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
 NAMES, WHEN_IMPORTED = "sero_mj.names", "sero_mj.when_imported"
 MESHES, EXPORTS = "sero_mj.meshes", "sero_mj.exports"
 RECORDINGS, NETWORKS, COLUMNS = "sero_mj.recordings", "sero_mj.networks", "sero_mj.columns"
+SNIPPETS = "sero_mj.snippets"
 EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
 LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"
