@@ -284,8 +284,8 @@ def replay_instead(
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
-    from ..data.drive.replays import topics_of
     from ..data.drive.table_scene import lead_by_table
+    from ..data.drive.wiring import topics_of
     from ..data.record.formats import look_into
     from ..data.record.table import is_table
     from ..data.record.table_signals import parse_columns

@@ -103,7 +103,6 @@ class FriRobot(Controller, ABC):
         self._act(sensed, out)
 
     def close(self) -> None:
-        """Ends the program; harmless when it has ended."""
         self._link.close()
         if self.wrong:
             log.warning("%s: %d packets were no commands", self._link.name, self.wrong)

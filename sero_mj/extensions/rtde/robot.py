@@ -185,7 +185,6 @@ class RtdeRobot(Controller):
 
     @property
     def is_running(self) -> bool:
-        """Whether the robot's program is."""
         return self._state.is_running
 
     def value(self, name: str) -> Any:

@@ -102,7 +102,6 @@ class Peer(ABC):
         self.flush()
 
     def flush(self) -> bool:
-        """Sends what is left; whether nothing is."""
         with suppress(BlockingIOError):
             while self._unsent:
                 del self._unsent[: self.socket.send(self._unsent)]
@@ -140,14 +139,12 @@ class RtdePeer(Peer):
         return received[at:]
 
     def say(self, text: str) -> None:
-        """Sends a text message."""
         said = text.encode()[:255]
         payload = bytes([len(said)]) + said + bytes([len(_SOURCE)]) + _SOURCE + bytes([_WARNING])
         self._answer(TEXT, payload)
 
     @property
     def is_ready(self) -> bool:
-        """Whether packages may be sent to it."""
         return self.is_started and clock.monotonic() >= self._begins
 
     def is_due(self, cycle: int) -> bool:
@@ -242,7 +239,6 @@ class DashboardPeer(Peer):
     """A client of the dashboard server, as far as clients of RTDE use it."""
 
     def greet(self) -> None:
-        """What is said first."""
         self.send(b"Connected: Universal Robots Dashboard Server\n")
 
     def hear(self, received: bytes) -> bytes:
@@ -301,7 +297,6 @@ class RtdeServer:
 
     @property
     def peers(self) -> list[RtdePeer]:
-        """The clients of RTDE."""
         return [peer for peer in self._peers.values() if isinstance(peer, RtdePeer)]
 
     def open(self, host: str, port: int, dashboard: int = 0, script: int = 0) -> None:
@@ -364,7 +359,6 @@ class RtdeServer:
                 self._do(peer, peer.send_package)
 
     def send_to(self, peer: RtdePeer) -> None:
-        """Sends a package to one client."""
         self._do(peer, peer.send_package)
 
     def claimed_by_others(self, but: RtdePeer) -> frozenset[str]:
@@ -372,7 +366,6 @@ class RtdeServer:
         return frozenset().union(*(peer.claimed for peer in self.peers if peer is not but))
 
     def tell(self, text: str) -> None:
-        """Logs something once."""
         if self._is_new(text):
             log.warning("%s: %s", self._name, text)
 

@@ -27,9 +27,8 @@ from ...base.errors import (
 )
 from ...base.frames import Array
 from ...base.toml_file import parse_toml
-from ...data.drive.replays import topics_of
 from ...data.drive.table_scene import read_for, robots_in
-from ...data.drive.wiring import wired_source
+from ...data.drive.wiring import topics_of, wired_source
 from ...data.receive.source import Source
 from ...data.record.csv_files import column_names
 from ...data.record.formats import look_into, open_recording
