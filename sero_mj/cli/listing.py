@@ -46,7 +46,7 @@ class ListOptions(Options):
     """List the shipped robots, scenes, scenarios and environments.
 
     Attributes:
-        known: list the robots of others that are known by name, see docs/robots.md.
+        known: list the robots of others that are known by name, see docs/robot_files.md.
         fields: list the fields of a robot and their defaults, or those of a scenario.
     """
 

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from ..base.declaration import Declaration, by_kind, of_shape
 from ..base.errors import DeclarationError, Problem, collect
 from ..base.frames import Array
-from ..base.trust import Origin, Request
+from ..base.trust import FileOrigin, Request
 from ..robots.assemble.robot_dynamics import EARTH
 from ..robots.declared.degrees import look_like_degrees
 from ..robots.declared.scene import Scene
@@ -333,7 +333,7 @@ class Scenario:
         file = self.file or Path(self.name)
         return Request(file, tuple(actions), self.tables) if actions else None
 
-    def set_origin(self, origin: Origin) -> None:
+    def set_origin(self, origin: FileOrigin) -> None:
         """Says which file its controllers were read from, and whether that is trusted."""
         for declared in self.controllers.values():
             if isinstance(declared, ControllerDeclaration):

@@ -26,7 +26,7 @@ from ..base.errors import (
 from ..base.frames import Array
 from ..base.paths import find_scenario, find_scene
 from ..base.toml_file import located, read_toml
-from ..base.trust import Origin, is_allowed
+from ..base.trust import FileOrigin, is_allowed
 from ..data.drive.table_scene import robots_in
 from ..data.record.table import is_table, read_csv, read_table
 from ..robots.declared.robot import SerialRobot
@@ -70,9 +70,9 @@ def read_scenario(
     file = find_scenario(str(path))
     scenario = _read(file, dict(overrides or {}), ())
     if trusted:  # without a request, which reads all files: sweeps come here for each variant
-        scenario.set_origin(Origin(file, is_trusted=True))
+        scenario.set_origin(FileOrigin(file, is_trusted=True))
     elif (request := scenario.request()) is not None:
-        scenario.set_origin(Origin(file, is_allowed(request)))
+        scenario.set_origin(FileOrigin(file, is_allowed(request)))
     return scenario
 
 
@@ -136,7 +136,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         raise DeclarationError(problems)
     scenario.file, scenario.settings = file, overrides
     scenario.tables = (file,)
-    scenario.set_origin(Origin(file))  # whoever reads files decides whether it is trusted
+    scenario.set_origin(FileOrigin(file))  # whoever reads files decides whether it is trusted
     return scenario
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from ...base.child_process import add_leftover, remove_leftover
 from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
-from ...base.trust import Action
+from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
 from ...simulate.control.controller import Controller, ControllerDeclaration, Sensed, Target
 from ...simulate.control.robot_model import RobotModel
@@ -61,8 +61,8 @@ class Fmu(ControllerDeclaration):
         """None: there is no unit."""
         return None
 
-    def actions(self, key: str = "") -> list[Action]:
-        return [Action(key, f"load the FMU {self.file}", (self.file,))]
+    def actions(self, key: str = "") -> list[RequestedAction]:
+        return [RequestedAction(key, f"load the FMU {self.file}", (self.file,))]
 
     def check_files(self) -> None:
         if not self.file.is_file():

@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BeforeValidator, PrivateAttr
 from ...base.declaration import Declaration, numbers
 from ...base.errors import Problem
 from ...base.frames import Array, Bools
-from ...base.trust import Action, Origin
+from ...base.trust import FileOrigin, RequestedAction
 from ...robots.declared.robot import SerialRobot
 from .robot_model import RobotModel
 
@@ -199,7 +199,7 @@ class Controller:
     needs_pose: bool = False
     may_be_asked: bool = True
     is_in_real_time: bool = False
-    origin: Origin | None = None
+    origin: FileOrigin | None = None
     logged: Any = ()
     spans_robots = False
 
@@ -360,7 +360,7 @@ class ControllerDeclaration(Declaration, ABC):
     torque_limits: MaybePerJoint = None
     torque_rate_limits: MaybePerJoint = None
 
-    _origin: Origin | None = PrivateAttr(None)
+    _origin: FileOrigin | None = PrivateAttr(None)
 
     @property
     def is_in_real_time(self) -> bool:
@@ -368,15 +368,15 @@ class ControllerDeclaration(Declaration, ABC):
         return False
 
     @property
-    def origin(self) -> Origin | None:
+    def origin(self) -> FileOrigin | None:
         """The file that it was read from; None if it was made in Python."""
         return self._origin
 
-    def set_origin(self, origin: Origin) -> None:
+    def set_origin(self, origin: FileOrigin) -> None:
         """Says which file it was read from, and whether that file is trusted."""
         self._origin = origin
 
-    def actions(self, key: str = "") -> list[Action]:
+    def actions(self, key: str = "") -> list[RequestedAction]:
         """Returns what it starts or loads, see `base.trust`; nothing by default.
 
         A kind that starts a program or loads code has to override this.

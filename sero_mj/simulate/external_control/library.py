@@ -21,7 +21,7 @@ from pydantic import Field
 from ...base.child_process import ChildProcess
 from ...base.errors import DeclarationError, Problem, SimulationError
 from ...base.frames import Array
-from ...base.trust import Action
+from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
 from ..control.controller import Controller, ControllerDeclaration, Sensed, Target
 from ..control.robot_model import RobotModel
@@ -67,8 +67,8 @@ class Library(ControllerDeclaration):
         """None: there is no library."""
         return None
 
-    def actions(self, key: str = "") -> list[Action]:
-        return [Action(key, f"load the library {self.file}", (self.file,))]
+    def actions(self, key: str = "") -> list[RequestedAction]:
+        return [RequestedAction(key, f"load the library {self.file}", (self.file,))]
 
     def check_files(self) -> None:
         if not self.file.is_file():

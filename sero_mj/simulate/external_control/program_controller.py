@@ -19,7 +19,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
-from ...base.trust import Action
+from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
 from ..control.controller import Controller, ControllerDeclaration, MaybePerJoint, Sensed, Target
 from ..control.robot_model import RobotModel
@@ -86,15 +86,15 @@ class Reachable(ControllerDeclaration):
         """None: there is no program."""
         return None
 
-    def actions(self, key: str = "") -> list[Action]:
+    def actions(self, key: str = "") -> list[RequestedAction]:
         if not self.command:
-            return [Action(key, f"exchange packets with {self._peer}")]
+            return [RequestedAction(key, f"exchange packets with {self._peer}")]
         beside = [self.folder / word for word in self.command]
         files = tuple(path.absolute() for path in beside if is_file(path))
         name, *words = self.command
         if os.sep in name:  # where it is, which may be far from the file that was opened
             name = str(beside[0].absolute())
-        return [Action(key, f"run the program {shlex.join([name, *words])}", files)]
+        return [RequestedAction(key, f"run the program {shlex.join([name, *words])}", files)]
 
     @property
     def is_in_real_time(self) -> bool:
