@@ -68,8 +68,12 @@ class PlantRows:
         self.pushed: Array = np.zeros((m, world.model.nv))
         self.pushes: list[list[Push]] = [[] for _ in range(m)]
         self._acting: PushRows | None = None  # of several rows, those of the last step
-        self.rows = [Plant(world, one, rows=self, row=k) for k, one in enumerate(sensors)]
+        self._each = sensors
         self._scratch = self.physics.data_of(0) if m == 1 else mujoco.MjData(model)
+
+    def row(self, row: int) -> Plant:
+        """The robots of a row; a new object, for one that is kept here would be freed late."""
+        return Plant(self.world, self._each[row], rows=self, row=row)
 
     @property
     def actual(self) -> Array:
@@ -101,7 +105,7 @@ class PlantRows:
             mujoco.mj_forward(physics.model, data)
         physics.settle(row, data)
         self.actual[row] = joints.read_at_rest(row, data)
-        sensors = self.rows[row].sensors
+        sensors = self._each[row]
         if physics.m > 1:
             sensors.repair()
         sensors.reset(self.actual[row].copy())
@@ -122,10 +126,9 @@ class PlantRows:
         return self.step_given()
 
     def _refuse_torques(self) -> None:
-        for plant in self.rows:
-            torques = self.joints.motor_torques[plant.row]
+        for row, torques in enumerate(self.joints.motor_torques):
             if not np.vdot(torques, torques) < MAX_TORQUE**2:
-                self._fail(plant.row, plant.torque_error())
+                self._fail(row, self.row(row).torque_error())
 
     def _fail(self, row: int, error: SimulationError) -> None:
         self.failed[row] = error
@@ -139,7 +142,7 @@ class PlantRows:
         if not joints.advance(self._gather_pushes()):
             for row in self.physics.broken:
                 if row not in self.failed:
-                    self._fail(row, self.rows[row].motion_error())
+                    self._fail(row, self.row(row).motion_error())
             if is_single:
                 return self.measured
         sensors = self.sensors
@@ -166,7 +169,7 @@ class PlantRows:
                     push.apply(physics.model, physics.data_of(0), self.pushed[0])
             return self.pushed
         if self.has_changed:
-            pushes = [(plant.row, push) for plant in self.rows for push in self.pushes[plant.row]]
+            pushes = [(row, push) for row, each in enumerate(self.pushes) for push in each]
             self._acting = PushRows(physics, pushes) if pushes else None
             self.has_changed = False
         self.has_pushes = self._acting is not None

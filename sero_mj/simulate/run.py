@@ -17,6 +17,7 @@ from .control.compiler import fingerprint
 from .control.controller import ControllerDeclaration
 from .control.plan import Plan, make_plan
 from .control.robot_model import RobotModel
+from .control.whole_body import WholeBody
 from .drag_force import DragForce
 from .event_schedule import EventSchedule
 from .external_loads import Contacts
@@ -72,7 +73,7 @@ class Run:
         is_live: bool = False,
     ) -> None:
         self.scenario, self.compiler, self._setup = scenario, batch.compiler, batch
-        self.robots, self.drives, self.plant = batch.robots, batch.drives, batch.plant.rows[row]
+        self.robots, self.drives, self.plant = batch.robots, batch.drives, batch.plant.row(row)
         self.error: SimulationError | None = None
         self.drag_force = DragForce(self.plant, scenario) if by_hand else None
         self.live = LiveControl() if is_live else None
@@ -124,7 +125,7 @@ class Run:
                 self._plans[name],
                 run.timestep,
                 stiffness,
-                self.robot_model,
+                partial(_robot_model, batch, self.whole_body),  # else it is freed late
             )
 
         self.controlled = list(self._of_robots("controllers", control).values())
@@ -238,10 +239,7 @@ class Run:
 
         Behind a torque loop the motors are what they feel like.
         """
-        model = self._setup.robot_model(robot)
-        if self.whole_body is not None:
-            model.follow((self.whole_body.mounting(robot.name), robot.base_frame, robot.n))
-        return model
+        return _robot_model(self._setup, self.whole_body, robot)
 
     @property
     def prepares(self) -> bool:
@@ -327,6 +325,13 @@ class Run:
         """Ends what controllers have started; it cannot be advanced any more."""
         for robot in self.controlled:
             robot.controller.controller.close()
+
+
+def _robot_model(setup: BatchSetup, whole_body: WholeBody | None, robot: SerialRobot) -> RobotModel:
+    model = setup.robot_model(robot)
+    if whole_body is not None:
+        model.follow((whole_body.mounting(robot.name), robot.base_frame, robot.n))
+    return model
 
 
 def _pose_of(free: Ints, qpos: Array) -> Array:

@@ -72,7 +72,7 @@ class RunBatch(BatchSetup):
 
     def restart(self, joint_angles: Array, seed: int) -> None:
         """Puts the plant of the only run at rest in a pose, with another seed of the noise."""
-        plant = self.plant.rows[0]
+        plant = self.plant.row(0)
         plant.sensors.seed = seed
         plant.reset(joint_angles)
         self.plans.clear()
@@ -118,7 +118,7 @@ class RunBatch(BatchSetup):
         # The first run stands in for those that could not be made.
         rows = [by_row.get(row, runs[0]).controlled for row in range(self.plant.physics.m)]
         self._controls: list[RobotControl] = []
-        self._alone: list[tuple[Run, RobotControl]] = []
+        self._alone: list[tuple[int, RobotControl]] = []
         groups: dict[object, list[int]] = defaultdict(list)
         for number, (first, *others) in enumerate(zip(*rows, strict=True)):
             group, controller = first.group, first.controller.controller
@@ -133,7 +133,7 @@ class RunBatch(BatchSetup):
                 for run in by_row.values():
                     one = run.controlled[numbers[0]]
                     control = RobotControl.alone(one, self.plant, self.drive, run.plant.row)
-                    self._alone.append((run, control))
+                    self._alone.append((run.plant.row, control))
                 continue
             each = [[row[number] for number in numbers] for row in rows]
             models = self.models([one.robot for one in each[0]], range(len(rows)))
@@ -215,8 +215,9 @@ class RunBatch(BatchSetup):
         if self.whole_bodies:
             self._move_whole_bodies(k)
         time = float(going[0].times[k])
-        for run, control in self._alone:
-            if run.error is None:
+        for row, control in self._alone:
+            run = self._by_row.get(row)
+            if run is not None and run.error is None:
                 try:
                     control.command(k, time)
                 except SimulationError as error:

@@ -238,7 +238,7 @@ class Lane:
     def place(self, k: int) -> None:
         """Puts robot k where that of the environment is."""
         seed, angles = self._environment.plant.sensors.seed, self._environment.plant.actual[0]
-        plant = self.plant.rows[k]
+        plant = self.plant.row(k)
         plant.sensors.seed = seed
         self.plant.reset(k, angles)
         self._k[k], self._gains[k] = 0, 1.0
