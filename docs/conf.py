@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import sero_mj
 
@@ -88,8 +89,14 @@ def _write_runs() -> None:
         subprocess.run([sys.executable, "-m", "sero_mj", *words], cwd=made, check=True)
 
 
-def setup(app: object) -> None:
-    """Writes the pages that are made of declarations and docstrings."""
+def _link_structure(app: Any, name: str, source: list[str]) -> None:
+    """Links to the generated page of the structure language instead of its source file."""
+    source[0] = source[0].replace("../sero_mj/data/receive/STRUCTURE.md", "_made/structure.md")
+
+
+def setup(app: Any) -> None:
+    """Writes the pages that are generated from declarations and docstrings."""
+    app.connect("source-read", _link_structure)
     made = _HERE / "_made"
     made.mkdir(exist_ok=True)
     structure = (_HERE.parent / "sero_mj" / "data" / "receive" / "STRUCTURE.md").read_text("utf-8")

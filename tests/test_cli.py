@@ -16,9 +16,8 @@ import pytest
 from PIL import Image
 
 from sero_mj.base.paths import find_scene
-from sero_mj.cli import GROUPS, doctor, main, view
+from sero_mj.cli import GROUPS, doctor, main, translated, view
 from sero_mj.cli.arguments import overrides
-from sero_mj.cli.old_commands import translated
 
 COMMANDS = ["view", "render", "demo", "status", "record", "send", "structure", "simulate", "new",
             "compare", "plot", "check", "export", "import", "list",

@@ -23,7 +23,7 @@ from test_cli import run
 
 from sero_mj import SerialRobot
 from sero_mj.base.errors import DeclarationError, SimulationError
-from sero_mj.cli.snippet import snippets
+from sero_mj.cli.new import snippets
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.simulate.control.controller import Sensed, Target
 from sero_mj.simulate.control.robot_model import RobotModel

@@ -18,7 +18,7 @@ from newton_euler import inverse_dynamics
 from polling import until
 
 from sero_mj import Mirror, load_scene
-from sero_mj.cli.snippet import snippets
+from sero_mj.cli.new import snippets
 from sero_mj.load import load_robot
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 
@@ -241,7 +241,7 @@ def test_c_compiles_in_any_standard_and_beside_macros_of_a_user(
     mine = "\n".join(f"#define {name} (mine)" for name in ("JOINTS", "HOST", "PORT"))
     options = [f"-std={standard}", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-nonnull"]
     for call in ("", "sero_send(0, 0, 0); "):  # a file may include it and not call it
-        text = f"{mine}\n{snippets()['c']}\nint main(void) {{ {call}return 0; }}\n"
+        text = f"{mine}\n{snippets()['c'].text}\nint main(void) {{ {call}return 0; }}\n"
         compiled(tmp_path, "sender.c", text, "gcc", *options)
 
 

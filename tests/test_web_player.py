@@ -189,6 +189,7 @@ def test_arrows_show_torques_and_their_errors_by_turns(page: Any) -> None:
     choice.select_option("torque")
     page.evaluate("player.draw()")
     assert (page.evaluate(widths), legend.inner_text()) == (of_torque, told)
+    page.evaluate("player.recording.hasPanel = false; player.draw()")
 
 
 def test_the_legend_tells_of_arrows_that_are_seen(page: Any) -> None:

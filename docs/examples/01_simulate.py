@@ -1,7 +1,6 @@
 """Simulate a scenario: joint impedance control holds a pose against a push."""
 
 import numpy as np
-
 import sero_mj
 
 scenario = sero_mj.read_scenario("impedance_push")

@@ -2,17 +2,18 @@
 
 import numpy as np
 from PIL import Image
-
 import sero_mj
 
 STIFFNESS, DAMPING = 200.0, 20.0  # Nm/rad, Nm s/rad
 
 
 class Spring:
-    """Pulls each joint to its target by a spring and a damper, without gravity compensation."""
+    """A spring and a damper per joint, without gravity compensation."""
 
     def torques(self, sensed, target, out) -> None:
-        out[:] = STIFFNESS * (target.angles - sensed.angles) - DAMPING * sensed.velocities
+        out[:] = (
+            STIFFNESS * (target.angles - sensed.angles) - DAMPING * sensed.velocities
+        )
 
 
 home = np.array([0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0])

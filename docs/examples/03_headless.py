@@ -2,7 +2,6 @@
 
 import numpy as np
 from PIL import Image
-
 from sero_mj import HeadlessRenderer, Placer, Scene, SerialRobot, World
 
 world = World(Scene(robots=[SerialRobot.from_model("fr3", show_arrows=True)]))
@@ -19,7 +18,9 @@ with HeadlessRenderer(world, 320, 400, camera="140,-15,2.2") as renderer:
 
 for number in np.unique(parts):
     seen = parts == number
-    print(f"{names[number]:12} {seen.sum():6} pixels, nearest {depth[seen].min():.2f} m")
+    print(
+        f"{names[number]:12} {seen.sum():6} pixels, nearest {depth[seen].min():.2f} m"
+    )
 
 colors = np.random.default_rng(3).integers(40, 255, (len(names), 3), dtype=np.uint8)
 Image.fromarray(np.hstack([image, colors[parts]])).save("03_headless.webp")

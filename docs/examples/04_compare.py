@@ -1,9 +1,16 @@
-"""Compare two runs: the same push with two stiffnesses, one run as a transparent double."""
+"""Compare two runs: the same push with two stiffnesses."""
 
 import numpy as np
 from PIL import Image
-
-from sero_mj import Double, HeadlessRenderer, Placer, Scene, Simulation, World, read_scenario
+from sero_mj import (
+    Double,
+    HeadlessRenderer,
+    Placer,
+    Scene,
+    Simulation,
+    World,
+    read_scenario,
+)
 
 logs = []
 for stiffness in (800.0, 200.0):  # Nm/rad

@@ -1,8 +1,8 @@
 """Draw on your own MuJoCo model: torques of its drives, and a target."""
 
-import mujoco
-
 import sero_mj  # before mujoco: selects an OpenGL backend that works without a display
+
+import mujoco
 
 MODEL = """
 <mujoco model="arm">
@@ -11,8 +11,10 @@ MODEL = """
   <worldbody>
     <body name="arm" pos="0 0 0.1">
       <joint name="base" axis="0 0 1"/><geom fromto="0 0 0 0 0 0.3" size="0.06"/>
-      <body name="upper" pos="0 0 0.3"><joint name="shoulder"/><geom fromto="0 0 0 0 0 0.4"/>
-        <body name="lower" pos="0 0 0.4"><joint name="elbow"/><geom fromto="0 0 0 0 0 0.35"/></body>
+      <body name="upper" pos="0 0 0.3"><joint name="shoulder"/>
+        <geom fromto="0 0 0 0 0 0.4"/>
+        <body name="lower" pos="0 0 0.4"><joint name="elbow"/>
+          <geom fromto="0 0 0 0 0 0.35"/></body>
       </body>
     </body>
   </worldbody>
@@ -24,7 +26,9 @@ MODEL = """
 </mujoco>"""
 model = mujoco.MjModel.from_xml_string(MODEL)
 data = mujoco.MjData(model)
-overlay = sero_mj.overlay(model, data, doubles=[sero_mj.Double(name="target", of="arm")])
+overlay = sero_mj.overlay(
+    model, data, doubles=[sero_mj.Double(name="target", of="arm")]
+)
 overlay.set("target.joint_angles", [0.0, 0.9, 1.0])
 data.ctrl = [0.0, 0.9, 1.0]
 for _ in range(1000):

@@ -6,8 +6,15 @@ import time
 from pathlib import Path
 
 import numpy as np
-
-from sero_mj import Mirror, Replay, Scene, SerialRobot, UdpReceiver, record_sources, render_picture
+from sero_mj import (
+    Mirror,
+    Replay,
+    Scene,
+    SerialRobot,
+    UdpReceiver,
+    record_sources,
+    render_picture,
+)
 
 robot = SerialRobot.from_model("fr3", show_arrows=True)
 routes = {"fr3.joint_angles": "udp.values0", "fr3.torques": "udp.values1"}

@@ -2,8 +2,15 @@
 
 import numpy as np
 from PIL import Image
-
-from sero_mj import Double, HeadlessRenderer, Placer, Scene, Simulation, World, read_scenario
+from sero_mj import (
+    Double,
+    HeadlessRenderer,
+    Placer,
+    Scene,
+    Simulation,
+    World,
+    read_scenario,
+)
 
 poses = {}
 for stiffness in (100, 200, 400, 800):  # Nm/rad
@@ -14,7 +21,7 @@ for stiffness in (100, 200, 400, 800):  # Nm/rad
     angles = simulation.log.of("lwr", "joint_angles")
     moved = np.abs(angles - angles[0]).max(axis=1)
     poses[stiffness] = angles[moved.argmax()]
-    print(f"{stiffness:4} Nm/rad: largest joint deflection {np.rad2deg(moved.max()):5.1f} degrees")
+    print(f"{stiffness:4} Nm/rad: deflection {np.rad2deg(moved.max()):5.1f} degrees")
 
 # On a cluster or on all cores: sero-mj sweep impedance_push --vary ...
 robot = simulation.scenario.scene.robots["lwr"]

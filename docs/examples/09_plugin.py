@@ -1,4 +1,4 @@
-"""Add a visual feature: a column of boxes above the flange, one box per 10 Nm of torque."""
+"""Add a visual feature: a column above the flange, one box per 10 Nm of torque."""
 
 import sys
 from pathlib import Path
@@ -27,7 +27,9 @@ class Load(Feature):
         count = int(torque / 10.0)
         rows = frame.buffer.take(count, int(mujoco.mjtGeom.mjGEOM_BOX))
         top = self.world.frame(frame.data, "lwr/flange")[:3, 3]
-        rows["pos"] = top + np.linspace([0, 0, 0.1], [0, 0, 0.1 + 0.03 * count], len(rows))
+        rows["pos"] = top + np.linspace(
+            [0, 0, 0.1], [0, 0, 0.1 + 0.03 * count], len(rows)
+        )
         rows["size"], rows["mat"], rows["rgba"] = 0.012, np.eye(3), (0.9, 0.3, 0.1, 1.0)
 
 

@@ -170,8 +170,7 @@ def expecting(what: str) -> WrapValidator:
 def numbers(value: Any) -> Array:
     """Returns a float64 array of finite numbers.
 
-    Raises:
-        ValueError: something in it is not a number, or is NaN or infinite.
+    Raises ValueError if something in it is not a number, or is NaN or infinite.
     """
     try:
         array = np.asarray(value)
@@ -221,8 +220,7 @@ def _in_range(rgba: Array) -> Array:
 def is_name(text: str) -> str:
     """Returns the text if it is a valid name of a robot, a source or an object.
 
-    Raises:
-        ValueError: it has invalid characters.
+    Raises ValueError if it has invalid characters.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", text):
         expected = "letters, digits, _ and -, the first a letter or _"
@@ -304,11 +302,7 @@ _PROBLEMS: dict[str, Callable[[ErrorDetails, type[Declaration]], Problem]] = {
 def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:
     """Builds the declaration of a table's `kind`; returns an instance of `base` unchanged.
 
-    Args:
-        kinds: name to class; each has a field `kind`.
-
-    Raises:
-        DeclarationError: there is no such kind, or fields are invalid.
+    Raises DeclarationError if there is no such kind, or fields are invalid.
     """
     return table if isinstance(table, base) else kinds[kind_of(table, kinds)](**table)
 
@@ -325,8 +319,7 @@ def file_fields(kind: type[Declaration]) -> list[str]:
 def kind_of(table: Any, kinds: Collection[str]) -> str:
     """The `kind` of a table.
 
-    Raises:
-        DeclarationError: it is not a table, or there is no such kind.
+    Raises DeclarationError if it is not a table, or there is no such kind.
     """
     if not isinstance(table, Mapping):
         raise mismatch(table, "a table with `kind`")

@@ -15,8 +15,7 @@ _PART = re.compile(r"([^.\[\]]+)((?:\[\d+\])*)")
 def parts_of(key: str) -> list[str | int]:
     """Returns names and indices of a dotted key, outermost first.
 
-    Raises:
-        ValueError: it is not a dotted key.
+    Raises ValueError if it is not a dotted key.
     """
     parts: list[str | int] = []
     for text in key.split("."):
@@ -92,10 +91,8 @@ def lacking(
 ) -> str | None:
     """Describes what a table that is not in a file lacks; None if only its values are wrong.
 
-    Args:
-        problems: why it could not be built, by its keys.
-        keys: dotted keys that created it.
-        others: names of the tables in the file.
+    The problems are why it could not be built, by its keys; `keys` are the dotted keys that created
+    it, and `others` the names of the tables in the file.
     """
     for problem in problems:
         place = f"{section}.{name}.{problem.key}."

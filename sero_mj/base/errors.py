@@ -1,19 +1,4 @@
-"""All exceptions of sero-mj.
-
-    SeroError
-    ├── DeclarationError      a robot, scene or source is declared wrongly (lists every problem)
-    ├── UnknownName           a name that is not among those available
-    ├── StructureError        a packet structure string that cannot be parsed
-    ├── RouteError            an expression in a route that cannot be parsed or has no meaning
-    ├── SourceError           a source that cannot be opened (a port in use, say)
-    ├── RecordingError        a recording that cannot be written on, or read
-    ├── SimulationError       a simulation that cannot go on
-    ├── CsvError              a table of comma-separated values that cannot be read or written
-    ├── NotTrusted            a file that asks to run something, and may not
-    ├── PluginError           an entry point of another package that cannot be loaded
-    ├── ClusterError          a cluster that cannot be reached, or whose workers differ
-    ├── RenderError           no picture can be made (no GL, no room for the file)
-    └── UsageError            a command line that asks for something impossible
+"""All exceptions of sero-mj; each is a `SeroError`.
 
 Errors take the objects at fault, store them as attributes and build the text themselves, so that
 the same fault has the same message everywhere.
@@ -104,10 +89,8 @@ def in_one_line(text: str) -> str:
 def shown(value: object, depth: int = 3) -> str:
     """Returns a value as messages show it: as TOML writes it, with long ones shortened.
 
-    Arrays are lists; None is `nothing`; of any other object the class is named.
-
-    Args:
-        depth: of nested tables and lists that are shown.
+    Arrays are lists; None is `nothing`; of any other object the class is named. Nested tables and
+    lists are shown up to a depth.
     """
     value = value.tolist() if hasattr(value, "tolist") else value
     match value:
@@ -288,12 +271,7 @@ def collect(problems: list[Problem], key: str) -> Iterator[None]:
 
 
 class UnknownName(SeroError, KeyError):
-    """A name that does not exist among those available.
-
-    Attributes:
-        kind: of the name, e.g. `camera`.
-        hint: what is said instead of these, if anything.
-    """
+    """A name of a kind, `camera` say, that is not among those available."""
 
     def __init__(self, kind: str, name: str, available: Iterable[str], hint: str = "") -> None:
         self.kind = kind
@@ -361,12 +339,7 @@ class RecordingError(_ProblemError, OSError):
 
 
 class CsvError(_ProblemError, ValueError):
-    """A table of comma-separated values that cannot be read or written.
-
-    Attributes:
-        line: its line, from 1, if one is at fault.
-        column: the name of its column, if one is at fault.
-    """
+    """A table of comma-separated values that cannot be read or written; its lines count from 1."""
 
     def __init__(
         self,

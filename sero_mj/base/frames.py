@@ -28,15 +28,7 @@ MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def rotation_about(axis: int, angle: float | Array) -> Array:
-    """Rotation matrices about one coordinate axis.
-
-    Args:
-        axis: 0, 1 or 2 for x, y or z.
-        angle: rad, any shape (...).
-
-    Returns:
-        (..., 3, 3).
-    """
+    """Rotation matrices (..., 3, 3) about axis 0, 1 or 2 (x, y or z) by angles (...) in rad."""
     c, s = np.cos(angle), np.sin(angle)
     matrix = np.zeros((*np.shape(angle), 3, 3))
     matrix[..., axis, axis] = 1.0
@@ -179,8 +171,7 @@ def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:
 def nearest_rotation(matrix: Array) -> Array:
     """Returns the rotation nearest to a matrix typed with few digits; an exact one unchanged.
 
-    Raises:
-        ValueError: it is not even approximately a rotation, or it is a reflection.
+    Raises ValueError if it is not even approximately a rotation, or it is a reflection.
     """
     # Entries far above 1 are refused before their squares overflow.
     far = np.abs(matrix).max() > 2.0

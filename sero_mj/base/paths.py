@@ -133,12 +133,8 @@ def find_model(name: str, beside: Path | None = None) -> Path:
 def find_group_model(name: str, beside: Path | None = None) -> Path:
     """Returns the file of a group of robots by its name, like `find_model`.
 
-    Args:
-        name: a shipped group's name, a folder with a `group.toml`, or a TOML file.
-        beside: folder that relative paths start from; the working directory when None.
-
-    Raises:
-        UnknownName: nothing of that name exists; lists the groups beside it and the shipped ones.
+    It is a shipped group's name, a folder with a `group.toml`, or a TOML file. Raises UnknownName,
+    which lists the groups beside it and the shipped ones.
     """
     return _find_model("model of a group", name, beside, GROUP_FILE)
 
@@ -179,8 +175,7 @@ def _plain(path: Path) -> Path:
 def model_in(folder: Path) -> Path | None:
     """The model of a third-party folder: its scene, or else the only one; None for none.
 
-    Raises:
-        DeclarationError: there are several.
+    Raises DeclarationError if there are several.
     """
     if os.path.isfile(folder / _SCENE_FILE):
         return folder / _SCENE_FILE
@@ -311,8 +306,7 @@ def list_scenarios() -> list[str]:
 def find_scenario(name: str) -> Path:
     """Returns the scenario file of a name: a TOML file, or a shipped scenario's name.
 
-    Raises:
-        UnknownName: nothing of that name exists; lists the shipped scenarios.
+    Raises UnknownName if nothing of that name exists; lists the shipped scenarios.
     """
     return _find("scenario", name, scenarios_dir(), list_scenarios)
 
@@ -320,8 +314,7 @@ def find_scenario(name: str) -> Path:
 def find_scene(name: str) -> Path:
     """Returns the scene file of a name: a TOML file, or a shipped scene's name.
 
-    Raises:
-        UnknownName: nothing of that name exists; lists the shipped scenes.
+    Raises UnknownName if nothing of that name exists; lists the shipped scenes.
     """
     return _find("scene", name, scenes_dir(), list_scenes)
 

@@ -79,8 +79,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_toml(text: str) -> dict[str, Any]:
     """Parses TOML.
 
-    Raises:
-        ValueError: it is invalid, or too large or deeply nested for the memory; says where.
+    Raises ValueError if it is invalid, or too large or deeply nested for the memory; says where.
     """
     return {key: _copied(value) for key, value in _tables_of(text).items()}
 
@@ -221,12 +220,9 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str, int]]:
-    """Line offsets of an array's entries from the first line of their statement.
+    """Returns the number of parts of an array entry's key, and line offsets by key.
 
     The text up to the end of a line is parsed as an array after closing it there.
-
-    Returns:
-        the number of parts of an entry's dotted key, and the lines by that key.
     """
     key = _array_in(parsed)
     rows = statement.rstrip("\n").split("\n")
@@ -271,9 +267,8 @@ def located(
 ) -> list[Problem]:
     """Returns problems with their file, and the line of their key or of the nearest one above.
 
-    Args:
-        problems: in the file; those that have a file already are in another one.
-        lines: by dotted key; `key_lines` of the file when None.
+    Problems that have a file already are in another one. `lines` are by dotted key; None finds
+    them.
     """
     problems = list(problems)
     if lines is None:

@@ -37,7 +37,7 @@ _allowed: set[str] = set()  # digests of requests
 
 
 @dataclass(frozen=True)
-class Action:
+class RequestedAction:
     """Something that a file asks to do besides showing robots.
 
     Attributes:
@@ -58,7 +58,7 @@ class Action:
 
 
 @dataclass(frozen=True)
-class Origin:
+class FileOrigin:
     """The file that a declaration was read from."""
 
     file: Path
@@ -76,7 +76,7 @@ class Request:
     """
 
     file: Path
-    actions: tuple[Action, ...]
+    actions: tuple[RequestedAction, ...]
     tables: tuple[Path, ...] = ()
     digest: str = field(init=False)
 
@@ -116,11 +116,10 @@ def is_allowed(request: Request) -> bool:
     return request.digest in _allowed
 
 
-def require(origin: Origin | None, actions: Collection[Action]) -> None:
+def require(origin: FileOrigin | None, actions: Collection[RequestedAction]) -> None:
     """Checks that a declaration may run what it asks for.
 
-    Raises:
-        NotTrusted: its file is not trusted.
+    Raises NotTrusted if its file is not trusted.
     """
     if actions and origin is not None and not origin.is_trusted:
         raise NotTrusted(origin.file, [str(action) for action in actions])
@@ -129,8 +128,7 @@ def require(origin: Origin | None, actions: Collection[Action]) -> None:
 def import_listed(package: str, module: str, listed: Iterable[str]) -> Any:
     """Imports a module that a file may have named.
 
-    Raises:
-        UnknownName: the package does not list it.
+    Raises UnknownName if the package does not list it.
     """
     known = list(listed)
     if module not in known:

@@ -9,6 +9,7 @@ import argparse
 import logging
 import os
 import sys
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from .. import __version__
@@ -16,7 +17,6 @@ from ..base.errors import DeclarationError, PluginError, SeroError, UnknownName
 from ..base.plugins import COMMANDS, is_own, load_all, load_plugin, plugins
 from ..viewer.image.backend import check_backend, choose_backend
 from .arguments import OneLineParser, join_negative_values
-from .old_commands import translated
 from .terminal import escape_output
 
 log = logging.getLogger(__name__)
@@ -85,8 +85,6 @@ class Command(Protocol):
 
 
 class _Listed:
-    """Subparsers of argparse, with the help line of each command by group."""
-
     def __init__(self, commands: Any) -> None:
         self._commands = commands
         self.groups: dict[str, list[str]] = {group: [] for group in GROUPS}
@@ -133,3 +131,48 @@ def _parser(wanted: str) -> argparse.ArgumentParser:
     parser.description = f"{_DESCRIPTION}\n{listed.text()}"
     parser.epilog = _EPILOG
     return parser
+
+
+def _renamed(*words: str, **options: str) -> Callable[[list[str]], list[str]]:
+    def translate(rest: list[str]) -> list[str]:
+        new = {f"--{old}": f"--{new}" for old, new in options.items()}
+        parts = (word.partition("=") for word in rest)
+        return [*words, *(f"{new.get(name, name)}{equals}{v}" for name, equals, v in parts)]
+
+    return translate
+
+
+def _network(rest: list[str]) -> list[str]:
+    """Translates `ros2 list --host HOST --domain N` to `status ros2://HOST:N --topics`."""
+    words = [part for word in rest for part in word.split("=", 1) if word != "list"]
+    place = {"--host": "", "--domain": ""}
+    for option in place:
+        if option in words[:-1]:
+            at = words.index(option)
+            place[option] = words[at + 1]
+            del words[at : at + 2]
+    host, domain = place.values()
+    return ["status", f"ros2://{host}{domain and f':{domain}'}", "--topics", *words]
+
+
+_OLD: Mapping[str, tuple[str, Callable[[list[str]], list[str]]]] = {
+    "export-csv": ("export REC -o OUT.csv", _renamed("export", start="from", stop="to")),
+    "convert": ("export SCENE -o OUT", _renamed("export")),
+    "fk": ("check ROBOT --fk", _renamed("check", "--fk")),
+    "schema": ("check --schema KIND", _renamed("check", "--schema")),
+    "doctor": ("check", _renamed("check")),
+    "snippet": ("new --snippet NAME", _renamed("new", "--snippet")),
+    "ros2": ("status ros2:// --topics", _network),
+}
+
+
+def translated(arguments: list[str]) -> list[str]:
+    """Returns a command line in which an old name is replaced, and prints a note about it."""
+    name, *rest = arguments
+    if name not in _OLD or name in plugins(COMMANDS):
+        return arguments
+    new, translate = _OLD[name]
+    if not {"-h", "--help"} & {*rest}:
+        note = f"note: 'sero-mj {name}' is now 'sero-mj {new}'; the old name works in version 0.2"
+        print(note, file=sys.stderr)
+    return translate(rest)

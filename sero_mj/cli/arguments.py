@@ -126,13 +126,7 @@ def writing() -> Iterator[None]:
 
 
 def pace(done: int, begin: float, workers: int) -> str:
-    """How fast tasks are done, and by how many, for `note` of a progress bar.
-
-    Args:
-        done: how many.
-        begin: since when, on `time.perf_counter`.
-        workers: how many do them at the moment.
-    """
+    """How many tasks are done per second since `begin`, and by how many workers."""
     rate = done / (time.perf_counter() - begin)
     return f"{rate:.1f}/s, {workers} {'worker' if workers == 1 else 'workers'}"
 
@@ -143,11 +137,7 @@ def progress_bar(
 ) -> Iterator[Callable[[int, int], None]]:
     """Shows progress on a terminal; yields a function of the amount done and the total.
 
-    Args:
-        what: label of the bar.
-        quiet: whether nothing is shown.
-        stays: whether the bar stays visible at the end.
-        note: says more, behind the bar.
+    `stays` keeps the bar at the end. `note` returns further text behind the bar.
     """
     from rich import progress as bars
     from rich.table import Column
@@ -215,14 +205,9 @@ def read_scene(
     trusted: bool = False,
     replay: Path | None = None,
 ) -> Scene:
-    """Loads a scene by name, file or network, and applies `--set` options.
+    """Loads a scene by name, file or network address, applies `--set`, and prints its programs.
 
-    Args:
-        name: of the scene.
-        settings: values of `--set`.
-        by_hand: see `load_scene`.
-        trusted: see `load_scene`. Programs that the scene starts are printed.
-        replay: see `load_scene`; `replay_instead` then plays it.
+    See `load_scene` for `by_hand`, `trusted` and `replay`.
     """
     from ..load import load_scene
 
@@ -261,7 +246,6 @@ def named_settings(given: Mapping[str, Any], option: str = "--set") -> Iterator[
 
 
 def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
-    """Returns the problem with the option named, if the option has set its field."""
     for target in given:
         field = target.partition(".")[2]
         # As keys stand in a scene, in a robot's own file, and where there is nothing to set.
@@ -300,8 +284,8 @@ def replay_instead(
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
-    from ..data.drive.replays import topics_of
     from ..data.drive.table_scene import lead_by_table
+    from ..data.drive.wiring import topics_of
     from ..data.record.formats import look_into
     from ..data.record.table import is_table
     from ..data.record.table_signals import parse_columns
@@ -337,7 +321,6 @@ def replay_instead(
 
 
 def _check_source(scene: Scene, file: Path, source: str) -> None:
-    """Raises UsageError where `--source` is none of a recording, or not for a scene."""
     from ..data.record.formats import look_into
 
     if scene.sources:
@@ -380,14 +363,10 @@ def read_recorded_run(
     robots: Sequence[str] = (),
     columns: Sequence[str] = (),
 ) -> RunLog:
-    """Reads a recording or a table, for a command with `--scene` for recordings without one.
+    """Reads a recording or a table.
 
-    Args:
-        path: of the file.
-        source: of its sources; all that matter when None.
-        scene: its robots; when None, those in it, or those that a recording of ROS may be of.
-        robots: which of these are wanted, by their names; any when empty.
-        columns: of a table, `SIGNAL=COLUMNS`.
+    Without a `scene` its robots are those in the recording. `source` limits it to one source, and
+    `robots` to a scene with one of these names. `columns` are those of a table, `SIGNAL=COLUMNS`.
     """
     from ..data.record.formats import open_recording
     from ..data.record.table import is_table

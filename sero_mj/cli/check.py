@@ -123,8 +123,8 @@ def _check_scene(options: CheckOptions) -> int:
     from ..robots.declared.route_text import parts_of_origin
     from ..viewer.decor.feature import make_features
     from ..viewer.image.camera import list_cameras
-    from .angle_questions import AngleQuestions
     from .opening import with_scene
+    from .status import AngleQuestions
 
     options = with_scene(options)
     assert options.scene is not None
@@ -179,7 +179,6 @@ def _check_scene(options: CheckOptions) -> int:
 
 
 def _print_decor(scene: Scene) -> None:
-    """Prints doubles, arrows and frames."""
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():
@@ -190,7 +189,6 @@ def _print_decor(scene: Scene) -> None:
 
 
 def _kind(robot: SerialRobot) -> str:
-    """Returns its number of joints, and the kinds of its kinematics and link geometry."""
     table = "frames of joints" if robot.dh is None else f"{robot.dh_convention} DH"
     if robot.mjcf is not None:
         look = "geoms of its MJCF"
@@ -203,7 +201,6 @@ def _kind(robot: SerialRobot) -> str:
 
 
 def _about_robot(name: str, robot: SerialRobot) -> list[str]:
-    """Returns lines about a robot's joints, limbs and dynamics."""
     from ..robots.assemble.robot_dynamics import (
         about_large_inertias,
         about_masses,
@@ -250,7 +247,6 @@ def _in_order(robot: SerialRobot) -> str:
 
 
 def _about_flange(robot: SerialRobot) -> str:
-    """Returns the link and the position of the flange at zero joint values."""
     link = robot.flange_link
     own = "" if robot.link_names is None else f" ({robot.link_names[link]})"
     on = f"link{link}{own}, which joint {robot.names[link - 1]} moves"
@@ -263,7 +259,6 @@ def _about_flange(robot: SerialRobot) -> str:
 
 
 def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:
-    """Returns a line about fields of a source that no route uses; they are received too."""
     if not any(of == name for of, _ in taken):
         return "            no route leads from it\n"
     if "structure" not in getattr(source, "model_fields_set", ()):

@@ -152,16 +152,10 @@ def _compare_two(options: CompareOptions) -> int:
 
 
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """What there is to say of one of many recordings, by column; see `EachRecording`.
+    """The outcomes of one of many recordings by column; see `EachRecording`.
 
-    Args:
-        shared: the options, with all recordings.
-        file: the recording.
-
-    Returns:
-        over how many `seconds`; of every signal `peak` and `rms`, those of the joint with the
-        greatest peak, and that `joint`; what was `exceeded`; what is `explained`, and in short the
-        `faults`.
+    `seconds`; `peak` and `rms` of each signal at its worst `joint`; what was `exceeded`; what is
+    `explained`, and in short the `faults`.
     """
     from ..study.compare import compare, exceeded
 
@@ -223,7 +217,6 @@ def _compare_many(options: CompareOptions) -> int:
 
 
 def _table_of(rows: Rows, signals: Mapping[str, str], title: str) -> Table:
-    """A row for each recording: where some signals differ most, by their headings, and why."""
     from rich.table import Table
 
     from ..study.compare import shown_as
@@ -254,7 +247,6 @@ _Compared = tuple["Pair", "list[Explanation] | None", list[str]]
 
 
 def _compared(options: CompareOptions) -> _Compared:
-    """Returns the compared runs, the explanations of their difference, and lines about both."""
     a, *others = _read(options)
     return _two_runs(a, others[0], options) if others else _one_run(a, options)
 

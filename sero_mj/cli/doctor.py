@@ -151,7 +151,6 @@ def frame_times(backend: str) -> dict[str, float] | None:
 
 
 def _python(code: str, backend: str) -> subprocess.CompletedProcess[str]:
-    """Runs Python code in another process, with the given backend."""
     environment = {**os.environ, "MUJOCO_GL": backend}
     environment.pop("PYOPENGL_PLATFORM", None)
     command = [sys.executable, "-c", code]
@@ -161,7 +160,6 @@ def _python(code: str, backend: str) -> subprocess.CompletedProcess[str]:
 
 
 def _about_speed(backend: str, times: dict[str, float]) -> str:
-    """Returns which frame rates the machine reaches, and what would help."""
     said = ", ".join(f"{name} {time * 1e3:.3g} ms" for name, time in times.items())
     text = f"a frame of an LWR with {backend}, 1280x800: {said}"
     if times["normal"] <= _SMOOTH:

@@ -85,7 +85,6 @@ def _led(options: ExportOptions) -> Replay | None:
 
 
 def _described(recording: PacketFile) -> Scene | None:
-    """A scene of the robot that a recording describes; None for none that can be read."""
     with without_warnings(), suppress(SeroError):
         if (file := recording.described_scene()) is not None:
             return read_scene(str(file))
@@ -95,7 +94,6 @@ def _described(recording: PacketFile) -> Scene | None:
 def _in_order(
     recording: PacketFile, joints: Sequence[str], options: ExportOptions
 ) -> tuple[list[str], str]:
-    """Returns the joints in the order of the robot, and its name; empty if it is not known."""
     from ..data.record.csv_files import prefix_before
     from ..load import load_robot
     from ..robots.importers.imported_tables import first_of

@@ -153,7 +153,6 @@ def _read(options: ImportOptions) -> _Source:
 
 
 def _about_joints(robot: SerialRobot) -> str:
-    """Returns comments on the order of joints in packets, and on coupled joints."""
     coupled, names = robot.coupled, robot.names
     independent = coupled.independent.tolist()
     lines = ["# The joints, in the order of packets:"]
@@ -171,14 +170,12 @@ def _about_joints(robot: SerialRobot) -> str:
 
 
 def _comment(items: Sequence[str]) -> list[str]:
-    """Returns the lines of a comment, wrapped between items."""
     text = ", ".join(item.replace(" ", _TIED) for item in items)
     lines = wrap(text, 100, initial_indent="#   ", subsequent_indent="#   ")
     return [line.replace(_TIED, " ") for line in lines]
 
 
 def _check_format(path: Path) -> None:
-    """Raises UsageError for anything but URDF and MJCF, naming the command that reads it."""
     ending = path.suffix.lower()
     importer = None if ending in _ENDINGS else find_importer(path)
     if importer is not None and importer.is_scene:
@@ -208,7 +205,6 @@ def _check_format(path: Path) -> None:
 
 
 def _copy(mesh: Path, to: Path) -> None:
-    """Copies a mesh with the material files and pictures beside it, which have its colours."""
     waiting, seen = [(mesh, to)], set()
     while waiting:
         source, target = waiting.pop()

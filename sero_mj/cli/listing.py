@@ -19,6 +19,7 @@ from ..base.plugins import (
     LISTED,
     RENDERERS,
     ROBOTS,
+    SNIPPETS,
     SOURCES,
     TARGET_MOTIONS,
     TOOLS,
@@ -45,7 +46,7 @@ class ListOptions(Options):
     """List the shipped robots, scenes, scenarios and environments.
 
     Attributes:
-        known: list the robots of others that are known by name, see docs/robots.md.
+        known: list the robots of others that are known by name, see docs/robot_files.md.
         fields: list the fields of a robot and their defaults, or those of a scenario.
     """
 
@@ -116,6 +117,7 @@ _KINDS = {
     RENDERERS: "renderers besides the classic one",
     ENGINES: "engines of many tasks besides the local one",
     COMMANDS: "commands",
+    SNIPPETS: "example code of extensions",
 }
 
 
@@ -128,7 +130,6 @@ def _print_plugins() -> None:
 
 
 def _about(file: Path) -> str:
-    """Returns a file's description, else its first line if that is a comment."""
     text = file.read_text(encoding="utf-8")
     described = tomllib.loads(text).get("description")
     if described is not None:
@@ -144,7 +145,6 @@ def _print_fields() -> None:
 
 
 def _print_scenario_fields() -> None:
-    """Prints every table of a scenario: kinds, keys, defaults, meanings."""
     from ..simulate.runs.measures import MEASURES
     from ..simulate.runs.monitor import KINDS
 

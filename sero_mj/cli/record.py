@@ -165,7 +165,6 @@ def _status(found: Any) -> int:
 
 
 def _record_events(options: RecordOptions, condition: str) -> int:
-    """Records events; returns 0, or 1 when nothing came."""
     from ..data.drive.record_sources import record_events
     from ..data.drive.trigger import Trigger
     from ..data.drive.wiring import wire
@@ -240,7 +239,6 @@ def _record_events(options: RecordOptions, condition: str) -> int:
 
 
 def _names_of_events(output: Path, scene: str, begin: float) -> Callable[[int, float], Path]:
-    """Returns what names the file of an event, by its number and its arrival."""
     if output.suffix.lower() == ".mcap":
         return lambda number, _: output.with_name(f"{output.stem}_{number:03}{output.suffix}")
     if output.suffix:
@@ -258,7 +256,6 @@ def _names_of_events(output: Path, scene: str, begin: float) -> Callable[[int, f
 
 
 def _tell(begin: float, event: RecordedEvent) -> None:
-    """Prints an event when it begins, and its recording when it ends."""
     if math.isnan(event.ended):
         at = datetime.fromtimestamp(begin + event.time)
         print(f"{at:%H:%M:%S}.{at.microsecond // 1000:03}  {event.what}", flush=True)
@@ -274,7 +271,6 @@ def _tell(begin: float, event: RecordedEvent) -> None:
 def _play_through(
     recorder: TriggeredRecorder, sources: Mapping[str, Any], console: Any, *, quiet: bool
 ) -> None:
-    """Hands all packets of recordings to the recorder, as fast as it looks at them."""
     end = max(source.end or 0.0 for source in sources.values())
     now, step = 0.0, 0.5
     while now < end + step and recorder.error is None:

@@ -74,7 +74,6 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
         return self
 
     def _check_pass(self) -> None:
-        """Raises where segmentation or depth do not go with other options."""
         ends = self.output.suffix.lower()
         if self.render_pass == "colour":
             if ends not in (*PICTURES, *FILMS):
@@ -98,7 +97,7 @@ def run(options: RenderOptions) -> int:
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.viewer.image.painter").setLevel(logging.INFO)
     if options.over is not None:
-        from .background import find_background
+        from .shared_options import find_background
 
         silent = find_background().render(options, Path(options.over))
     elif options.is_film:
@@ -131,18 +130,7 @@ def film_with_progress(
     quiet: bool = False,
     make: Callable[..., list[str]] | None = None,
 ) -> list[str]:
-    """Makes a film with a progress bar, unless `quiet`.
-
-    Args:
-        scene: what to show.
-        output: the film's file.
-        options: of the film.
-        quiet: without the bar.
-        make: `render.render_film`, the default, or another of its kind.
-
-    Returns:
-        the silent sources.
-    """
+    """Makes a film with a progress bar, unless `quiet`; returns the silent sources."""
     from ..viewer.image.render import render_film
 
     frames = 0

@@ -16,20 +16,12 @@ Schema = dict[str, Any]
 
 
 def schema_text(kind: str) -> str:
-    """The schema of a kind of file, as JSON.
-
-    Args:
-        kind: `robot`, `group`, `scene` or `scenario`.
-    """
+    """The schema of a kind of file, as JSON."""
     return json.dumps(schema_of(kind), indent=1) + "\n"
 
 
 def schema_of(kind: str) -> Schema:
-    """The schema of a kind of file.
-
-    Args:
-        kind: `robot`, `group`, `scene` or `scenario`.
-    """
+    """The schema of a kind of file: robot, group, scene or scenario."""
     definitions = _Definitions()
     sections = {
         "robot": lambda: definitions.fields("SerialRobot"),
@@ -85,12 +77,10 @@ class _Definitions:
         return {key: schema for key, schema in fields.items() if schema is not None}
 
     def table(self, name: str, /, **changed: Schema | None) -> Schema:
-        """The schema of a table of a file, of which nothing is required; see `fields`."""
         fields = self.fields(name, **changed)
         return {"type": "object", "additionalProperties": False, "properties": fields}
 
     def of_kind(self, kinds: Mapping[str, type[Declaration]]) -> Schema:
-        """The schema of a table that says its kind."""
         choices = []
         for kind, declaration in kinds.items():
             schema = self.table(declaration.__name__, name=None, kind={"const": kind})
@@ -105,7 +95,6 @@ def _sources() -> dict[str, type[Declaration]]:
 
 
 def _each(schema: Schema, of: str) -> Schema:
-    """The schema of a section [of.NAME]."""
     about = f"a table [{of}.NAME] each"
     return {"type": "object", "additionalProperties": schema, "description": about}
 
@@ -200,8 +189,6 @@ def _generator() -> Any:
     from pydantic.json_schema import GenerateJsonSchema
 
     class Generator(GenerateJsonSchema):
-        """Arrays of numpy are numbers, or lists of them; defaults that are none are left out."""
-
         ignored_warning_kinds = {"skipped-choice", "non-serializable-default"}
 
         def is_instance_schema(self, schema: Any) -> Schema:

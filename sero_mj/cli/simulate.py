@@ -30,7 +30,7 @@ from .arguments import (
     progress_bar,
 )
 from .render import PictureOrFilm, film_with_progress
-from .sending import Sender, SinkOptions, in_real_time
+from .send import Sender, SinkOptions, in_real_time
 from .shared_options import Figure, JsonOptions, Settings
 
 if TYPE_CHECKING:
@@ -162,7 +162,6 @@ add_to = command("simulate", run, SimulateOptions, _HELP)
 def _simulate(
     simulation: Simulation, options: SimulateOptions
 ) -> SimulationError | KeyboardInterrupt | None:
-    """Runs to the end, or as far as it goes; returns what stopped it."""
     from contextlib import ExitStack
 
     from ..simulate.log_output import RunRecorder

@@ -106,7 +106,6 @@ add_to = command("structure", run, StructureOptions, _HELP)
 
 
 def _read(text: str, options: StructureOptions) -> Structure:
-    """The structure that is given; where it is wrong, a line points at the character."""
     from ..data.receive.structure import Structure
 
     try:
@@ -149,12 +148,10 @@ def _print_page() -> None:
 
 
 def _make_console() -> Console:
-    """Prints to a terminal in its width, and to files and pipes without a limit."""
     return make_console(width=None if sys.stdout.isatty() else 250)
 
 
 def _print_layout(layout: Structure, title: str = "") -> None:
-    """Prints a table of what stands where."""
     from rich import box
     from rich.table import Table
 
@@ -189,7 +186,6 @@ def _print_layout(layout: Structure, title: str = "") -> None:
 
 
 def _type_in_words(item: Item) -> str:
-    """For example `7 float64, little-endian`."""
     if item.kind == "x":
         return "skipped"
     kind = {"f": "float", "i": "int", "u": "uint"}[item.type[-2]]
@@ -222,7 +218,6 @@ def _must_be(item: Item) -> str:
 
 
 def _layout_as_json(layout: Structure) -> dict[str, Any]:
-    """The layout as plain lists and numbers."""
     return {
         "structure": layout.text,
         "size": layout.size,
@@ -247,7 +242,6 @@ def _layout_as_json(layout: Structure) -> dict[str, Any]:
 
 
 def _sniff(port: int, options: StructureOptions, layout: Structure | None) -> int:
-    """Listens until the time is over, the packets have come, or Ctrl-C; returns 0."""
     from ..data.receive.sniffer import Sniffer
 
     host, interface = options.host or "127.0.0.1", options.interface or ""
@@ -283,7 +277,6 @@ def _listen(sniffer: Sniffer, options: StructureOptions, show: Callable[[], None
 def _shown(
     options: StructureOptions, sniffer: Sniffer, layout: Structure | None, place: str
 ) -> Iterator[Callable[[], None]]:
-    """A function that shows the current state."""
     if options.as_json:
         yield lambda: None
     elif not sys.stdout.isatty():
@@ -298,7 +291,6 @@ def _shown(
 
 
 def _teller(sniffer: Sniffer, layout: Structure | None) -> Callable[[], None]:
-    """Tells of every stream when it begins, and every two seconds."""
     told: dict[tuple[bytes, int], tuple[float, int]] = {}
 
     def tell() -> None:
@@ -331,7 +323,6 @@ def _head(stream: Stream) -> str:
 
 
 def _picture(sniffer: Sniffer, layout: Structure | None, title: str) -> RenderableType:
-    """All streams, for a terminal or a file."""
     from rich.console import Group
     from rich.text import Text
 
@@ -357,7 +348,6 @@ def _fits(stream: Stream, layout: Structure | None) -> bool:
 
 
 def _values(stream: Stream, layout: Structure | None) -> str:
-    """The last packet by the structure that was given, or why it does not fit."""
     if layout is None:
         return ""
     if stream.size != layout.size:
@@ -370,7 +360,6 @@ def _values(stream: Stream, layout: Structure | None) -> str:
 
 
 def _numbers(values: Mapping[str, Any]) -> str:
-    """The first numbers of every event."""
     return "  ".join(f"{event} {_first(array)}" for event, array in values.items())
 
 
@@ -395,7 +384,6 @@ def _guess_lines(stream: Stream) -> list[str]:
 
 
 def _values_by(guess: Guess, stream: Stream) -> dict[str, Any]:
-    """The numbers of the last packet by a guess."""
     from ..data.receive.structure import Structure
 
     layout = Structure(guess.structure, is_double=guess.is_double, column_major=guess.column_major)

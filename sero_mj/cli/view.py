@@ -172,15 +172,9 @@ add_to = command("view", run, ViewOptions, _HELP)
 class Session:
     """What one command shows, one thing after the other.
 
-    Args:
-        options: of the command; become those of what is shown.
-        on_page: whether it is shown on a page.
-
     Attributes:
-        options: as given.
-        on_page: as given.
         plain: the scene that is shown, without being simulated.
-        is_at_start: whether the start page is what is shown next.
+        is_at_start: whether the start page is shown next.
     """
 
     def __init__(self, options: ViewOptions, *, on_page: bool) -> None:
@@ -199,7 +193,6 @@ class Session:
 
     @property
     def _listening(self) -> PageListener:
-        """The sockets of all pages of the session."""
         if self._listener is None:
             from ..viewer.web.server import PageListener
 
@@ -218,7 +211,6 @@ class Session:
             return self._begin(options.read(name, by_hand=not options.simulate, trusted=True))
 
     def _begin(self, scene: Scene, *, is_replayed: bool = False) -> Mirror:
-        """Returns what shows a scene that was read, or its simulation; compiled, and checked."""
         is_simulated = self.options.simulate and not is_replayed
         control = self.options.control or "joint"
         mirror = _simulated(scene, control) if is_simulated else _mirror_of(scene)
@@ -289,7 +281,6 @@ class Session:
 
     @contextmanager
     def _noting_warnings(self) -> Iterator[None]:
-        """Keeps what is logged of a scene's files, for who does not look at the terminal."""
         kept, log = _KeptWarnings(), logging.getLogger("sero_mj")
         log.addHandler(kept)
         try:
@@ -299,7 +290,6 @@ class Session:
             log.removeHandler(kept)
 
     def _offer(self, host: LiveHost) -> None:
-        """Offers to simulate the robots that are shown, to show them without, and to go back."""
         from ..simulate.runs.run_source import RunSource
         from ..viewer.session.recent_views import RecentView
         from ..viewer.tools.rolling_recorder import RollingRecorder
@@ -349,7 +339,6 @@ class Session:
         panel: Mapping[str, bool],
         state: ViewState,
     ) -> None:
-        """Shows the same robots as they were seen a moment ago, simulated or not."""
         from ..viewer.image.camera import copy_camera
         from ..viewer.session.view_state import apply_state
 
@@ -361,7 +350,6 @@ class Session:
         host.show_layout({**host.layout, **panel})
 
     def _run(self, host: LiveHost) -> None:
-        """Shows it until it is closed, and remembers how it was left."""
         from ..viewer.host.live import SECTION
         from ..viewer.host.restoring import keep
         from ..viewer.session.recent_views import RecentView, remember_view
@@ -403,7 +391,7 @@ class Session:
                     StereoViewport, stereo=options.stereo, eye_distance=options.eye_distance
                 )
             if options.over is not None:
-                from .background import find_background
+                from .shared_options import find_background
 
                 make_viewport = stack.enter_context(find_background().viewport(mirror, options))
             stack.enter_context(mirror)
@@ -452,7 +440,6 @@ class Session:
             return page.others.chosen
 
     def _announce(self, name: str, server: PageServer, host: str) -> None:
-        """Says once where the page is, and who else may see it; others will be there, too."""
         self._token = server.token or False
         if self._is_announced:
             return
@@ -470,14 +457,11 @@ class Session:
 
 
 class _KeptWarnings(logging.Handler):
-    """Keeps the texts of what is logged as a warning or an error."""
-
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.texts: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keeps a text."""
         if record.name != trust.log.name:  # of which a dialog tells
             self.texts.append(record.getMessage())
 

@@ -27,7 +27,6 @@ class BatchSetup:
 
     Args:
         scenarios: of the runs, with one `batch_key`.
-        seeds: of their noise.
 
     Attributes:
         robots: by name, as they are simulated: with elastic joints where the runs ask for them.
@@ -77,11 +76,7 @@ class BatchSetup:
         self.has_changed = False
 
     def robot_model(self, robot: SerialRobot) -> RobotModel:
-        """Returns a new model of a robot alone; a torque loop changes what its motors feel like.
-
-        Args:
-            robot: as it stands in the world at first.
-        """
+        """Returns a new model of a robot alone; a torque loop changes what its motors feel like."""
         if self.drives is not None and robot.name in self.drives.gains:
             robot = self.drives.gains[robot.name].felt(robot)
         return self.compiler.robot_model(robot, self._run.gravity)

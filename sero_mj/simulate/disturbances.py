@@ -210,8 +210,6 @@ class Fault(Timed, ABC):
         """Begins it.
 
         Args:
-            plant: whose sensors and joints.
-            rows: of the joints that it concerns, see `rows`.
             gains: (n,), what the torques that controllers ask for are multiplied by.
         """
 

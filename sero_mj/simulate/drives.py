@@ -71,7 +71,6 @@ class Drives:
         """Refuses a loop, or a controller before it, that is unstable at this time step.
 
         Args:
-            name: of the robot.
             mass: (n, n), of its links where it starts, without the motors, kg m2 (kg).
             stiffness: (n, n), by which its controller's torques fall with the angles, Nm/rad (N/m).
             damping: (n, n), likewise with velocities, Nm s/rad (N s/m).
@@ -154,7 +153,6 @@ class Drives:
             plant.step_given()
 
     def _delayed(self, torques: Array) -> Array:
-        """The delayed torques that act while `torques` are commanded."""
         pending = self._pending
         if len(pending) == 1:
             return torques

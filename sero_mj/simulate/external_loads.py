@@ -66,8 +66,6 @@ class Push:
         """Adds its joint torques.
 
         Args:
-            model: of the world.
-            data: with its kinematics.
             torques: (nv,), Nm or N, to which they are added.
         """
         force, torque = self.force, self.torque
@@ -77,11 +75,7 @@ class Push:
         mujoco.mj_applyFT(model, data, force, torque, self.point(data), self.body, torques)
 
     def point(self, data: mujoco.MjData) -> Array:
-        """Returns the world point at which it acts, (3,), m.
-
-        Args:
-            data: with its kinematics.
-        """
+        """Returns the world point at which it acts, (3,), m."""
         point: Array = data.site_xpos[self.site]
         if self.at.any():
             point = point + data.site_xmat[self.site].reshape(3, 3) @ self.at
@@ -93,10 +87,6 @@ class PushRows:
 
     MuJoCo is asked for no row by itself: to copy a row's `MjData` takes twice as long as its step.
     Sums and products are those of `mj_applyFT` in its order, so that the torques are the same.
-
-    Args:
-        rows: in which they act.
-        pushes: the row and the push, of all that act.
     """
 
     def __init__(self, physics: Physics, pushes: Sequence[tuple[int, Push]]) -> None:
@@ -239,7 +229,6 @@ class Contacts:
 
     Args:
         world: compiled with `dynamic`.
-        model: of its physics.
 
     Attributes:
         forces: (robots, 3), on every robot, in the world's axes, N; of the last `update`.

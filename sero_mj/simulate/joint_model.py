@@ -109,7 +109,6 @@ class JointModel:
         self.refresh()
 
     def _find_couplings(self) -> None:
-        """Finds the constraints of coupled joints: their rows, and what a row's force does."""
         model = self._model
         couplings: list[int] = []
         self._coupled_dofs: list[tuple[int, int, float]] = []  # which follows which, by what ratio
@@ -155,11 +154,7 @@ class JointModel:
         self._friction[:] = friction[:, self._dofs_with_friction]
 
     def _arrange(self, models: Sequence[mujoco.MjModel]) -> None:
-        """Lays out what the sensors feel: [q, dq; torques; q, dq after; couplings; friction].
-
-        Args:
-            models: of all rows.
-        """
+        """Lays out what the sensors feel: [q, dq; torques; q, dq after; couplings; friction]."""
         model, n = self._model, self.n
         kinds = [model.nq, model.nv, n, model.nq, model.nv, len(self._coupled_dofs)]
         sizes = np.array([*kinds, len(self._dofs_with_friction)])

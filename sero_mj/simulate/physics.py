@@ -198,8 +198,6 @@ class Physics:
         They exist until `look_ahead`.
 
         Args:
-            couplings: indices of their rows among the constraints.
-            dofs_with_friction: indices in `qvel`.
             out: (m, k), to be written, Nm or N.
         """
         if self.batch is None:

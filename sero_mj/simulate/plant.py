@@ -29,8 +29,6 @@ class PlantRows:
 
     Args:
         world: compiled with `dynamic=True`.
-        sensors: the sensors of every row.
-        is_pushed: see `Physics`.
 
     Attributes:
         n: number of joints of all robots of a row together.
@@ -365,7 +363,6 @@ class Plant:
         """Fixes a payload to a robot's flange, in place of the one that it may have.
 
         Args:
-            robot: its name.
             mass: kg.
             center_of_mass: (3,), in the flange's frame, m.
             inertia: about it, in the flange's axes, kg m2: 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz,
@@ -395,7 +392,6 @@ class Plant:
         """Changes a robot's friction from now on.
 
         Args:
-            robot: its name.
             viscous: one number or (n,), Nm s/rad; as it is when None.
             coulomb: likewise, Nm.
 

@@ -27,10 +27,6 @@ class ControlledRobot:
     """A robot of a run with its controller and target.
 
     Args:
-        robot: as it stands in the world at first.
-        plant: that it is in.
-        declared: its controller.
-        plan: its target at every step.
         timestep: of the controllers, s.
         stiffness: of its elastic joints behind a torque loop, (n,), Nm/rad (N/m), or None.
         make_model: of what its controller knows of it; called at any time.
@@ -172,8 +168,6 @@ class RobotControl:
     first axis of all arrays then.
 
     Args:
-        robots: that it controls.
-        plant: all rows.
         drive: (m, 2, N), torques of all joints of the plant, Nm or N: commanded, and asked for
             before the limits; its own are written there.
         row: the only row, or None for all.
@@ -257,8 +251,6 @@ class RobotControl:
         """One control of robots in all rows, whose controllers have one group.
 
         Args:
-            each: of every row, these robots, before their first step.
-            models: of all of them.
             is_live: whether targets are changed at any time.
         """
         first, flat = each[0], [one for row in each for one in row]
@@ -293,7 +285,6 @@ class RobotControl:
 
     @staticmethod
     def _is_same(each: Sequence[Sequence[ControlledRobot]], number: int) -> bool:
-        """Whether a robot has the same target in all rows."""
         return all(row[number].plan is each[0][number].plan for row in each)
 
     def _follow(self, plan: Plan, target: Target) -> None:

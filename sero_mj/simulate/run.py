@@ -42,8 +42,6 @@ class Run:
     """A run in one row of a batch.
 
     Args:
-        batch: what it shares with the other runs of its batch.
-        row: its index there.
         by_hand: whether robots can be pulled by hand while it runs.
         is_live: whether targets and controllers are changed while it runs, see `LiveControl`.
 
@@ -239,9 +237,6 @@ class Run:
         """Returns a new model of a robot for its controller, which knows what the robot carries.
 
         Behind a torque loop the motors are what they feel like.
-
-        Args:
-            robot: as it stands in the world at first.
         """
         model = self._setup.robot_model(robot)
         if self.whole_body is not None:

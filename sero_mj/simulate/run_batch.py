@@ -46,7 +46,6 @@ class RunBatch(BatchSetup):
 
     Args:
         scenarios: of the runs, with one `batch_key`.
-        seeds: of their noise.
         raises: whether what ends a run is raised, as for one by itself; else it is its `error`.
     """
 
@@ -114,7 +113,6 @@ class RunBatch(BatchSetup):
         self._join(runs)
 
     def _join(self, runs: Sequence[Run]) -> None:
-        """Joins controllers of robots in all rows, where their kinds allow it."""
         self.has_changed = False
         by_row = {run.plant.row: run for run in runs}
         # The first run stands in for those that could not be made.
@@ -196,7 +194,6 @@ class RunBatch(BatchSetup):
         self._finishing = [run for run in going if run.finishes]
 
     def _prepare(self, going: list[Run], k: int) -> None:
-        """Applies events of those runs that have any for the step after row k."""
         asked = self._busy
         if is_waking := k >= self._wakes:
             asked = asked + [run for run in self._resting if run.wakes <= k]
@@ -210,7 +207,6 @@ class RunBatch(BatchSetup):
             self._wakes = min((run.wakes for run in self._resting), default=np.inf)
 
     def _control(self, going: list[Run], k: int) -> None:
-        """Computes the torques of all controllers for the step after row k."""
         if self.has_changed:
             self._join(going)
         self._move_whole_bodies(k)
@@ -233,7 +229,6 @@ class RunBatch(BatchSetup):
                 whole_body.update(measured[0], qpos)
 
     def _finish(self, k: int) -> None:
-        """Completes row k of the log, where measured, actual and driven torques are already."""
         for row in self.plant.physics.touching():
             touching = self._by_row.get(row)
             if touching is not None and touching.error is None:
@@ -262,7 +257,6 @@ class RunBatch(BatchSetup):
         run.error = error
 
     def _end_not_finite(self, going: list[Run]) -> None:
-        """Ends the runs whose controllers ask for torques that are not finite."""
         for run in going[:]:
             for control in self._controls:
                 index = run.plant.row
@@ -271,7 +265,6 @@ class RunBatch(BatchSetup):
                     self._end(going, run, error)
 
     def _end_failed(self, going: list[Run]) -> None:
-        """Ends the runs whose robots have failed in this step."""
         for run in going[:]:
             if run.plant.row in self.plant.failed:
                 self._end(going, run, self.plant.failed.pop(run.plant.row))
@@ -280,7 +273,6 @@ class RunBatch(BatchSetup):
         """Ends runs in which a joint, or the motor of an elastic one, has run away.
 
         Args:
-            going: the runs that go on.
             speeds: (m, n), of the links now, rad/s or m/s.
         """
         speeds = np.abs(speeds)

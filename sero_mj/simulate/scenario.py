@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from ..base.declaration import Declaration, by_kind, of_shape
 from ..base.errors import DeclarationError, Problem, collect
 from ..base.frames import Array
-from ..base.trust import Origin, Request
+from ..base.trust import FileOrigin, Request
 from ..robots.assemble.robot_dynamics import EARTH
 from ..robots.declared.degrees import look_like_degrees
 from ..robots.declared.scene import Scene
@@ -104,7 +104,6 @@ class Run(Declaration):
     @model_validator(mode="before")
     @classmethod
     def _without_jit(cls, table: dict[str, Any]) -> dict[str, Any]:
-        """Drops `jit`, which once selected machine code, with a warning."""
         if "jit" in table:
             _warn_of_jit()
         return {key: value for key, value in table.items() if key != "jit"}
@@ -270,7 +269,6 @@ class Scenario:
                 expect.check(self)
 
     def _check_starts(self) -> None:
-        """Checks that robots start within their position limits."""
         for name, robot in self.scene.robots.items():
             if robot.position_limits is None:
                 continue
@@ -286,7 +284,6 @@ class Scenario:
                 self.problems.append(Problem(f"robots.{name}.joint_angles", message))
 
     def _check_disturbance(self, place: str, disturbance: Disturbance) -> None:
-        """Checks that its frame, robot or object exists."""
         known: list[tuple[str, str, list[str]]] = []
         if isinstance(disturbance, Force):
             frames = [*self.scene.named_frames(), "world"]
@@ -336,7 +333,7 @@ class Scenario:
         file = self.file or Path(self.name)
         return Request(file, tuple(actions), self.tables) if actions else None
 
-    def set_origin(self, origin: Origin) -> None:
+    def set_origin(self, origin: FileOrigin) -> None:
         """Says which file its controllers were read from, and whether that is trusted."""
         for declared in self.controllers.values():
             if isinstance(declared, ControllerDeclaration):
@@ -381,9 +378,6 @@ class Scenario:
 
     def make_sensors(self, seed: int) -> Sensors:
         """The sensors of all robots together.
-
-        Args:
-            seed: of their noise.
 
         Raises:
             DeclarationError: errors that do not fit the joints, or delays that differ.
@@ -450,7 +444,6 @@ def build_entry(section: str, table: Any) -> Any:
 
     Args:
         section: `controllers`, `targets`, `sensors`, `disturbances`, `faults` or `expect`.
-        table: of one of its names.
 
     Raises:
         DeclarationError: what is wrong in it.

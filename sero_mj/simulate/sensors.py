@@ -333,7 +333,6 @@ class SensorRows:
         return measured
 
     def _read(self, actual: Array, rows: slice) -> Array:
-        """What the sensors of some rows read, before delays."""
         errors = self.errors
         offsets = errors["bias"][rows]
         if self._has_noise[rows].any():
@@ -360,7 +359,6 @@ class SensorRows:
         return np.asarray(self._noise[numbers, k])
 
     def _differentiate(self, values: Array, gain: Array, offsets: Array, rows: slice) -> None:
-        """Replaces the velocities of filtered joints by what their angles have changed by."""
         angles, speeds = values[:, 0], self._speeds[rows]
         change = (angles - self._read_angles[rows]) / self._timestep
         speeds += np.where(self._has_read[rows], self._new_share[rows] * (change - speeds), 0.0)

@@ -109,7 +109,6 @@ class Simulation(Run):
 
         Args:
             joint_angles: (n,), of all robots together, rad or m.
-            seed: of the noise.
         """
         self._batch.restart(joint_angles, seed)
         self.plan(joint_angles)
@@ -117,7 +116,6 @@ class Simulation(Run):
 
     @property
     def about(self) -> str:
-        """What it is, for people."""
         return f"simulation of {self.scenario.name}"
 
     @property
@@ -161,7 +159,6 @@ class Simulation(Run):
 
     @property
     def _late(self) -> float:
-        """How late the last step began, of the robots that are controlled in real time, s."""
         events = (event_of(name, STEP_LATENESS) for name in self.robots)
         late = [self.rows[self.step, self.layout.columns[event]] for event in events
                 if event in self.layout.columns]  # fmt: skip
@@ -238,7 +235,6 @@ def _begun_again(
 
 
 def _check_size(scenario: Scenario) -> None:
-    """Refuses a run whose log would not fit into memory."""
     joints = sum(robot.n for robot in scenario.scene.robots.values())
     signals = len((*MEASURED, *ACTUAL, *DRIVEN, *TARGETS, *ESTIMATED))
     size = 8 * (scenario.run.steps + 1) * signals * joints

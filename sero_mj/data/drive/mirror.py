@@ -153,7 +153,6 @@ class Mirror:
 
     @property
     def has_states(self) -> bool:
-        """True, see `state`."""
         return True
 
     def wait(self, timeout: float) -> list[str]:
@@ -358,7 +357,6 @@ class Watch:
 
     @property
     def is_live(self) -> bool:
-        """True: its time is the user's."""
         return True
 
     @property
@@ -373,7 +371,6 @@ class Watch:
         """Does nothing: there are no sources."""
 
     def wait(self, timeout: float) -> list[str]:
-        """Returns immediately: no source is silent."""
         return []
 
     def listen(self, listener: Listener, *, to_all: bool = False) -> None:

@@ -64,7 +64,6 @@ class Affine:
 
     @cached_property
     def origins(self) -> tuple[Origin, ...]:
-        """All distinct origins."""
         return tuple(dict.fromkeys(term.origin for term in self.terms))
 
     def evaluate(self, numbers_of: Callable[[Origin], Array]) -> Array:

@@ -17,6 +17,7 @@ origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.tor
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from typing import Any, Self
@@ -26,6 +27,7 @@ import numpy as np
 from ...base.errors import (
     DeclarationError,
     Problem,
+    SeroError,
     collect,
 )
 from ...base.frames import Array
@@ -125,6 +127,17 @@ def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) 
     if (links := _links_led_to(scene, name)) is not None:
         source.led_to_links(links)
     return source
+
+
+def topics_of(scene: Scene) -> dict[str, Source]:
+    """Returns what a scene's sources read of recorded messages, without wrongly declared ones."""
+    found: dict[str, Source] = {}
+    for name, declared in scene.sources.items():
+        with suppress(SeroError):
+            source = wired_source(scene, name, declared).of_messages
+            if source is not None:
+                found[name] = source
+    return found
 
 
 def _links_led_to(scene: Scene, source: str) -> LedLinks | None:

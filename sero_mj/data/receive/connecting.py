@@ -48,7 +48,7 @@ def is_address(expected: str) -> Callable[[str], str]:
 Address = Annotated[str, AfterValidator(is_address("an address such as 192.168.0.3"))]
 
 
-class Nonsense(Exception):
+class ProtocolError(Exception):
     """The peer sent what is not of its protocol, or refuses.
 
     Attributes:
@@ -97,14 +97,14 @@ class ConnectingSource(Source):
         Raises:
             OSError: it cannot be made, or is lost.
             ClosedHere: `wake` can be read.
-            Nonsense: the peer is no such controller, or refuses.
+            ProtocolError: the peer is no such controller, or refuses.
         """
 
     def _receive(self, wake: socket.socket) -> None:
         place = f"{self.host}:{self.port}"
         try:
             self._converse(wake)
-        except Nonsense as error:
+        except ProtocolError as error:
             if raw := error.received[:_MOST_KEPT]:
                 self.accept([raw + b"\0" * (len(raw) == self.size)])
             raise Disconnected(f"{place} {error}") from error

@@ -85,17 +85,14 @@ class Item:
 
     @cached_property
     def numbers(self) -> int:
-        """Number of its numbers in the packet."""
         return math.prod(self.wire_shape)
 
     @cached_property
     def item_bytes(self) -> int:
-        """Bytes of one of its numbers."""
         return int(self.type[-1])
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """Type of one of its numbers in the packet."""
         return np.dtype(self.type)
 
     @cached_property
@@ -105,7 +102,6 @@ class Item:
 
     @cached_property
     def is_float(self) -> bool:
-        """Whether it can contain NaN."""
         return self.type[-2] == "f"
 
 

@@ -60,7 +60,6 @@ class Packets:
 
     @cached_property
     def last(self) -> Packet:
-        """The newest one."""
         values = {event: array[-1] for event, array in self.values.items()}
         return Packet(values, float(self.arrivals[-1]), self.number)
 

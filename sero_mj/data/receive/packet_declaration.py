@@ -94,7 +94,6 @@ class PacketDeclaration(Declaration):
 
     @cached_property
     def layout(self) -> Structure:
-        """The decoder."""
         return Structure(
             self.structure,
             is_double=self.is_double,
@@ -110,7 +109,6 @@ class PacketDeclaration(Declaration):
 
     @property
     def size(self) -> int:
-        """Bytes of a packet."""
         return self.layout.size
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:

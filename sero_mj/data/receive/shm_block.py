@@ -91,11 +91,9 @@ class Block:
 
     @property
     def size(self) -> int:
-        """Its current size, bytes."""
         return os.fstat(self._fd).st_size
 
     def resize(self, size: int) -> None:
-        """Changes its size, bytes."""
         os.ftruncate(self._fd, size)
 
     def read(self, count: int, start: int = 0) -> bytes:

@@ -79,12 +79,10 @@ class Stream:
 
     @property
     def rows(self) -> Rows:
-        """The newest packets, (n, size)."""
         rows = np.frombuffer(b"".join(self.last), np.uint8)
         return rows.reshape(len(self.last), self.size)
 
     def guesses(self) -> list[Guess]:
-        """Possible layouts, most likely first."""
         return guess_layouts(self.rows) if self.is_binary else []
 
     @property

@@ -99,16 +99,13 @@ class McapStream:
 
     @property
     def closed(self) -> bool:
-        """Whether it is finished, or has failed."""
         return self._file.closed
 
     def write(self, data: bytes) -> int:
-        """Accepts complete records."""
         self._records += data
         return len(data)
 
     def tell(self) -> int:
-        """Offset of the next record."""
         return self._end + len(self._records)
 
     def flush(self) -> None:
@@ -218,12 +215,10 @@ class RecordingWriter:
 
     @property
     def path(self) -> Path:
-        """The file."""
         return self._file.path
 
     @property
     def size(self) -> int:
-        """Bytes of the file so far."""
         return self._file.size
 
     def add_source(

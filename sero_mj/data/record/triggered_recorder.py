@@ -194,7 +194,6 @@ class TriggeredRecorder(PacketWorker):
         super().__init__("triggered recorder")
 
     def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
-        """Adds a source; see `Recorder.add_source`."""
         with self._changed:
             self._sources[name] = decode, declaration
             self._lost[name] = 0
@@ -211,7 +210,6 @@ class TriggeredRecorder(PacketWorker):
 
     @property
     def statistics(self) -> TriggerStatistics:
-        """What was seen so far."""
         with self._changed:
             return TriggerStatistics(
                 self._packets,

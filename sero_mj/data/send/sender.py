@@ -67,7 +67,6 @@ class UdpSink:
         self.socket.sendto(message, self._address)
 
     def close(self) -> None:
-        """Closes the socket."""
         self.socket.close()
 
     def __enter__(self) -> Self:
@@ -260,7 +259,6 @@ class SendReport:
 
     @property
     def rate(self) -> float:
-        """Packets per second."""
         return self.packets / self.seconds if self.seconds > 0 else 0.0
 
     def __str__(self) -> str:

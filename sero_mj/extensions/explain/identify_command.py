@@ -132,7 +132,6 @@ def _identify_many(options: IdentifyOptions) -> int:
 
 
 def _table_of(rows: Rows) -> Table:
-    """A row for each figure: how many recordings tell it, and how far they agree."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)

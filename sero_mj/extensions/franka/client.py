@@ -14,7 +14,7 @@ from ...base.errors import (
 from ...simulate.control.controller import PerJoint, Ratio, within
 from ...simulate.control.joint_control import MAX_STIFFNESS
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.datagrams import Reachable
+from ...simulate.external_control.program_controller import Reachable
 from .motion import CYCLE, JOINTS
 from .receiver import NEWEST, OLDEST, PORT
 from .robot import FrankaRobot

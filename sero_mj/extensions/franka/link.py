@@ -12,8 +12,13 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from ...base.once import Once
-from ...simulate.external_control.datagrams import DONT_WAIT, RECEIVE_BUFFER, Link, Reachable
 from ...simulate.external_control.program import PORT, Program
+from ...simulate.external_control.program_controller import (
+    DONT_WAIT,
+    RECEIVE_BUFFER,
+    Link,
+    Reachable,
+)
 from .messages import HEAD, INCOMPATIBLE, MOST_BYTES, SUCCESS, Messages
 
 log = logging.getLogger(__name__)
@@ -62,11 +67,9 @@ class FciLink(Link):
 
     @property
     def is_connected(self) -> bool:
-        """Whether a client is."""
         return self._peer is not None
 
     def tell(self, text: str) -> None:
-        """Warns of something once."""
         if self._is_new(text):
             log.warning("%s: %s", self._robot, text)
 
@@ -183,7 +186,6 @@ class FciLink(Link):
             self._accept()
 
     def answer(self, request: str, number: int, status: int, more: bytes = b"") -> None:
-        """Answers a request, see `Messages.answer`."""
         if self._client is None:
             return
         try:

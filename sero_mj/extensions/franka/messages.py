@@ -104,7 +104,6 @@ class Messages:
         return {name: number for number, (name, _) in self.requests.items()}
 
     def answer(self, request: str, number: int, status: int, more: bytes = b"") -> bytes:
-        """An answer."""
         size = HEAD.size + 1 + len(more)
         return HEAD.pack(self.numbers[request], number, size) + bytes([status]) + more
 
@@ -120,11 +119,9 @@ class Messages:
 
     @cached_property
     def command(self) -> struct.Struct:
-        """Structure of a command."""
         return struct.Struct(_COMMAND + "?" * (self.version >= _FINISHED_SINCE))
 
     def read_command(self, packet: bytes | bytearray | memoryview) -> RobotCommand | None:
-        """Reads a command; None where it is none."""
         if len(packet) != self.command.size:
             return None
         found = self.command.unpack(packet)

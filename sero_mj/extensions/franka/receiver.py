@@ -21,7 +21,7 @@ from pydantic import Field, PrivateAttr
 
 from ...base.frames import Array, Ints
 from ...data.receive import connecting
-from ...data.receive.connecting import ConnectingSource, Connection, Nonsense
+from ...data.receive.connecting import ConnectingSource, Connection, ProtocolError
 from ...data.receive.structure import Rows, Structure, TorqueSign
 from ...data.receive.udp_socket import (
     DEFAULT_BUFFER,
@@ -218,9 +218,11 @@ class FrankaReceiver(ConnectingSource):
             # A server that does not know our version tells its own.
             if not OLDEST <= version <= NEWEST:
                 known = f"{OLDEST} to {NEWEST} are known"
-                raise Nonsense(f"has version {version} of the server; {known}")
+                raise ProtocolError(f"has version {version} of the server; {known}")
             if version in asked:
-                raise Nonsense(f"refuses version {self._version}, and says that it has {version}")
+                raise ProtocolError(
+                    f"refuses version {self._version}, and says that it has {version}"
+                )
             self._version = version
 
     def _talk(self, connection: Connection) -> int:
@@ -238,7 +240,7 @@ class FrankaReceiver(ConnectingSource):
             if status == _INCOMPATIBLE:
                 return version
             if status != _SUCCESS:
-                raise Nonsense(f"refuses to connect, by status {status}")
+                raise ProtocolError(f"refuses to connect, by status {status}")
             if not OLDEST <= version <= NEWEST:
                 return version
             peer = connection.socket.getpeername()[0]
@@ -265,11 +267,11 @@ class FrankaReceiver(ConnectingSource):
             command, found, size = _HEAD.unpack_from(answer)
             least = _HEAD.size + _ANSWER.size
             if (command, found) != (CONNECT, number) or not least <= size <= _MOST_BYTES:
-                raise Nonsense("answers by what is no message of FCI", answer)
+                raise ProtocolError("answers by what is no message of FCI", answer)
             if len(answer) < size:
                 continue
             if len(answer) > size:
-                raise Nonsense("says more than it was asked", answer)
+                raise ProtocolError("says more than it was asked", answer)
             status, version = _ANSWER.unpack_from(answer, _HEAD.size)
             return status, version
 
@@ -294,7 +296,7 @@ class FrankaReceiver(ConnectingSource):
                 elif clock.monotonic() > deadline:  # others keep the socket ready
                     raise TimeoutError(silent)
             if connection.socket in ready:
-                raise Nonsense("says what it was not asked", connection.read())
+                raise ProtocolError("says what it was not asked", connection.read())
 
     def _take_in(self, batch: Batch, expected: bytes) -> bool:
         rows, lengths, arrivals = batch.rows, batch.lengths, batch.arrivals

@@ -13,7 +13,7 @@ from ...simulate.control.controller import Controller, Sensed, Target
 from ...simulate.control.joint_control import JointImpedance
 from ...simulate.control.observer import MomentumObserver
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.datagrams import Reachable
+from ...simulate.external_control.program_controller import Reachable
 from .link import FciLink
 from .messages import (
     CARTESIAN_IMPEDANCE,
@@ -299,7 +299,6 @@ class FrankaRobot(Controller):
     # ---- the client
 
     def connected(self) -> None:
-        """A client has connected."""
         log.info("%s: a client has connected at %.3f s", self._model.name, self._time)
         self._rest(self._declared.first_patience)
 
@@ -311,7 +310,6 @@ class FrankaRobot(Controller):
             log.info("%s: the client %s at %.3f s", self._model.name, why, self._time)
 
     def request(self, name: str, number: int, values: tuple[Any, ...]) -> None:
-        """Does what a client asks for, and answers."""
         self._rests_until = max(self._rests_until, clock.monotonic() + self._declared.patience)
         if name == "Move":
             self._begin_motion(number, values)

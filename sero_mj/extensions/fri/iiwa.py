@@ -255,7 +255,6 @@ class IiwaLayout(Structure):
         return float(values["state"][0]), float(values["quality"][0])
 
     def link_words(self, state: float, quality: float) -> tuple[str, str]:
-        """Returns a state and a quality in words."""
         return word(STATES, state), word(QUALITIES, quality)
 
     def is_good(self, state: float, quality: float) -> bool:

@@ -110,7 +110,6 @@ class FriLayout(Structure):
         return float(values["state"][0]), float(values["quality"][0])
 
     def link_words(self, state: float, quality: float) -> tuple[str, str]:
-        """Returns a state and a quality in words."""
         state_word, quality_word = (
             words.get(int(number), f"{number:.0f}")
             for words, number in ((STATES, state), (QUALITIES, quality))
@@ -293,7 +292,6 @@ class FriReceiver(UdpReceiver):
 
     @property
     def is_iiwa(self) -> bool:
-        """Whether it receives messages of an iiwa."""
         return self.version != "1"
 
     @property

@@ -18,7 +18,7 @@ from ...simulate.control.cartesian_control import CartesianImpedance
 from ...simulate.control.controller import Controller, PerJoint, Ratio, Sensed, Target, within
 from ...simulate.control.joint_control import JointPosition, design_damping
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.datagrams import Link, Reachable
+from ...simulate.external_control.program_controller import Link, Reachable
 from .controller import AnswerStatistics
 
 log = logging.getLogger(__name__)
@@ -103,7 +103,6 @@ class FriRobot(Controller, ABC):
         self._act(sensed, out)
 
     def close(self) -> None:
-        """Ends the program; harmless when it has ended."""
         self._link.close()
         if self.wrong:
             log.warning("%s: %d packets were no commands", self._link.name, self.wrong)

@@ -65,9 +65,6 @@ class TorqueAction(Action):
     As on the robot: its controller adds gravity to what it is asked for, and the drives cut off
     what is beyond their limits.
 
-    Args:
-        robot: with its torque limits.
-
     Attributes:
         spec: (n,), Nm or N, within the torque limits.
 
@@ -107,11 +104,9 @@ class ImpedanceAction(Action):
     whose springs, dampers and gravity compensation run in the robot's own controller.
 
     Args:
-        robot: with its position and velocity limits.
         control_timestep: s between two actions.
         timestep: s between two steps of the simulation.
         stiffness: Nm/rad, one for all joints or (n,).
-        damping: ratio, likewise.
 
     Attributes:
         spec: (n,), rad or m, within what the velocity limits allow in a control step; robots
@@ -186,9 +181,6 @@ class AgentController(Controller):
     """The controller that carries out an agent's actions.
 
     Args:
-        action: what the agent commands.
-        robot: whose controller it is.
-        model: what it knows of the robot.
         timestep: s between two steps of the simulation.
 
     Raises:
@@ -214,7 +206,6 @@ class AgentController(Controller):
         self._action.begin(self._target, angles)
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,)."""
         self._action.advance()
         self._inner.torques(sensed, self._target, out)
 
@@ -234,10 +225,6 @@ def checked_action(
     """Returns an action as (n,) numbers within the bounds; what is beyond is cut off.
 
     Args:
-        action: what an agent gave.
-        spec: of it.
-        robot: for its joints' names.
-        unit: for messages.
         time: s, for messages.
         m: number of environments, where it is of many: then (m, n).
 

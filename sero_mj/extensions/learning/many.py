@@ -21,8 +21,7 @@ from ...simulate.control.make_controller import LimitedController, make_controll
 from ...simulate.control.robot_models import RobotModels
 from ...simulate.control.torque_loop import HangingLinks
 from ...simulate.drives import Drives
-from ...simulate.due_actions import DueActions
-from ...simulate.fault_schedule import FaultSchedule
+from ...simulate.event_schedule import DueActions, FaultSchedule
 from ...simulate.plant import PlantRows
 from ...simulate.robot_control import RobotControl
 from ...simulate.runs.run_log import MEASURED
@@ -162,7 +161,6 @@ class ManyEnvironments:
         return np.concatenate([simulate(first), *(each.result() for each in waited)])
 
     def _states_now(self) -> ManyStates:
-        """Where the robots are."""
         angles, measured = (
             np.concatenate([getattr(lane.plant, key)[:, 0] for lane in self.lanes])
             for key in ("actual", "measured")
@@ -190,11 +188,6 @@ class ManyEnvironments:
 
 class Lane:
     """The robots that one thread simulates.
-
-    Args:
-        environment: one of them.
-        rows: which of all robots they are, one after the other.
-        task: what is done.
 
     Attributes:
         rows: as given.
@@ -234,7 +227,6 @@ class Lane:
             self._find_flange()
 
     def _find_flange(self) -> None:
-        """Finds where pushes act."""
         world, physics = self._environment.world, self.plant.physics
         frame = world.frames.names.index(f"{self._environment.robot.name}/flange")
         self._site = int(world.frames.site[frame])
@@ -298,7 +290,6 @@ class Lane:
         return plant.physics.unstable.copy()
 
     def _begin_faults(self, which: Bools) -> None:
-        """Lets faults begin and end that are due now in some of the robots."""
         if self._environment.scenario.faults:
             for row in np.flatnonzero(which).tolist():
                 self._faults[row].act(int(self._k[row]))
@@ -318,7 +309,6 @@ class Lane:
         self._turning = np.moveaxis(np.array(rows), 2, 0).copy()
 
     def _push(self) -> None:
-        """Lets the forces act at where the flanges are now."""
         arms = self._points[:, self._site] - self._centers[:, self._body]
         self._pushes[:, self._body, 3:] = np.matmul(self._turning, arms[..., None])[..., 0]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 from ...base.errors import UsageError
 from ...base.options import Options
-from ...cli.background import Background
 from ...cli.render import RenderOptions, film_with_progress
+from ...cli.shared_options import Background
 from ...cli.terminal import make_console
 from .camera_feed import CameraFeed, VideoFeed
 from .camera_file import read_camera

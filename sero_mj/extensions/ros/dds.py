@@ -292,7 +292,6 @@ class Participant:
         self._end.set(True)
 
     def close(self) -> None:
-        """Leaves the domain."""
         self._kept.clear()
         del self._publications, self._waits, self._end, self._participant
 

@@ -58,7 +58,6 @@ class Foxglove(RosSource):
 
     @property
     def url(self) -> str:
-        """Where the server is."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{'wss' if self.tls else 'ws'}://{host}:{self.port}"
 

@@ -122,7 +122,6 @@ class JoinedPackets:
 
     @cached_property
     def layout(self) -> MessageLayout:
-        """The decoder of its packets."""
         return MessageLayout(self.structure)
 
     def take(self, topic: str, message: Any, arrival: float) -> bytes | None:

@@ -49,15 +49,12 @@ class MendedMcap:
         return str(self._path)
 
     def exists(self) -> bool:
-        """Whether it is there."""
         return self._path.exists()
 
     def is_dir(self) -> bool:
-        """False: it is a file."""
         return False
 
     def open(self, *_: Any, **__: Any) -> BinaryIO:
-        """Opens it for reading."""
         return io.BufferedReader(_Joined(open_file(self._path), self._end, self._behind))
 
 

@@ -82,7 +82,6 @@ class Address:
 
     @property
     def source(self) -> dict[str, Any]:
-        """The table of a source that reads it."""
         place: dict[str, Any] = {"kind": "ros2", "host": self.host}
         if self.domain is not None:
             place["domain"] = self.domain

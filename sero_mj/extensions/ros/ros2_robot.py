@@ -22,9 +22,9 @@ from ...base.frames import Array
 from ...data.record.joint_state_messages import JointStateMessages, JointStates
 from ...simulate.control.controller import MaybePerJoint, Sensed, Target
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.datagrams import Answering, Link, ProgramController
 from ...simulate.external_control.exchange import Answer, modulus_of
 from ...simulate.external_control.program import Program
+from ...simulate.external_control.program_controller import Answering, Link, ProgramController
 from . import messages
 from .dds import LOCALHOST, MOST_DOMAIN, Participant, domain_number
 from .joint_trajectory import JointTrajectory
@@ -115,7 +115,6 @@ class Ros2Node(Answering):
         return ProgramController(self, state, answer, model, timestep, link)
 
     def full(self, topic: str) -> str:
-        """A topic's full name."""
         before = self.namespace.strip("/")
         return topic if topic.startswith("/") else f"/{before}/{topic}" if before else f"/{topic}"
 
@@ -137,14 +136,12 @@ class JointStatePacket:
         self.packet = b""
 
     def fill(self, step: int, sensed: Sensed, target: Target) -> None:
-        """Writes the state of a step."""
         self._table[0] = sensed.values.ravel()
         self.time = sensed.time
         (self.packet,) = self._messages.encode(self._table, [round(sensed.time * 1e9)])
 
     @property
     def angles(self) -> Array:
-        """Of the joints, (n,), rad or m."""
         return self._table[0, : len(self.names)]
 
 

@@ -225,7 +225,6 @@ class RosSource(Source):
 
     @property
     def reads_transforms(self) -> bool:
-        """Whether it reads `tf` and `tf_static`."""
         return bool(self.frames) or is_tf(self.joint_states) or is_tf(self.odometry)
 
     def _full(self, topic: str) -> str:
@@ -239,7 +238,6 @@ class RosSource(Source):
         return bool(getattr(self, field) == type(self).model_fields[field].default)
 
     def with_fields(self, **fields: Any) -> RosSource:
-        """Another one that differs in some fields."""
         own = {key: self.__dict__[key] for key in type(self).model_fields}
         other = type(self)(**{**own, **fields})
         other.led_to(self._led)
@@ -255,7 +253,6 @@ class RosSource(Source):
         return "" if self.receiving else self._trouble
 
     def note_trouble(self, trouble: str) -> None:
-        """Sets `trouble`; for what reads the messages."""
         self._trouble = trouble
 
     def open(self) -> None:

@@ -21,7 +21,7 @@ from pydantic import Field, PrivateAttr
 
 from ...base.frames import Array
 from ...data.receive import connecting
-from ...data.receive.connecting import ConnectingSource, Connection, Nonsense
+from ...data.receive.connecting import ConnectingSource, Connection, ProtocolError
 from ...data.receive.structure import Structure, TorqueSign
 
 PORT = 30004
@@ -134,10 +134,10 @@ class RtdeReceiver(ConnectingSource):
         Returns at once the variables that the controller lacks, if there are any.
         """
         if connection.ask(ASK_VERSION, struct.pack(">H", VERSION), self._hear) != b"\1":
-            raise Nonsense("does not accept version 2 of RTDE")
+            raise ProtocolError("does not accept version 2 of RTDE")
         answer = connection.ask(ASK_CONTROLLER, b"", self._hear)
         if len(answer) != 16:
-            raise Nonsense("does not tell its version", answer)
+            raise ProtocolError("does not tell its version", answer)
         version = struct.unpack(">4I", answer)
         fastest = 500.0 if version[0] >= 5 else 125.0
         rate = min(self.frequency or fastest, fastest)
@@ -146,14 +146,14 @@ class RtdeReceiver(ConnectingSource):
         answer = connection.ask(SET_UP, struct.pack(">d", rate) + names, self._hear)
         found = answer[1:].decode("ascii", "replace").split(",")
         if len(found) != len(recipe):
-            raise Nonsense(f"told {len(found)} types of {len(recipe)} variables", answer)
+            raise ProtocolError(f"told {len(found)} types of {len(recipe)} variables", answer)
         lacking = self._check_types(recipe, found)
         if lacking:
             if len(lacking) == len(recipe):
-                raise Nonsense("has none of the variables that are needed")
+                raise ProtocolError("has none of the variables that are needed")
             return lacking
         if connection.ask(START, b"", self._hear) != b"\1":
-            raise Nonsense("does not start to send")
+            raise ProtocolError("does not start to send")
         self._begin(f"{rate:g} Hz")
         if MEASURED in left_out and COMMANDED not in left_out:
             self._state += ", torques are commanded, not measured"
@@ -189,7 +189,7 @@ class RtdeReceiver(ConnectingSource):
         if kind == TEXT:
             self._hear(payload)
         elif kind != DATA:
-            raise Nonsense(f"sent message {chr(kind)} among data packages", payload)
+            raise ProtocolError(f"sent message {chr(kind)} among data packages", payload)
         return kind == DATA
 
     def _hear(self, payload: bytes) -> None:
@@ -228,7 +228,9 @@ class _Connection(Connection):
             if found == kind:
                 return payload
             if found != TEXT:
-                raise Nonsense(f"answers question {chr(kind)} by message {chr(found)}", payload)
+                raise ProtocolError(
+                    f"answers question {chr(kind)} by message {chr(found)}", payload
+                )
             hear(payload)
             if clock.monotonic() > deadline:
                 raise TimeoutError(f"does not answer question {chr(kind)}")
@@ -248,7 +250,7 @@ class _Connection(Connection):
             size, kind = HEAD.unpack_from(received, at)
             if not HEAD.size <= size <= _MOST_BYTES or kind not in _TYPES:
                 text = f"sends what is no message of RTDE: {size} bytes of type {kind}"
-                raise Nonsense(text, received[at:])
+                raise ProtocolError(text, received[at:])
             if len(received) - at < size:
                 break
             self._messages.append((kind, received[at + HEAD.size : at + size]))

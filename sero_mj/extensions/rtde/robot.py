@@ -39,8 +39,8 @@ from ...simulate.external_control.commanded_motion import (
     TORQUES,
     CommandedMotion,
 )
-from ...simulate.external_control.datagrams import Reachable
 from ...simulate.external_control.program import PORT, Program
+from ...simulate.external_control.program_controller import Reachable
 from .server import RtdePeer, RtdeServer
 from .state import JOINTS, RtdeState
 from .variables import INPUT_DOUBLE, INPUT_INT, OUTPUT_INT, REGISTERS
@@ -185,7 +185,6 @@ class RtdeRobot(Controller):
 
     @property
     def is_running(self) -> bool:
-        """Whether the robot's program is."""
         return self._state.is_running
 
     def value(self, name: str) -> Any:

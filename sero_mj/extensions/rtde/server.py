@@ -20,7 +20,7 @@ from contextlib import suppress
 from typing import Any, Protocol
 
 from ...base.once import Once
-from ...data.receive.connecting import Nonsense
+from ...data.receive.connecting import ProtocolError
 from .receiver import (
     ASK_CONTROLLER,
     ASK_VERSION,
@@ -85,10 +85,10 @@ class Peer(ABC):
 
     @abstractmethod
     def hear(self, received: bytes) -> bytes:
-        """Acts on what has come, and returns what is incomplete; raises Nonsense."""
+        """Acts on what has come, and returns what is incomplete; raises ProtocolError."""
 
     def read(self) -> None:
-        """Takes what has come; raises OSError or Nonsense."""
+        """Takes what has come; raises OSError or ProtocolError."""
         more = self.socket.recv(65536)
         if not more:
             raise ConnectionError("it closed the connection")
@@ -102,7 +102,6 @@ class Peer(ABC):
         self.flush()
 
     def flush(self) -> bool:
-        """Sends what is left; whether nothing is."""
         with suppress(BlockingIOError):
             while self._unsent:
                 del self._unsent[: self.socket.send(self._unsent)]
@@ -132,7 +131,7 @@ class RtdePeer(Peer):
         while len(received) - at >= HEAD.size:
             size, kind = HEAD.unpack_from(received, at)
             if not HEAD.size <= size <= _MOST_BYTES or kind not in _KINDS:
-                raise Nonsense(f"sent what is no message of RTDE: {size} bytes of type {kind}")
+                raise ProtocolError(f"sent what is no message of RTDE: {size} bytes of type {kind}")
             if len(received) - at < size:
                 break
             self._obey(kind, received[at + HEAD.size : at + size])
@@ -140,14 +139,12 @@ class RtdePeer(Peer):
         return received[at:]
 
     def say(self, text: str) -> None:
-        """Sends a text message."""
         said = text.encode()[:255]
         payload = bytes([len(said)]) + said + bytes([len(_SOURCE)]) + _SOURCE + bytes([_WARNING])
         self._answer(TEXT, payload)
 
     @property
     def is_ready(self) -> bool:
-        """Whether packages may be sent to it."""
         return self.is_started and clock.monotonic() >= self._begins
 
     def is_due(self, cycle: int) -> bool:
@@ -180,7 +177,7 @@ class RtdePeer(Peer):
             said = payload[1 : 1 + payload[0]] if payload else b""
             self.server.tell(f"client {self.name} says: {said.decode('utf-8', 'replace')}")
         elif not self._has_version:
-            raise Nonsense(f"sent {chr(kind)} before it asked for version {VERSION} of RTDE")
+            raise ProtocolError(f"sent {chr(kind)} before it asked for version {VERSION} of RTDE")
         elif kind == SET_UP:
             self._set_up_outputs(payload)
         elif kind == SET_UP_INPUTS:
@@ -199,7 +196,7 @@ class RtdePeer(Peer):
 
     def _set_up_outputs(self, payload: bytes) -> None:
         if len(payload) < 8:
-            raise Nonsense(f"set up outputs in {len(payload)} bytes")
+            raise ProtocolError(f"set up outputs in {len(payload)} bytes")
         (rate,) = struct.unpack_from(">d", payload)
         recipe = Recipe(payload[8:], OUTPUTS, frozenset())
         self.is_started = self.is_awaited = False
@@ -242,13 +239,12 @@ class DashboardPeer(Peer):
     """A client of the dashboard server, as far as clients of RTDE use it."""
 
     def greet(self) -> None:
-        """What is said first."""
         self.send(b"Connected: Universal Robots Dashboard Server\n")
 
     def hear(self, received: bytes) -> bytes:
         *lines, rest = received.split(b"\n")
         if len(rest) > _MOST_BYTES:
-            raise Nonsense("sent no line")
+            raise ProtocolError("sent no line")
         for line in lines:
             self.send(self._answer_to(line.decode("utf-8", "replace").strip()).encode() + b"\n")
         return rest
@@ -301,7 +297,6 @@ class RtdeServer:
 
     @property
     def peers(self) -> list[RtdePeer]:
-        """The clients of RTDE."""
         return [peer for peer in self._peers.values() if isinstance(peer, RtdePeer)]
 
     def open(self, host: str, port: int, dashboard: int = 0, script: int = 0) -> None:
@@ -364,7 +359,6 @@ class RtdeServer:
                 self._do(peer, peer.send_package)
 
     def send_to(self, peer: RtdePeer) -> None:
-        """Sends a package to one client."""
         self._do(peer, peer.send_package)
 
     def claimed_by_others(self, but: RtdePeer) -> frozenset[str]:
@@ -372,7 +366,6 @@ class RtdeServer:
         return frozenset().union(*(peer.claimed for peer in self.peers if peer is not but))
 
     def tell(self, text: str) -> None:
-        """Logs something once."""
         if self._is_new(text):
             log.warning("%s: %s", self._name, text)
 
@@ -402,7 +395,7 @@ class RtdeServer:
             act()
         except BlockingIOError:
             pass
-        except Nonsense as error:
+        except ProtocolError as error:
             self.desk.count_wrong(f"client {peer.name} {error}")
             self._drop(peer, "")
         except OSError as error:

@@ -101,7 +101,6 @@ class RtdeState:
         self._last[:] = self._motion.angles
 
     def value(self, name: str) -> Any:
-        """A number, or those of a vector."""
         value = self.registers.get(name)
         if value is None and name in CONSTANT:
             value = CONSTANT[name][1]
@@ -117,7 +116,6 @@ class RtdeState:
         return value
 
     def take(self, inputs: Mapping[str, Any]) -> None:
-        """Takes what a client has set."""
         self.registers.update({name: inputs[name] for name in inputs if "_register" in name})
         for name, first, bits in (("standard", 0, 8), ("configurable", 8, 8), ("tool", 16, 2)):
             mask = inputs.get(f"{name}_digital_output_mask", 0) & ((1 << bits) - 1)

@@ -49,7 +49,6 @@ GROUP, ORDER = "simulate", 32
 
 
 def _shard(value: Any) -> Any:
-    """Reads `2/8`, which is the second of eight."""
     if not isinstance(value, str):
         return value
     number, _, of = value.partition("/")
@@ -190,7 +189,6 @@ add_to = command("sweep", run, SweepOptions, _HELP)
 
 
 def _parts(options: SweepOptions) -> list[Path]:
-    """The tables to join: files, and what patterns stand for."""
     found = []
     for path in options.merge:
         matches = sorted(path.parent.glob(path.name))
@@ -201,7 +199,6 @@ def _parts(options: SweepOptions) -> list[Path]:
 
 
 def _sbatch(count: int, options: SweepOptions) -> str:
-    """A job of SLURM with one task for each shard, which goes on where it is started again."""
     words = ["sero-mj", "sweep", options.scenario]
     for option, values in (("--vary", options.vary), ("--set", options.settings)):
         words += [word for value in values for word in (option, str(value))]

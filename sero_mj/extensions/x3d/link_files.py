@@ -23,8 +23,7 @@ Geom = mujoco.mjtGeom
 def link_files(robot: SerialRobot) -> dict[str, str]:
     """Returns the text of each file of base and links by name, in the order of `filenames`.
 
-    Raises:
-        DeclarationError: a mesh cannot be read.
+    Raises DeclarationError if a mesh cannot be read.
     """
     root, problems = mujoco.MjSpec(), list[Problem]()
     links = drawn_geoms(root, robot, problems)

@@ -35,7 +35,7 @@ from .protos import (
 )
 from .surroundings import camera_table, light_table, object_table, rounded, view_axes
 from .vrml import read_document
-from .vrml_nodes import Document, Node, Problems, Route, Value, get, read_field
+from .vrml_nodes import Document, FieldValue, Node, Problems, RouteStatement, get, read_field
 from .wrl import VisitedNode, kind_of, matrix, transform_of, visit
 
 _MAX_DEBUG_LEVEL = 3
@@ -48,22 +48,15 @@ _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
 
 
 def read_x3d(path: Path) -> ImportedTables:
-    """Reads a scene of robots, sources, routes, shapes, viewpoints and lights.
+    """Reads a scene in X3D's classic encoding, or in VRML97.
 
     Other nodes are listed in one warning; so are missing geometry files of robots, whose links are
-    generated from the DH table.
-
-    Args:
-        path: of a file in X3D's classic encoding, or VRML97.
-
-    Raises:
-        DeclarationError: all X3D errors, with lines. Errors in a robot or a source are reported
-            when it is built from the tables.
+    generated from the DH table. Raises DeclarationError with all X3D errors, with lines.
     """
-    return _Reader(read_document(path)).described()
+    return _X3dReader(read_document(path)).described()
 
 
-class _Reader:
+class _X3dReader:
     def __init__(self, document: Document) -> None:
         self.document, self.path = document, document.path
         self.problems = Problems(document.path)
@@ -419,7 +412,7 @@ class _Reader:
         base = np.array(table.get("base_frame", np.eye(4)))
         return "mount" not in table and np.allclose(base, T, rtol=0, atol=1e-9)
 
-    def _meant(self, route: Route) -> tuple[str, str, str] | None:
+    def _meant(self, route: RouteStatement) -> tuple[str, str, str] | None:
         """The source of a ROUTE, its target robot, and its text for messages.
 
         None for one that is invalid, left out, or already handled.
@@ -451,7 +444,9 @@ class _Reader:
             self.problems.add(f"ROUTE {text}", message, line)
         return None
 
-    def _route(self, route: Route, origin: str, robot: str, text: str, *, is_turned: bool) -> None:
+    def _route(
+        self, route: RouteStatement, origin: str, robot: str, text: str, *, is_turned: bool
+    ) -> None:
         field, line = route.input.removeprefix("set_"), route.line
         target = self.document.names[route.target]
         if field in ("flangeFrame", "axesTransparency", "enableTouchSensor", "children"):
@@ -501,7 +496,7 @@ def _why_not(file: Path) -> str:
     return ""
 
 
-def _values(node: Node) -> dict[str, Value]:
+def _values(node: Node) -> dict[str, FieldValue]:
     declared = {} if node.proto is None else node.proto.fields
     given = {name: each.value for name, each in declared.items() if each.value is not None}
     return {**given, **node.fields}

@@ -23,12 +23,12 @@ from .vrml_nodes import (
     TYPES,
     Document,
     Field,
+    FieldValue,
     Is,
     Node,
     Problems,
     Proto,
-    Route,
-    Value,
+    RouteStatement,
     first,
     is_text,
     read_field,
@@ -68,8 +68,7 @@ _WITH_VALUE = ("initializeOnly", "inputOutput")
 def read_document(path: Path) -> Document:
     """Reads a file of VRML97, or of X3D in the classic encoding; it may be gzip-compressed.
 
-    Raises:
-        DeclarationError: all that is wrong with it, with lines.
+    Raises DeclarationError with all that is wrong with it, with lines.
     """
     return parse_document(_read_text(path), path)
 
@@ -119,10 +118,9 @@ def _what_else(start: str) -> str:
 def parse_document(text: str, path: Path) -> Document:
     """Parses text; the header is optional.
 
-    Raises:
-        DeclarationError: all that is wrong with it, with lines of `path`.
+    Raises DeclarationError with all that is wrong with it, with lines of `path`.
     """
-    parser = _Parser(text, path)
+    parser = _VrmlParser(text, path)
     document = parser.document()
     parser.problems.raise_all()
     return document
@@ -139,15 +137,15 @@ class _TooMuch(Exception):
     """The file exceeds a limit, which has been reported."""
 
 
-class _Scope:
+class _NameScope:
     def __init__(self, protos: dict[str, Proto]) -> None:
         self.names: dict[str, Node] = {}
         self.open: list[Node] = []  # named nodes that enclose the current one
         self.protos = protos
-        self.routes: list[Route] = []
+        self.routes: list[RouteStatement] = []
 
 
-class _Parser:
+class _VrmlParser:
     def __init__(self, text: str, path: Path) -> None:
         self.problems = Problems(path)
         self._tokens = self._scan(text)
@@ -155,7 +153,7 @@ class _Parser:
         # After an error nothing more is reported until something parses again.
         self._is_lost = False
         self._mistakes = 0  # reported or not
-        self._scope = _Scope({})
+        self._scope = _NameScope({})
         self._token = _Token("mark", "", 1)
         self._next()
 
@@ -296,7 +294,7 @@ class _Parser:
                 if name is None:
                     return
                 ends.append(name)
-        self._scope.routes.append(Route(ends[0], ends[1], ends[2], ends[3], line))
+        self._scope.routes.append(RouteStatement(ends[0], ends[1], ends[2], ends[3], line))
         self._is_lost = False
 
     def _proto(self) -> None:
@@ -305,7 +303,7 @@ class _Parser:
         name = self._name("the name of a PROTO")
         proto = Proto(name or "", line)
         proto.fields = self._interface()
-        outside, self._scope = self._scope, _Scope(dict(self._scope.protos))
+        outside, self._scope = self._scope, _NameScope(dict(self._scope.protos))
         if not self._takes("{"):
             self._wrong(f"{{ and the body of PROTO {proto.name}")
         else:
@@ -450,16 +448,16 @@ class _Parser:
                     node.fields[token.text] = value
                     self._is_lost &= self._mistakes > before
 
-    def _value(self, key: str) -> Value | None:
+    def _value(self, key: str) -> FieldValue | None:
         token = self._token
         if token.kind == "numbers":
             self._next()
             assert token.numbers is not None
-            return Value(token.numbers, token.line)
+            return FieldValue(token.numbers, token.line)
         if token.text == "IS" and token.kind == "name":
             self._next()
             name = self._name("the name of a field behind IS")
-            return None if name is None else Value((Is(name),), token.line)
+            return None if name is None else FieldValue((Is(name),), token.line)
         items: list[Any] = []
         if self._takes("["):
             while not self._takes("]"):
@@ -471,7 +469,7 @@ class _Parser:
                 if not self._item(items):
                     self._wrong("a value", key=key)
                     self._skip()
-            return Value(items, token.line)
+            return FieldValue(items, token.line)
         if not self._item(items):
             self._wrong("its value", key=key)
             return None
@@ -479,7 +477,7 @@ class _Parser:
             # Several numbers or strings without brackets end at the next name.
             while self._token.kind in ("number", "text") and self._item(items):
                 pass
-        return Value(items, token.line)
+        return FieldValue(items, token.line)
 
     def _item(self, items: list[Any]) -> bool:
         token = self._token

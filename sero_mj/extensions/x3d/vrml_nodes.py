@@ -37,7 +37,7 @@ class Is(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Value:
+class FieldValue:
     """The untyped value of a field.
 
     Attributes:
@@ -55,7 +55,7 @@ class Field:
 
     access: str
     type: str
-    value: Value | None
+    value: FieldValue | None
     line: int
 
 
@@ -81,14 +81,14 @@ class Node:
     kind: str
     line: int
     name: str = ""
-    fields: dict[str, Value] = field(default_factory=dict)
+    fields: dict[str, FieldValue] = field(default_factory=dict)
     proto: Proto | None = None
 
     @property
     def label(self) -> str:
         return self.name or self.kind
 
-    def value(self, name: str) -> Value | None:
+    def value(self, name: str) -> FieldValue | None:
         """The value of a field, or its PROTO's default; None without either."""
         if name in self.fields:
             return self.fields[name]
@@ -97,7 +97,7 @@ class Node:
 
 
 @dataclass(frozen=True)
-class Route:
+class RouteStatement:
     """`ROUTE node.event TO node.event`."""
 
     origin: str
@@ -113,7 +113,7 @@ class Document:
 
     path: Path
     nodes: list[Node] = field(default_factory=list)
-    routes: list[Route] = field(default_factory=list)
+    routes: list[RouteStatement] = field(default_factory=list)
     names: dict[str, Node] = field(default_factory=dict)
     protos: dict[str, Proto] = field(default_factory=dict)
 
@@ -170,16 +170,16 @@ def instance(node: Node) -> Node | None:
                 new.fields[name] = bound if bound is not value else copied(value)
         return new
 
-    def copied(value: Value) -> Value:
+    def copied(value: FieldValue) -> FieldValue:
         if isinstance(value.items, np.ndarray):
             return value
         items = [copy(item) if isinstance(item, Node) else item for item in value.items]
-        return Value(items, value.line)
+        return FieldValue(items, value.line)
 
     return copy(node.proto.body[0])
 
 
-def first(value: Value) -> Any:
+def first(value: FieldValue) -> Any:
     """The first item of a value; None if it is empty."""
     return value.items[0] if len(value.items) else None
 
@@ -189,7 +189,7 @@ def is_text(item: Any) -> bool:
     return isinstance(item, str)
 
 
-def read_field(value: Value, kind: str) -> Any:
+def read_field(value: FieldValue, kind: str) -> Any:
     """Converts a value to a type, with or without brackets.
 
     Args:

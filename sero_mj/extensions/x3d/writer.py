@@ -37,14 +37,10 @@ _IDENTITY = np.eye(4)
 
 
 def x3d_text(tables: Mapping[str, Any]) -> tuple[str, list[str]]:
-    """Writes a scene that `read_x3d` reads again.
+    """Writes a scene that `read_x3d` reads again; returns the text, and the keys left out of it.
 
-    Args:
-        tables: of a scene file, with the fields of robots in them instead of `model`; defaults may
-            be omitted.
-
-    Returns:
-        the text, and the dotted keys left out of it, some with a reason.
+    The tables are those of a scene file, with the fields of robots instead of `model`; defaults may
+    be omitted.
     """
     writer = _Writer(tables)
     return writer.text(), writer.left_out

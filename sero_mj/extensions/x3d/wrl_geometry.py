@@ -129,17 +129,10 @@ def _check_index(name: str, index: Ints, count: int, least: int = -1) -> None:
 
 
 def _cut(points: Array, index: Ints) -> Ints:
-    """Triangulates polygons.
+    """Triangulates polygons of points (n, 3) with indices that end with -1 each.
 
-    Args:
-        points: (n, 3).
-        index: of their corners, with -1 after each polygon.
-
-    Returns:
-        positions in `index` of the corners of triangles, (f, 3).
-
-    Raises:
-        ValueError: there are too many concave polygons, or they are too long.
+    Returns positions in `index` of the corners of triangles, (f, 3). Raises ValueError for too many
+    concave polygons, or too long ones.
     """
     ends = np.flatnonzero(np.append(index, -1) < 0)
     starts = np.append(0, ends[:-1] + 1)
@@ -176,18 +169,9 @@ def _cut(points: Array, index: Ints) -> Ints:
 
 
 def clip_ears(outline: Array, normal: Array) -> Ints:
-    """Triangulates a planar, possibly concave polygon by clipping ears.
+    """Returns triangles (n - 2, 3) of a planar, possibly concave outline (n, 3) by clipping ears.
 
-    Args:
-        outline: its corners (n, 3), counter-clockwise seen along -normal.
-        normal: (3,), of any length.
-
-    Returns:
-        corners of the triangles, (n - 2, 3).
-
-    Raises:
-        ValueError: it has too many corners.
-
+    Its corners are counter-clockwise seen along -normal. Raises ValueError if it has too many.
     Source: Meisters, Polygons Have Ears, 1975.
     """
     if len(outline) > _MAX_CORNERS:
@@ -304,15 +288,9 @@ def _smoothing(
 
 
 def smoothed(normals: Array, faces: Ints, least_cosine: float) -> Ints:
-    """Numbers corners of triangles so that those that meet at smooth edges share a number.
+    """Numbers corners of triangles (f, 3) so that those that meet at smooth edges share a number.
 
-    Args:
-        normals: of the triangles (f, 3), of any non-zero length.
-        faces: (f, 3).
-        least_cosine: of the angle between two triangles at a smooth edge.
-
-    Returns:
-        (f, 3).
+    At these the normals of two triangles, of any non-zero length, have `least_cosine` or more.
     """
     units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     count = len(faces)

@@ -27,14 +27,11 @@ def lack_of_friction(robot: SerialRobot) -> str:
 
 
 def friction_of(robot: SerialRobot, velocities: Array) -> Array:
-    """Returns the torques that overcome the declared friction, (..., n), Nm or N; estimates none.
+    """Returns the torques (..., n), Nm or N, that overcome the declared friction.
 
     Viscous friction in proportion to the velocity, plus Coulomb friction in its direction. At rest
     the latter can be anything between its two values; below `SLOW` it goes over from one to the
     other, through zero, so that noise of the velocity does not make it jump.
-
-    Args:
-        velocities: of its joints, (..., n), rad/s or m/s.
     """
     viscous, coulomb = robot.dynamics.viscous_friction, robot.dynamics.coulomb_friction
     torques: Array = np.zeros_like(velocities, float)

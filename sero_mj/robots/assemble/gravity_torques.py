@@ -24,10 +24,8 @@ log = logging.getLogger(__name__)
 class GravityTorques:
     """Computes the gravity torques of robots, including everything that they carry.
 
-    Mounted robots load their carriers. Bases are at their declared frames.
-
-    Raises:
-        DeclarationError: MuJoCo cannot compile the robots, or one of them floats.
+    Bases are at their declared frames. Raises DeclarationError if MuJoCo cannot compile the robots,
+    or one of them floats.
     """
 
     def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
@@ -59,9 +57,8 @@ class GravityTorques:
     def over_time(self, angles: Mapping[str, Array]) -> dict[str, Array]:
         """Returns the torques of every robot at several times, (T, n), Nm or N.
 
-        Args:
-            angles: of every robot, (T, n), or (n,) if they are the same at all times; NaN where
-                they are unknown, which its torques and those of all others then are.
+        Angles are (T, n), or (n,) if they are the same at all times. Where they are NaN, unknown,
+        the torques of all robots are.
         """
         count = max((len(each) for each in angles.values() if each.ndim > 1), default=1)
         rows = {name: np.broadcast_to(q, (count, q.shape[-1])) for name, q in angles.items()}

@@ -43,10 +43,7 @@ def drawn_geoms(
 ) -> list[list[Geom]]:
     """Returns the attributes of the visible geoms of the base and every link, in their frames.
 
-    Args:
-        problems: receives those of unreadable files.
-        shrink: factor of all sizes, about each link's origin.
-        hull: of meshes, see `mesh_assets`.
+    Sizes are scaled by `shrink` about each link's origin. Errors are added to `problems`.
     """
     scope = "" if shrink == 1.0 else f"double-{robot.name}-"
     if robot.mjcf is not None:
@@ -73,8 +70,7 @@ def trim_geoms(robot: SerialRobot) -> list[list[Geom]]:
 def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
     """Returns the geoms of the declared `collisions`, or of MJCF.
 
-    Raises:
-        DeclarationError: a file cannot be read.
+    Raises DeclarationError if a file cannot be read.
     """
     if robot.mjcf is not None:
         return touching_links(root, robot)
@@ -124,12 +120,7 @@ def part_geoms(
 ) -> list[Geom]:
     """Returns the attributes of the geoms of a mesh file, one for each colour, or of a shape.
 
-    Args:
-        rgba: its colour; None for the file's own.
-        hull: of its mesh, see `mesh_assets`.
-
-    Raises:
-        DeclarationError: the file cannot be read.
+    Raises DeclarationError if the file cannot be read.
     """
     at = pose(part.frame) | finish_material(root, part.finish)
     if part.shape is not None:

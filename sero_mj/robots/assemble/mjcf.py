@@ -68,11 +68,8 @@ _SHRINK = 0.985
 def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None) -> mujoco.MjSpec:
     """Returns the scene as one `MjSpec`, names scoped by robot (`lwr/link1`).
 
-    Args:
-        dynamics: of every robot, for the simulated variant; None for the display variant.
-
-    Raises:
-        DeclarationError: an MJCF piece cannot be read, or a file is missing.
+    With the robots' dynamics it is the simulated variant, else for display. Raises DeclarationError
+    if an MJCF piece cannot be read, or a file is missing.
     """
     root = mujoco.MjSpec()
     root.modelname = scene.name
@@ -315,10 +312,7 @@ def build_surroundings(
 ) -> mujoco.MjSpec:
     """Returns surroundings like those of scenes, without robots.
 
-    Args:
-        floor: its height, m; None for no floor.
-        middle: of the lit region, (3,), m.
-        size: of that, m.
+    The floor has a height, m, or is None. The lit region has a middle (3,) and a size, m.
     """
     root = mujoco.MjSpec()
     palette = PALETTES[look]

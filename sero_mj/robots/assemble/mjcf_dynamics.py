@@ -261,10 +261,8 @@ def exclude_mounted(
     """Excludes collisions between links that mounts make neighbours.
 
     As within one robot these are links with up to two joints between them, here over a mount: of
-    the robot that carries and of the carried one, or of two that the same link carries.
-
-    Args:
-        together: names of robots in the world that are mounted together: fingers on a palm.
+    the robot that carries and of the carried one, or of two that the same link carries, such as
+    fingers on a palm (`together`).
     """
     # By carrying link: the robots on it, their links near it, and their distances in joints.
     ways: dict[tuple[str, int], list[tuple[str, list[tuple[int, int]]]]] = {}

@@ -287,11 +287,9 @@ class JointTable:
         return np.concatenate([data.qpos[self.qpos], data.userdata[self.angle_slots]])
 
     def note_largest(self, torques: Array, most: float) -> None:
-        """Raises `torque_limit` to torques that are larger, where `is_largest`.
+        """Raises `torque_limit` to torques (N,) that are larger, where `is_largest`.
 
-        Args:
-            torques: (N,), Nm or N; NaN for no data.
-            most: multiple of the limit so far above which a torque counts as a fault.
+        A torque above `most` times the limit so far counts as a fault.
         """
         limit, size = self.torque_limit, np.abs(torques)
         with np.errstate(invalid="ignore"):
@@ -356,10 +354,7 @@ def make_tables(
 ) -> tuple[JointTable, FrameTable, ArrowTable]:
     """Builds the tables of all joints, named frames and smart arrows of a compiled scene.
 
-    Args:
-        owners: robots, then doubles that have joints, by name.
-        flags: index in `userdata` of the flag that an input was set, by its name.
-        sites: returns the ids of sites (k,) by their names.
+    Owners are robots, then doubles that have joints; `sites` returns the ids of sites by name.
     """
     return (
         _joint_table(owners, slots, flags, sites),

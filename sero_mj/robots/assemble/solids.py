@@ -92,13 +92,10 @@ class Solids:
         self._skins = _posed_skins(model, data) if model.nskin else []
 
     def hidden_shares(self, centre: Array, axis: Array, radii: Array, height: float) -> Array:
-        """Returns the share of a ring about an axis that is inside geoms or skins, (k,).
+        """Returns the share of rings about an axis that is inside geoms or skins, (k,).
 
-        Args:
-            centre: of the ring, (3,), m.
-            axis: unit vector (3,).
-            radii: of the ring, ascending, (k,), m.
-            height: of the ring along the axis, m.
+        The rings have ascending radii (k,), m, and are at a height, m, along the axis from the
+        centre.
         """
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)

@@ -1,9 +1,7 @@
 """`World`: a compiled scene with index arrays of its robots, doubles, frames and inputs.
 
-Values that decor shows and `MjData` has no field for (received torques, billboard values, the
-state of sources) are stored in named slots of `MjData.userdata`. This is part of MuJoCo's
-integration state, so copies, history and recordings include it. `mj_resetData` zeroes it: apply
-the latest packet again afterwards.
+Values that decor shows and `MjData` has no field for are stored in named slots of
+`MjData.userdata`, which copies, history and recordings include. `mj_resetData` zeroes it.
 """
 
 from __future__ import annotations
@@ -210,15 +208,10 @@ class World(WorldView):
         userdata[self.flags[target]] = SET_BY_PROGRAM
 
     def export(self, path: Path) -> list[Path]:
-        """Writes the scene as MJCF with its mesh files; key frame `home` is the declared pose.
+        """Writes the scene as MJCF, and its mesh files in `NAME_assets`; returns all files.
 
-        Masses are those of simulation; a comment says which ones are estimated.
-
-        Args:
-            path: the XML file; meshes go into a folder beside it, `NAME_assets`.
-
-        Returns:
-            the files written, the XML first.
+        Key frame `home` is the declared pose. Masses are those of simulation; a comment says which
+        ones are estimated.
         """
         spec, about = self._weighed()
         if self.model.nq and spec.key("home") is None:
@@ -295,7 +288,7 @@ class World(WorldView):
         data = self._at_home() if fitted else None
         for name, part in fitted.items():
             joints = self.model.dof_jntid[part.dofs].astype(np.intp)
-            bodies = np.unique([*part.bodies, part.flange_body])
+            bodies = np.array(sorted({*part.bodies.tolist(), part.flange_body}), np.intp)
             names = [f"{part.scope}centre{i + 1}" for i in range(part.robot.n)]
             centres = np.array([self.model.site(each).id for each in names], np.intp)
             seen = MeasuredBodies(bodies, joints, np.zeros(0, np.intp), centres)
@@ -369,8 +362,7 @@ def _warn_of_lengths(scene: Scene) -> None:
 def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
     """Masses, friction and elasticity of all robots of a scene, by name.
 
-    Raises:
-        DeclarationError: all their errors.
+    Raises DeclarationError with all their errors.
     """
     found: dict[str, RobotDynamics] = {}
     problems: list[Problem] = []

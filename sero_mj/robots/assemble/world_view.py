@@ -75,21 +75,14 @@ class WorldView(Protocol):
     def weighed(self) -> mujoco.MjModel:
         """Returns the model with the masses of simulation: itself where it has them.
 
-        Raises:
-            DeclarationError: errors of the robots' masses.
+        Raises DeclarationError with errors of the robots' masses.
         """
         return self.model
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
-        """Sets an input.
+        """Sets an input, `name.input` of `inputs`, to values of its shape, SI units.
 
-        Args:
-            target: `name.input`, e.g. `lwr.torques`; see `inputs`.
-            values: of the input's shape, SI units.
-
-        Raises:
-            UnknownName: no such name or input.
-            ValueError: the values do not fit the input.
+        Raises UnknownName for an unknown input, and ValueError for values that do not fit.
         """
 
     def set_declared(self, data: mujoco.MjData, declared: Any, keys: Iterable[str]) -> None:
@@ -103,12 +96,7 @@ class WorldView(Protocol):
                 self.set_input(data, f"{declared.name}.{key}", getattr(declared, key))
 
     def set_pose(self, data: mujoco.MjData, name: str, T_world: Array) -> None:
-        """Sets the pose of a base, received frame, object or camera.
-
-        Args:
-            name: one of `placed`.
-            T_world: pose in the world, (4, 4), translation in m.
-        """
+        """Sets the pose (4, 4), m, in the world of one of `placed`."""
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, T_world[:3, :3].ravel())
         data.mocap_pos[self.placed[name]] = T_world[:3, 3]

@@ -74,14 +74,10 @@ class CoupledJoints:
         return np.asarray(independent[..., self.source] * self.ratio)
 
     def full(self, key: str, values: Array) -> Array:
-        """Returns values of a per-joint input for all joints.
+        """Returns a per-joint input (..., n), given it or that of the independent joints (..., k).
 
-        Coupled joints get positions and accelerations computed from the others', and NaN, no data,
-        for anything else.
-
-        Args:
-            key: of the input, e.g. `joint_angles`.
-            values: (..., n), returned unchanged, or (..., k).
+        Coupled joints get computed positions and accelerations, and NaN, no data, for anything
+        else.
         """
         if values.shape[-1] != self.k or not self.is_coupled:
             return values

@@ -73,16 +73,14 @@ class Expanded:
 def expand_groups(tables: Mapping[str, Any], file: Path, most: Mapping[str, int]) -> Expanded:
     """Expands the groups of a scene that have a model; others are kept.
 
-    Args:
-        tables: of the scene's `groups`, by name.
-        file: of the scene; models are searched for beside it, and among the shipped ones.
-        most: maximum numbers of `robots` and `groups`; expansion stops soon after them.
+    Models are searched for beside the scene's file, and among the shipped ones. Expansion stops
+    soon after `most` robots and groups.
     """
     found = Expanded(most=most)
     for name, table in tables.items():
         if isinstance(table, Mapping) and "model" in table:
             entry = _found_from(file.parent, {"groups": {name: table}})["groups"][name]
-            _add_group(found, _Place(), name, entry, ((file, f"groups.{name}"),))
+            _add_group(found, _Placement(), name, entry, ((file, f"groups.{name}"),))
         else:
             found.groups[name] = table
     return found
@@ -106,7 +104,7 @@ def has_key(place: tuple[Path, str], key: str) -> bool:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Placement:
     """The frame of the members of a model, or of a scene's robots.
 
     Attributes:
@@ -123,7 +121,7 @@ class _Place:
     mounted: Declared = ()
     inside: tuple[Path, ...] = ()
 
-    def of(self, name: str, table: Mapping[str, Any], declared: Declared) -> _Place:
+    def of(self, name: str, table: Mapping[str, Any], declared: Declared) -> _Placement:
         T, mirrored, mount = np.eye(4), table.get("mirrored", False), table.get("mount")
         problems = []
         try:
@@ -142,11 +140,11 @@ class _Place:
         else:  # on another member, which is mirrored if the group is
             mount = f"{self.scope}{mount}"
         scope = f"{self.scope}{name}_"
-        return _Place(scope, T, mirrored != self.mirrored, mount, declared, self.inside)
+        return _Placement(scope, T, mirrored != self.mirrored, mount, declared, self.inside)
 
 
 def _add_group(
-    found: Expanded, around: _Place, name: str, entry: Mapping[str, Any], declared: Declared
+    found: Expanded, around: _Placement, name: str, entry: Mapping[str, Any], declared: Declared
 ) -> None:
     if found.is_full:
         return
@@ -200,7 +198,7 @@ class _Members:
     """
 
     def __init__(
-        self, found: Expanded, place: _Place, entry: Mapping[str, Any], declared: Declared
+        self, found: Expanded, place: _Placement, entry: Mapping[str, Any], declared: Declared
     ) -> None:
         self._found, self._place, self._entry, self._declared = found, place, entry, declared
         self._path = place.inside[-1]
@@ -326,11 +324,7 @@ def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -
     """Returns tables with models, meshes and MJCF files resolved to absolute paths.
 
     An existing model is replaced by the `Path` of its file; names are searched for beside the file
-    that contains them.
-
-    Args:
-        tables: of a model, with its sections, or of a group in a scene.
-        beside: whether models may also be siblings of that folder, as models usually are.
+    that contains them, and with `beside` also beside its folder.
     """
     found: dict[str, Any] = deepcopy(dict(tables))
     whole = folder.absolute()  # file names in it are not prefixed again

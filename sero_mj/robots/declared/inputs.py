@@ -189,14 +189,10 @@ def inputs_of_group(
 
 
 def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
-    """Distributes values set for a group to the inputs of its members.
+    """Distributes values of all or of the independent joints to the inputs of a group's members.
 
-    Args:
-        target: the group's input, for messages.
-        values: of all joints or of the independent ones in order; a switch applies to all.
-
-    Raises:
-        ValueError: a wrong number of values, or one that moves something is not finite.
+    A switch applies to all. Raises ValueError for a wrong number of values, or one that moves
+    something and is not finite.
     """
     if items[0].kind not in ("angles", "values"):
         return [values] * len(items)

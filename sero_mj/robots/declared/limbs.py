@@ -25,19 +25,12 @@ _PART_OF = {word: part for part, words in _PARTS.items() for word in (part, *wor
 def find_limbs(
     names: Sequence[str], carriers: Sequence[int], followed: Mapping[str, str]
 ) -> dict[str, list[int]]:
-    """Returns the limbs of a robot, named after the common part of their joints' names.
+    """Returns the limbs of a robot, indices of joints by name; every joint is in exactly one.
 
     A limb is a maximal run of joints, each the only child of the previous one. Runs of coupled
-    joints only belong to the limb of their driving joint: the knuckles of a gripper to its drive.
-    If the joints' names have no distinctive common part, the limb is named after the first and the
-    last joint.
-
-    Args:
-        carriers: index of each joint's parent frame, n: 0 for the base, i for joint i.
-        followed: for each coupled joint its driving joint.
-
-    Returns:
-        indices of joints by limb, in the order of the joints; every joint is in exactly one.
+    joints only belong to the limb of their driving joint (`followed`): the knuckles of a gripper to
+    its drive. It has the common part of its joints' names, or else the first and the last name. A
+    carrier is 0 for the base, i for joint i.
     """
     on = Counter(carriers)
     runs: list[list[int]] = []

@@ -48,9 +48,7 @@ _LIMBS_IN_REPR, _NAMES_IN_REPR = 8, 8
 class SerialRobot(RobotDeclaration):
     """A robot as in the paper's `SerialRobot` proto: what it declares, and what follows from that.
 
-    Frames are 4x4 row-major, lengths in m, angles in rad, torques in Nm (forces in N for
-    prismatic joints). n is the number of joints, 1 to 128. They form a chain, or with `parents` a
-    tree. `RobotDeclaration` has the meaning of every field.
+    `RobotDeclaration` has the meaning of every field.
     """
 
     def frame_label(self, label: str) -> str:

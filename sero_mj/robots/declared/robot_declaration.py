@@ -302,12 +302,12 @@ class RobotDeclaration(Declaration):
     @field_validator("parents")
     @classmethod
     def _parents_come_before(cls, parents: list[str] | None, info: ValidationInfo) -> Any:
-        n = _count(info.data)
-        if parents is None or n is None or "joint_names" not in info.data:
+        names, problems = _known_names(info.data), list[Problem]()
+        if parents is None or names is None:
             return parents
-        if len(parents) != n:
-            raise mismatch(len(parents), f"{n}, {_each(info.data)}", of="entries")
-        names, problems = _joint_names(info.data), []
+        if len(parents) != _count(info.data):
+            expected = f"{_count(info.data)}, {_each(info.data)}"
+            raise mismatch(len(parents), expected, of="entries")
         branch = [0]  # the links of the path to the previous joint
         for i, parent in enumerate(parents):
             link = link_of_parent(parent, names)
@@ -328,33 +328,19 @@ class RobotDeclaration(Declaration):
             raise mismatch(len(names), f"{n + 1}, of base and links", of="entries")
         return names
 
-    @field_validator("flange_on")
+    @field_validator("flange_on", "couplings", "limbs")
     @classmethod
-    def _flange_is_on_a_joint(cls, joint: str | None, info: ValidationInfo) -> Any:
-        known = "joint_names" in info.data and _count(info.data) is not None
-        if joint is not None and known and joint not in _joint_names(info.data):
-            raise Problem("", "no joint", found=joint, available=_joint_names(info.data)).error()
-        return joint
-
-    @field_validator("couplings")
-    @classmethod
-    def _joints_to_couple_exist(
-        cls, couplings: dict[str, Coupling], info: ValidationInfo
-    ) -> dict[str, Coupling]:
-        if _count(info.data) is not None and "joint_names" in info.data:
-            problems = coupling_problems(_joint_names(info.data), couplings)
-            raise_any(problems)
-        return couplings
-
-    @field_validator("limbs")
-    @classmethod
-    def _joints_of_limbs_exist(
-        cls, limbs: dict[str, list[str]], info: ValidationInfo
-    ) -> dict[str, list[str]]:
-        if _count(info.data) is not None and "joint_names" in info.data:
-            problems = limb_problems(_joint_names(info.data), limbs)
-            raise_any(problems)
-        return limbs
+    def _joints_exist(cls, value: Any, info: ValidationInfo) -> Any:
+        names = _known_names(info.data)
+        if value is None or names is None:
+            return value
+        if info.field_name == "couplings":
+            raise_any(coupling_problems(names, value))
+        elif info.field_name == "limbs":
+            raise_any(limb_problems(names, value))
+        elif value not in names:
+            raise Problem("", "no joint", found=value, available=names).error()
+        return value
 
     @field_validator("dynamics", "torque_control")
     @classmethod
@@ -459,10 +445,10 @@ class RobotDeclaration(Declaration):
     @field_validator("children")
     @classmethod
     def _frames_to_be_on_exist(cls, children: list[Object], info: ValidationInfo) -> list[Object]:
-        n = _count(info.data)
-        if n is not None and "joint_names" in info.data:
-            frames = frame_labels(n)
-            known = _joint_names(info.data), info.data.get("link_names")
+        names = _known_names(info.data)
+        if names is not None:
+            frames = frame_labels(_count(info.data) or 0)
+            known = names, info.data.get("link_names")
             children = [
                 child.model_copy(update={"on": frame_label(child.on, *known)}) for child in children
             ]
@@ -522,14 +508,16 @@ def _joint_names(fields: Mapping[str, Any]) -> list[str]:
     return names or [f"J{i + 1}" for i in range(_count(fields) or 0)]
 
 
+def _known_names(fields: Mapping[str, Any]) -> list[str] | None:
+    is_known = _count(fields) is not None and "joint_names" in fields
+    return _joint_names(fields) if is_known else None
+
+
 def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     """Returns the angles of all joints, given these or those of the independent ones.
 
-    Other quantities of the independent joints are kept: those of coupled joints are unknown.
-
-    Raises:
-        ValueError: the value of a coupled joint contradicts its coupling; or the number of values
-            is neither that of the joints nor of the independent ones.
+    Other quantities are returned unchanged. Raises ValueError if a value contradicts its coupling,
+    or the number of values is neither n nor k.
     """
     names = _joint_names(info.data)
     coupled = coupled_joints(names, info.data["couplings"])

@@ -157,13 +157,9 @@ def _no_words(limits: Any) -> Any:
 
 
 def split_largest(limits: Any) -> tuple[Any, bool]:
-    """Takes the word "largest" out of torque limits.
+    """Returns torque limits with None or inf for the word "largest", and whether it was there.
 
-    Args:
-        limits: as given in a file: numbers, the word for all joints, or among numbers for some.
-
-    Returns:
-        the limits without it, None or inf in its place; and whether it was there.
+    The word is for all joints, or among numbers for some.
     """
     if isinstance(limits, str) and limits == LARGEST:
         return None, True
@@ -299,13 +295,9 @@ def frame_labels(n: int) -> list[str]:
 
 
 def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) -> str:
-    """Translates the name of a frame in a robot's own file to ours.
+    """Translates the name of a joint or a link, or a joint's identifier, to our name of the frame.
 
-    Args:
-        label: the name of a joint or a link, or a joint's identifier; any other is returned
-            unchanged.
-        joints: names, n; each refers to the link that it moves.
-        links: names of the base and the links, n + 1; None without names.
+    Any other name is returned unchanged. A joint refers to the link that it moves.
     """
     labels = frame_labels(len(joints))
     if label in labels:

@@ -28,8 +28,7 @@ _TOKENS = re.compile(
 def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
     """Returns the routes with every origin as text.
 
-    Raises:
-        DeclarationError: an origin is neither text nor numbers nor a table of joints.
+    Raises DeclarationError if an origin is neither text nor numbers nor a table of joints.
     """
     texts, problems = {}, []
     for target, origin in routes.items():
@@ -71,13 +70,10 @@ def names_in(origin: str) -> list[str]:
 
 
 def origin_text(origin: Any) -> str:
-    """Returns an origin as text; numbers and (nested) lists of numbers are constants.
+    """Returns an origin as text; numbers and lists of numbers are constants; raises ValueError.
 
     One for some joints only is written `udp.values0 for l_elbow, l_wrist`, and several are
     separated by semicolons; `parts_of_origin` splits them.
-
-    Raises:
-        ValueError: the origin is none of the types listed in `Scene`.
     """
     if isinstance(origin, Mapping):
         text = _text_for_joints(origin)

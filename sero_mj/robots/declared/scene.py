@@ -186,8 +186,7 @@ class Scene:
     def add(self, robot: SerialRobot) -> SerialRobot:
         """Adds a robot and returns it.
 
-        Raises:
-            DeclarationError: there is already a robot of that name.
+        Raises DeclarationError if there is already a robot of that name.
         """
         if robot.name in self.robots:
             raise mismatch(

@@ -56,13 +56,9 @@ _OF_DYNAMICS = (
 def read_scene_file(
     path: Path, overrides: Mapping[str, Any] | None = None
 ) -> tuple[Scene, list[Problem]]:
-    """Reads a scene file in any format; what was lost of another format is logged.
+    """Reads a scene file in any format, as `scene_from_tables`; logs what another format loses.
 
-    Args:
-        overrides: see `scene_from_tables`, as what is returned.
-
-    Raises:
-        DeclarationError: the file cannot be read.
+    Raises DeclarationError if the file cannot be read.
     """
     imported = read_imported(path)
     if imported is None:
@@ -98,7 +94,7 @@ def scene_from_tables(
         DeclarationError: there are too many entries to build.
     """
     if not (too_many := excess(tables)):
-        reader = _Reader(path, tables, known, overrides or {}, lines)
+        reader = _SceneReader(path, tables, known, overrides or {}, lines)
         expanded = {section: reader.tables.get(section, {}) for section in ("robots", "groups")}
         too_many = excess(expanded)
     if too_many:
@@ -136,13 +132,13 @@ def group_from_model(
     """
     path = paths.find_group_model(model)
     entry = {"model": path, **fields}
-    reader = _Reader(path, {"groups": {name or path.resolve().parent.name: entry}}, (), {})
+    reader = _SceneReader(path, {"groups": {name or path.resolve().parent.name: entry}}, (), {})
     robots, groups = reader.robots(), reader.groups()
     raise_any(reader.problems)
     return robots, groups
 
 
-class _Reader:
+class _SceneReader:
     """Reads the sections of one file with overrides, and collects their problems."""
 
     def __init__(

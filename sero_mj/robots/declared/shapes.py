@@ -52,9 +52,7 @@ def housing_radii(
 ) -> Array:
     """Returns the radius of the generated housing of every joint, (n,), m.
 
-    Args:
-        strokes: maximum extension of every joint, (n,), m; where the table has no lengths, as that
-            of a gantry, they say how large the robot is.
+    Maximum extensions, (n,), m, say how large a robot without lengths is, such as a gantry.
     """
     steps, depths = table.step_lengths(), table.depths
     if strokes is not None:
@@ -91,9 +89,8 @@ def generate_shapes(
 ) -> list[list[LinkShape]]:
     """Returns the shapes of the base and of every link, each in its own frame.
 
-    Args:
-        strokes: maximum extension of every joint, (n,), m; the rods of prismatic joints are
-            longer by it, so that they never leave their housing.
+    Rods of prismatic joints are longer by their maximum extension, (n,), m, so that they never
+    leave their housing.
     """
     n = len(table)
     strokes = np.zeros(n) if strokes is None else strokes

@@ -63,13 +63,7 @@ PerJoint = Annotated[Array, BeforeValidator(_positive)]
 
 
 class ModelRobot(SerialRobot):
-    """The declaration of a robot in an external model, with any number of joints.
-
-    Attributes:
-        joint_frames: (n, 4, 4), of the model's joints.
-        joint_names: as in the model, of any characters.
-        torque_limits: (n,), Nm or N, inf where unknown.
-    """
+    """A robot of an external model, with any number of joints, and names of any characters."""
 
     joint_frames: Array | None = None
     joint_names: Annotated[list[str], AfterValidator(list)] = []
@@ -125,14 +119,9 @@ def model_part(
     overrides: Mapping[str, Any],
     start: int,
 ) -> ModelPart:
-    """Builds a robot from the model, with the user's fields as overrides.
+    """Builds a robot of the model, measured in the state `rest`, with the user's overrides.
 
-    Args:
-        rest: the pose in which it is measured, after `mj_fwdPosition`.
-        start: its first row in the world's `JointTable`.
-
-    Raises:
-        DeclarationError: other fields, or values that do not fit.
+    Raises DeclarationError for other fields, or values that do not fit.
     """
     sizes = measure(model, rest, MeasuredBodies(tree.bodies, tree.joints, tree.trunk))
     problems: list[Problem] = []
@@ -223,19 +212,12 @@ def list_model_frames(
     doubles: Mapping[str, Double],
     wanted: Sequence[str],
 ) -> tuple[dict[str, NamedFrame], dict[str, tuple[str, int]]]:
-    """Lists the named frames of a model.
+    """Lists the named frames of a model, and where each is read.
 
-    Args:
-        robots: those whose bodies have frames, named `robot/body`, shown with the robot.
-        doubles: likewise for their moving bodies.
-        wanted: names of other bodies and sites; these are initially shown.
-
-    Returns:
-        the frames by name, and where each is read: the name of the double in whose state, empty
-        for the model's own, and its row, that of `xpos` or behind it of `site_xpos`.
-
-    Raises:
-        UnknownName: a wanted name is neither a body nor a site.
+    That is the name of the double in whose state, empty for the model's own, and its row, that of
+    `xpos` or behind it of `site_xpos`. Frames of robots and doubles are named `robot/body`;
+    `wanted` are names of other bodies and sites, initially shown. Raises UnknownName for unknown
+    ones.
     """
     frames: dict[str, NamedFrame] = {}
     places: dict[str, tuple[str, int]] = {}

@@ -1,9 +1,6 @@
-"""`ModelState`: the state that decor reads, for an external model.
+"""`ModelState`: the state of an external model, with the sites and `userdata` that decor reads.
 
-Decor reads the poses of sites and the contents of `userdata`. An external model has no sites and
-slots for decor, and neither can be added to a compiled model. So `ModelWorld` creates this object
-for every frame: it has the fields of `MjData` that decor reads, with a site for every joint and
-frame, and a `userdata` array of its own. The user's model and data are not changed.
+A compiled model accepts neither, so `ModelWorld` creates this object for every frame.
 """
 
 from __future__ import annotations
@@ -36,26 +33,11 @@ class ModelState:
     site_xpos: Array
     site_xmat: Array
     doubles: dict[str, list[mujoco.MjData]]
-
-    @property
-    def time(self) -> float:
-        return float(self.data.time)
-
-    @property
-    def qpos(self) -> Array:
-        return np.asarray(self.data.qpos)
-
-    @property
-    def qvel(self) -> Array:
-        return np.asarray(self.data.qvel)
-
-    @property
-    def xpos(self) -> Array:
-        return np.asarray(self.data.xpos)
-
-    @property
-    def xmat(self) -> Array:
-        return np.asarray(self.data.xmat)
+    time: float
+    qpos: Array
+    qvel: Array
+    xpos: Array
+    xmat: Array
 
 
 class Sites:
@@ -114,14 +96,11 @@ class Sites:
 
 
 class JointPoses:
-    """Frames of some joints of a model.
+    """Frames of some joints of a model, offset from their anchors by (n, 3), m.
 
     A frame is at a joint's anchor with z along the axis. Like the sites of a compiled scene it
     turns with the link, and it is parallel to the link's frame where the axis is the link's z.
     Several hinges of one body rotate in sequence.
-
-    Args:
-        offset: of the frames' origins from the anchors, in the joints' frames, (n, 3), m.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Ints, offset: Array) -> None:

@@ -218,7 +218,10 @@ class ModelWorld(WorldView):
         }
         doubles = self._posed.pose(data, angles)
         positions, rotations = self._sites.read(data, doubles)
-        return ModelState(data, self._userdata, positions, rotations, doubles)
+        return ModelState(
+            data, self._userdata, positions, rotations, doubles,
+            data.time, data.qpos, data.qvel, data.xpos, data.xmat,
+        )  # fmt: skip
 
     def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
         return [

@@ -77,8 +77,7 @@ def importers() -> dict[str, Importer]:
 def find_importer(path: Path) -> Importer | None:
     """The importer of a file, by its extension and first bytes; None for an unknown extension.
 
-    Raises:
-        DeclarationError: the contents of the file do not match its extension.
+    Raises DeclarationError if the contents of the file do not match its extension.
     """
     named = {
         name: each for name, each in importers().items() if path.suffix.lower() in each.endings
@@ -101,8 +100,7 @@ def read_imported(
 ) -> ImportedTables | None:
     """Reads a file by its importer; None where its ending is no one's.
 
-    Raises:
-        DeclarationError: the file cannot be read.
+    Raises DeclarationError if the file cannot be read.
     """
     importer = find_importer(path)
     if importer is None:

@@ -250,9 +250,7 @@ def _lines_of_obj(contents: bytes, kind: bytes) -> tuple[int, bytes]:
 def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
     """Vertex indices of all triangles of an OBJ file, from 0; None if it has other faces.
 
-    Args:
-        contents: of the file, behind a line's end.
-        count: number of vertices; negative indices count from the last.
+    Negative indices count from the last of `count` vertices.
     """
     _, text = _lines_of_obj(contents, b"f")
     # A corner is `vertex/texture/normal`, of which the latter two may be missing; in most files all

@@ -27,13 +27,8 @@ MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
 def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
     """Reads a piece of MJCF and the files it refers to, which are stored in the spec.
 
-    Args:
-        source: a file name; text that starts with `<`; or an object that `is_mjcf_object`
-            accepts, which is not changed.
-        folder: base folder of relative file names.
-
-    Raises:
-        DeclarationError: it cannot be read.
+    The source is a file name; text that starts with `<`; or an object that `is_mjcf_object`
+    accepts, which is not changed. Raises DeclarationError if it cannot be read.
     """
     try:
         spec = _read(source, folder)
@@ -152,15 +147,10 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | Non
 
 
 def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]:
-    """Writes a compiled spec as MJCF, with its files in a folder beside it, `NAME_assets`.
+    """Writes a compiled spec of `as_spec` as MJCF; returns the files written, the XML first.
 
-    Args:
-        spec: a result of `as_spec`, or built from such.
-        path: of the XML file.
-        comment: one or several lines at the beginning.
-
-    Returns:
-        the files written, the XML first.
+    Its files go into a folder beside it, `NAME_assets`. A comment of one or several lines is put at
+    the beginning.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     written, folder = [path], path.parent / f"{path.stem}_assets"

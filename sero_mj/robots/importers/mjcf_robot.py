@@ -53,8 +53,7 @@ def read_mjcf(path: Path) -> ImportedTables:
 def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     """Returns the tables of a robot, and what was lost.
 
-    Raises:
-        DeclarationError: it cannot be read or compiled, or has no joints.
+    Raises DeclarationError if it cannot be read or compiled, or has no joints.
     """
     tree = tree_of(source, folder)
     model, joints = tree.model, tree.joints

@@ -29,15 +29,12 @@ _WIDE = np.pi  # rad or m, to either side of the reference, where such a pose ha
 
 
 def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
-    """Returns the largest torques that actuators can exert on joints, (n,), Nm or N.
+    """Returns the largest torques that actuators can exert on joints (ids), (n,), Nm or N.
 
     They are infinite for joints without actuators, and if the force of an actuator depends on
     position or velocity and has no `forcerange`, as that of many position servos. If moment arms
     change with the pose, as those of spatial tendons, slider-cranks and sites, the torque is the
     largest found in 64 poses.
-
-    Args:
-        joints: ids of hinges and slides, (n,).
     """
     dofs = model.jnt_dofadr[joints]
     forces = _forces(model)

@@ -67,11 +67,7 @@ class MjcfTree:
 
 
 def find_tree(model: mujoco.MjModel) -> MjcfTree:
-    """Returns the robot of a model.
-
-    Raises:
-        NoJoints: the model has no hinge or slide.
-    """
+    """Returns the robot of a model; raises NoJoints if the model has no hinge or slide."""
     kinds = model.jnt_type
     is_axis = (kinds == _HINGE) | (kinds == _SLIDE)
     roots = model.body_rootid[model.jnt_bodyid]

@@ -67,8 +67,7 @@ class RobotPlace(ABC):
     def find(self, name: str) -> Path | None:
         """Returns the file of a robot; None if none has that name.
 
-        Raises:
-            SeroError: it has the name, but cannot be had.
+        Raises SeroError if it has the name, but cannot be had.
         """
 
     def near(self, name: str) -> str | None:

@@ -72,7 +72,7 @@ class Geometry:
 
 
 @dataclass
-class Link:
+class UrdfLink:
     """A rigid part: mass, kg; centre of mass (3,), m; tensor about it (3, 3), kg m2; geometry."""
 
     name: str
@@ -115,7 +115,7 @@ class _Body:
     joint: Joint | None
     parent: int
     T_parent: Array  # at zero, of the body's frame, whose z is the joint's axis
-    links: list[tuple[Link, Array]] = field(default_factory=list)  # with T_body_link
+    links: list[tuple[UrdfLink, Array]] = field(default_factory=list)  # with T_body_link
     fixed: dict[str, str] = field(default_factory=dict)  # link to the link it is fixed to
 
 
@@ -130,7 +130,7 @@ class TreeTables:
     def __init__(
         self,
         name: str,
-        links: list[Link],
+        links: list[UrdfLink],
         joints: list[Joint],
         root: str,
         convention: Literal["craig", "standard"] = "craig",
@@ -387,7 +387,7 @@ def aligned(axis: Array) -> Array:
     return np.column_stack([x, np.cross(axis, x), axis])
 
 
-def _merged(links: list[Link], joints: list[Joint], root: str) -> list[_Body]:
+def _merged(links: list[UrdfLink], joints: list[Joint], root: str) -> list[_Body]:
     by_name = {link.name: link for link in links}
     below: dict[str, list[Joint]] = {}
     for each in joints:
@@ -418,7 +418,7 @@ def _merged(links: list[Link], joints: list[Joint], root: str) -> list[_Body]:
     return bodies
 
 
-def _inertia(parts: list[tuple[Link, Array]]) -> tuple[float, Array, Array]:
+def _inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Array]:
     mass = sum(link.mass for link, _ in parts)
     if mass <= 0.0:
         return 0.0, np.zeros(3), np.zeros((3, 3))

@@ -16,9 +16,7 @@ _LONG_TEXT = 400  # characters of a text that is written over several lines
 def toml_text(tables: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
     """Writes tables so that `tomllib` reads them back unchanged.
 
-    Args:
-        tables: of strings, numbers, booleans, and lists and tables of these.
-        comments: lines at the beginning, without `#`.
+    The comments are lines at the beginning, without `#`.
     """
     lines = [f"# {line}".rstrip() for line in comments]
     plain = {key: value for key, value in tables.items() if not _is_section(value)}

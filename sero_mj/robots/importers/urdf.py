@@ -30,8 +30,8 @@ from .robot_tree import (
     TOO_FAR,
     Geometry,
     Joint,
-    Link,
     TreeTables,
+    UrdfLink,
     aligned,
     meant_limits,
     plain_name,
@@ -89,13 +89,9 @@ def read_urdf(
 
 
 def read_rigid_urdf(path: Path | str) -> ImportedTables:
-    """Reads a URDF file without movable joints: a table, a tool, a ball.
+    """Reads a URDF file without movable joints, a tool say, as a robot with the base alone.
 
-    Returns:
-        `filenames`, `collisions`, `colors` and `directory` of a robot file, for the base alone.
-
-    Raises:
-        DeclarationError: all errors in it, with lines; or it has joints.
+    Raises DeclarationError with all errors in it, with lines, or if it has joints.
     """
     file = UrdfFile(Path(path))
     if file.tree.joints:
@@ -208,9 +204,8 @@ class UrdfFile:
     def check(self) -> None:
         """Refuses what an object may be and no robot.
 
-        Raises:
-            NoJoints: no joint is movable.
-            DeclarationError: it was given arguments that it does not ask for.
+        Raises NoJoints if no joint is movable, and DeclarationError for arguments that it does not
+        ask for.
         """
         given, asked = self._arguments.given, self._arguments.asked
         for name in sorted(given - asked):
@@ -327,8 +322,8 @@ class UrdfFile:
         rgba = self._numbers(color, "rgba", key, (3, 4))
         return None if rgba is None else np.clip([*rgba, 1.0][:4], 0.0, 1.0)
 
-    def _links(self, root: Element) -> list[Link]:
-        links: list[Link] = []
+    def _links(self, root: Element) -> list[UrdfLink]:
+        links: list[UrdfLink] = []
         lines: dict[str, int | None] = {}
         for element in _children(root, "link"):
             name = self._name(element, "link")
@@ -336,7 +331,7 @@ class UrdfFile:
                 self._problem(element, f"link '{name}'", f"is there already, line {lines[name]}")
                 continue
             lines[name] = element.sourceline
-            link = Link(name, element.sourceline)
+            link = UrdfLink(name, element.sourceline)
             self._inertial(element, link)
             for tag, geometries in (("visual", link.visuals), ("collision", link.collisions)):
                 for each in _children(element, tag):
@@ -348,7 +343,7 @@ class UrdfFile:
             self._problem(root, "robot", "has no <link>; expected one or more")
         return links
 
-    def _inertial(self, element: Element, link: Link) -> None:
+    def _inertial(self, element: Element, link: UrdfLink) -> None:
         inertial, key = _child(element, "inertial"), f"link '{link.name}'"
         if inertial is None:
             return
@@ -474,7 +469,7 @@ class UrdfFile:
                 self._last_found[package] = file.parents[len(inside.parts) - 1]
         return file
 
-    def _tell_about_meshes(self, links: list[Link]) -> None:
+    def _tell_about_meshes(self, links: list[UrdfLink]) -> None:
         if self._lost:
             wanted = {package for name in self._lost if (package := package_of(name)) is not None}
             unknown = [
@@ -604,7 +599,7 @@ class UrdfFile:
             elif value and value < LARGEST:  # zero means unknown
                 setattr(joint, name, value)
 
-    def _tree(self, links: list[Link], joints: list[Joint]) -> str:
+    def _tree(self, links: list[UrdfLink], joints: list[Joint]) -> str:
         carrying = {joint.child: joint for joint in joints}
         roots = [link for link in links if link.name not in carrying]
         below: dict[str, list[Joint]] = {}
@@ -625,7 +620,7 @@ class UrdfFile:
         return base
 
     def _free_base(
-        self, root: str, links: list[Link], joints: list[Joint]
+        self, root: str, links: list[UrdfLink], joints: list[Joint]
     ) -> tuple[Array, Joint | None]:
         """The frame of the base in that of the root, and the joint that frees it, if there is one.
 
@@ -677,7 +672,7 @@ class UrdfFile:
             self._warnings.append(f"planar joint '{joint.name}' is three joints: {names}")
         return T, chosen
 
-    def _item_problem(self, kind: str, item: Link | Joint, message: str) -> None:
+    def _item_problem(self, kind: str, item: UrdfLink | Joint, message: str) -> None:
         line = item.line if self._has_lines else None
         self._problems.append(Problem(f"{kind} '{item.name}'", message, str(self.path), line))
 
@@ -815,7 +810,7 @@ def _reached(root: str, below: Mapping[str, list[Joint]]) -> set[str]:
     return found
 
 
-def _single_axes(joint: Joint, taken: set[str]) -> tuple[list[Joint], list[Link]]:
+def _single_axes(joint: Joint, taken: set[str]) -> tuple[list[Joint], list[UrdfLink]]:
     """Two prismatic joints and a revolute one instead of a planar one, and the links between them.
 
     Args:
@@ -823,7 +818,7 @@ def _single_axes(joint: Joint, taken: set[str]) -> tuple[list[Joint], list[Link]
     """
     axes = aligned(joint.axis).T
     made: list[Joint] = []
-    added = [Link(plain_name(f"{joint.name}_{axis}", taken), joint.line) for axis in "xy"]
+    added = [UrdfLink(plain_name(f"{joint.name}_{axis}", taken), joint.line) for axis in "xy"]
     parent, T = joint.parent, joint.frame
     for kind, what, axis, link in zip(
         ("prismatic", "prismatic", "revolute"), ("x", "y", "yaw"), axes,

@@ -36,14 +36,9 @@ _LOCK = threading.Lock()
 
 
 def expand(path: Path, arguments: Mapping[str, str], find: Callable[[str], str]) -> str:
-    """Returns the XML that a file of xacro becomes.
+    """Returns the XML that a file of xacro becomes; raises whatever xacro raises.
 
-    Args:
-        arguments: values of `<xacro:arg>` by name.
-        find: returns the folder of a ROS package, for `$(find NAME)`.
-
-    Raises:
-        Exception: the file cannot be expanded; xacro raises many kinds.
+    `find` returns the folder of a ROS package, for `$(find NAME)`.
     """
     said = io.StringIO()
     with _LOCK, _without_python(find), redirect_stderr(said), redirect_stdout(said):
@@ -69,7 +64,7 @@ def _without_python(find: Callable[[str], str]) -> Iterator[None]:
             "arg": argument,
             "dirname": lambda: substitution_args._eval_dirname(context["filename"]),
         }
-        return str(evaluate(text, _Scope(own, arguments, argument)))
+        return str(evaluate(text, _Names(own, arguments, argument)))
 
     patched: list[tuple[Any, str, Any]] = [
         (xacro, "safe_eval", evaluate),
@@ -86,7 +81,7 @@ def _without_python(find: Callable[[str], str]) -> Iterator[None]:
             setattr(module, name, value)
 
 
-class _Scope(Mapping[str, Any]):
+class _Names(Mapping[str, Any]):
     """Functions, then arguments, which are looked up only if an expression has them."""
 
     def __init__(

@@ -1,9 +1,7 @@
 """`JointTree`: kinematics of a tree of joints in numpy, independent of MuJoCo.
 
-Frame 0 is the base, frame i that of the link moved by joint i. The parent of each joint is the link
-of another one or the base: T_0,i = T_0,p(i) T_p(i),i(q_i), with p(i) < i. A serial robot has p(i) =
-i - 1. T_p(i),i is given by a Denavit-Hartenberg table (`dh`), or by the joints' frames
-(`JointFrames`).
+Frame 0 is the base, frame i that of the link moved by joint i. The parent p(i) < i of each joint is
+a link or the base: T_0,i = T_0,p(i) T_p(i),i(q_i). A serial robot has p(i) = i - 1.
 """
 
 from __future__ import annotations
@@ -56,18 +54,11 @@ class JointTree(ABC):
 
     @abstractmethod
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
-        """Returns the distances between the origins of neighbouring frames, (n,), m.
-
-        Args:
-            extensions: of prismatic joints, (..., n), m.
-        """
+        """Returns the distances of neighbouring origins, with joints extended, (..., n), m."""
 
     @abstractmethod
     def mirrored(self) -> Self:
-        """Returns the table of the mirror image at the base's xz plane.
-
-        At equal joint values its frames are S T S of those of this one, S = diag(1, -1, 1, 1).
-        """
+        """Returns the mirror image at the base's xz plane: frames S T S, S = diag(1, -1, 1, 1)."""
 
     @property
     def turns_in_carrier(self) -> bool:
@@ -104,16 +95,9 @@ class JointTree(ABC):
         return np.asarray(self.moves[1:].sum(axis=1))
 
     def link_transforms(self, joint_angles: ArrayLike) -> Array:
-        """Returns the transform of every row at the given joint angles.
+        """Returns T_p(i),i, (..., n, 4, 4), of joints on the base with `root`.
 
-        Args:
-            joint_angles: (..., n), rad for revolute and m for prismatic joints.
-
-        Returns:
-            T_p(i),i, (..., n, 4, 4), of joints on the base with `root`.
-
-        Raises:
-            ValueError: the last axis is not n long.
+        Raises ValueError if the last axis of the joint angles, (..., n), is not n long.
         """
         q = np.asarray(joint_angles, dtype=np.float64)
         if q.shape[-1:] != (len(self),):
@@ -127,14 +111,11 @@ class JointTree(ABC):
         return T
 
     def frames(self, joint_angles: ArrayLike, base_frame: ArrayLike | None = None) -> Array:
-        """Returns the forward kinematics of every frame.
+        """Returns T_world_i for i = 0 (the base) to n, (..., n + 1, 4, 4), translation in m.
 
         Args:
             joint_angles: (..., n), rad or m.
             base_frame: T_world_base (..., 4, 4); identity when None.
-
-        Returns:
-            T_world_i for i = 0 (the base) to n, (..., n + 1, 4, 4), translation in m.
         """
         links = self.link_transforms(joint_angles)
         base = np.eye(4) if base_frame is None else np.asarray(base_frame)
@@ -162,10 +143,7 @@ class JointTree(ABC):
 
     @property
     def axis_frames(self) -> Array:
-        """Frame of every joint's axis in that of the link it moves, z along it, (n, 4, 4).
-
-        Joint values increase about, or along, z.
-        """
+        """Frames (n, 4, 4) of joint axes in those of their links; values increase along z."""
         T = np.tile(np.eye(4), (len(self), 1, 1))
         if self.turns_in_carrier:
             T = inverse(self.link_transforms(np.zeros(len(self))))
@@ -175,15 +153,10 @@ class JointTree(ABC):
         return np.asarray(np.where(self.signs[:, None, None] > 0, T, T @ _TURNED))
 
     def joint_axes(self, frames: Array) -> tuple[Array, Array]:
-        """Returns every joint axis as a direction and a point, in the coordinates of `frames`.
+        """Returns a direction (..., n, 3) and a point (..., n, 3), m, of every joint axis.
 
-        Joint values increase about, or along, the direction.
-
-        Args:
-            frames: result of `frames()`, (..., n + 1, 4, 4).
-
-        Returns:
-            directions (..., n, 3) of unit length and points (..., n, 3) in m.
+        They are in the coordinates of `frames`, a result of `frames()`. Joint values increase
+        about, or along, the direction.
         """
         own = frames[..., 1:, :, :]
         if self.turns_in_carrier:
@@ -199,17 +172,15 @@ class JointTree(ABC):
         flange_frame: ArrayLike | None = None,
         link: int = -1,
     ) -> Array:
-        """Returns the geometric Jacobian of the flange.
+        """Returns the geometric Jacobian of the flange's origin in the world, (..., 6, n).
+
+        Rows 0 to 2 are the linear velocity (m per rad or m), rows 3 to 5 the angular velocity.
 
         Args:
             joint_angles: (..., n), rad or m.
             base_frame: T_world_base (4, 4); identity when None.
             flange_frame: T_link_flange (4, 4); identity when None.
-            link: index of the flange's parent frame; the last one by default.
-
-        Returns:
-            (..., 6, n): rows 0-2 linear velocity (m per rad or m), rows 3-5 angular velocity,
-            of the flange origin, in world coordinates.
+            link: index of the flange's parent frame.
         """
         T = self.frames(joint_angles, base_frame)
         axis, point = self.joint_axes(T)

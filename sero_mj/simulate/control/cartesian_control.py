@@ -147,13 +147,11 @@ class CartesianImpedanceController(Controller):
     stay bounded, the blocked direction goes limp, and becomes part of the null space.
 
     Args:
-        model: for itself.
         stiffness: K, (6, 6) or (m, 6, 6), symmetric, N/m and Nm/rad.
         damping: ratio; of many robots (m, 1).
         timestep: s between two calls.
         in_flange: whether K is in the axes of the target, else of the world.
         nullspace_stiffness: (n,) or (m, n), Nm/rad.
-        nullspace_damping: ratio, likewise.
         damping_every: s.
     """
 
@@ -328,9 +326,6 @@ class CartesianImpedanceController(Controller):
         With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
         (w + S(v)) f_r: the slope of v along rotations, and the vector of (w, v) times (0, f_r).
 
-        Args:
-            target: its pose.
-
         Returns:
             the same array every time.
         """
@@ -394,7 +389,6 @@ class CartesianImpedanceController(Controller):
 
         Args:
             mobility: J M^-1 J^T, (6, 6).
-            least: as a share of the trace.
         """
         per_length = self._per_length * self._per_length.mT
         values, vectors = np.linalg.eigh(mobility * per_length)

@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BeforeValidator, PrivateAttr
 from ...base.declaration import Declaration, numbers
 from ...base.errors import Problem
 from ...base.frames import Array, Bools
-from ...base.trust import Action, Origin
+from ...base.trust import FileOrigin, RequestedAction
 from ...robots.declared.robot import SerialRobot
 from .robot_model import RobotModel
 
@@ -39,14 +39,7 @@ def _one_or_more(value: Any) -> Any:
 
 
 def within(low: float, high: float, unit: str = "", note: str = "") -> AfterValidator:
-    """Returns a validator for arrays of numbers.
-
-    Args:
-        low: the least that is allowed.
-        high: the greatest.
-        unit: for the message.
-        note: at its end.
-    """
+    """Returns a validator for arrays of numbers."""
     unit = unit and f" {unit}"
 
     def validate(array: Array) -> Array:
@@ -71,7 +64,6 @@ class Sensed:
     """What the sensors of one robot measure; the buffers are the same ones at every step.
 
     Args:
-        n: number of joints.
         values: (3, n), row after row in memory, to be used in place: what a simulation or a
             receiver writes is then seen without a copy.
         motor_state: (2n,), angles, then velocities of the motors where joints are elastic, to be
@@ -134,10 +126,6 @@ class Target:
     """The target of one robot; a controller reads what it needs and ignores the rest.
 
     Write into the arrays (`target.angles[:] = ...`): controllers keep them.
-
-    Args:
-        n: number of joints.
-        rows: as for `Sensed`.
 
     Attributes:
         motion: (3, n), angles, velocities and accelerations.
@@ -211,7 +199,7 @@ class Controller:
     needs_pose: bool = False
     may_be_asked: bool = True
     is_in_real_time: bool = False
-    origin: Origin | None = None
+    origin: FileOrigin | None = None
     logged: Any = ()
     spans_robots = False
 
@@ -272,8 +260,6 @@ class Controller:
 
         Args:
             each: of the robots of the first row, of the second, and so on.
-            robots: number of robots of a row.
-            model: of all of them.
         """
         raise NotImplementedError
 
@@ -374,7 +360,7 @@ class ControllerDeclaration(Declaration, ABC):
     torque_limits: MaybePerJoint = None
     torque_rate_limits: MaybePerJoint = None
 
-    _origin: Origin | None = PrivateAttr(None)
+    _origin: FileOrigin | None = PrivateAttr(None)
 
     @property
     def is_in_real_time(self) -> bool:
@@ -382,21 +368,18 @@ class ControllerDeclaration(Declaration, ABC):
         return False
 
     @property
-    def origin(self) -> Origin | None:
+    def origin(self) -> FileOrigin | None:
         """The file that it was read from; None if it was made in Python."""
         return self._origin
 
-    def set_origin(self, origin: Origin) -> None:
+    def set_origin(self, origin: FileOrigin) -> None:
         """Says which file it was read from, and whether that file is trusted."""
         self._origin = origin
 
-    def actions(self, key: str = "") -> list[Action]:
+    def actions(self, key: str = "") -> list[RequestedAction]:
         """Returns what it starts or loads, see `base.trust`; nothing by default.
 
         A kind that starts a program or loads code has to override this.
-
-        Args:
-            key: of its table.
         """
         return []
 
@@ -423,10 +406,6 @@ class ControllerDeclaration(Declaration, ABC):
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
         """The controller that a robot to play with has at first.
 
-        Args:
-            robot: as it stands in the world.
-            model: of it, in the pose it has at first.
-
         Returns:
             one with default gains; None where it cannot be chosen there, as where gains have no
             defaults.
@@ -439,12 +418,7 @@ class ControllerDeclaration(Declaration, ABC):
         return None
 
     def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
-        """The gains that can be changed while it runs.
-
-        Args:
-            robot: that is controlled.
-            first: the controller as it was at first.
-        """
+        """The gains that can be changed while it runs."""
         return []
 
     def changed(self, fields: Mapping[str, Any]) -> Self:

@@ -226,7 +226,6 @@ class GravityCompensator(Controller):
     """tau = g(q) - d dq + tau_0, or g(q) + tau_0 + tau_target.
 
     Args:
-        model: for itself.
         damping: d, (n,) or (m, n), Nm s/rad; None for none.
         torques: tau_0, (n,) or (m, n), Nm, added all the time; None for none.
         feed_forward: whether the target's torques are added.
@@ -299,7 +298,6 @@ class JointImpedanceController(Controller):
     that K is what one feels at the links.
 
     Args:
-        model: for itself.
         stiffness: the diagonal of K, (n,) or (m, n), Nm/rad.
         damping: ratio, (n,) or (m, n).
         timestep: s between two calls.
@@ -401,7 +399,6 @@ class JointImpedanceController(Controller):
             np.add(own, self._error if self._at_links else 0.0, self._rest)
 
     def _design(self) -> None:
-        """Designs the damping of those rows and robots whose time it is."""
         model = self.model
         mass = model.mass()
         due = self._due <= self._k
@@ -518,10 +515,8 @@ def too_stiff(joint: str, gain: str, timestep: float, expected: str = "less") ->
     """The error for gains that are unstable at a time step.
 
     Args:
-        joint: name of the one that moves most.
         gain: for the message: ` at 500 Nm/rad`, say.
         timestep: s between two torques.
-        expected: what would do, where that is known.
     """
     return Problem(
         "stiffness",

@@ -29,8 +29,6 @@ class LimitedController:
         limits: (n,), Nm or N.
         timestep: s between two calls.
         rates: (n,), Nm/s or N/s; None for no limit.
-        robot: its name, for messages.
-        joint_names: of every joint, for messages.
 
     Attributes:
         requested: (n,), what the controller asked for in the last step; always the same array.
@@ -72,8 +70,6 @@ class LimitedController:
 
         Args:
             each: of the robots of the first row, of the second, and so on.
-            robots: number of robots of a row.
-            model: of all of them.
         """
         kind = type(each[0].controller)
         controller = kind.joined([one.controller for one in each], robots, model)
@@ -132,7 +128,6 @@ class LimitedController:
         return np.not_equal(self._given, self.requested)
 
     def check(self, angles: Array) -> None:
-        """See `Controller`."""
         self.controller.check(angles)
 
     def is_finite(self, row: int = 0) -> bool:
@@ -159,7 +154,6 @@ class LimitedController:
 
 
 def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) -> list[Problem]:
-    """What is wrong with limits, joint by joint."""
     values = np.asarray(limits, float)
     if values.shape != (len(names),):
         return [
@@ -235,7 +229,6 @@ def make_controller(
 
 
 def _lower(own: Array, robots: Array, names: list[str]) -> Array:
-    """A controller's limits, which may not be above those of its robot."""
     problems = [
         Problem("torque_limits", f"joint {name} has", found=a, expected=f"up to {b:g}, the robot's")
         for name, a, b in zip(names, own, robots, strict=True)

@@ -72,11 +72,7 @@ class MomentumObserver:
         self._has_begun = False  # whether `_before` has C^T dq - g of the last step
 
     def update(self, sensed: Sensed) -> Array:
-        """Takes one step and returns `external`.
-
-        Args:
-            sensed: angles, velocities, and the torques that led there.
-        """
+        """Takes one step and returns `external`."""
         self.model.update(sensed.angles, sensed.velocities)
         return self.update_with(sensed.velocities, sensed.torques)
 

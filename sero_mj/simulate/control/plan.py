@@ -96,13 +96,10 @@ def make_plan(
     joint angles; the latter are shown in any case, and are proof that it can be followed.
 
     Args:
-        robot: with its limits.
         target: the motion; None stays where it starts, or has no target where there is no spring.
         times: (T,), s.
         compiler: of the model with which a flange's way is followed.
         start: (n,), where the robot stands at first, rad or m; as it is declared when None.
-        needs_target: see `ControllerDeclaration`.
-        needs_pose: likewise.
 
     Raises:
         DeclarationError: the motion leaves the robot's limits or reach.
@@ -124,7 +121,6 @@ def make_plan(
 
 
 def _motion(times: Array, angles: Array) -> Motion:
-    """A motion of joints of which only the angles are known."""
     if len(times) < 3:
         return Motion(times, angles, np.zeros_like(angles), np.zeros_like(angles))
     velocities = np.gradient(angles, times, axis=0)
@@ -132,7 +128,6 @@ def _motion(times: Array, angles: Array) -> Motion:
 
 
 def _poses(robot: SerialRobot, motion: Motion) -> CartesianMotion:
-    """Where the flange is during a motion of the joints."""
     poses = robot.base_frame @ robot.fwd_kin_base_to_flange(motion.angles)
     jacobians = robot.kinematics.jacobian(
         motion.angles, robot.base_frame, robot.T_n_flange, robot.flange_link
@@ -152,9 +147,7 @@ def follow_poses(
     another elbow where this one is stopped by a limit.
 
     Args:
-        motion: of the flange.
         model: of the robot; it is moved.
-        robot: whose limits to keep.
         start: (n,), rad or m, the angles at first.
 
     Raises:

@@ -119,7 +119,6 @@ class RobotModel:
         return made
 
     def _take_views(self) -> None:
-        """Views into MuJoCo's arrays: to look one up costs as much as to compute with it."""
         self._data = data = mujoco.MjData(self._model)
         mj_fwdKinematics(self._model, data)
         n = self.n
@@ -375,7 +374,6 @@ class RobotModel:
             self._is_moving = True
 
     def _swap(self) -> None:
-        """Fills the data in which velocities stand where accelerations do."""
         self._move()
         if not self._is_swapped:
             self._swapped_cinert[...], self._swapped_cdof_dot[...] = self._cinert, self._cdof
@@ -423,7 +421,6 @@ class _Carrier:
         )
 
     def move_bases(self) -> None:
-        """Puts what the bases carry where the bases are now."""
         whole, bases = self._whole, self._bases
         rotations = whole.xmat[bases].reshape(-1, 3, 3)
         self._model.body_pos[self._trees] = (
@@ -475,7 +472,6 @@ def skeleton(
     against each other are one.
 
     Args:
-        model: where the robot is, perhaps among others.
         joints: ids of its hinge and slide joints, base to flange.
         site: id of the site at the flange, or None.
         body: id of the body whose frame is the flange's, where there is no site.
@@ -512,7 +508,6 @@ def skeleton(
 
 @lru_cache(maxsize=16)
 def _repeated(m: int, *models: mujoco.MjModel) -> mujoco.MjModel:
-    """Returns a model with m times the bodies and joints of skeletons, and no site."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.balanceinertia = False
@@ -536,7 +531,6 @@ def _repeated(m: int, *models: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
-    """Adds a joint of a model to a body."""
     body.add_joint(
         type=mujoco.mjtJoint(int(model.jnt_type[joint])),
         pos=model.jnt_pos[joint],
@@ -547,5 +541,4 @@ def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
 
 
 def _own_name(name: str) -> str:
-    """Returns the name of a joint of a world, `ROBOT/JOINT`, without its robot."""
     return name.partition("/")[2] or name

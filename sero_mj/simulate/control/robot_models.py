@@ -20,8 +20,6 @@ class RobotModels:
     it is called row by row; then there has to be one robot.
 
     Args:
-        models: of the robots, for itself.
-        m: number of rows.
         mountings: of every robot in every row, if there are mounted ones: the mounting and
             T_world_base when the model was made.
 
@@ -66,7 +64,6 @@ class RobotModels:
         self._is_moved = False
 
     def _moved(self) -> RobotModel:
-        """All robots, at their angles."""
         if not self._is_moved:
             self._all.update(self._angles.reshape(-1), self._velocities.reshape(-1))
             self._is_moved = True
@@ -114,7 +111,6 @@ class RobotModels:
             position[...], rotation[...] = model.flange_position, model.flange_rotation
 
     def _each(self) -> Iterator[RobotModel]:
-        """The first robot's model, moved to where the robot is in every row."""
         for angles, velocities in zip(self._angles, self._velocities, strict=True):
             self._first.update(angles, velocities)
             yield self._first

@@ -77,7 +77,6 @@ class LoopGains:
 
         Args:
             control: the robot's `[torque_control]`.
-            dynamics: its parameters, declared or estimated.
             elastic: whether its joints are.
 
         Raises:
@@ -139,7 +138,6 @@ class TorqueLoop:
     """Joint torque control of all joints of m rows of a plant, at the rate of its steps.
 
     Args:
-        gains: of every joint.
         timestep: s between two steps.
         limits: (n,), torques that the drives can give, Nm or N; infinite where there is no limit.
 
@@ -168,7 +166,6 @@ class TorqueLoop:
         Args:
             torques: (k, n), that the sensors read, Nm or N.
             velocities: (k, n), of the motors, rad/s or m/s.
-            which: rows.
         """
         self.motor_torques[which] = torques
         self._filtered[which] = np.where(np.isfinite(self.gains.stiffness), torques, 0.0)
@@ -204,7 +201,6 @@ class HangingLinks:
     Args:
         stiffness: K, (n,), Nm/rad (N/m).
         at_rest: l, (n,), Nm or N, to be read at every step; None for gravity.
-        model: for itself.
         angles: (n,), rad or m, of the links at first; (m, n) of as many rows as the model has.
     """
 
@@ -226,7 +222,6 @@ class HangingLinks:
         """Begins anew with some of many rows, (m,).
 
         Args:
-            which: of the rows.
             angles: (n,), rad or m, of their links at first.
             motor_angles: (m, n), of all rows.
         """
@@ -259,7 +254,6 @@ def loop_coefficients(gains: LoopGains, timestep: float) -> Array:
     """The linear step of a loop, before drives saturate.
 
     Args:
-        gains: of n joints.
         timestep: s.
 
     Returns:
@@ -307,12 +301,10 @@ def unstable_loop(
     taken at the start of a step, their damping at its end); the controller's torques are held.
 
     Args:
-        gains: of its loop.
         mass: (n, n), of the links, without the motors.
         timestep: s of the loop and of the physics.
         stiffness: (n, n), of the controller: what its torques fall by with the motors' angles.
         damping: (n, n), likewise with their velocities.
-        steps: of the loop in one of the controller.
     """
     n = len(mass)
     loop: Array = np.zeros((4, n, 7, n))

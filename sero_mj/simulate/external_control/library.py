@@ -21,7 +21,7 @@ from pydantic import Field
 from ...base.child_process import ChildProcess
 from ...base.errors import DeclarationError, Problem, SimulationError
 from ...base.frames import Array
-from ...base.trust import Action
+from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
 from ..control.controller import Controller, ControllerDeclaration, Sensed, Target
 from ..control.robot_model import RobotModel
@@ -67,12 +67,10 @@ class Library(ControllerDeclaration):
         """None: there is no library."""
         return None
 
-    def actions(self, key: str = "") -> list[Action]:
-        """See `ControllerDeclaration`."""
-        return [Action(key, f"load the library {self.file}", (self.file,))]
+    def actions(self, key: str = "") -> list[RequestedAction]:
+        return [RequestedAction(key, f"load the library {self.file}", (self.file,))]
 
     def check_files(self) -> None:
-        """See `ControllerDeclaration`."""
         if not self.file.is_file():
             raise Problem("file", f"no file {self.file}").error()
 
@@ -130,8 +128,6 @@ class LibraryController(Controller):
     """Calls a function of a library in every step.
 
     Args:
-        declared: the library.
-        model: of the robot, for itself.
         timestep: s between two steps.
     """
 
@@ -181,7 +177,6 @@ class LibraryController(Controller):
         out[:] = self._written
 
     def _bind(self, sensed: Sensed, target: Target) -> None:
-        """Points at what is measured, asked for and to be written."""
         arrays = {
             "angles": sensed.angles,
             "velocities": sensed.velocities,
@@ -206,8 +201,6 @@ class IsolatedLibrary(Controller):
     end. This process never loads the library.
 
     Args:
-        declared: the library.
-        model: of the robot, for itself.
         timestep: s between two steps.
 
     Raises:
@@ -271,7 +264,6 @@ class IsolatedLibrary(Controller):
         self._end()
 
     def _start(self, timestep: float) -> None:
-        """Starts the process, and opens memory and pipes."""
         declared, n = self._declared, self._model.n
         shared = Path("/dev/shm")
         folder = shared if shared.is_dir() else Path(tempfile.gettempdir())

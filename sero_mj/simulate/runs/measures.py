@@ -49,7 +49,6 @@ def _flange(log: RunLog, robot: str, signal: str | None = None) -> Array:
 
 
 def _poses(log: RunLog, robot: str) -> tuple[Array, Array]:
-    """Where the flange should be, and where it is."""
     event = event_of(robot, "target_pose")
     target = log.signals[event] if event in log.signals else _flange(log, robot, "target_angles")
     return target, _flange(log, robot)
@@ -125,7 +124,6 @@ def _real_time_factor(log: RunLog, name: str) -> Array:
 
 
 def _tilt(log: RunLog, name: str) -> Array:
-    """The angle between z as it is and as it was at first."""
     up = _free_pose(log, name)[:, :3, 2]
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(up, up[0]), axis=1), up @ up[0])[:, None])
 

@@ -145,12 +145,10 @@ class RunSource(Source):
 
     @property
     def drag_force(self) -> Any:
-        """See `Run`."""
         return self.run.drag_force
 
     @property
     def live(self) -> Any:
-        """See `Run`."""
         return self.run.live
 
     @property
@@ -193,7 +191,6 @@ class RunSource(Source):
         return True
 
     def _before(self, row: int) -> int:
-        """Returns the row after which packets are passed on again, when the clock went back."""
         return -1
 
     def advance_to(self, time: float) -> None:

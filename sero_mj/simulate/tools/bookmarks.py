@@ -36,9 +36,6 @@ class Bookmarks(Tool):
     What is live is watched as it comes: joints beyond their limits of torque or angle, torque
     errors above the monitor's share of the limit, sources that fall silent, packets that are lost
     or not applied.
-
-    Args:
-        shown: where it works.
     """
 
     order: ClassVar[int] = 60
@@ -71,7 +68,6 @@ class Bookmarks(Tool):
         self._counts: dict[str, tuple[Array, Array]] = {}
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`."""
         return {
             "mark": self.mark,
             "next_event": lambda: self.go(1),
@@ -124,7 +120,6 @@ class Bookmarks(Tool):
             self._found(f"{self._names[joint]}: {text}", data.time)
 
     def _watch_counts(self, name: str, counts: Array, time: float) -> None:
-        """Finds where packets begin to be lost, dropped, or not applied."""
         never = np.full(len(counts), -np.inf)
         before, seen = self._counts.get(name, (np.zeros_like(counts), never))
         grown = counts > before

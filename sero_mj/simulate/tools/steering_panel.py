@@ -33,12 +33,7 @@ class Steered(Protocol):
 
 
 class SteeringPanel:
-    """The panel of robots whose targets and controllers are changed while they run.
-
-    Args:
-        steering: changes them.
-        say: tells the user something.
-    """
+    """The panel of robots whose targets and controllers are changed while they run."""
 
     def __init__(self, steering: Steered, say: Callable[[str], None]) -> None:
         self._steering, self._say = steering, say
@@ -91,7 +86,6 @@ class SteeringPanel:
         build_flange(ui, "target's flange", goal, steering.base(name))
 
     def _sliders_of(self, ui: Widgets, name: str, robot: LiveRobot) -> None:
-        """Builds the sliders of a robot's controller, those of a group in a tree."""
         found = robot.controller.sliders(robot.robot, robot.first[robot.control])
         for slider in (each for each in found if not each.group):
             self._slider(ui, name, slider)

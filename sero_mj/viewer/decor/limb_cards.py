@@ -88,7 +88,7 @@ def card_limbs(world: WorldView) -> CardLimbs:
                 beside[part.joints][own == own[k]] = by
                 limb[part.joints][own == own[k]] = carried.setdefault(by, limb.max() + 1)
     is_carried = groups != np.arange(len(groups))
-    for group in np.unique(groups[is_carried]):
+    for group in sorted(set(groups[is_carried].tolist())):
         mine = (is_carried & (groups == group))[joints.owner]
         beside[mine], limb[mine] = beside.max() + 1, limb.max() + 1
     of_joint = np.unique(limb, return_inverse=True)[1].reshape(-1)

@@ -194,11 +194,11 @@ def _corners(model: mujoco.MjModel, geom: int) -> tuple[Array, Array, Any] | Non
     kind, (a, b, c) = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
     data = int(model.geom_dataid[geom])
     if kind in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF):
-        points, normals, index = mesh_corners(model, data)
+        points, normals, index, _ = mesh_corners(model, data)
         lengths = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         return points, normals / lengths, index
     if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
-        return field_corners(model, data)
+        return field_corners(model, data)[:3]
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         shape = trimesh.creation.icosphere(radius=a)
     elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:

@@ -33,6 +33,9 @@ _NORMAL_STEPS = 127
 _OUR_LIGHT = "key"
 _OUR_FLOOR = "floor"
 
+# Vertices (n, 3), m, normals (n, 3), corners of triangles (3 m,), and places in a texture (n, 2).
+Corners = tuple[Array, Array, Ints, Array | None]
+
 
 def visible_geoms(model: mujoco.MjModel) -> Ints:
     """Returns the ids of the geoms that MuJoCo draws by default, without our floor."""
@@ -84,14 +87,8 @@ def _has_own_lights(model: mujoco.MjModel) -> bool:
     return [model.light(i).name for i in range(model.nlight)] != [_OUR_LIGHT]
 
 
-def mesh_corners(model: mujoco.MjModel, mesh: int) -> tuple[Array, Array, Ints]:
-    """Returns vertices (n, 3), m, normals (n, 3), and the triangles' corners (3 m,) of a mesh."""
-    points, normals, _, index = _mesh_corners(model, mesh, is_textured=False)
-    return points, normals, index
-
-
-def field_corners(model: mujoco.MjModel, field: int) -> tuple[Array, Array, Ints]:
-    """Returns vertices, normals and corners of a height field, see `mesh_corners`: with sides."""
+def field_corners(model: mujoco.MjModel, field: int) -> Corners:
+    """Returns a height field as a mesh with sides."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     begin = model.hfield_adr[field]
     wide, deep, high, under = model.hfield_size[field]
@@ -121,13 +118,12 @@ def field_corners(model: mujoco.MjModel, field: int) -> tuple[Array, Array, Ints
                             [wide, -deep, -under]]))  # fmt: skip
     facing.append(np.tile((0.0, 0.0, -1.0), (4, 1)))
     index.append(start + np.array([0, 1, 2, 0, 2, 3]))
-    return np.concatenate(points), np.concatenate(facing), np.concatenate(index).astype(np.intp)
+    corners = np.concatenate(index).astype(np.intp)
+    return np.concatenate(points), np.concatenate(facing), corners, None
 
 
-def _mesh_corners(
-    model: mujoco.MjModel, mesh: int, *, is_textured: bool
-) -> tuple[Array, Array, Array | None, Ints]:
-    """As `mesh_corners`, with places in a texture (n, 2)."""
+def mesh_corners(model: mujoco.MjModel, mesh: int, *, is_textured: bool = False) -> Corners:
+    """Returns a mesh, with places in its texture if it has one."""
     vertex, normal = model.mesh_vertadr[mesh], model.mesh_normaladr[mesh]
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
     columns = [model.mesh_face[faces].ravel(), model.mesh_facenormal[faces].ravel()]
@@ -146,7 +142,7 @@ def _mesh_corners(
     uv = None
     if is_textured:
         uv = model.mesh_texcoord[model.mesh_texcoordadr[mesh] + corners[:, 2]].astype(float)
-    return points, normals, uv, rank[index.ravel()]
+    return points, normals, rank[index.ravel()], uv
 
 
 class Look:
@@ -173,7 +169,7 @@ class Look:
         found: dict[str, Any] = {
             "meshes": self._meshes,
             "geoms": [self._geom(i) for i in visible_geoms(model).tolist()]
-            + [self._site(i) for i in _visible_sites(model).tolist()],
+            + [self._shape("site", i) for i in _visible_sites(model).tolist()],
         }
         if self._is_endless():
             found["reach"] = round(float(model.vis.map.zfar * model.stat.extent), 3)
@@ -227,12 +223,14 @@ class Look:
         found = self._shape("geom", i)
         kind, data = int(model.geom_type[i]), int(model.geom_dataid[i])
         if kind == _HFIELD:
-            found |= {"type": _MESH, "mesh": self._mesh(("field", data), self._field_of(data))}
+            found["type"] = _MESH
+            found["mesh"] = self._mesh(("field", data), lambda: field_corners(model, data))
         elif kind in (_MESH, _SDF):
             found["type"] = _MESH
             is_textured = self._is_flat(found) and bool(model.mesh_texcoordadr[data] >= 0)
-            corners = _mesh_corners(model, data, is_textured=is_textured)
-            found["mesh"] = self._mesh((data, is_textured), lambda: corners)
+            found["mesh"] = self._mesh(
+                (data, is_textured), lambda: mesh_corners(model, data, is_textured=is_textured)
+            )
         return found
 
     def copied(self, geom: int, body: int, rgba: Array) -> dict[str, Any]:
@@ -241,20 +239,10 @@ class Look:
         found.pop("material", None)
         return found | {"body": body, "rgba": np.round(rgba * 255).astype(int).tolist()}
 
-    def _field_of(self, field: int) -> Callable[[], Any]:
-        def corners() -> Any:
-            points, normals, index = field_corners(self._model, field)
-            return points, normals, None, index
-
-        return corners
-
     def _is_flat(self, found: dict[str, Any]) -> bool:
         """Whether the material of a geom has a texture that is not a cube's."""
         texture = self._materials[found["material"]]["texture"] if "material" in found else -1
         return texture >= 0 and not self._textures[texture]["cube"]
-
-    def _site(self, i: int) -> dict[str, Any]:
-        return self._shape("site", i)
 
     def _shape(self, what: str, i: int) -> dict[str, Any]:
         model = self._model
@@ -274,46 +262,32 @@ class Look:
         material = self.material(int(of("matid")[i]))
         return found | ({"material": material} if material >= 0 else {})
 
-    def _mesh(self, name: Any, corners: Callable[[], Any]) -> int:
+    def _mesh(self, name: Any, corners: Callable[[], Corners]) -> int:
         known = self._known
         if name in known:
             return known[name]
-        points, normals, uv, index = corners()
+        points, normals, index, uv = corners()
         digest = hashlib.sha256(points.tobytes() + normals.tobytes() + index.tobytes())
         digest.update(b"" if uv is None else uv.tobytes())
         key = digest.digest()
         if key not in known:
             known[key] = len(self._meshes)
-            mesh = self._points(points)
+            mesh = self._steps(points, "vertices")
             mesh["normals"] = self._parts.put(_octahedral(normals))
-            mesh["triangles"] = self._triangles(index)
+            mesh["triangles"] = self._parts.put(differing(index))
             if uv is not None:
-                mesh["uv"] = self._uv(uv)
+                mesh["uv"] = self._steps(uv, "places")
             self._meshes.append(mesh)
         known[name] = known[key]
         return known[name]
 
-    def _points(self, points: Array) -> dict[str, Any]:
-        low = points.min(axis=0)
-        step = max(float(np.ptp(points, axis=0).max()) / _MESH_STEPS, 1e-9)
-        places = np.round((points - low) / step).astype(np.int64)
-        return {
-            "low": low.tolist(),
-            "step": step,
-            "vertices": self._parts.put(_differences(places.T).astype(np.uint16)),
-        }
-
-    def _triangles(self, index: Ints) -> list[Any]:
-        return self._parts.put(differing(index))
-
-    def _uv(self, uv: Array) -> dict[str, Any]:
-        low = uv.min(axis=0)
-        step = max(float(np.ptp(uv, axis=0).max()) / _MESH_STEPS, 1e-9)
-        places = np.round((uv - low) / step).astype(np.int64)
-        return {
-            "low": low.tolist(), "step": step,
-            "places": self._parts.put(_differences(places.T).astype(np.uint16)),
-        }  # fmt: skip
+    def _steps(self, places: Array, name: str) -> dict[str, Any]:
+        """Places (n, dimensions) as steps from the lowest one."""
+        low = places.min(axis=0)
+        step = max(float(np.ptp(places, axis=0).max()) / _MESH_STEPS, 1e-9)
+        whole = np.round((places - low) / step).astype(np.int64)
+        packed = self._parts.put(_differences(whole.T).astype(np.uint16))
+        return {"low": low.tolist(), "step": step, name: packed}
 
     def _texture(self, texture: int) -> int:
         if texture < 0:
@@ -353,10 +327,10 @@ class Look:
         moved = np.concatenate([model.skin_bonevertid[each] for each in of_bones])
         weights = np.concatenate([model.skin_bonevertweight[each] for each in of_bones])
         found = self._soft(model.skin_rgba[i], int(model.skin_matid[i]))
-        found |= self._points(model.skin_vert[begin : begin + count].astype(float))
+        found |= self._steps(model.skin_vert[begin : begin + count].astype(float), "vertices")
         found |= {
             "inflate": round(float(model.skin_inflate[i]), 6),
-            "triangles": self._triangles(model.skin_face[faces].ravel()),
+            "triangles": self._parts.put(differing(model.skin_face[faces].ravel())),
             "bones": [
                 {
                     "body": self._index(int(model.skin_bonebodyid[b])),
@@ -371,7 +345,9 @@ class Look:
         }
         first = int(model.skin_texcoordadr[i])
         if first >= 0:
-            found["uv"] = self._uv(model.skin_texcoord[first : first + count].astype(float))
+            found["uv"] = self._steps(
+                model.skin_texcoord[first : first + count].astype(float), "places"
+            )
         return found
 
     def _soft(self, rgba: Array, material: int) -> dict[str, Any]:
@@ -395,14 +371,15 @@ class Look:
         found = self._soft(model.flex_rgba[i], int(model.flex_matid[i])) | {
             "dim": dim, "radius": round(float(model.flex_radius[i]), 6), "first": before,
             "count": int(model.flex_vertnum[i]), "flat": bool(model.flex_flatskin[i]),
-            "triangles": self._triangles(triangles), "edges": self._triangles(edges),
+            "triangles": self._parts.put(differing(triangles)),
+            "edges": self._parts.put(differing(edges)),
         }  # fmt: skip
         place = int(model.flex_texcoordadr[i])
         own = model.flex_elemtexcoord[first : first + len(elements)]
         if place >= 0 and dim == 2 and self._is_flat(found):
             uv = np.zeros((found["count"], 2))
             uv[elements] = model.flex_texcoord[place + own]
-            found["uv"] = self._uv(uv)
+            found["uv"] = self._steps(uv, "places")
         return found
 
     def _lights(self) -> dict[str, Any]:

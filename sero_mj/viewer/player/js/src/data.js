@@ -264,6 +264,16 @@ export function decode(bytes) {
 /** @typedef {ReturnType<typeof decode>} Run */
 
 /**
+ * Reads channels of moving numbers between two frames.
+ * @param {number} at frame, with a fraction @param {number} frames
+ * @returns {(of: Float32Array, channel: number) => number}
+ */
+export function mixer(at, frames) {
+  const before = Math.floor(at), after = Math.min(before + 1, frames - 1), part = at - before;
+  return (of, channel) => of[channel * frames + before] * (1 - part) + of[channel * frames + after] * part;
+}
+
+/**
  * The value of a line of a card, as it is received; of limits and shares as well.
  * @param {Run} run @param {number} joint @param {string} key @param {number} frame
  */

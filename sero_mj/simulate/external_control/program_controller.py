@@ -19,7 +19,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
-from ...base.trust import Action
+from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
 from ..control.controller import Controller, ControllerDeclaration, MaybePerJoint, Sensed, Target
 from ..control.robot_model import RobotModel
@@ -36,7 +36,6 @@ RECEIVE_BUFFER = 1 << 20  # bytes, so that a flood of strays does not push the a
 
 
 def _as_word(value: Any) -> Any:
-    """A number as a program gets it, so that one can be varied."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return repr(value) if is_number else value
 
@@ -87,16 +86,15 @@ class Reachable(ControllerDeclaration):
         """None: there is no program."""
         return None
 
-    def actions(self, key: str = "") -> list[Action]:
-        """See `ControllerDeclaration`."""
+    def actions(self, key: str = "") -> list[RequestedAction]:
         if not self.command:
-            return [Action(key, f"exchange packets with {self._peer}")]
+            return [RequestedAction(key, f"exchange packets with {self._peer}")]
         beside = [self.folder / word for word in self.command]
         files = tuple(path.absolute() for path in beside if is_file(path))
         name, *words = self.command
         if os.sep in name:  # where it is, which may be far from the file that was opened
             name = str(beside[0].absolute())
-        return [Action(key, f"run the program {shlex.join([name, *words])}", files)]
+        return [RequestedAction(key, f"run the program {shlex.join([name, *words])}", files)]
 
     @property
     def is_in_real_time(self) -> bool:
@@ -104,22 +102,15 @@ class Reachable(ControllerDeclaration):
 
     @property
     def _peer(self) -> str:
-        """The program that runs already, for people."""
         return f"{self.host}:{self.port}"
 
     def check_files(self) -> None:
-        """See `ControllerDeclaration`."""
         if self.command:
             find_program(self.command, self.folder)
 
 
 class Link:
     """A socket to a program, which is started where that is declared.
-
-    Args:
-        declared: how the program is reached.
-        robot: name of the robot, for errors.
-        most: bytes of an answer.
 
     Attributes:
         buffer: what came last.
@@ -219,8 +210,6 @@ class Link:
         """Sends a state in lockstep, and waits for its answer; whether it came.
 
         Args:
-            packet: the state.
-            step: its number.
             time: s since the start.
             take: gets the bytes of an answer, which is in `buffer`; whether it was the one.
             patience: s to wait once somebody listens; as declared when None.
@@ -415,10 +404,6 @@ class ProgramController(Controller):
     """Sends states to a program, and commands what it answers.
 
     Args:
-        declared: how.
-        state: what is sent.
-        answer: what comes back.
-        model: of the robot, for itself.
         timestep: s between two steps.
         link: by which they go; a socket when None.
 
@@ -507,7 +492,6 @@ class ProgramController(Controller):
         return bool(link.answered) and age <= self._declared.patience
 
     def _take(self, size: int) -> bool:
-        """Takes what is in the buffer if it is the answer to this step."""
         return self._take_answer(size, self._step)
 
     def _take_answer(self, size: int, step: int) -> bool:
@@ -532,7 +516,6 @@ class ProgramController(Controller):
         return False
 
     def _follow(self, size: int) -> None:
-        """Takes what is in the buffer if it answers a newer step than the last one did."""
         step = self._step_in_buffer(size)
         if step <= self._link.answered:
             if step != 1:  # the first state is sent until it is answered
@@ -550,7 +533,6 @@ class ProgramController(Controller):
         return self._step - int(behind) if np.isfinite(behind) else 0
 
     def _bear_silence(self, time: float) -> None:
-        """Does what is declared for when there is no answer."""
         self.silent += 1
         declared, link = self._declared, self._link
         link.check(time)
