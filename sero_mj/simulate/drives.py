@@ -48,6 +48,7 @@ class Drives:
             self.loop = TorqueLoop(joined, plant.timestep, self._high, plant.physics.m)
         # Motors of elastic joints have encoders of their own, without errors; others the links'.
         self._velocities = plant.motor_velocities if plant.joints.elastic else None
+        self._measured: Array = plant.measured[:, 1:]
         # Torques that do not act yet, in a ring, and the place in it of the next ones.
         delay = round(run.drive_delay / plant.timestep)
         self._pending: Array = np.zeros((delay + 1, plant.physics.m, plant.n))
@@ -144,7 +145,7 @@ class Drives:
         motor_torques, sensed = plant.joints.motor_torques, loop.sensed
         is_late = len(self._pending) > 1
         for _ in range(self.substeps):
-            sensed[...] = plant.measured[:, 1:]
+            sensed[...] = self._measured
             if self._velocities is not None:
                 sensed[:, 0] = self._velocities
             loop.step(motor_torques)

@@ -16,7 +16,7 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
 _NOTHING = int(mujoco.mjtStage.mjSTAGE_NONE)
 # MuJoCo's warnings about an unstable motion.
-_UNSTABLE = [
+_POSITION, _SPEED, _ACCELERATION = _UNSTABLE = [
     int(kind)
     for kind in (
         mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -114,7 +114,7 @@ class Physics:
             (mj_step2 if self.is_ahead else mj_step)(self.model, self._data)
             self.is_ahead = False
             warned = self._warned
-            if not any([warned[kind] for kind in _UNSTABLE]):
+            if not (warned[_POSITION] or warned[_SPEED] or warned[_ACCELERATION]):
                 return True
             self.broken[0] = float(self._data.time), self._data.qacc
             self.unstable[0] = True

@@ -63,6 +63,7 @@ class SensorErrors(Declaration):
     delay: int = Field(0, ge=0, le=100_000)
 
 
+_ALL = slice(None)
 Joints = int | Sequence[int] | slice
 
 
@@ -291,8 +292,15 @@ class SensorRows:
         errors = self.errors
         self._has_noise: Bools = np.asarray(errors["noise"].any(axis=(1, 2)))
         self._coarse: Bools = errors["resolution"] > 0
-        self._is_coarse = bool(self._coarse.any())
         self._grid = np.where(self._coarse, errors["resolution"], 1.0)
+        self._grids = [
+            (signal, self._grid[:, signal], self._coarse[:, signal])
+            for signal in range(len(SIGNALS))
+            if self._coarse[:, signal].any()
+        ]
+        self._is_noisy = bool(self._has_noise.any())
+        self._is_biased = bool(errors["bias"].any())
+        self._is_scaled = bool((errors["gain"] != 1.0).any())
         self._is_faulty = bool(self.dead.any() or self.frozen.any())
         self._is_late = bool(self.delays.any())
         is_off = self.dead | self.frozen | (self.delays != 0)
@@ -324,7 +332,7 @@ class SensorRows:
     def measure(self, actual: Array) -> Array:
         """Reads all sensors, (m, 3, n); returns `measured`."""
         measured = self.measured
-        measured[...] = self._read(actual, slice(None))
+        measured[...] = self._read(actual, _ALL)
         if self._is_late:
             self.past[self._place % len(self.past)] = measured
             measured[...] = self.past[(self._place - self.delays) % len(self.past), *self._at]
@@ -334,13 +342,15 @@ class SensorRows:
 
     def _read(self, actual: Array, rows: slice) -> Array:
         errors = self.errors
-        offsets = errors["bias"][rows]
-        if self._has_noise[rows].any():
+        offsets, gain = errors["bias"][rows], errors["gain"][rows]
+        if self._is_noisy:
             offsets = offsets + errors["noise"][rows] * self._noise_now(rows)
-        gain, grid = errors["gain"][rows], self._grid[rows]
-        values: Array = actual * gain + offsets
-        if self._is_coarse:
-            np.copyto(values, np.rint(values / grid) * grid, where=self._coarse[rows])
+        values: Array = actual * gain if self._is_scaled else actual.copy()
+        if self._is_noisy or self._is_biased:
+            values += offsets
+        for signal, grid, coarse in self._grids:
+            of = values[:, signal]
+            np.copyto(of, np.rint(of / grid[rows]) * grid[rows], where=coarse[rows])
         if self._differentiates:
             self._differentiate(values, gain, offsets, rows)
         if self._is_faulty:
@@ -350,13 +360,19 @@ class SensorRows:
 
     def _noise_now(self, rows: slice) -> Array:
         """Standard noise of this reading, (k, 3, n)."""
-        k = self._k[rows] % _BLOCK
+        if len(self._k) == 1:
+            k = int(self._k[0]) % _BLOCK
+            if k == 0 or not self._has_drawn[0]:
+                self._noise[0] = self._rngs[0].standard_normal(self._noise[0].shape)
+                self._has_drawn[0] = True
+            return self._noise[:, k]
+        at = self._k[rows] % _BLOCK
         numbers = np.arange(len(self._k))[rows]
-        due = self._has_noise[rows] & ((k == 0) | ~self._has_drawn[rows])
+        due = self._has_noise[rows] & ((at == 0) | ~self._has_drawn[rows])
         for row in numbers[due].tolist():
             self._noise[row] = self._rngs[row].standard_normal(self._noise[row].shape)
             self._has_drawn[row] = True
-        return np.asarray(self._noise[numbers, k])
+        return np.asarray(self._noise[numbers, at])
 
     def _differentiate(self, values: Array, gain: Array, offsets: Array, rows: slice) -> None:
         angles, speeds = values[:, 0], self._speeds[rows]

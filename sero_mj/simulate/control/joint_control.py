@@ -247,6 +247,7 @@ class GravityCompensator(Controller):
         self._compensates, self._feeds_forward = compensate_gravity, feed_forward
         self._damping: Array = np.zeros(model.n) if damping is None else damping
         self._own: Array = np.zeros(model.n) if torques is None else torques
+        self._resists, self._has_own = bool(self._damping.any()), bool(self._own.any())
         self._rest: Array | None = None
 
     @property
@@ -274,12 +275,14 @@ class GravityCompensator(Controller):
             self.model.gravity(out)
         else:
             out[:] = 0.0
-        out += self._own
+        if self._has_own:
+            out += self._own
         if self._feeds_forward:
             out += target.torques
         if self._rest is not None:
             self._rest[...] = out
-        out -= self._damping * sensed.motor_velocities
+        if self._resists:
+            out -= self._damping * sensed.motor_velocities
 
 
 class JointImpedanceController(Controller):
@@ -331,6 +334,7 @@ class JointImpedanceController(Controller):
         self.damping: Array = np.zeros((*shape, model.n))
         self._error: Array = np.zeros(shape)
         self._own, self._less = np.zeros((2, *shape))
+        self._times = np.matvec if model.rows else np.dot  # which takes half as long
 
     @property
     def group(self) -> tuple[object, ...]:
@@ -384,7 +388,7 @@ class JointImpedanceController(Controller):
         self._k += 1
         np.subtract(target.angles, sensed.motor_angles, self._error)
         self._error *= self._spring
-        np.matvec(self.damping, target.velocities - sensed.motor_velocities, out)
+        self._times(self.damping, target.velocities - sensed.motor_velocities, out)
         out += self._error
         if self._feeds_forward:
             model.write_inverse_dynamics(target.velocities, target.accelerations, own, self._less)

@@ -59,7 +59,7 @@ class LimitedController:
     def _limit(self, limits: Array, step: Array | None) -> None:
         self.requested: Array = np.zeros(limits.shape)
         self._given: Array = self.requested
-        self.limits, self._step = limits, step
+        self.limits, self._low, self._step = limits, -limits, step
         self._last: Array | None = None
 
     @classmethod
@@ -109,7 +109,7 @@ class LimitedController:
             raise SimulationError(sensed.time, self._robot, reason)
         if requested.ndim == 1 and not self.is_finite():
             raise self.not_finite(sensed)
-        np.minimum(np.maximum(requested, -self.limits, out=out), self.limits, out=out)
+        np.minimum(np.maximum(requested, self._low, out=out), self.limits, out=out)
         if self._step is not None:
             if self._last is None:
                 self._last = out.copy()

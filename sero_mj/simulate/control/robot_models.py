@@ -65,14 +65,20 @@ class RobotModels:
 
     def _moved(self) -> RobotModel:
         if not self._is_moved:
-            self._all.update(self._angles.reshape(-1), self._velocities.reshape(-1))
+            if self.rows[0] == 1:  # `reshape` takes longer
+                self._all.update(self._angles[0], self._velocities[0])
+            else:
+                self._all.update(self._angles.reshape(-1), self._velocities.reshape(-1))
             self._is_moved = True
         return self._all
 
     def gravity(self, out: Array | None = None) -> Array:
         """g(q), (m, n)."""
         result = self._gravity if out is None else out
-        result[...] = self._moved().gravity().reshape(result.shape)
+        if self.rows[0] == 1:
+            self._moved().gravity(result[0])
+        else:
+            result[...] = self._moved().gravity().reshape(result.shape)
         return result
 
     def write_momentum(self, momentum: Array, slope: Array) -> None:

@@ -152,12 +152,15 @@ class TorqueLoop:
         n = len(gains.motor_inertias)
         self.gains, self.timestep = gains, timestep
         self._high, self._low = np.array(limits), -np.array(limits)
-        self._coefficients = loop_coefficients(gains, timestep)
+        # By joint: a product of small matrices takes a third of `einsum`.
+        self._coefficients = loop_coefficients(gains, timestep).transpose(2, 0, 1).copy()
         # [motor torques, friction, friction and momentum, filtered torques; u; dtheta, tau]
-        self._terms: Array = np.zeros((m, 7, n))
-        self._own, self.sensed = self._terms[:, :4], self._terms[:, 5:]
+        terms: Array = np.zeros((m, n, 7))
+        self._column, self._next = terms[..., None], np.zeros((m, n, 4, 1))
+        self._own: Array = self._column[:, :, :4]
+        self.sensed: Array = terms[..., 5:].swapaxes(1, 2)
         self.motor_torques, self.friction, self._momentum, self._filtered, self._commanded = (
-            self._terms[:, k] for k in range(5)
+            terms[..., k] for k in range(5)
         )
 
     def reset(self, torques: Array, velocities: Array, which: Bools | slice = slice(None)) -> None:
@@ -182,7 +185,8 @@ class TorqueLoop:
         Args:
             out: (m, n), to be written: torques of the motors in the next step, Nm or N.
         """
-        self._own[...] = np.einsum("ijn,mjn->min", self._coefficients, self._terms)
+        np.matmul(self._coefficients, self._column, self._next)
+        self._own[...] = self._next
         motors = self.motor_torques
         np.minimum(np.maximum(motors, self._low, out=motors), self._high, out=motors)
         out[...] = motors
