@@ -22,6 +22,18 @@ from .sampling import known_poses, sampled_states
 
 _TURNS = 24  # of a turntable, by which the camera is placed
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+SUBFRAMES = 8
+SHUTTER = 0.5  # open, of the time between two frames
+_LEAST_SHIFT = 0.5  # pixels; what moves less is not drawn again
+_LEVELS = 1 << 16  # of linear light, fine enough to distinguish the darkest two of 256 levels
+# Source: IEC 61966-2-1 (sRGB).
+_CODES = np.arange(256) / 255
+_LINEAR = np.where(
+    _CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4
+).astype(np.float32)  # fmt: skip
+_LIGHT = np.arange(_LEVELS) / (_LEVELS - 1)
+_CODE_OF = np.where(_LIGHT <= 0.0031308, 12.92 * _LIGHT, 1.055 * _LIGHT ** (1 / 2.4) - 0.055)
+_SRGB = np.round(255 * _CODE_OF).astype(np.uint8)
 OnState = Callable[[mujoco.MjData], None]
 
 
@@ -149,20 +161,6 @@ def _check_motion(renderer: FilmRenderer, options: FilmOptions) -> None:
         name = renderer.world.model.camera(renderer.camera.fixedcamid).name
         expected = "the free camera, azimuth,elevation,distance or the scene's view"
         raise UsageError(Problem(moved[0], "cannot move camera", found=name, expected=expected))
-
-
-SUBFRAMES = 8
-SHUTTER = 0.5  # open, of the time between two frames
-_LEAST_SHIFT = 0.5  # pixels; what moves less is not drawn again
-_LEVELS = 1 << 16  # of linear light, fine enough to distinguish the darkest two of 256 levels
-# Source: IEC 61966-2-1 (sRGB).
-_CODES = np.arange(256) / 255
-_LINEAR = np.where(
-    _CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4
-).astype(np.float32)  # fmt: skip
-_LIGHT = np.arange(_LEVELS) / (_LEVELS - 1)
-_CODE_OF = np.where(_LIGHT <= 0.0031308, 12.92 * _LIGHT, 1.055 * _LIGHT ** (1 / 2.4) - 0.055)
-_SRGB = np.round(255 * _CODE_OF).astype(np.uint8)
 
 
 class Exposure:

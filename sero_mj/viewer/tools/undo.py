@@ -45,7 +45,8 @@ class Undo(Generic[State]):
 
     def _settle(self) -> None:
         if self._seen != self._kept:
-            self._past = [*self._past, self._kept][-_MOST:]
+            self._past.append(self._kept)
+            del self._past[:-_MOST]
             self._future.clear()
             self._kept = self._seen
 
@@ -53,25 +54,22 @@ class Undo(Generic[State]):
         """Takes the last step back; returns what to tell the user."""
         self._seen = self._read()
         self._settle()
-        if not self._past:
-            return "nothing to undo"
-        self._future.append(self._kept)
-        self._go(self._past.pop())
-        return "undone; Ctrl+Y does it again"
+        done = self._step(self._past, self._future)
+        return "undone; Ctrl+Y does it again" if done else "nothing to undo"
 
     def redo(self) -> str:
         """Does again what was undone; returns what to tell the user."""
         self._seen = self._read()
         self._settle()
-        if not self._future:
-            return "nothing to do again"
-        self._past.append(self._kept)
-        self._go(self._future.pop())
-        return "done again"
+        return "done again" if self._step(self._future, self._past) else "nothing to do again"
 
-    def _go(self, state: State) -> None:
-        self._write(state)
+    def _step(self, source: list[State], target: list[State]) -> bool:
+        if not source:
+            return False
+        target.append(self._kept)
+        self._write(source.pop())
         self._kept = self._seen = self._read()
+        return True
 
 
 class UndoTool(Tool):
