@@ -1,4 +1,4 @@
-"""`Run`: a run in one row of a `RunBatch`: its targets, controllers, events and log."""
+"""`BatchRun`: a run in one row of a `RunBatch`: its targets, controllers, events and log."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def observed_every(scenario: Scenario) -> int:
     return max(round(min(OBSERVED_EVERY, 0.5 / run.observer_gain) / run.timestep), 1)
 
 
-class Run:
+class BatchRun:
     """A run in one row of a batch.
 
     Args:

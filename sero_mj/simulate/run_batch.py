@@ -21,7 +21,7 @@ from .control.compiler import Compiler, fingerprint
 from .control.observer import MomentumObserver
 from .control.robot_models import RobotModels
 from .robot_control import RobotControl
-from .run import Run
+from .run import BatchRun
 from .runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED
 from .scenario import Scenario
 
@@ -59,7 +59,7 @@ class RunBatch(BatchSetup):
     ) -> None:
         super().__init__(scenarios, seeds, compiler)
         self._raises = raises
-        self._runs: list[ref[Run]] = []  # a run that nobody has any more is not simulated
+        self._runs: list[ref[BatchRun]] = []  # a run that nobody has any more is not simulated
         self._limit_speeds(self._run.runaway_speed)
 
     def _limit_speeds(self, share: float) -> None:
@@ -79,7 +79,7 @@ class RunBatch(BatchSetup):
         if self.drives is not None:
             self.drives.reset()
 
-    def begin(self, runs: Sequence[Run]) -> None:
+    def begin(self, runs: Sequence[BatchRun]) -> None:
         """Makes the logs of runs that begin, at rest."""
         self.carried.clear()
         self._runs = [ref(run) for run in runs]
@@ -112,7 +112,7 @@ class RunBatch(BatchSetup):
             observer.update(self._measured[:1])
         self._join(runs)
 
-    def _join(self, runs: Sequence[Run]) -> None:
+    def _join(self, runs: Sequence[BatchRun]) -> None:
         self.has_changed = False
         by_row = {run.plant.row: run for run in runs}
         # The first run stands in for those that could not be made.
@@ -163,7 +163,7 @@ class RunBatch(BatchSetup):
             written = self._driven[first : to_step + 1]
             written[:, :, 1] = written[:, :, 0] != written[:, :, 1]  # saturated, or not
 
-    def _make_steps(self, going: list[Run], first: int, stop: int) -> None:
+    def _make_steps(self, going: list[BatchRun], first: int, stop: int) -> None:
         plant, commanded, gains = self.plant, self.drive[:, 0], self.gains
         measured, actual, driven = self._measured, self._actual, self._driven
         slow, motor_speeds = self._surely_slow, self._motor_speeds
@@ -185,7 +185,7 @@ class RunBatch(BatchSetup):
             ):
                 self._stop_runaways(going, speeds)
 
-    def _sort(self, going: list[Run]) -> None:
+    def _sort(self, going: list[BatchRun]) -> None:
         """Finds what each run is to be asked for: a call for all of them costs as much as a step.
 
         Runs that have ended stay in these lists.
@@ -196,7 +196,7 @@ class RunBatch(BatchSetup):
         self._wakes: float = 0  # the next row for which one of those has something to do
         self._finishing = [run for run in going if run.finishes]
 
-    def _prepare(self, going: list[Run], k: int) -> None:
+    def _prepare(self, going: list[BatchRun], k: int) -> None:
         asked = self._busy
         if is_waking := k >= self._wakes:
             asked = asked + [run for run in self._resting if run.wakes <= k]
@@ -209,7 +209,7 @@ class RunBatch(BatchSetup):
         if is_waking:
             self._wakes = min((run.wakes for run in self._resting), default=np.inf)
 
-    def _control(self, going: list[Run], k: int) -> None:
+    def _control(self, going: list[BatchRun], k: int) -> None:
         if self.has_changed:
             self._join(going)
         if self.whole_bodies:
@@ -253,7 +253,7 @@ class RunBatch(BatchSetup):
             if run.error is None:
                 run.step = k
 
-    def _end(self, going: list[Run], run: Run, error: SimulationError) -> None:
+    def _end(self, going: list[BatchRun], run: BatchRun, error: SimulationError) -> None:
         if self._raises:
             raise error
         self.plant.physics.drop(run.plant.row)
@@ -261,7 +261,7 @@ class RunBatch(BatchSetup):
         going.remove(run)
         run.error = error
 
-    def _end_not_finite(self, going: list[Run]) -> None:
+    def _end_not_finite(self, going: list[BatchRun]) -> None:
         for run in going[:]:
             for control in self._controls:
                 index = run.plant.row
@@ -269,12 +269,12 @@ class RunBatch(BatchSetup):
                     error = control.controller.not_finite(control.sensed, index)
                     self._end(going, run, error)
 
-    def _end_failed(self, going: list[Run]) -> None:
+    def _end_failed(self, going: list[BatchRun]) -> None:
         for run in going[:]:
             if run.plant.row in self.plant.failed:
                 self._end(going, run, self.plant.failed.pop(run.plant.row))
 
-    def _stop_runaways(self, going: list[Run], speeds: Array) -> None:
+    def _stop_runaways(self, going: list[BatchRun], speeds: Array) -> None:
         """Ends runs in which a joint, or the motor of an elastic one, has run away.
 
         Args:

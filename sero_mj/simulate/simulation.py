@@ -12,7 +12,7 @@ from ..data.receive.structure import Structure
 from .control.compiler import Compiler
 from .expect import Outcome
 from .real_time import RealTimeWatch
-from .run import Run
+from .run import BatchRun
 from .run_batch import RunBatch
 from .runs.measures import STEP_LATENESS
 from .runs.monitor import Finding
@@ -22,7 +22,7 @@ from .scenario import Scenario
 MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
 
 
-class Simulation(Run):
+class Simulation(BatchRun):
     """Runs a scenario.
 
     Args:
