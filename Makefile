@@ -1,5 +1,7 @@
 # make demo   a film and a picture of an LWR mirrored from UDP packets, under out/
 # make test   the tests
+# make thorough   the same with all cases, and the short report of robustness: every night, and before
+#             an issue is closed
 # make quick  those of logic: without windows, browsers, films and what else is slow
 # make core   those of logic with all extensions blocked
 # make mutations   whether every scenario notices what may be wrong in it; on a cluster with
@@ -19,7 +21,7 @@ BIN := .venv/bin
 # Tests start some hundred programs; without compiled files each would compile all of ours anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick core mutations oldest lint docs bench peers robustness foreign gallery wheel clean
+.PHONY: demo test thorough quick core mutations oldest lint docs bench peers robustness foreign gallery wheel clean
 
 .venv/.run .venv/.test: pyproject.toml .ci/setup
 	@.ci/setup $(@:.venv/.%=%)
@@ -32,6 +34,11 @@ demo: .venv/.run
 test: .venv/.test
 	$(BIN)/python -m pytest -q -n auto $(PYTEST) || \
 	  $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none $(PYTEST)
+	$(BIN)/python -m pytest -q -m realtime $(PYTEST)
+
+thorough:
+	$(MAKE) test PYTEST="--no-skips --hypothesis-profile=thorough"
+	$(MAKE) robustness QUICK=1
 
 quick: .venv/.test
 	$(BIN)/python -m pytest -q -n auto -m "not gl and not slow and not live"

@@ -23,13 +23,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sero_mj.cli.snippet import snippets
+from sero_mj.cli.new import snippets
 from sero_mj.simulate.external_control.library import HEADER
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / "tests"))  # for an FMU and a node written by hand
+sys.path[:0] = [
+    str(HERE.parent / "tests"),
+    str(HERE.parent / "tests/extensions/fmu"),
+    str(HERE.parent / "tests/extensions/ros"),
+]
 SCENARIO = """
 [robots.lwr]
 model = "lwr"
@@ -87,10 +91,10 @@ class Law:
 def build(folder: Path) -> None:
     """Compiles the programs."""
     cc = os.environ.get("CC", "cc")
-    (folder / "controller.c").write_text(snippets()["controller-c"])
+    (folder / "controller.c").write_text(snippets()["controller-c"].text)
     shared = ["-O2", "-shared", "-fPIC", f"-I{HEADER.parent}"]
     subprocess.run([cc, *shared, "controller.c", "-o", "controller.so"], cwd=folder, check=True)
-    program = snippets()["controller-udp-c"]
+    program = snippets()["controller-udp-c"].text
     (folder / "udp.c").write_text(program)
     subprocess.run([cc, "-O2", "udp.c", "-o", "controller"], cwd=folder, check=True)
     head = program[: program.index("int main")].replace("#include <stdio.h>", "#include <unistd.h>")

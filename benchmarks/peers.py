@@ -72,8 +72,8 @@ PEERS = {
     "with_roboticstoolbox": Peer(
         "roboticstoolbox", "roboticstoolbox", ("roboticstoolbox-python>=1.1",)
     ),
-    "with_viser": Peer("viser and yourdfpy", "viser", ("viser>=1", "yourdfpy>=0.0.56")),
-    "with_rerun": Peer("rerun and yourdfpy", "rerun", ("rerun-sdk>=0.24", "yourdfpy>=0.0.56")),
+    "with_viser": Peer("viser with yourdfpy", "viser", ("viser>=1", "yourdfpy>=0.0.56")),
+    "with_rerun": Peer("rerun with yourdfpy", "rerun", ("rerun-sdk>=0.24", "yourdfpy>=0.0.56")),
     "with_gymnasium": Peer("Gymnasium's Pusher", "gymnasium", ("gymnasium[mujoco]>=1.1",)),
     "with_mjlab": Peer("mjlab, lifting a cube", "mjlab", ("mjlab>=1.6",)),
     # With later versions of MuJoCo it finds no joints.
@@ -93,34 +93,38 @@ class Work:
     names: dict[str, str] = field(default_factory=dict)  # of peers, where others than above
 
 
-_ARRAYS = "ours is this, and checks the length of what it is given and returns a new array"
+_ARRAYS = (
+    "sero-mj calls the same functions, and also checks the length of its input and returns a new "
+    "array"
+)
 _PINOCCHIO = (
-    "its kinematics moves the joints' frames alone, MuJoCo's, on which ours stands, also axes, "
-    "quaternions and frames of inertia of every link"
+    "its kinematics computes only the frames of the joints, while that of MuJoCo, which sero-mj "
+    "uses, also computes axes, quaternions and inertial frames of all links"
 )
 _PAGE = (
-    "A call of a loop at 100 Hz that gives all joints new angles and torques, with a page of a "
-    "browser open, in software. Ours copies numbers into memory that the viewer's process shares; "
-    "arrows, their sizes and labels are laid out there. The others compute frames in the loop, and "
-    "send one message for every link and for a bar or arrow at every joint. rerun's server has no "
-    "viewer that is open."
+    "A loop at 100 Hz sets new angles and torques of all joints in each call, while a browser "
+    "shows the page with software rendering. sero-mj copies the numbers to memory that it shares "
+    "with the viewer process, which computes arrows, sizes and labels. The other packages compute "
+    "frames in the loop and send one message for each link and for a bar or arrow at each joint. "
+    "The server of rerun has no open viewer."
 )
 _WINDOW = (
-    "The same with a window on a virtual screen. MuJoCo's passive viewer takes kinematics and an "
-    "arrow for every joint in the loop."
+    "The same with a window on a virtual screen. With MuJoCo's passive viewer, the loop computes "
+    "kinematics and adds an arrow for each joint."
 )
-_MESHCAT = {"with_pinocchio": "MeshCat by Pinocchio's visualizer"}
+_MESHCAT = {"with_pinocchio": "MeshCat with Pinocchio's visualizer"}
+_COUNTS = "it counts packets, but neither reads nor renders them"
 
 WORKS = {
     "fk_one": Work(
         "Forward kinematics, one pose",
-        "The flange of an LWR, as a 4 x 4 matrix.",
+        "The flange of an LWR as a 4 x 4 matrix.",
         ("ours", "bare_mujoco", "with_pinocchio", "with_roboticstoolbox"),
         why={"bare_mujoco": _ARRAYS, "with_pinocchio": _PINOCCHIO},
     ),
     "fk_many": Work(
         "Forward kinematics, 1000 poses",
-        "As one call where there is one, else as a loop in Python.",
+        "One call if the package supports it, otherwise a loop in Python.",
         ("ours", "bare_mujoco", "with_pinocchio", "with_roboticstoolbox"),
         why={"bare_mujoco": _ARRAYS, "with_pinocchio": _PINOCCHIO},
     ),
@@ -131,108 +135,112 @@ WORKS = {
         why={"with_pinocchio": _PINOCCHIO},
     ),
     "control": Work(
-        "Control step by hand",
-        "K (q_d - q) - D dq + g(q). Ours is its joint impedance, whose D is designed anew from "
-        "M(q) at 10 Hz; the others have a constant D.",
+        "Hand-written control step",
+        "K (q_d - q) - D dq + g(q). sero-mj uses its joint impedance controller, which designs D "
+        "from M(q) at 10 Hz. The others use a constant D.",
         ("ours", "bare_mujoco", "with_pinocchio"),
         why={
-            "bare_mujoco": "ours also designs D and adds what a target may bring besides",
-            "with_pinocchio": f"ours also designs D, and {_PINOCCHIO}",
+            "bare_mujoco": "sero-mj also designs D and adds the feedforward terms of the target",
+            "with_pinocchio": f"sero-mj also designs D, and for Pinocchio, {_PINOCCHIO}",
         },
     ),
     "joint_control": Work(
         "Joint control step",
-        "Ours holds an LWR by joint impedance, robosuite a Panda by `JOINT_POSITION`; both with "
-        "the update of their model. robosuite 1.5 needs a MuJoCo before 3.4.",
+        "sero-mj controls an LWR with joint impedance, robosuite a Panda with `JOINT_POSITION`. "
+        "Both include the update of the model. robosuite 1.5 needs a MuJoCo version before 3.4.",
         ("ours", "with_robosuite"),
     ),
     "cartesian_control": Work(
         "Cartesian control step",
-        "Ours holds an LWR by Cartesian impedance, robosuite a Panda by `OSC_POSE`.",
+        "sero-mj controls an LWR with Cartesian impedance, robosuite a Panda with `OSC_POSE`.",
         ("ours", "with_robosuite"),
     ),
     "show_page_7": Work(
-        "Showing 7 moving joints and torques on a page", _PAGE,
+        "Display of 7 moving joints and torques on a page", _PAGE,
         ("ours", "with_viser", "with_pinocchio", "with_rerun"), names=_MESHCAT,
     ),
     "show_page_51": Work(
-        "Showing 51 joints on a page", "The same.",
+        "Display of 51 joints on a page", "The same.",
         ("ours", "with_viser", "with_pinocchio", "with_rerun"), names=_MESHCAT,
     ),
     "show_window_7": Work(
-        "Showing 7 joints in a window", _WINDOW, ("ours", "bare_mujoco"),
+        "Display of 7 joints in a window", _WINDOW, ("ours", "bare_mujoco"),
     ),
     "show_window_51": Work(
-        "Showing 51 joints in a window", "The same.", ("ours", "bare_mujoco"),
+        "Display of 51 joints in a window", "The same.", ("ours", "bare_mujoco"),
     ),
     "first_picture": Work(
-        "From the start of Python to a picture of a URDF",
-        "A picture of 640 x 480 without a window.",
+        "From the start of Python to an image of a URDF",
+        "An image of 640 x 480 pixels without a window.",
         ("ours", "bare_mujoco"),
         why={
-            "bare_mujoco": "it draws a URDF as it is, without floor, lights and shadows (see the "
-            "next table), and reads nothing that its own reader does not know"
+            "bare_mujoco": "it renders the URDF without floor, lights and shadows (see the next "
+            "table), and reads only the elements that its own parser supports"
         },
     ),
     "first_scene": Work(
-        "From the start of Python to a picture of the same scene",
-        "The same, where MuJoCo reads what sero-mj has made of the URDF: with floor, lights and "
-        "shadows, seen from the same side.",
+        "From the start of Python to an image of the same scene",
+        "The same, but MuJoCo reads the scene that sero-mj exports from the URDF, with floor, "
+        "lights and shadows, seen from the same camera.",
         ("ours", "bare_mujoco"),
-        why={"bare_mujoco": "ours reads the URDF, checks it and compiles the scene first"},
+        why={"bare_mujoco": "sero-mj also reads and checks the URDF and compiles the scene"},
     ),
     "first_page": Work(
-        "From the start of Python to a picture of a URDF in a browser",
-        "The browser runs already; its page is opened as soon as it is served.",
+        "From the start of Python to an image of a URDF in a browser",
+        "The browser is already running and opens the page as soon as it is served.",
         ("ours", "with_viser", "with_pinocchio"),
         names=_MESHCAT,
         why={
-            "with_pinocchio": "its picture has no shadows, and its server compiles no model"
+            "with_pinocchio": "its image has no shadows, and its server compiles no model"
         },
     ),
     "packet_to_pixel": Work(
         "From a UDP packet to pixels",
-        "A packet is sent, received, applied, and a picture of 640 x 480 drawn, of the same scene "
-        "with the same lights from the same side. Ours checks and counts packets on a thread of "
-        "its own.",
+        "A packet is sent, received and applied, and an image of 640 x 480 pixels is rendered. "
+        "Scene, lights and camera are the same. sero-mj checks and counts packets in a separate "
+        "thread.",
         ("ours", "bare_mujoco"),
-        why={"bare_mujoco": "no thread, no check of packets, no arrows or labels to lay out"},
+        why={"bare_mujoco": "it has no thread, no packet checks, and no arrows or labels"},
     ),
     "packets": Work(
-        "Packets a second without loss",
-        "112 bytes over loopback from a sender in C, on a ladder of rates up to 400,000/s; ours "
-        "renders 30 pictures a second meanwhile, the others do nothing else.",
+        "Packets per second without loss",
+        "112-byte packets over loopback from a sender in C, at increasing rates up to 400,000/s. "
+        "sero-mj renders 30 images per second at the same time. The others do nothing else.",
         ("ours",),
         unit="packets/s",
         why={
-            "recvmmsg loop in C, alone": "it counts packets, reads none of them, draws none",
-            "recv_into loop in Python, alone": "it counts packets, reads none of them, draws none",
-            "UdpReceiver, latest wins, rendering": "of many packets it applies the last",
+            "recvmmsg loop in C, alone": _COUNTS,
+            "recv_into loop in Python, alone": _COUNTS,
+            "UdpReceiver, latest wins, rendering": "if several packets are waiting, it applies "
+            "only the last one",
         },
     ),
     "environment": Work(
-        "Step of an environment, one robot",
-        "Of `sero_mj/lwr-reach-v0` (20 steps of physics an action), `Pusher-v5` (5 steps) and "
-        "mjlab's `Mjlab-Lift-Cube-Yam` (4 steps, by MuJoCo Warp on the processor), over as many "
-        "`mj_step` of the same model.",
+        "Environment step, one robot",
+        "`sero_mj/lwr-reach-v0` (20 physics steps per action), `Pusher-v5` (5 steps) and mjlab's "
+        "`Mjlab-Lift-Cube-Yam` (4 steps, with MuJoCo Warp on the CPU), relative to the same number "
+        "of `mj_step` calls for the same model.",
         ("ours", "with_gymnasium", "with_mjlab"),
         unit="times mj_step",
         why={
-            "with_gymnasium": "Pusher writes controls once an action; ours runs sensors, a torque "
-            "controller, drives with limits and a log in every step of physics"
+            "with_gymnasium": "Pusher sets its controls once per action, while sero-mj runs "
+            "sensors, a torque controller, drives with limits and a log in each physics step"
         },
     ),
     "environments": Work(
-        "Step of an environment, 64 robots together",
-        "The same, by `gymnasium.make_vec`, per robot; ours on all cores, as it does by default. "
-        "mjlab is made for GPUs, with thousands of robots.",
+        "Environment step, 64 robots together",
+        "The same with `gymnasium.make_vec`, per robot. sero-mj uses all cores, which is its "
+        "default. mjlab is designed for GPUs and thousands of robots.",
         ("ours", "with_gymnasium", "with_mjlab"),
         unit="times mj_step",
     ),
 }  # fmt: skip
 LEFT_OUT = (
-    ("rerun, to the first picture", "its page tells no program when it has drawn"),
-    ("viser and MeshCat, packet to pixel", "neither reads packets; it would be our code"),
+    ("Time to the first image with rerun", "its page does not signal when it has rendered"),
+    (
+        "Packet to pixel with viser and MeshCat",
+        "neither receives packets, so this would measure our own code",
+    ),
 )
 
 
@@ -408,8 +416,8 @@ def table_of(key: str, rows: dict[str, Row]) -> str:
     is_ours = [name for name in rows if name == "ours" or name.startswith("UdpReceiver")]
     reference = rows[is_ours[-1]] if is_ours else None
     has_slow = any(row.slow for row in rows.values())
-    head = ["", work.unit if work.unit != "s" else "time", "times ours"]
-    head[2:2] = ["99 % of calls under"] if has_slow else []
+    head = ["", work.unit if work.unit != "s" else "time", "relative"]
+    head[2:2] = ["99th percentile"] if has_slow else []
     lines = [f"## {work.title}", "", work.does, "", f"| {' | '.join(head)} |"]
     lines.append("|" + "---|" * len(head))
     reasons = []
@@ -425,7 +433,7 @@ def table_of(key: str, rows: dict[str, Row]) -> str:
         cells.append("1" if row is reference else f"{ratio:.2g}" if ratio < 100 else f"{ratio:.0f}")
         lines.append(f"| {' | '.join(cells)} |")
         if is_faster:
-            why = work.why.get(name, "we do not know why")
+            why = work.why.get(name, "the reason is unknown")
             reasons.append(f"{row.title} is faster: {why}.")
     return "\n".join([*lines, *(f"\n{reason}" for reason in reasons), ""])
 
@@ -452,14 +460,16 @@ def page_of(found: dict[str, dict[str, Row]], rounds: int, busy: Sequence[float]
         {row.version for rows in found.values() for row in rows.values() if row.version}
     )
     loads = " to ".join(f"{load:.1f}" for load in sorted({round(each, 1) for each in busy}))
-    how = "one round" if rounds == 1 else f"the median of {rounds} rounds"
-    head = f"""# Beside its peers
+    how = "one round" if rounds == 1 else f"median of {rounds} rounds"
+    head = f"""# Performance compared with other packages
 
-How long the same work takes with sero-mj and with other packages, measured in one run in turns
-({how}). `make peers` measures anew and writes this page; no figure here is by hand. Where
-there is a result (poses, matrices, torques), all have the same to 1e-6. Pictures are drawn in
-software, without a GPU, which slows all that draws. Load is the average number of processes that
-wanted a core; above the number of cores, times of pictures are too long for all.
+This page shows how long the same task takes with sero-mj and with other packages. All were
+measured in one run, in turns ({how}). `make peers` repeats the measurements and writes this
+page, so no value is entered by hand. Where a task has a result (poses, matrices, torques), all
+results agree to 1e-6. Images are rendered in software, without a GPU, which makes rendering
+slow for all packages. Load is the average number of processes that were ready to run. If it
+exceeds the number of cores, all rendering times are too long. The last column is relative to
+sero-mj.
 
 {date.today().isoformat()} · {machine()}, load {loads} · {", ".join(versions)}
 """

@@ -1,4 +1,4 @@
-"""Measures what sero-mj withstands: fuzzing, faults, a long run; writes out/robustness/index.html.
+"""Runs fuzzing, faults and a long run, and writes the results to out/robustness/index.html.
 
 The long form also writes the table of attacks of the documentation, docs/attacks.md.
 
@@ -57,26 +57,26 @@ class Target:
 
 
 FUZZED = (
-    Target("files that ask to run something", ("test_trust.py",)),
-    Target("packets of any bytes", (
+    Target("files that request to run programs", ("test_trust.py",)),
+    Target("packets with arbitrary bytes", (
         "test_hostile_packets.py",
         "test_implausible.py",
         "test_structure.py::test_any_float32_is_applied_or_counted",
         "test_matrices.py::test_any_bytes_are_applied_whole_or_counted",
         "test_matrices.py::test_any_numbers_are_applied_or_blanked_or_counted",
-        "test_joined_packets.py::test_any_bytes_are_taken_or_counted",
+        "extensions/ros/test_joined_packets.py::test_any_bytes_are_taken_or_counted",
     )),
-    Target("finite numbers that no robot can have", (
+    Target("finite but implausible numbers in packets", (
         "test_implausible.py",
     )),
-    Target("messages of KUKA FRI, UR RTDE, Franka FCI, foxglove_bridge", (
+    Target("messages of KUKA FRI, UR RTDE, Franka FCI and foxglove_bridge", (
         "extensions/fri/test_fri_iiwa.py::test_random_bytes_are_a_packet_or_an_error",
         "extensions/fri/test_fri_iiwa.py::test_a_damaged_message_is_a_packet_or_an_error",
         "extensions/rtde/test_rtde.py::test_random_bytes_end_a_connection_and_nothing_else",
         "extensions/franka/test_franka.py::test_random_bytes_end_a_connection_and_nothing_else",
-        "test_foxglove.py::test_whatever_comes_the_next_message_is_read",
+        "extensions/ros/test_foxglove.py::test_whatever_comes_the_next_message_is_read",
     )),
-    Target("structures and routes as text", (
+    Target("text of structures and routes", (
         "test_structure.py::test_no_string_at_all_raises_anything_else",
         "test_route.py::test_any_text_is_a_route_or_a_problem",
         "test_route_checks.py::test_any_words_make_a_route_or_a_problem",
@@ -86,7 +86,7 @@ FUZZED = (
         "test_recording_faults.py::test_cut_off_anywhere_it_has_the_packets_before",
         "test_recording_faults.py::test_damage_anywhere_is_told_and_never_invents_a_packet",
         "test_hostile_recordings.py",
-        "test_bags.py::test_damaged_bags_are_errors_or_end_early",
+        "extensions/ros/test_bags.py::test_damaged_bags_are_errors_or_end_early",
     )),
     Target("TOML", (
         "test_paths.py::test_any_tables_are_read_or_refused_as_a_declaration",
@@ -105,7 +105,7 @@ FUZZED = (
         "test_mesh_files.py::test_damaged_files_raise_nothing_but_declaration_errors",
         "test_mesh_files.py::test_what_is_no_mesh_is_refused",
     )),
-    Target("the page's websocket", (
+    Target("WebSocket messages of a page", (
         "test_web_host.py::test_whatever_a_browser_says_the_page_goes_on",
         "test_dom_widgets.py::test_whatever_a_browser_says_a_widget_returns_values_of_its_kind",
         "test_dom_widgets.py::test_ids_that_no_widget_has_are_not_stored",
@@ -116,7 +116,7 @@ FUZZED = (
         "test_web_host.py::test_a_browser_that_sends_too_much_waits",
         "test_web_host.py::test_no_more_browsers_are_let_in_than_can_be_served",
     )),
-    Target("a page without its token, or without control", (
+    Target("access to a page without its token or without control", (
         "test_web_guard.py::test_a_page_needs_its_token_and_its_files_do_not",
         "test_web_guard.py::test_nobody_else_can_listen_where_browsers_look_for_localhost",
         "test_web_guard.py::test_another_users_server_on_another_port_learns_nothing",
@@ -127,7 +127,7 @@ FUZZED = (
         "test_web_start.py::test_who_loses_control_while_files_arrive_uploads_nothing",
         "test_web_start.py::test_other_sites_and_who_has_no_token_are_refused",
     )),
-    Target("what files bring to a terminal", ("test_terminal.py",)),
+    Target("control characters that files send to the terminal", ("test_terminal.py",)),
     Target("uploads", (
         "test_web_start.py::test_refused_drops_leave_nothing_and_full_space_is_told",
         "test_start_page.py::test_no_path_leads_out_of_the_folder",
@@ -139,17 +139,19 @@ FUZZED = (
         "test_shared_arrays.py::test_an_array_is_read_once_and_whole_or_not_at_all",
         "test_view_state.py::test_switches_come_back_from_their_text",
     )),
-    Target("a page and a window, at random", (
+    Target("random input to a page and a window", (
         "test_web_monkey.py", "test_window_monkey.py",
     ), in_quick=False),
 )  # fmt: skip
 
 FAULTS = (
-    Target("Ctrl+C, SIGTERM and kill -9 of what has started programs", ("test_child_process.py",)),
-    Target("kill -9", (
+    Target("Ctrl+C, SIGTERM and kill -9 of a process that has started programs", (
+        "test_child_process.py",
+    )),
+    Target("kill -9 of other processes", (
         "test_recorder.py::test_a_killed_process_leaves_a_file_that_all_can_read",
         "test_shm_writers.py::test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced",
-        "test_ros2.py::test_a_driver_that_is_killed_is_replaced_by_another_one",
+        "extensions/ros/test_ros2.py::test_a_driver_that_is_killed_is_replaced_by_another_one",
         "extensions/sweeps/test_sweep.py::test_a_process_that_is_killed_costs_its_variant_only",
         "test_viewer_process.py::"
         "test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along",
@@ -158,10 +160,10 @@ FAULTS = (
     Target("exceptions while packets are received", (
         "test_receiving_thread.py",
     )),
-    Target("names with several addresses, slow or without any", (
+    Target("host names with several, slow or no addresses", (
         "extensions/test_connecting.py",
     )),
-    Target("systems without POSIX", (
+    Target("systems without POSIX functions", (
         "test_platforms.py",
     )),
     Target("full disk", (
@@ -173,7 +175,7 @@ FAULTS = (
     Target("lost network", (
         "extensions/rtde/test_rtde.py::test_who_goes_away_is_connected_to_again",
         "extensions/franka/test_franka.py::test_a_robot_that_goes_away_is_connected_to_again",
-        "test_foxglove.py::test_who_goes_away_says_why",
+        "extensions/ros/test_foxglove.py::test_who_goes_away_says_why",
         "extensions/fri/test_fri_controller.py::test_the_network_fails_the_same_way_for_one_seed",
         "test_status_command.py::test_a_source_that_has_gone_quiet_is_told",
     )),
@@ -189,30 +191,30 @@ FAULTS = (
 
 # Of what, in which module of sero_mj, the constant, its unit.
 LIMITS = (
-    ("a file of TOML", "base.toml_file", "_MAX_BYTES", "bytes"),
-    ("a file of URDF", "robots.importers.urdf", "_MAX_BYTES", "bytes"),
-    ("joints of a URDF that move", "robots.importers.urdf", "_MAX_JOINTS", ""),
+    ("TOML file", "base.toml_file", "_MAX_BYTES", "bytes"),
+    ("URDF file", "robots.importers.urdf", "_MAX_BYTES", "bytes"),
+    ("movable joints of a URDF", "robots.importers.urdf", "_MAX_JOINTS", ""),
     ("links of a URDF", "robots.importers.urdf", "_MAX_LINKS", ""),
-    ("a file of MJCF", "robots.importers.mjcf_file", "_MAX_BYTES", "bytes"),
-    ("bodies, geoms and sites of MJCF", "robots.importers.mjcf_file", "_MAX_ELEMENTS", ""),
-    ("a mesh or texture of MJCF", "robots.importers.mjcf_file", "MOST_ASSET_BYTES", "bytes"),
-    ("a file of X3D or VRML, unpacked", "extensions.x3d.vrml", "MOST_BYTES", "bytes"),
-    ("a mesh that MuJoCo reads", "robots.importers.mesh_files", "MOST_MESH_BYTES", "bytes"),
+    ("MJCF file", "robots.importers.mjcf_file", "_MAX_BYTES", "bytes"),
+    ("bodies, geoms and sites of an MJCF file", "robots.importers.mjcf_file", "_MAX_ELEMENTS", ""),
+    ("mesh or texture of an MJCF file", "robots.importers.mjcf_file", "MOST_ASSET_BYTES", "bytes"),
+    ("X3D or VRML file, uncompressed", "extensions.x3d.vrml", "MOST_BYTES", "bytes"),
+    ("mesh that MuJoCo reads", "robots.importers.mesh_files", "MOST_MESH_BYTES", "bytes"),
     ("any other mesh", "robots.importers.mesh_files", "MOST_CONVERTED_BYTES", "bytes"),
-    ("a chunk of a recording, unpacked", "data.record._mcap_reader", "MAX_CHUNK_BYTES", "bytes"),
-    ("a file of a camera", "extensions.photo.camera_file", "_MAX_BYTES", "bytes"),
-    ("a packet", "data.receive.language", "MAX_PACKET_BYTES", "bytes"),
-    ("packets that wait, where none may be lost", "data.receive.mailbox", "QUEUE_BYTES", "bytes"),
-    ("a message of a browser", "viewer.web.messages", "MAX_BYTES", "bytes"),
+    ("chunk of a recording, uncompressed", "data.record.mcap_reader", "MAX_CHUNK_BYTES", "bytes"),
+    ("camera file", "extensions.photo.camera_file", "_MAX_BYTES", "bytes"),
+    ("packet", "data.receive.language", "MAX_PACKET_BYTES", "bytes"),
+    ("queued packets of a lossless source", "data.receive.mailbox", "QUEUE_BYTES", "bytes"),
+    ("message of a browser", "viewer.web.messages", "MAX_BYTES", "bytes"),
     ("messages per second of a browser", "viewer.web.browsers", "_MOST_PER_SECOND", ""),
-    ("messages of browsers that wait", "viewer.web.browsers", "_MOST_SAID", ""),
-    ("browsers of a page", "viewer.web.browsers", "_MOST_BROWSERS", ""),
-    ("uploaded files of a server, together", "viewer.web.uploads", "MOST_BYTES", "bytes"),
-    ("uploaded files of a server", "viewer.web.uploads", "MOST_FILES", ""),
-    ("a saved view", "viewer.session.view_state", "_MAX_CHARACTERS", "characters"),
-    ("the log of a run", "simulate.simulation", "MAX_BYTES", "bytes"),
-    ("a simulated run", "simulate.scenario", "_LONGEST", "s"),
-    ("the history of a live view", "viewer.session.live_history", "_MAX_BYTES", "bytes"),
+    ("queued messages of browsers", "viewer.web.browsers", "_MOST_SAID", ""),
+    ("connected browsers of a page", "viewer.web.browsers", "_MOST_BROWSERS", ""),
+    ("uploaded files of a server, total size", "viewer.web.uploads", "MOST_BYTES", "bytes"),
+    ("uploaded files of a server, number", "viewer.web.uploads", "MOST_FILES", ""),
+    ("saved view", "viewer.session.view_state", "_MAX_CHARACTERS", "characters"),
+    ("log of a run", "simulate.simulation", "MAX_BYTES", "bytes"),
+    ("duration of a simulated run", "simulate.scenario", "_LONGEST", "s"),
+    ("history of a live view", "viewer.session.live_history", "_MAX_BYTES", "bytes"),
 )
 
 
@@ -383,7 +385,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return f"<table><tr>{cells}</tr>{body}</table>"
 
 
-OUTCOME_HEAD = ("what", "tests", "cases of Hypothesis", "outcome")
+OUTCOME_HEAD = ("target", "tests", "Hypothesis cases", "outcome")
 
 
 def outcome_cells(outcome: Outcome) -> list[str]:
@@ -406,14 +408,15 @@ def outcomes_table(outcomes: Sequence[Outcome]) -> str:
         ]
         for each in outcomes
     ]
-    return table([*OUTCOME_HEAD, "time", "which"], rows)
+    return table([*OUTCOME_HEAD, "time", "failed or skipped tests"], rows)
 
 
 _DOCS = """# Attacks and faults
 
-`make robustness` runs these tests and rewrites this page. Each attack is a test that fails if
-something runs, ends, hangs, grows, or applies a value that it should not. Hypothesis makes the
-cases; the same seed makes the same cases.
+This page lists the attacks and faults that sero-mj is tested against, and the limits that it
+enforces. `make robustness` runs the tests and rewrites this page. The test of an attack fails if
+the attack runs a program, ends or blocks sero-mj, increases its memory without limit, or makes it
+apply a wrong value. Hypothesis generates the cases. The same seed generates the same cases.
 
 {about}; seed {seed}.
 
@@ -431,8 +434,8 @@ cases; the same seed makes the same cases.
 
 ## Limits
 
-Whatever exceeds a limit is rejected, with what was found and the limit. Of waiting packets and of
-history, the oldest are dropped.
+An item that exceeds a limit is rejected with a message that states its size and the limit. If a
+packet queue or a history is full, the oldest entries are dropped.
 
 {limits}
 """
@@ -450,7 +453,7 @@ def outcomes_markdown(outcomes: Sequence[Outcome]) -> str:
 
 
 _PAGE = """<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>What sero-mj withstands</title>
+<html lang="en"><meta charset="utf-8"><title>Robustness of sero-mj</title>
 <style>
 body {{ font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto;
 padding: 0 1rem }}
@@ -458,15 +461,16 @@ table {{ border-collapse: collapse }} td, th {{ text-align: left; padding: .25re
 border-bottom: 1px solid #ddd; vertical-align: top }} td {{ white-space: nowrap }}
 td:last-child {{ white-space: normal }} img {{ max-width: 100% }} .bad {{ color: #a00 }}
 </style>
-<h1>What sero-mj withstands</h1>
+<h1>Robustness of sero-mj</h1>
 <p>{about}</p>
 <p class="{state}">{verdict}</p>
-<h2>Fuzzing</h2><p>Seed {seed}: <code>make robustness SEED={seed}</code> makes the same cases.</p>
+<h2>Fuzzing</h2><p>Seed {seed}: <code>make robustness SEED={seed}</code> repeats the cases.</p>
 {fuzzed}
 <h2>Faults</h2>{faults}
-<h2>A long run</h2><p>{soak}</p><img src="{picture}" alt="memory, handles, threads, latencies">
-<h2>Limits</h2><p>What is larger is refused, with what was found and the limit; of what
-waits or is kept, the oldest goes.</p>
+<h2>A long run</h2><p>{soak}</p>
+<img src="{picture}" alt="memory, handles, threads and latencies over time">
+<h2>Limits</h2><p>An item that exceeds a limit is rejected with its size and the limit. If a packet
+queue or a history is full, the oldest entries are dropped.</p>
 {limits}
 </html>
 """
@@ -504,25 +508,26 @@ def main() -> None:
         f"{'short form' if options.quick else 'long form'} · {time.monotonic() - begin:.0f} s"
     )
     told = (
-        f"{seconds:g} s at {RATE} packets/s beside a client of the page: {rows[-1]['received']:,} "
-        f"of {int(RATE * seconds):,} packets received, {rows[-1]['states']:,} states sent. Memory: "
-        f"{rows[0]['memory']:.0f} MiB at first, {rows[-1]['memory']:.0f} at last, "
-        f"{grown(rows, 'memory'):.2f} times that after a quarter of the time; until then history "
-        "and caches fill up. From a packet to its state sent: 99 % within "
-        f"{ages[len(ages) // 2]:.0f} ms in the median second. After a third the sender is silent "
-        "for 2 s and then sends all at once; after two thirds the process that shows is suspended "
-        "for 2 s."
+        f"A page with one client receives {RATE} packets/s for {seconds:g} s. "
+        f"{rows[-1]['received']:,} of {int(RATE * seconds):,} packets were received, and "
+        f"{rows[-1]['states']:,} states were sent. Memory was {rows[0]['memory']:.0f} MiB at the "
+        f"beginning and {rows[-1]['memory']:.0f} MiB at the end, {grown(rows, 'memory'):.2f} times "
+        "the value after a quarter of the time, when history and caches are full. In the median "
+        "second, 99 % of the states were sent within "
+        f"{ages[len(ages) // 2]:.0f} ms after their packet. After a third of the time, the sender "
+        "pauses for 2 s and then sends the packets in a burst. After two thirds, the viewer "
+        "process is suspended for 2 s."
     )
     page = _PAGE.format(
         about=html.escape(about),
         state="bad" if problems else "good",
-        verdict=html.escape("; ".join(problems) or "Nothing failed."),
+        verdict=html.escape("; ".join(problems) or "All tests passed."),
         seed=options.seed,
         fuzzed=outcomes_table(fuzzed),
         faults=outcomes_table(faults),
         soak=html.escape(told),
         picture=picture_of(rows),
-        limits=table(["what", "at most"], limits()),
+        limits=table(["item", "maximum"], limits()),
     )
     (OUT / "index.html").write_text(page)
     if not options.quick:
@@ -532,7 +537,7 @@ def main() -> None:
             fuzzed=outcomes_markdown(fuzzed),
             faults=outcomes_markdown(faults),
             soak=told,
-            limits=markdown(["what", "at most"], limits()),
+            limits=markdown(["item", "maximum"], limits()),
         )
         (ROOT / "docs" / "attacks.md").write_text(text)
     print(f"written: {OUT / 'index.html'}")

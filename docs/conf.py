@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import sero_mj
 
@@ -24,7 +25,7 @@ html_extra_path = ["_made/runs"]
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]
 html_title = f"sero-mj {version}"
-exclude_patterns = ["_made/README.md", "_made/wings.md"]
+exclude_patterns = ["_made/README.md", "_made/packages.md"]
 myst_heading_anchors = 3
 myst_enable_extensions = ["colon_fence"]
 default_role = "code"
@@ -52,7 +53,7 @@ def _declarations() -> str:
 
 
 def _reference() -> str:
-    """The public names of Python, in the order of the wings."""
+    """The public names of Python, in the order of the packages."""
     lines = ["Python", "======", "", ".. automodule:: sero_mj", "   :no-members:", ""]
     for name, home in sero_mj._HOME.items():
         item = getattr(sero_mj, name)
@@ -88,17 +89,23 @@ def _write_runs() -> None:
         subprocess.run([sys.executable, "-m", "sero_mj", *words], cwd=made, check=True)
 
 
-def setup(app: object) -> None:
-    """Writes the pages that are made of declarations and docstrings."""
+def _link_structure(app: Any, name: str, source: list[str]) -> None:
+    """Links to the generated page of the structure language instead of its source file."""
+    source[0] = source[0].replace("../sero_mj/data/receive/STRUCTURE.md", "_made/structure.md")
+
+
+def setup(app: Any) -> None:
+    """Writes the pages that are generated from declarations and docstrings."""
+    app.connect("source-read", _link_structure)
     made = _HERE / "_made"
     made.mkdir(exist_ok=True)
     structure = (_HERE.parent / "sero_mj" / "data" / "receive" / "STRUCTURE.md").read_text("utf-8")
-    wings = (_HERE.parent / "README.md").read_text("utf-8").partition("## The wings")[2]
+    packages = (_HERE.parent / "README.md").read_text("utf-8").partition("## Packages")[2]
     pages = {
         "keys.md": _declarations(),
         "python.rst": _reference(),
         "structure.md": structure,
-        "wings.md": "# The wings\n" + re.split(r"\n\[CONTRIB", wings)[0],  # in `inside.md`
+        "packages.md": "# Packages\n" + re.split(r"\n\[CONTRIB", packages)[0],  # in `inside.md`
     }
     for name, text in pages.items():
         file = made / name

@@ -41,7 +41,7 @@ START_SIZE = (480, 300)  # likewise, of the start page
 # Of an LWR in these, rad.
 POSE = [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0]
 
-SYSTEMS, FEATURES = "Robots", "What is drawn"
+SYSTEMS, FEATURES = "Robots", "Visual features"
 
 
 @dataclass(frozen=True)
@@ -96,27 +96,27 @@ legend = false
 
 
 SHOTS = (
-    Shot("justin", "Rollin' Justin: approximate, not DLR data",
+    Shot("justin", "Rollin' Justin, approximate geometry (not DLR data)",
          GROUP.format(model="justin", azimuth=205, distance=2.7, height=0.92), holds_itself=True),
-    Shot("justin_push", "Justin, simulated: one arm is pushed, and its arrows are wide",
+    Shot("justin_push", "Simulated Justin: an arm is pushed, so its arrows are wide",
          "justin_push", {"toggles.legend": False}, at=2.5),
-    Shot("space_justin", "SpaceJustin: approximate, not DLR data",
+    Shot("space_justin", "SpaceJustin, approximate geometry (not DLR data)",
          GROUP.format(model="space_justin", azimuth=205, distance=2.7, height=0.95),
          holds_itself=True),
-    Shot("lwr", "DLR/KUKA LWR, holding itself", "lwr", {
+    Shot("lwr", "DLR/KUKA LWR with the torques that hold it against gravity", "lwr", {
         "lwr.joint_angles": [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0], "lwr.show_arrows": True,
     }, holds_itself=True),
-    Shot("hit_hand", "DLR/HIT Hand II: meshes are approximate, not DLR data",
+    Shot("hit_hand", "DLR/HIT Hand II, approximate meshes (not DLR data)",
          GROUP.format(model="hit_hand2", azimuth=165, distance=0.42, height=0.08)),
-    Shot("dlr_hand2", "DLR Hand II: approximate, not DLR data",
+    Shot("dlr_hand2", "DLR Hand II, approximate geometry (not DLR data)",
          GROUP.format(model="dlr_hand2", azimuth=165, distance=0.56, height=0.1)),
-    Shot("hit_hand_grasp", "It holds a can by friction, simulated: torques and forces of the grasp",
+    Shot("hit_hand_grasp", "Simulated grasp of a can by friction, with torques and forces",
          "hit_hand_grasp", at=4.5),
-    Shot("biped", "DLR Biped, simulated: it stands by stiff ankles, and is pushed", "biped_stand",
+    Shot("biped", "Simulated DLR Biped: stands with stiff ankles and is pushed", "biped_stand",
          at=2.25),
-    Shot("puma560", "Unimation Puma 560: a standard table, published dynamics", "puma560",
+    Shot("puma560", "Unimation Puma 560, standard DH table, published dynamics", "puma560",
          {"puma560.show_arrows": True}, holds_itself=True),
-    Shot("panda", "Franka Emika Panda: a modified table", "panda",
+    Shot("panda", "Franka Emika Panda, modified DH table", "panda",
          {"panda.show_arrows": True}, holds_itself=True),
     Shot("fr3", "Franka Research 3", "fr3", {"fr3.show_arrows": True}, holds_itself=True),
     Shot("iiwa14", "KUKA LBR iiwa 14", "iiwa14", {"iiwa14.show_arrows": True}, holds_itself=True),
@@ -125,28 +125,28 @@ SHOTS = (
          holds_itself=True),
     Shot("scara", "Adept Cobra 600, a SCARA", "scara",
          {"scara.show_arrows": True}, holds_itself=True),
-    Shot("stanford", "Stanford arm: a prismatic joint", "stanford",
+    Shot("stanford", "Stanford arm with a prismatic joint", "stanford",
          {"stanford.show_arrows": True}, holds_itself=True),
-    Shot("five_bar", "A five-bar of two serial legs", "five_bar", played_by=PARALLEL),
-    Shot("stewart", "A Stewart platform of six serial legs: do they close?", "stewart",
+    Shot("five_bar", "Five-bar linkage of two serial legs", "five_bar", played_by=PARALLEL),
+    Shot("stewart", "Stewart platform of six serial legs with a loop closure check", "stewart",
          played_by=PARALLEL),
-    Shot("torques", "Round arrows: a push, and the joints that feel it", "impedance_push",
+    Shot("torques", "Round arrows: a push and the joint torques that it causes", "impedance_push",
          at=3.2, group=FEATURES),
-    Shot("torque_error", "Torque error: commanded less measured", LWR, {
+    Shot("torque_error", "Torque error: commanded minus measured", LWR, {
         "lwr.show_arrows": True, "lwr.arrow_quantity": "torque_error",
         "lwr.torques": [0, 40, 5, -20, 2, -4, 0],
         "lwr.commanded_torques": [20, -10, 15, 10, -12, 6, 5],
     }, group=FEATURES),
-    Shot("singularity", "Nearness to a singularity: the arm is almost stretched",
+    Shot("singularity", "Closeness to a singularity: the arm is almost stretched",
          "singularity_pass", {"disturbances.elbow.force": [0.0, 1e-9, 0.0],
                               "disturbances.elbow.show": False}, at=3.0, group=FEATURES),
-    Shot("billboards", "Billboards: angles and torques at every joint", LWR, {
+    Shot("billboards", "Billboards: angle and torque of each joint", LWR, {
         "lwr.show_billboards": True, "lwr.torques": [2.1, 38.6, 4.2, -17.9, 0.6, -3.2, 0.1],
         "lwr.billboard_lines": [
             {"value": "joint_angles", "unit": "deg", "scale": 57.29578, "decimals": 1}, "torques",
         ],
     }, group=FEATURES),
-    Shot("path", "Transparent doubles: the way to a target", LWR + """
+    Shot("path", "Transparent doubles: the path to a target", LWR + """
 [doubles.plan]
 of = "lwr"
 path = [[0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0], [1.6, 0.9, 0.0, -0.9, 0.0, 0.9, 0.0]]
@@ -163,7 +163,7 @@ at = "lwr/flange"
 vector = [0.0, 3.0, 5.0]
 """, group=FEATURES),
     Shot("axes", "Axes of base, joints and flange", LWR, {"lwr.show_axes": True}, group=FEATURES),
-    Shot("flange_check", "Flange check: two legs that should meet, and do not", """
+    Shot("flange_check", "Flange check: two legs that do not meet", """
 [robots.left]
 dh_convention = "craig"
 dh_params = [[0, 0, 0, 0.30], [0, 0.24, 0, 0]]
@@ -178,11 +178,11 @@ joint_angles = [0.828, 1.721, -2.029]
 [routes]
 "right.flange_check" = "left/flange"
 """, camera="60,-40,1.4", group=FEATURES),
-    Shot("position_mode", "Position mode: doubles at commanded poses", "haptic_device", {
+    Shot("position_mode", "Position mode: doubles at the commanded poses", "haptic_device", {
         "left_command.joint_angles": [-1.2, 0.95, 2.2, 1.25, -1.1, 0.9, 1.1],
         "right_command.joint_angles": [1.2, 1.15, -2.4, 0.9, 1.1, 1.0, -1.0],
     }, camera="120,-12,2.3", group=FEATURES),
-    Shot("dark", "Dark, for slides", LWR + '[view]\nlook = "dark"\n', {
+    Shot("dark", "Dark appearance, for slides", LWR + '[view]\nlook = "dark"\n', {
         "lwr.show_arrows": True, "lwr.show_billboards": True,
     }, holds_itself=True, group=FEATURES),
 )  # fmt: skip
@@ -223,7 +223,10 @@ def _held(scene: Scene, shot: Shot, name: str) -> Scene:
 
 def make_page(shots: Sequence[Shot] = SHOTS) -> str:
     """Returns the text of the page."""
-    about = "`make gallery` makes these pictures; `docs/gallery.py` lists them."
+    about = (
+        "This page shows the robots and visual features of sero-mj. `make gallery` renders the "
+        "images. Their scenes are defined in `docs/gallery.py`."
+    )
     lines = ["# Gallery", "", about, ""]
     for group in (SYSTEMS, FEATURES):
         lines += [f"## {group}", ""]

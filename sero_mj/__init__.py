@@ -13,7 +13,7 @@ Conventions, everywhere in this package:
   `HeadlessRenderer.click`) are counted from the upper left corner, x to the right, y down. Within
   `viewer` they are counted from the lower left one, y up.
 - The data moves one way: assemble, receive, drive, decor, hosts. A file imports only from folders
-  above its own in the README's list of wings.
+  above its own in the README's table of packages.
 
 The public names are imported when they are first used, because `import mujoco` takes a while.
 Extensions add names by entry points in the group `sero_mj.names`.
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from .robots.assemble.world import World as World
     from .robots.declared.cartesian import ReceivedFrame as ReceivedFrame
     from .robots.declared.cartesian import SmartArrow as SmartArrow
-    from .robots.declared.dh import DhTable as DhTable
     from .robots.declared.double import Double as Double
     from .robots.declared.dynamics import Dynamics as Dynamics
     from .robots.declared.groups import Group as Group
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
     from .robots.declared.surroundings import Light as Light
     from .robots.declared.surroundings import Object as Object
     from .robots.declared.surroundings import View as View
+    from .robots.kinematics.dh import DhTable as DhTable
     from .simulate.plant import Plant as Plant
     from .simulate.scenario import Scenario as Scenario
     from .simulate.scenario_file import read_scenario as read_scenario
@@ -83,7 +83,7 @@ __version__ = "0.2.0"
 _HOME = {
     "ReceivedFrame": "robots.declared.cartesian",
     "SmartArrow": "robots.declared.cartesian",
-    "DhTable": "robots.declared.dh",
+    "DhTable": "robots.kinematics.dh",
     "Double": "robots.declared.double",
     "Dynamics": "robots.declared.dynamics",
     "Group": "robots.declared.groups",

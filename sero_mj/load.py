@@ -17,6 +17,7 @@ from .base.errors import (
     UsageError,
     collect,
     nearest,
+    raise_any,
 )
 from .data.drive.wiring import wire
 from .robots.declared.robot import SerialRobot
@@ -106,8 +107,7 @@ def load_scene(
 
 def _checked(scene: Scene, problems: list[Problem]) -> Scene:
     problems = problems + scene.located(wire(scene).problems)
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     return scene
 
 
@@ -115,7 +115,6 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
     """Loads a robot.
 
     Args:
-        name: a shipped robot's name, a folder with a `robot.toml`, or a TOML file.
         overrides: `robot.field` to its value, over what the file says.
 
     Raises:
@@ -147,13 +146,11 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
         raise
     except DeclarationError as error:
         raise DeclarationError([*wrong, *error.problems]) from None
-    if wrong:
-        raise DeclarationError(wrong)
+    raise_any(wrong)
     return found
 
 
 def _refuse_group(name: str) -> None:
-    """Raises UsageError where a name is that of a group, and names its robots and their models."""
     try:
         path = paths.find_group_model(name)
     except UnknownName:
@@ -193,7 +190,6 @@ def _load_scenario(
 
 
 def _check(scenario: Scenario) -> None:
-    """Reports everything that is wrong with a scenario, as far as that shows without running it."""
     from .simulate.control.controller import ControllerDeclaration
     from .simulate.simulation import Simulation
 

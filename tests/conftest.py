@@ -1,9 +1,10 @@
 """Chooses the OpenGL backend before anything imports mujoco, and holds what tests share.
 
-`--no-skips` (in `.ci/run`) makes a failure of a test that is skipped because a tool is missing.
-`--hypothesis-profile=thorough` (likewise) runs all examples of property tests, else a quarter, and
-what is marked `thorough`, which else runs where a test is named; and all cases of slow tests, else
-the first and the last of each.
+`--no-skips` (in `.ci/run`) fails a test that is skipped because a tool is missing.
+`--hypothesis-profile=thorough` (in `make thorough`) runs all examples of property tests instead of
+a quarter, all cases of slow tests instead of the first and the last one, and the tests marked
+`thorough`, which otherwise run only if they are named.
+Tests marked `realtime` run alone: parallel runs leave them out, and others run them last.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -53,7 +55,7 @@ settings.load_profile("quarter")
 _MAY_BE_SKIPPED = (
     "dm-control is not installed", "by hand", "Linux", "no IPv6 groups",
     "stable-baselines3", "octave-cli", "rustc", "ur_rtde is not installed",
-    "rclpy cannot be installed",
+    "rclpy cannot be installed", "a sleep of 1 ms takes",
 )  # fmt: skip
 # Browsers and windows take both cores; of several workers one runs all pages, and one all windows.
 # Start pages of either listen on the same ports.
@@ -81,17 +83,9 @@ _PORTS = (
     "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
 )  # fmt: skip
 
-# These measure time to a millisecond, or work a browser for minutes; they run when all others are
-# done, one by one.
-_EXACT = (
-    "test_web_monkey.py::test_random_events_do_not_end_a_page",
-    "test_ahead.py::test_an_lwr_is_played_at_an_exact_rate",
-    "test_ahead.py::test_packets_are_numbered_and_stamped_and_counters_wrap",
-    "test_fri_controller.py::test_a_client_that_answers_has_a_perfect_link",
-    "test_film.py::test_states_of_a_live_film_are_taken_at_its_rate_however_slow_rendering_is",
-    "test_send.py::test_a_thousand_packets_a_second_leave_at_that_rate",
-    "test_timing.py::test_a_steady_sender_at_1_khz",
-)
+# The processes that pytest and multiprocessing need until the end, by parts of command lines.
+_OWN_CHILDREN = (b"multiprocessing.resource_tracker", b"multiprocessing.forkserver", b"playwright")
+_MARK = "SERO_MJ_TEST"  # in the environment of processes that a test starts
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -202,10 +196,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.live)
         if item.path.name.startswith(_SLOW):
             item.add_marker(pytest.mark.slow)
+    alone = {item for item in items if item.get_closest_marker("realtime")}
+    if hasattr(config, "workerinput"):
+        config.hook.pytest_deselected(items=[*alone])
+        items[:] = [item for item in items if item not in alone]
     # Longest first, while browsers are busy.
-    items.sort(
-        key=lambda item: (_is_exact(item.nodeid), not item.path.name.startswith("test_docs"))
-    )
+    items.sort(key=lambda item: (item in alone, not item.path.name.startswith("test_docs")))
 
 
 def _inner_cases(items: list[pytest.Item]) -> list[pytest.Item]:
@@ -223,21 +219,59 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-def _is_exact(nodeid: str) -> bool:
-    return nodeid.rpartition("/")[2].startswith(_EXACT)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("realtime") and (took := _sleep_of_1_ms()) > 1.5e-3:
+        pytest.skip(f"a sleep of 1 ms takes {1e3 * took:.1f} ms on this machine (1 of 20 sleeps)")
 
 
-@pytest.hookimpl(hookwrapper=True, tryfirst=True)  # before the clock of pytest-timeout
-def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    if not hasattr(item.config, "workerinput") or sys.platform == "win32":
-        yield
-    else:
-        import fcntl
+def _sleep_of_1_ms() -> float:
+    """The duration in seconds that 19 of 20 sleeps of 1 ms do not exceed."""
+    took = []
+    for _ in range(200):
+        begin = time.perf_counter()
+        time.sleep(1e-3)
+        took.append(time.perf_counter() - begin)
+    return sorted(took)[190]
 
-        with Path(__file__).open() as lock:  # of all workers
-            fcntl.flock(lock, fcntl.LOCK_EX if _is_exact(item.nodeid) else fcntl.LOCK_SH)
-            yield
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_protocol() -> Iterator[None]:
+    yield
     _give_memory_back()
+
+
+_starts = 0  # processes that were started here
+
+
+def _count_start(event: str, _: object) -> None:
+    global _starts  # noqa: PLW0603
+    if event in ("subprocess.Popen", "os.fork", "os.posix_spawn"):
+        _starts += 1
+
+
+if sys.platform == "linux":
+    sys.addaudithook(_count_start)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_call() -> Iterator[None]:
+    """Ends the processes that a test has started and left, also if it fails."""
+    before, mark = _starts, f"{os.getpid()}-{time.monotonic_ns()}"
+    os.environ[_MARK] = mark
+    yield
+    os.environ.pop(_MARK, None)
+    if _starts > before:
+        _end_processes(f"{_MARK}={mark}".encode())
+
+
+def _end_processes(variable: bytes) -> None:
+    """Ends the processes that have a variable in their environment."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            command = (process / "cmdline").read_bytes()
+            is_own = any(name in command for name in _OWN_CHILDREN)
+            if not is_own and variable in (process / "environ").read_bytes().split(b"\0"):
+                os.kill(int(process.name), signal.SIGKILL)
 
 
 _after_giving_back = 0.0  # MB in use
@@ -267,7 +301,7 @@ class _GroupsByFile(LoadScopeScheduling):
         if name.startswith(_SCREENS):
             return "pages" if name.startswith(_PAGES) else "windows"
         # Larger scopes come first, then single tests in their order.
-        return "ports" if name.startswith(_PORTS) and not _is_exact(nodeid) else nodeid
+        return "ports" if name.startswith(_PORTS) else nodeid
 
 
 @pytest.hookimpl(optionalhook=True)

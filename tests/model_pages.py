@@ -14,7 +14,7 @@ from sero_mj import Scene, World
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.image.camera import find_camera
 from sero_mj.viewer.player import capture as capture_module
-from sero_mj.viewer.player.capture import Capture
+from sero_mj.viewer.player.capture import CapturedRun
 from sero_mj.viewer.player.page import write_page
 from sero_mj.viewer.player.soft import SoftParts, soft_of
 
@@ -23,7 +23,7 @@ NO_SKY = (0, 0, 0)  # of what no geom covers
 
 def captured(
     model: mujoco.MjModel, states: Sequence[mujoco.MjData], camera: str, fps: float = 10.0
-) -> Capture:
+) -> CapturedRun:
     """A capture of a model in these states, without decor.
 
     Args:
@@ -40,7 +40,7 @@ def captured(
     nothing = np.full((frames, n), np.nan)
     lines, details = capture_module._lines(world, {"torques": nothing}, Toggles(world))
     poses = np.array([np.hstack([d.xpos[bodies], d.xquat[bodies]]) for d in states])
-    return Capture(
+    return CapturedRun(
         world=world, fps=fps, begin=0.0, toggles=Toggles(world), camera=find_camera(world, camera),
         lines=lines, details=details, bodies=bodies, positions=poses[..., :3],
         rotations=capture_module._continuous(poses[..., 3:]),
@@ -81,12 +81,12 @@ def classic(
 # The picture alone at some size, as digits of red, green, blue and alpha.
 DRAWN = """([width, height, time, hidden, hasShadows]) => {
     const { stage } = player;
-    player.seek(time);
+    player.recording.seek(time);
     stage.resize(width, height);
     stage.renderer.setPixelRatio(1);
     stage.renderer.setSize(width, height, false);
     stage.chooseCamera(stage.run.eye.fixed);
-    player.switches.shadows = hasShadows;
+    player.stage.hasShadows = hasShadows;
     player.draw();
     for (const each of hidden) (stage[each] ?? stage.surroundings[each]).visible = false;
     stage.draw();
@@ -120,7 +120,7 @@ def overlap(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
     return float((one & other).sum() / max((one | other).sum(), 1))
 
 
-def page_of(found: Capture, path: Path) -> Path:
+def page_of(found: CapturedRun, path: Path) -> Path:
     """Writes a page; returns its path."""
     write_page(found, path, path.stem)
     return path

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from sero_mj.viewer.session.widgets import Ticks
+
 
 class ScriptedWidgets:
     """See `Widgets`: all that can be folded is unfolded.
@@ -106,13 +108,7 @@ class ScriptedWidgets:
         return changed, names.index(chosen) if isinstance(chosen, str) else chosen
 
     def slide(
-        self,
-        label: str,
-        value: float,
-        low: float,
-        high: float,
-        text: str,
-        ticks: Sequence[tuple[float, str, str]] = (),
+        self, label: str, value: float, low: float, high: float, text: str, ticks: Ticks = ()
     ) -> tuple[bool, float]:
         self.ticks = list(ticks)
         return self._done("slide", label, value)

@@ -19,7 +19,7 @@ class Shown:
     Attributes:
         said: the messages, and whether they are bad.
         copied: what is on the clipboard.
-        has_panel: whether the panel was opened.
+        shows_panel: whether the panel was opened.
     """
 
     picture_size = (640, 480)
@@ -43,9 +43,9 @@ class Shown:
         self.tools: dict[str, Any] = {}
         self.said: list[tuple[str, bool]] = []
         self.copied = ""
-        self.has_panel = False
+        self.shows_panel = False
 
-    def say(self, text: str, *, is_bad: bool = False) -> None:
+    def say(self, text: str, is_bad: bool = False) -> None:
         self.said.append((text, is_bad))
 
     def select(self, joint: int) -> None:
@@ -56,9 +56,6 @@ class Shown:
 
     def render_words(self) -> list[str]:
         return [self.world.scene.name]
-
-    def open_panel(self) -> None:
-        self.has_panel = True
 
     def to_clipboard(self, text: str) -> None:
         self.copied = text

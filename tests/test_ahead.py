@@ -48,6 +48,7 @@ def test_above_it_numbers_lie_on_lines_between_computed_ones() -> None:
     assert {p["tag"][0] for p in packets} == {7.0}
 
 
+@pytest.mark.realtime
 @pytest.mark.thorough
 @pytest.mark.slow
 def test_packets_are_numbered_and_stamped_and_counters_wrap() -> None:
@@ -84,6 +85,7 @@ def test_idle_time_is_used_but_no_more_than_there_is() -> None:
     assert len(made) == 251  # a quarter of a second ahead, no more
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [1000, 5000, 10_000])
 def test_an_lwr_is_played_at_an_exact_rate(rate: int) -> None:

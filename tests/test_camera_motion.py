@@ -12,7 +12,7 @@ from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Camera, Scene, View
-from sero_mj.viewer.image.camera import Navigator, followed
+from sero_mj.viewer.image.camera import TIME_CONSTANT, Follower, Navigator, followed, roots
 from sero_mj.viewer.image.camera_motion import (
     CameraKey,
     CameraPath,
@@ -21,7 +21,6 @@ from sero_mj.viewer.image.camera_motion import (
     read_camera_path,
 )
 from sero_mj.viewer.image.film_frames import film_frames
-from sero_mj.viewer.image.following import TIME_CONSTANT, Follower, roots
 from sero_mj.viewer.image.picture_options import FilmOptions
 from sero_mj.viewer.image.render import HeadlessRenderer
 

@@ -16,12 +16,13 @@ import pytest
 from PIL import Image
 
 from sero_mj.base.paths import find_scene
-from sero_mj.cli import doctor, main, view
+from sero_mj.cli import GROUPS, doctor, main, translated, view
 from sero_mj.cli.arguments import overrides
 
-COMMANDS = ["view", "render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep",
-            "new", "schema", "convert", "import", "calibrate"]  # fmt: skip
-OF_EXTENSIONS = ("sweep", "convert", "calibrate")
+COMMANDS = ["view", "render", "demo", "status", "record", "send", "structure", "simulate", "new",
+            "compare", "plot", "check", "export", "import", "list",
+            "sweep", "identify", "calibrate"]  # fmt: skip
+OF_EXTENSIONS = ("sweep", "identify", "calibrate")
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:
@@ -52,14 +53,40 @@ def test_every_command_has_help_worth_reading(command: str, capsys) -> None:
     assert status == 0
     assert len(out.splitlines()) > 8
     assert f"usage: sero-mj {command}" in out
+    _, _, after = out.partition("\nexamples:\n")
+    examples, _, _ = after.partition("\n\n")
+    assert len(re.findall(rf"^  sero-mj {command}\b", examples, re.MULTILINE)) == 3
+    assert "\noptions:\n" in after
 
 
 @pytest.mark.extensions
 def test_the_main_help_lists_all_commands(capsys) -> None:
     status, out, _ = run(capsys, "--help")
     assert status == 0
+    assert re.findall(r"^(\w+):$", out, re.MULTILINE)[:5] == [*GROUPS]
     for command in COMMANDS:
-        assert re.search(rf"^    {command}\s+\w", out, re.MULTILINE)
+        assert re.search(rf"^  {command}\s+\w", out, re.MULTILINE)
+    assert len(out.splitlines()) <= 45
+    assert max(map(len, out.splitlines())) <= 100
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("export-csv a.mcap b.csv --start=1 --stop 2", "export a.mcap b.csv --from=1 --to 2"),
+        ("convert fig7.x3d a.toml", "export fig7.x3d a.toml"),
+        ("fk lwr --deg", "check --fk lwr --deg"),
+        ("schema robot -o a.json", "check --schema robot -o a.json"),
+        ("doctor --json", "check --json"),
+        ("snippet c --scene", "new --snippet c --scene"),
+        ("ros2 list --domain 4 --json", "status ros2://:4 --topics --json"),
+    ],
+)
+def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> None:
+    assert translated(old.split()) == new.split()
+    assert "is now 'sero-mj" in capsys.readouterr().err
+    assert translated(new.split()) == new.split()
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize(
@@ -89,9 +116,12 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
             "found 2 entries",
         ),
         (["render", "lwr", "-o", "x.mp4", "--duration", "nan"], "expected a number above 0"),
-        (["fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers; lwr has 7 joints"),
-        (["fk", "lwr", "--joint-angles", "1,x"], "found '1,x'; expected numbers with commas"),
-        (["fk", "lrw"], "no scene or robot 'lrw'; did you mean 'lwr'?"),
+        (["check", "--fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers; lwr has 7 joints"),
+        (
+            ["check", "--fk", "lwr", "--joint-angles", "1,x"],
+            "found '1,x'; expected numbers with commas",
+        ),
+        (["check", "--fk", "lrw"], "no scene or robot 'lrw'; did you mean 'lwr'?"),
         (
             ["send", "lwr_udp", "--structure", "6F6F"],
             "values0 has 6 values; lwr.joint_angles takes 7",
@@ -145,7 +175,9 @@ def test_the_nearest_file_of_the_folder_is_named(capsys, tmp_path) -> None:
 
 
 def test_values_that_begin_with_a_minus_need_no_equals_sign(capsys) -> None:
-    status, out, _ = run(capsys, "fk", "lwr", "--joint-angles", "-.1,0,0,0,0,0,0", "--json")
+    status, out, _ = run(
+        capsys, "check", "--fk", "lwr", "--joint-angles", "-.1,0,0,0,0,0,0", "--json"
+    )
     assert status == 0
     assert json.loads(out)["joint_angles"][0] == -0.1
     status, _, err = run(capsys, "render", "lwr", "-o", "x.png", "--camera", "-90,-20,-3")
@@ -197,7 +229,7 @@ def test_all_problems_of_a_scene_are_printed_at_once(capsys, tmp_path) -> None:
 
 def test_fk_prints_both_routes_and_their_difference(capsys) -> None:
     status, out, _ = run(
-        capsys, "fk", "lwr", "--deg", "--joint-angles", "0,30,0,-90,0,60,0", "--json"
+        capsys, "check", "--fk", "lwr", "--deg", "--joint-angles", "0,30,0,-90,0,60,0", "--json"
     )
     assert status == 0
     result = json.loads(out)
@@ -206,7 +238,7 @@ def test_fk_prints_both_routes_and_their_difference(capsys) -> None:
     assert np.array(result["mujoco"]) == pytest.approx(np.array(result["dh"]), abs=1e-12)
     assert result["position_difference"] < 1e-12
     assert result["angle_difference"] < 1e-12
-    status, out, _ = run(capsys, "fk", "lwr")
+    status, out, _ = run(capsys, "check", "--fk", "lwr")
     assert "difference: " in out
 
 
@@ -355,7 +387,7 @@ def test_a_port_in_use_is_a_clear_error_before_anything_opens(tmp_path) -> None:
 
 
 def test_the_command_works_from_any_directory(tmp_path) -> None:
-    done = sero_mj("fk", "lwr", "--json", cwd=tmp_path)
+    done = sero_mj("check", "--fk", "lwr", "--json", cwd=tmp_path)
     assert done.returncode == 0
     assert json.loads(done.stdout)["position_difference"] < 1e-12
 
@@ -365,7 +397,7 @@ def test_the_command_works_from_any_directory(tmp_path) -> None:
 def test_doctor_tries_every_backend_and_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    done = sero_mj("doctor", "--json")
+    done = sero_mj("check", "--json")
     found = json.loads(done.stdout)
     assert set(found["backends"]) == {"egl", "osmesa", "glfw"}
     assert found["backends"][found["chosen"]]["works"]
@@ -377,7 +409,7 @@ def test_doctor_tries_every_backend_and_says_what_to_install(
     monkeypatch.setattr(doctor, "try_backend", found["backends"].get)
     monkeypatch.setattr(doctor, "frame_times", {found["chosen"]: times}.get)
     with pytest.raises(SystemExit) as ended:
-        main(["doctor"])
+        main(["check"])
     assert ended.value.code == 0
     text = capsys.readouterr().out
     for name, backend in found["backends"].items():
@@ -410,7 +442,10 @@ def test_commands_import_only_what_they_run_with() -> None:
     ("arguments", "said"),
     [
         (["new", "arm"], "cannot write arm: No such file or directory"),
-        (["schema", "robot", "-o", "no/robot.json"], "cannot write no: No such file or directory"),
+        (
+            ["check", "--schema", "robot", "-o", "no/robot.json"],
+            "cannot write no: No such file or directory",
+        ),
     ],
 )
 def test_where_nothing_can_be_written_a_line_says_so(

@@ -229,7 +229,7 @@ def test_the_command_exports_nan_as_such_and_fails_without_a_row(
             writer.add_source("arm", kind="udp", declared=declared, events=layout.events, size=16)
             for i in range(3):
                 writer.write_raw("arm", packet, writer.clock.monotonic_ns / 1e9 + i / 8)
-        return ["export-csv", str(path), str(tmp_path / f"{name}.csv")]
+        return ["export", str(path), str(tmp_path / f"{name}.csv")]
 
     assert run(recorded("nan", layout.encode({"values0": [0.5, math.nan]}))) == 0
     lines = (tmp_path / "nan.csv").read_text("utf-8").splitlines()

@@ -115,9 +115,9 @@ def test_export_csv_names_the_file_and_fails_where_there_is_nothing(
     damaged: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = damaged("some")
-    assert run("export-csv", path, tmp_path / "some.csv") == 0
+    assert run("export", path, tmp_path / "some.csv") == 0
     assert capsys.readouterr().out.startswith(f"note: {path}: the chunk at byte")
-    assert run("export-csv", damaged("all"), tmp_path / "all.csv") == 1
+    assert run("export", damaged("all"), tmp_path / "all.csv") == 1
     assert capsys.readouterr().out.endswith("all.csv: 0 rows\n")
 
 

@@ -64,10 +64,10 @@ def test_degrees_of_any_joint_are_noticed_in_all_poses_within_the_limits() -> No
 def test_fk_asks_about_degrees_before_it_prints(capsys: pytest.CaptureFixture[str]) -> None:
     angles = ",".join(map(str, POSE))
     with pytest.raises(SystemExit, match=r"^0$"):
-        main(["fk", "lwr", "--joint-angles", angles])
+        main(["check", "--fk", "lwr", "--joint-angles", angles])
     assert "lwr.A2: 80 rad is far beyond its limits of ±2.09 rad" in capsys.readouterr().err
     with pytest.raises(SystemExit, match=r"^0$"):
-        main(["fk", "lwr", "--deg", "--joint-angles", angles])
+        main(["check", "--fk", "lwr", "--deg", "--joint-angles", angles])
     assert capsys.readouterr().err == ""
 
 

@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sero_mj.robots.assemble.world import World
-from sero_mj.robots.declared.dh import COLUMNS, DhTable
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.robot_parts import MAX_JOINTS
 from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.kinematics.dh import COLUMNS, DhTable
 
 CONVENTIONS = ("craig", "standard")
 SPECIAL = [0.0, pi / 2, -pi / 2, pi, -pi]  # what real tables are made of

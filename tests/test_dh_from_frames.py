@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg tables found for chains of joint frames, against `declared.dh`."""
+"""Denavit-Hartenberg tables found for chains of joint frames, against `kinematics.dh`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sero_mj import DhTable, SerialRobot
 from sero_mj.base import paths
 from sero_mj.base.frames import Array, Bools, frame, inverse, rotation_about, rotation_from_rpy
-from sero_mj.robots.importers.dh_from_frames import DhChain, dh_from_frames
+from sero_mj.robots.kinematics.dh_from_frames import DhChain, dh_from_frames
 
 CONVENTIONS = ("craig", "standard")
 SERIAL = [name for name in paths.list_models() if not SerialRobot.from_model(name).mirrored]

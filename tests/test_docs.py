@@ -33,12 +33,14 @@ OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xm
 # A command with nothing that a shell would do for it.
 ALONE = re.compile(r"(?:\.venv/bin/)?sero-mj [^|&;<>$*`#]*(#.*)?|#.*|\s*")
 # A minute of windows, films and processes.
-LONGEST = ("compare", "controllers", "headless", "learn", "mirror", "player", "robots", "ros",
-           "simulate", "tutorial", "view")  # fmt: skip
+LONGEST = ("compare", "control_laws", "controllers", "first_arm", "groups", "headless", "interact",
+           "learning", "mirror", "player", "program_view", "recordings", "robots", "simulate",
+           "tutorial", "view")  # fmt: skip
 PAGES = sorted(
     [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/extensions").glob("*.md")],
     key=lambda page: (page.stem in LONGEST, page),
 )
+EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
 # Of films and pictures: software takes most of the time of this test to draw them.
 SMALL, FPS = (480, 320), 10
 
@@ -216,6 +218,17 @@ def test_the_demo_writes_a_film_and_a_picture_and_says_where(tmp_path: Path) -> 
     assert "out/lwr.mp4" in done.stdout and "out/lwr.png" in done.stdout
     assert (tmp_path / "out" / "lwr.mp4").stat().st_size > 3000
     assert (tmp_path / "out" / "lwr.png").stat().st_size > 3000
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("script", EXAMPLES, ids=[script.stem for script in EXAMPLES])
+def test_an_example_is_short_and_writes_its_image(script: Path, tmp_path: Path) -> None:
+    assert len(script.read_text("utf-8").splitlines()) <= 40
+    subprocess.run([sys.executable, str(script)], cwd=tmp_path, check=True, timeout=100)
+    image = f"{script.stem}.webp"
+    assert (tmp_path / image).stat().st_size > 3_000
+    page = (ROOT / "docs" / "examples.md").read_text("utf-8")
+    assert f"examples/{script.name}\n" in page and f"(pictures/examples/{image})" in page
 
 
 def test_pages_show_pictures_and_lead_to_pages_that_exist() -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sero_mj.viewer.panels.dom_widgets import DomWidgets
-from sero_mj.viewer.session.widgets import Line, Plot, Widgets
+from sero_mj.viewer.session.widgets import Plot, PlotLine, Widgets
 
 SIZE = (20.0, 10.0)
 
@@ -167,7 +167,7 @@ def test_places_and_tips_belong_to_the_widgets_they_are_given_for(ui: DomWidgets
 
 
 def test_what_was_built_takes_room_from_what_follows(ui: DomWidgets) -> None:
-    line = Line("msr", (1.0, 0.5, 0.0), np.zeros(2), np.zeros(2))
+    line = PlotLine("msr", (1.0, 0.5, 0.0), np.zeros(2), np.zeros(2))
     plot, left = Plot("s", "torque [Nm]", [line], (-8.0, 0.0), (-1.0, 1.0), ()), list[float]()
 
     def build() -> None:
@@ -189,7 +189,7 @@ def test_what_was_built_takes_room_from_what_follows(ui: DomWidgets) -> None:
 
 
 def test_plots_have_gaps_and_only_finite_limits(ui: DomWidgets) -> None:
-    line = Line("msr", (1.0, 0.5, 0.0), np.array([0.0, 0.123456789]), np.array([np.nan, -1e-9]))
+    line = PlotLine("msr", (1.0, 0.5, 0.0), np.array([0.0, 0.123456789]), np.array([np.nan, -1e-9]))
     plot = Plot("s", "torque [Nm]", [line], (-20.0, 0.0), (-1.0, 1.0), (np.inf, -np.inf))
     (node,) = ui.tree_of(lambda: ui.plot(plot, 8.0), SIZE)
     assert node["limits"] == []

@@ -287,7 +287,7 @@ def test_whatever_part_of_a_tool_fails_the_rest_goes_on(tmp_path: Path, part: st
     printed = run(tmp_path, f"""
 from decor_tools import view_at
 from sero_mj import Mirror, load_scene
-from sero_mj.viewer.host.dragging import Dragging
+from sero_mj.viewer.host.pointer import Dragging
 from sero_mj.viewer.session.input import Moved
 from sero_mj.viewer.session.tool import DrawnTool, Tools
 from shown import Shown
@@ -419,7 +419,7 @@ def test_a_command_that_cannot_be_added_is_told_and_left_out(tmp_path: Path) -> 
 def test_a_command_is_run_and_in_the_help(tmp_path: Path) -> None:
     install(tmp_path, "payload_command", COMMANDS, "carry", "Carry")
     assert run(tmp_path, "", "carry", "lwr").startswith("lwr: at most ")
-    assert "carry     say what a robot can carry" in run(tmp_path, "", "--help")
+    assert "carry      say what a robot can carry" in run(tmp_path, "", "--help")
     assert "carry              payload_command:Carry, of payload-command" in run(
         tmp_path, "", "list"
     )

@@ -24,9 +24,9 @@ from sero_mj.viewer.decor.axes import AXIS_RGB
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import CAPACITY, GeomBuffer, Kind
 from sero_mj.viewer.decor.panels import PANEL_RGBA
+from sero_mj.viewer.decor.quantities import jacobian
 from sero_mj.viewer.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.viewer.decor.scene_writer import SceneWriter
-from sero_mj.viewer.decor.singularity import jacobian
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 TARGET = np.array([-0.4, 0.9, 0.1, -1.1, 0.6, 0.5, -0.3])

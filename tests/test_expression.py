@@ -15,10 +15,11 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from sero_mj.base.errors import RouteError
-from sero_mj.data.drive._units import UNITS
+from sero_mj.data.drive.evaluator import evaluate
 from sero_mj.data.drive.language import parse
 from sero_mj.data.drive.route import Affine, Origin
-from sero_mj.data.drive.values import Value, constant, evaluate, numbers_of
+from sero_mj.data.drive.units import UNITS
+from sero_mj.data.drive.values import Value, constant, numbers_of
 from sero_mj.robots.declared.route_text import names_in
 
 Array = NDArray[np.float64]

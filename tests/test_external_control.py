@@ -23,7 +23,7 @@ from test_cli import run
 
 from sero_mj import SerialRobot
 from sero_mj.base.errors import DeclarationError, SimulationError
-from sero_mj.cli.snippet import snippets
+from sero_mj.cli.new import snippets
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.simulate.control.controller import Sensed, Target
 from sero_mj.simulate.control.robot_model import RobotModel
@@ -795,10 +795,10 @@ def test_controllers_that_snippets_print_follow_their_target(
     name: str, ending: str, build: Callable[[Path], None], tmp_path: Path, capsys: Any
 ) -> None:
     assert name in snippets()
-    status, text, _ = run(capsys, "snippet", name)
+    status, text, _ = run(capsys, "new", "--snippet", name)
     assert status == 0
     (tmp_path / f"controller.{ending}").write_text(text)
-    status, scenario, _ = run(capsys, "snippet", name, "--scene")
+    status, scenario, _ = run(capsys, "new", "--snippet", name, "--scene")
     (tmp_path / "controller.toml").write_text(scenario.replace('"python3"', f'"{sys.executable}"'))
     build(tmp_path)
     status, out, _ = run(capsys, "simulate", str(tmp_path / "controller.toml"))
@@ -806,9 +806,9 @@ def test_controllers_that_snippets_print_follow_their_target(
 
 
 def test_a_controller_with_a_wrong_sign_fails_what_is_expected(tmp_path: Path, capsys: Any) -> None:
-    _, text, _ = run(capsys, "snippet", "controller-c")
+    _, text, _ = run(capsys, "new", "--snippet", "controller-c")
     (tmp_path / "controller.c").write_text(text.replace("stiffness = 800.0", "stiffness = -80.0"))
-    _, scenario, _ = run(capsys, "snippet", "controller-c", "--scene")
+    _, scenario, _ = run(capsys, "new", "--snippet", "controller-c", "--scene")
     (tmp_path / "controller.toml").write_text(scenario)
     build_c(tmp_path)
     status, out, error = run(capsys, "simulate", str(tmp_path / "controller.toml"))

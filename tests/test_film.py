@@ -193,6 +193,7 @@ def udp_scene(port: int) -> Scene:
     )
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_states_of_a_live_film_are_taken_at_its_rate_however_slow_rendering_is() -> None:
     """The joint angle is the sender's clock: frames must be a tenth of a second apart."""

@@ -245,13 +245,3 @@ def test_any_four_numbers_are_a_rotation_or_refused(quat):
     except ValueError:
         return
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
-
-
-@pytest.mark.parametrize("count", [3, 700])
-def test_frames_of_many_are_composed_as_those_of_one(count):
-    turns = np.random.default_rng(0).uniform(-3, 3, (2, count))
-    first, second = np.tile(np.eye(4), (2, count, 1, 1))
-    first[:, :3, :3], second[:, :3, :3] = (frames.rotation_about(2, each) for each in turns)
-    first[:, :3, 3], second[:, :3, 3] = [0.1, 0.2, 0.3], [-1.0, 2.0, 0.5]
-    for a, b in ((first, second), (first, second[0]), (first[0], second)):
-        np.testing.assert_allclose(frames.compose(a, b), a @ b, atol=1e-15)

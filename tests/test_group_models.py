@@ -368,7 +368,7 @@ def test_fk_and_check_say_what_a_group_holds(
 ) -> None:
     for name in (folder / "hand", folder / "hand" / "group.toml"):
         with pytest.raises(SystemExit, match="2"):
-            main(["fk", str(name)])
+            main(["check", "--fk", str(name)])
         assert capsys.readouterr().err == (
             f"sero-mj: {name}: has 3 robots; expected --of with one of hand_index, hand_thumb, "
             "hand_nail\n"

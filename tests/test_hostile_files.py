@@ -121,7 +121,7 @@ def test_a_pipe_is_no_recording(pipe: Path, capsys: pytest.CaptureFixture[str]) 
     for command in (
         ["render", "lwr_udp", "-o", str(pipe.with_suffix(".png")), "--replay", str(pipe)],
         ["compare", str(pipe), str(pipe)],
-        ["export-csv", str(pipe), str(pipe.with_suffix(".csv"))],
+        ["export", str(pipe), str(pipe.with_suffix(".csv"))],
         ["send", "lwr_udp", "--play", str(pipe)],
     ):
         with pytest.raises(SystemExit) as ended:

@@ -190,7 +190,7 @@ def test_what_a_recording_declares_wrongly_is_told(
     with pytest.raises(DeclarationError, match=re.escape(f"source: {path}: {expected}")):
         Replay(file=path)
     with pytest.raises(SystemExit) as ended:
-        main(["export-csv", str(path), str(tmp_path / "a.csv")])
+        main(["export", str(path), str(tmp_path / "a.csv")])
     assert ended.value.code == 2
     assert f"sero-mj: source: {path}: {expected}" in capsys.readouterr().err
 

@@ -129,7 +129,7 @@ def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
     option = f"arm_meshes={folder / 'far' / 'away'}"
     assert run("check", "tree.urdf", "--package", option) == 0
     assert "robot   tree: 4 joints" in capsys.readouterr().out
-    assert run("fk", "chain.urdf", "--joint-angles", "0.4,0.3", "--json") == 0
+    assert run("check", "--fk", "chain.urdf", "--joint-angles", "0.4,0.3", "--json") == 0
     import json
 
     found = json.loads(capsys.readouterr().out)
@@ -185,14 +185,17 @@ def test_a_urdf_that_ends_in_xml_is_one(folder: Path, capsys) -> None:
 
 def test_fk_takes_scenes(capsys) -> None:
     fig7 = str(Path(__file__).with_name("fig7.x3d"))
-    assert run("fk", fig7, "--joint-angles", "0,0.5,0,0,0,0,0") == 0
+    assert run("check", "--fk", fig7, "--joint-angles", "0,0.5,0,0,0,0,0") == 0
     assert "T_base_flange of lwr, by its DH table" in capsys.readouterr().out
-    assert run("fk", "lwr_hit_hand", "--of", "arm") == 0
+    assert run("check", "--fk", "lwr_hit_hand", "--of", "arm") == 0
     assert "T_base_flange of arm" in capsys.readouterr().out
     file = paths.scenes_dir() / "lwr_udp.toml"
-    assert run("fk", str(file)) == 0
+    assert run("check", "--fk", str(file)) == 0
     # One that another robot carries, as in the command's own help.
-    assert run("fk", "justin", "--of", "justin_left_arm", "--joint-angles", "0,0,0,0,0,0,0") == 0
+    assert (
+        run("check", "--fk", "justin", "--of", "justin_left_arm", "--joint-angles", "0,0,0,0,0,0,0")
+        == 0
+    )
     assert "difference: " in capsys.readouterr().out
     for arguments, message in (
         (("lwr_hit_hand",), "lwr_hit_hand: has 6 robots; expected --of with one of arm, hand_"),
@@ -203,7 +206,7 @@ def test_fk_takes_scenes(capsys) -> None:
         (("lwr", "--of", "arm"), "lwr: has no robot 'arm'; available: lwr"),
         (("lwrr",), "no scene or robot 'lwrr'; did you mean 'lwr'?"),
     ):
-        assert run("fk", *arguments) == 2
+        assert run("check", "--fk", *arguments) == 2
         assert message in capsys.readouterr().err
 
 

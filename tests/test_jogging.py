@@ -23,8 +23,7 @@ from sero_mj.robots.assemble.gravity_torques import GravityTorques
 from sero_mj.simulate.control.compiler import Compiler
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.image.scene_decor import SceneDecor
-from sero_mj.viewer.session.joint_goal import JointGoal
-from sero_mj.viewer.session.pose_text import as_command, as_python, as_toml
+from sero_mj.viewer.session.joint_goal import JointGoal, as_command, as_python, as_toml
 from sero_mj.viewer.tools.jogging import Jogging, approached
 
 BENT = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
@@ -314,7 +313,7 @@ def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
     settings = ("lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0",)
     with screen() as display, Driven(display, tmp_path, "lwr", settings=settings) as window:
         window.key("Tab")
-        window.until("w.has_panel")
+        window.until("w.shows_panel")
         window.until("places.get('##A2')")
         window.settle()
         left, top, right, bottom = window.ask("places['##A2']")
@@ -338,7 +337,7 @@ def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
         assert not window.ask("w.toggles.arrows.any()")
         # A link, which the panel would cover.
         window.key("Tab")
-        window.until("not w.has_panel")
+        window.until("not w.shows_panel")
         window.settle()
         place = (
             "[*w.decor.view.project(w.data.xpos[w.world.robots['lwr'].bodies[5]])[0].tolist(), "

@@ -13,9 +13,9 @@ from sero_mj.data.drive.place import Placer
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.double import Double
-from sero_mj.robots.declared.joint_tree import JointFrames
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.kinematics.joint_tree import JointFrames
 
 BASE = frame(rotation_from_rpy([0.2, -0.3, 0.5]), [0.3, -0.1, 0.4])
 

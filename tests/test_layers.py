@@ -20,6 +20,7 @@ EXTENSIONS = tuple(sorted(file.parent.name for file in PACKAGE.glob("extensions/
 ORDER = (
     "",
     "base",
+    "robots.kinematics",
     "robots.importers",
     "robots.declared",
     "robots.assemble",
@@ -55,7 +56,7 @@ ROOMS = [folder for folder in ORDER if folder not in ("", "load", "__main__")]
 WINGS = ("robots", "data", "viewer")  # that have no files of their own
 # What the independent check and the packet layer must do without.
 NO_MUJOCO = (
-    *("extensions.x3d.reader", "extensions.x3d.wrl", "robots.declared.dh", "base.frames"),
+    *("extensions.x3d.reader", "extensions.x3d.wrl", "robots.kinematics.dh", "base.frames"),
     *("robots.declared.shapes", "data.receive", "data.record.replay"),
 )
 MUJOCO = ("mujoco", "dm_control")
@@ -217,15 +218,15 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
 @pytest.mark.parametrize(
     ("module", "line", "found"),
     [
-        ("robots.declared.dh", "from ...data.receive.source import age", "imports data.receive"),
-        ("robots.declared.dh", "from ...data.receive import source", "imports data.receive"),
-        ("robots.declared.dh", "from ...data import receive", "imports data.receive"),
-        ("robots.declared.dh", "import sero_mj.data.receive.udp", "imports data.receive.udp"),
-        ("robots.declared.dh", "from sero_mj.data.drive.wiring import wire", "data.drive.wiring"),
-        ("robots.declared.dh", "from sero_mj import Mirror", "imports data.drive.mirror"),
-        ("robots.declared.dh", "from ... import HeadlessRenderer", "imports viewer.image"),
+        ("robots.kinematics.dh", "from ...data.receive.mailbox import age", "imports data.receive"),
+        ("robots.kinematics.dh", "from ...data.receive import source", "imports data.receive"),
+        ("robots.kinematics.dh", "from ...data import receive", "imports data.receive"),
+        ("robots.kinematics.dh", "import sero_mj.data.receive.udp", "imports data.receive.udp"),
+        ("robots.kinematics.dh", "from sero_mj.data.drive.wiring import wire", "data.drive.wiring"),
+        ("robots.kinematics.dh", "from sero_mj import Mirror", "imports data.drive.mirror"),
+        ("robots.kinematics.dh", "from ... import HeadlessRenderer", "imports viewer.image"),
         ("data.receive.source", "from ..drive.place import follow", "imports data.drive.place"),
-        ("data.send.play", "from ..drive._units import UNITS", "imports data.drive._units"),
+        ("data.send.play", "from ..drive.units import UNITS", "imports data.drive._units"),
         (
             "data.drive.place",
             "from ...viewer.decor.geom_buffer import GeomBuffer",
@@ -251,14 +252,14 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
         ("study.figure", "from ..extensions.fmu import fmu", "imports extensions.fmu"),
         ("cli.view", "from ..extensions.photo import over", "imports extensions.photo"),
         ("extensions.rtde.client", "from ..fmu import fmu", "imports the extension extensions.fmu"),
-        ("base.errors", "from ..robots.declared import dh", "imports robots.declared.dh"),
+        ("base.errors", "from ..robots.kinematics import dh", "imports robots.kinematics.dh"),
         ("base.paths", "def f():\n    from ..cli import main", "imports cli"),
         ("robots.assemble", "from ...viewer import decor", "imports viewer.decor"),
-        ("cli.fk", "from ..__main__ import main", "imports __main__"),
+        ("cli.plot", "from ..__main__ import main", "imports __main__"),
         (
-            "robots.declared.dh",
+            "robots.declared.limbs",
             "from .scene import Scene",
-            "circle: robots.declared.dh > robots.declared.scene",
+            "circle: robots.declared.limbs > robots.declared.scene",
         ),
         ("base.errors", "from . import paths", "circle: base.errors > base.paths > base.errors"),
         ("data.drive.place", "from . import place", "circle: data.drive.place > data.drive.place"),
@@ -290,7 +291,7 @@ def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> 
         ("data.drive.place", "from ... import __version__"),
         ("data.drive.place", "from ...base import paths"),
         ("data.drive.place", "from ... import SerialRobot"),
-        ("cli.fk", "from .arguments import port"),
+        ("cli.plot", "from .arguments import port"),
         ("__main__", "import sero_mj.viewer.image.backend"),
         ("base.errors", "import mujoco.viewer, decor"),  # somebody else's decor
     ],
@@ -394,7 +395,7 @@ def test_the_view_knows_no_simulation_and_a_simulation_the_view_in_one_folder() 
 
 def test_the_readme_s_map_is_the_order_that_imports_keep() -> None:
     text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
-    mapped = re.findall(r"^\| `([\w/]+)` \| ", text.partition("## The wings")[2], re.MULTILINE)
+    mapped = re.findall(r"^\| `([\w/]+)` \| ", text.partition("## Packages")[2], re.MULTILINE)
     rooms = [room for room in ROOMS if not room.startswith("extensions.")]
     assert mapped == [room.replace(".", "/") for room in rooms]
     tops = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}

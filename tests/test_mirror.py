@@ -25,8 +25,7 @@ from source_slots import get_source
 
 from sero_mj.base.errors import SourceError
 from sero_mj.data.drive.mirror import Mirror, restore
-from sero_mj.data.receive.mailbox import Packet
-from sero_mj.data.receive.source import age
+from sero_mj.data.receive.mailbox import Packet, age
 from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.robot import SerialRobot

@@ -11,7 +11,7 @@ import pytest
 from sero_mj import DeclarationError, Plant, Scene, SerialRobot, World
 from sero_mj.base.frames import frame, rotation_from_rpy
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
-from sero_mj.viewer.decor.singularity import jacobian
+from sero_mj.viewer.decor.quantities import jacobian
 
 S = np.diag([1.0, -1.0, 1.0, 1.0])
 BASE = frame(rotation_from_rpy(np.array([0.9, 0.2, -0.4])), np.array([0.1, 0.3, 0.5]))

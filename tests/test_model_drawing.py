@@ -239,9 +239,9 @@ def test_check_boxes_of_a_page_are_undone_and_copied(page: WebHost, client: Page
 
 
 def test_a_program_opens_the_panel_of_a_page(page: WebHost, client: PageClient) -> None:  # noqa: F811
-    page.toggle_status()
+    page.toggle("shows_panel")
     client.until(lambda: client.state["panel"] is None)
-    page.open_panel()
+    page.shows_panel = True
     client.until(lambda: client.state["panel"])
 
 

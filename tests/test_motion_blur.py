@@ -11,8 +11,7 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.picture_view import PictureView
-from sero_mj.viewer.image.film_frames import film_frames
-from sero_mj.viewer.image.motion_blur import SHUTTER, SUBFRAMES, Exposure
+from sero_mj.viewer.image.film_frames import SHUTTER, SUBFRAMES, Exposure, film_frames
 from sero_mj.viewer.image.picture_options import FilmOptions
 from sero_mj.viewer.image.render import HeadlessRenderer
 

@@ -91,10 +91,10 @@ def test_every_table_of_a_robot_is_documented() -> None:
 
 
 def test_a_schema_is_printed_or_written(capsys: Any, tmp_path: Path) -> None:
-    status, out, _ = run(capsys, "schema", "robot")
+    status, out, _ = run(capsys, "check", "--schema", "robot")
     assert status == 0 and json.loads(out) == schema_of("robot")
     file = tmp_path / "editor" / "scene.json"
-    status, out, _ = run(capsys, "schema", "scene", "-o", str(file))
+    status, out, _ = run(capsys, "check", "--schema", "scene", "-o", str(file))
     assert out == f"{file}\n" and json.loads(file.read_text()) == schema_of("scene")
 
 

@@ -351,7 +351,7 @@ def test_jupyterlab_shows_it_live_and_plays_it_when_it_is_opened_again(
         page = browser.new_page(viewport={"width": 900, "height": 900})
         page.goto(url)
         frame = cell_page(page)
-        frame.wait_for_function("() => player.run.frames > 20 && player.clock.frame > 3")
+        frame.wait_for_function("() => player.run.frames > 20 && player.recording.clock.frame > 3")
         last = frame.evaluate(
             "() => { const { values, frames } = player.run;"
             " return [1, 2, 3, 4, 5, 6, 7].map((j) => values.joint_angles[j * frames - 1]); }"

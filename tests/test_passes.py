@@ -18,7 +18,7 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Object, Scene
-from sero_mj.viewer.image.pass_files import palette, save_depth, save_segmentation
+from sero_mj.viewer.image.passes import palette, save_depth, save_segmentation
 from sero_mj.viewer.image.render import HeadlessRenderer, render_film, render_picture
 
 POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])

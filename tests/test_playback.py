@@ -249,7 +249,7 @@ def test_the_command_sends_a_table_that_it_has_exported(
 ) -> None:
     table = tmp_path / "rec.csv"
     with pytest.raises(SystemExit):
-        main(["export-csv", str(recording), str(table)])
+        main(["export", str(recording), str(table)])
     scene = scene_file(tmp_path, listener)
     assert send(scene, "--play", table, "--speed", 20) == 0
     assert [listener.recv(1000) for _ in range(5)] == PACKETS

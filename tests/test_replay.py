@@ -245,7 +245,7 @@ def test_the_commands_record_render_and_export(
         assert recording.about["scene"] == "scene"
     capsys.readouterr()
     with pytest.raises(SystemExit) as caught:
-        main(["export-csv", str(run), str(table)])
+        main(["export", str(run), str(table)])
     assert caught.value.code == 0
     assert f"run.csv: {count} rows" in capsys.readouterr().out
     assert len(table.read_text().splitlines()) == count + 1

@@ -80,11 +80,11 @@ def test_so_are_those_of_the_command_line(
     )
     refused("render", scene, "-o", tmp_path / "x.png", "--replay", recording, "--start", 99)
     assert "sero-mj: --start: found 99; the recording ends at 1.00 s" in capsys.readouterr().err
-    refused("export-csv", recording, tmp_path / "x.csv", "--start", 0.5, "--stop", 0.2)
-    said = "sero-mj: --stop: found 0.2; expected more than 0.5, --start, in s"
+    refused("export", recording, tmp_path / "x.csv", "--from", 0.5, "--to", 0.2)
+    said = "sero-mj: --to: found 0.2; expected more than --from, s"
     assert said in capsys.readouterr().err
-    refused("export-csv", recording, tmp_path / "x.csv", "--start", 2)
-    assert "--start: found 2; the recording ends" in capsys.readouterr().err
+    refused("export", recording, tmp_path / "x.csv", "--from", 2)
+    assert "--from: found 2; the recording ends" in capsys.readouterr().err
     assert not list(tmp_path.glob("x.*"))
 
 
@@ -93,12 +93,12 @@ def test_a_table_that_is_there_is_kept(
 ) -> None:
     table = tmp_path / "t.csv"
     table.write_text("mine")
-    refused("export-csv", recording, table)
+    refused("export", recording, table)
     said = f"sero-mj: {table} is there already; choose another name, or --overwrite\n"
     assert capsys.readouterr().err == said
     assert table.read_text() == "mine"
     with pytest.raises(SystemExit) as caught:
-        main(["export-csv", str(recording), str(table), "--overwrite"])
+        main(["export", str(recording), str(table), "--overwrite"])
     assert caught.value.code == 0
     assert len(table.read_text().splitlines()) == 12
 

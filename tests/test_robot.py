@@ -10,10 +10,10 @@ import pytest
 from conftest import raises_with
 
 from sero_mj.base.errors import DeclarationError, Problem, shown
-from sero_mj.robots.declared.dh import COLUMNS
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.surroundings import Object
 from sero_mj.robots.importers.mesh_files import mesh_endings
+from sero_mj.robots.kinematics.dh import COLUMNS
 
 TWO_JOINTS = [[0, 0, 0, 0.3], [0, 0.4, 0, 0]]
 
@@ -404,3 +404,30 @@ def test_a_robot_is_printed_in_a_few_lines() -> None:
     assert text.splitlines()[0].startswith("SerialRobot 'many': 30 joints, frames of joints, reach")
     assert ": J1, J2, J3, J4, ..., J7, J8, J9, J10" in text
     assert text.splitlines()[-1] == "  and 13 more limbs"
+
+
+@pytest.mark.parametrize("field", sorted(SerialRobot.checked_alone))
+def test_a_field_that_is_checked_alone_refuses_what_the_constructor_refuses(field) -> None:
+    robot = SerialRobot.from_model("lwr")
+    with pytest.raises(DeclarationError) as made:
+        SerialRobot.from_model("lwr", **{field: object()})
+    with pytest.raises(DeclarationError) as assigned:
+        setattr(robot, field, object())
+    keys = [problem.key for problem in assigned.value.problems]
+    assert keys == [problem.key for problem in made.value.problems] == [field]
+    assert getattr(robot, field) == getattr(SerialRobot.from_model("lwr"), field)
+
+
+def test_an_assignment_keeps_all_other_fields_and_updates_the_kinematics() -> None:
+    robot = SerialRobot.from_model("lwr", flange_tolerance_deg=2.0)
+    before, copied = robot.fwd_kin_base_to_flange(), robot.model_copy()
+    robot.show_axes = True
+    assert robot.kinematics is robot.kinematics
+    robot.dh_params = robot.dh_params * [1, 1, 1, 2]
+    assert robot.show_axes and robot.flange_tolerance_deg == 2.0
+    assert not np.allclose(robot.fwd_kin_base_to_flange(), before)
+    np.testing.assert_array_equal(copied.fwd_kin_base_to_flange(), before)
+    moved = robot.model_copy(update={"dh_params": copied.dh_params})
+    np.testing.assert_array_equal(moved.fwd_kin_base_to_flange(), before)
+    with pytest.raises(ValueError, match="read-only"):
+        robot.dh_params[0, 3] = 1.0

@@ -26,9 +26,9 @@ def test_every_test_of_the_table_is_there(robustness: ModuleType) -> None:
 @pytest.mark.extensions
 def test_every_limit_of_the_table_is_a_number_of_the_code(robustness: ModuleType) -> None:
     limits = robustness.limits()
-    assert dict(limits)["a file of TOML"] == "20 MB"
-    assert dict(limits)["a packet"] == "65,507 bytes"
-    assert dict(limits)["joints of a URDF that move"] == "128"
+    assert dict(limits)["TOML file"] == "20 MB"
+    assert dict(limits)["packet"] == "65,507 bytes"
+    assert dict(limits)["movable joints of a URDF"] == "128"
     assert len(limits) == len(robustness.LIMITS)
 
 

@@ -17,7 +17,7 @@ from sero_mj.robots.declared.surroundings import Object
 from sero_mj.simulate.control.compiler import Compiler
 from sero_mj.simulate.control.controller import Sensed, Target
 from sero_mj.simulate.external_loads import Push, PushRows
-from sero_mj.simulate.rows import ManyRows
+from sero_mj.simulate.physics import Physics
 from sero_mj.simulate.run_batch import batch_key
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario
@@ -169,7 +169,7 @@ def test_pushes_of_many_rows_are_those_of_mujoco_to_the_bit() -> None:
         {"frame": "lwr/link2", "at": [0.0, 0.1, 0.0], "expressed_in": "lwr/link3"},
     ]
     world = Compiler().world(scenario().scene)
-    rows = ManyRows(world.physics_model(), 3)
+    rows = Physics(world.physics_model(), 3)
     model, data = rows.model, mujoco.MjData(rows.model)
     rows.qpos[:] = rng.uniform(-1.0, 1.0, rows.qpos.shape)
     force, torques, expected = rng.standard_normal(3), np.zeros((2, 3, model.nv)), None

@@ -413,7 +413,7 @@ def test_an_old_recording_is_the_same_run(tmp_path: Path) -> None:
 def exported(recording: Path) -> Path:
     table = recording.with_suffix(".csv")
     with pytest.raises(SystemExit) as ended:
-        main(["export-csv", str(recording), str(table)])
+        main(["export", str(recording), str(table)])
     assert not ended.value.code
     return table
 

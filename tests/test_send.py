@@ -57,6 +57,7 @@ def to(listener: socket.socket) -> Iterator[UdpSink]:
         yield sink
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_thousand_packets_a_second_leave_at_that_rate(to: UdpSink) -> None:
     reports: list[SendReport] = []

@@ -17,7 +17,6 @@ from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.robots.assemble.link_geometry import trim_geoms
 from sero_mj.robots.assemble.world import World
-from sero_mj.robots.declared.dh import DhTable
 from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.robot_parts import LinkGeometry
@@ -26,6 +25,7 @@ from sero_mj.robots.declared.scene_file import read_scene_file
 from sero_mj.robots.declared.shapes import generate_shapes
 from sero_mj.robots.declared.surroundings import FINISHES, Object
 from sero_mj.robots.importers.mesh_files import mesh_endings
+from sero_mj.robots.kinematics.dh import DhTable
 
 ANGLES = st.sampled_from([0.0, pi / 2, -pi / 2, pi]) | st.floats(-pi, pi)
 # From a watch to a crane; shorter steps than 1 um are not drawn, so none are asked for here.

@@ -22,10 +22,9 @@ from sero_mj.base.errors import UsageError
 from sero_mj.data.receive.mailbox import Packets
 from sero_mj.load import load_scene
 from sero_mj.viewer.panels.signal_plots import MOST_LINES, MOST_PLOTS
-from sero_mj.viewer.program.outbox import Outbox
-from sero_mj.viewer.program.signals import UserSignals
+from sero_mj.viewer.program.outbox import Outbox, UserSignals
 from sero_mj.viewer.session.binned_history import SPAN, BinnedHistory
-from sero_mj.viewer.session.signals import PROGRAM, Signal
+from sero_mj.viewer.session.signals import PROGRAM, PlotSignal
 from sero_mj.viewer.tools.plots import Plots
 
 
@@ -91,7 +90,7 @@ def test_signals_are_put_into_plots_and_taken_out_of_them() -> None:
     choose(tool, "plot 1", "lwr", "A1.joint_angles (shown)")
     ui = choose(tool, "plot 1", "lwr", "A2.joint_angles (shown)")
     assert [[line.name for line in plot.lines] for plot in ui.plots[1:]] == [["A1.torque_error"]]
-    tool.plots.toggle(0, Signal(PROGRAM, "A1.torque_error"))
+    tool.plots.toggle(0, PlotSignal(PROGRAM, "A1.torque_error"))
     ui = choose(tool, "plot 1", "lwr", "A2.torques")
     names = ["lwr A1.torque_error", "program A1.torque_error", "A2.torques"]
     assert [line.name for line in ui.plots[1].lines] == names
@@ -101,10 +100,10 @@ def test_signals_are_put_into_plots_and_taken_out_of_them() -> None:
     tool.build_area(ui)
     assert [plot.y_label for plot in ui.plots] == ["plot 1"]
     for k in range(20):
-        tool.plots.toggle(0, Signal(PROGRAM, f"{k}"))
+        tool.plots.toggle(0, PlotSignal(PROGRAM, f"{k}"))
     assert len(tool.plots.shown[0]) == MOST_LINES
     for k in range(20):
-        tool.plots.add(Signal(PROGRAM, f"more {k}"))
+        tool.plots.add(PlotSignal(PROGRAM, f"more {k}"))
     assert len(tool.plots.shown) == MOST_PLOTS
     choose(tool, "new plot", "lwr", "A6.torques")
     assert tool.shown.said[-1] == ("8 plots are as many as there can be", True)  # type: ignore[attr-defined]
@@ -149,7 +148,7 @@ def test_a_signal_of_a_run_shows_the_past_as_soon_as_it_is_chosen() -> None:
 def test_every_packet_of_a_live_source_counts_and_silence_is_a_gap() -> None:
     tool, shown = make_tool(load_scene("lwr_udp"))
     (event,) = [name for name in tool.signals.groups["udp"] if name.endswith("[3]")][:1]
-    signal = Signal("udp", event)
+    signal = PlotSignal("udp", event)
     ui = choose(tool, "new plot", "udp", event)
     assert ui.plots[-1].lines[0].name == event
     choose(tool, "plot 1", "lwr", "A1.joint_angles")
@@ -170,7 +169,7 @@ def test_every_packet_of_a_live_source_counts_and_silence_is_a_gap() -> None:
     assert values.max() == 7.0
     assert times[values.argmax()] == pytest.approx(0.05 * (250 - 299) - 0.025, abs=0.02)
     assert np.diff(times).max() == pytest.approx(2.0, abs=0.06)
-    times, values = tool.signals.of(Signal("lwr", "A1.joint_angles"), data.time, 980)
+    times, values = tool.signals.of(PlotSignal("lwr", "A1.joint_angles"), data.time, 980)
     assert np.isnan(values).sum() >= 28  # from half a second after the last packet on
     assert BinnedHistory().until(None)[0].shape == (0,)
 
@@ -178,7 +177,7 @@ def test_every_packet_of_a_live_source_counts_and_silence_is_a_gap() -> None:
 def test_plots_are_kept_for_their_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tool, _ = make_tool()
     assert tool.kept is None
-    for signal in (Signal("lwr", "A3.torques"), Signal(PROGRAM, "error")):
+    for signal in (PlotSignal("lwr", "A3.torques"), PlotSignal(PROGRAM, "error")):
         tool.plots.add(signal)
     tool.shows_torques = False
     kept = tool.kept

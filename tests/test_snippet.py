@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from newton_euler import inverse_dynamics
 from polling import until
 
 from sero_mj import Mirror, load_scene
-from sero_mj.cli.snippet import snippets
+from sero_mj.cli.new import snippets
 from sero_mj.load import load_robot
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 
@@ -190,14 +191,24 @@ BUILD: dict[str, Callable[[Path, str], list[str]]] = {
 }
 
 
+OF_EXTENSIONS = ("franka-cpp", "franka-python", "ros2", "ur")
+
+
+def cases(*values: tuple[str, ...]) -> list[Any]:
+    """Cases whose first value is a snippet, which an extension may have."""
+    marks = {name: [pytest.mark.extensions] for name in OF_EXTENSIONS}
+    return [pytest.param(*each, marks=marks.get(each[0], [])) for each in values]
+
+
+@pytest.mark.extensions
 def test_all_are_tried() -> None:
     controllers = {name for name in snippets() if name.startswith("controller-")}
     assert BUILD.keys() == snippets().keys() - controllers  # which test_external_control tries
 
 
-@pytest.mark.parametrize("name", BUILD)
+@pytest.mark.parametrize("name", cases(*((name,) for name in BUILD)))
 def test_what_a_snippet_sends_is_what_its_scene_shows(name: str, tmp_path: Path) -> None:
-    port, words = str(free_udp_port()), ["snippet", name, "--robot", "lwr"]
+    port, words = str(free_udp_port()), ["new", "--snippet", name, "--robot", "lwr"]
     status, text = run_command([*words, "--port", port], tmp_path, os.environ)
     assert status == 0
     sender = BUILD[name](tmp_path, text)
@@ -224,12 +235,14 @@ def test_what_a_snippet_sends_is_what_its_scene_shows(name: str, tmp_path: Path)
 
 def test_a_robot_gives_the_number_of_joints_and_a_mistyped_name_is_told(tmp_path: Path) -> None:
     status, text = run_command(
-        ["snippet", "c", "--robot", "hit_finger", "--host", "10.1.2.3"], tmp_path, os.environ
+        ["new", "--snippet", "c", "--robot", "hit_finger", "--host", "10.1.2.3"],
+        tmp_path,
+        os.environ,
     )
     assert status == 0 and '#define SERO_HOST "10.1.2.3"' in text
     assert "#define SERO_JOINTS 3\n" in text  # the last of four is coupled
-    status, said = run_command(["snippet", "frank-cpp"], tmp_path, os.environ)
-    assert status == 2 and said == "sero-mj: no snippet 'frank-cpp'; did you mean 'franka-cpp'?\n"
+    status, said = run_command(["new", "--snippet", "simulnik"], tmp_path, os.environ)
+    assert status == 2 and said == "sero-mj: no snippet 'simulnik'; did you mean 'simulink'?\n"
 
 
 @pytest.mark.parametrize("standard", ["c11", "c17", "gnu99", "gnu11"])
@@ -239,14 +252,14 @@ def test_c_compiles_in_any_standard_and_beside_macros_of_a_user(
     mine = "\n".join(f"#define {name} (mine)" for name in ("JOINTS", "HOST", "PORT"))
     options = [f"-std={standard}", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-nonnull"]
     for call in ("", "sero_send(0, 0, 0); "):  # a file may include it and not call it
-        text = f"{mine}\n{snippets()['c']}\nint main(void) {{ {call}return 0; }}\n"
+        text = f"{mine}\n{snippets()['c'].text}\nint main(void) {{ {call}return 0; }}\n"
         compiled(tmp_path, "sender.c", text, "gcc", *options)
 
 
 def test_controllers_in_c_compile_in_strict_c_without_names_of_a_user(tmp_path: Path) -> None:
     options = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
     for name, more in (("controller-c", ["-shared", "-fPIC"]), ("controller-udp-c", [])):
-        status, text = run_command(["snippet", name], tmp_path, os.environ)
+        status, text = run_command(["new", "--snippet", name], tmp_path, os.environ)
         assert status == 0
         compiled(tmp_path, "controller.c", text, "gcc", *options, *more)
         named = re.findall(r"^(?:#define|struct) (\w+)", text, re.MULTILINE)
@@ -254,13 +267,14 @@ def test_controllers_in_c_compile_in_strict_c_without_names_of_a_user(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("name", "robot"), [("ur", "ur5e"), ("franka-cpp", "fr3"), ("lcm", "iiwa14"), ("c", "lwr")]
+    ("name", "robot"),
+    cases(("ur", "ur5e"), ("franka-cpp", "fr3"), ("lcm", "iiwa14"), ("c", "lwr")),
 )
 def test_a_snippet_is_for_the_robot_that_it_is_of(name: str, robot: str, tmp_path: Path) -> None:
-    status, text = run_command(["snippet", name, "--scene"], tmp_path, os.environ)
+    status, text = run_command(["new", "--snippet", name, "--scene"], tmp_path, os.environ)
     assert status == 0
     (tmp_path / "scene.toml").write_text(text)
     ((found, of),) = load_scene(tmp_path / "scene.toml").robots.items()
     assert found == robot
-    status, text = run_command(["snippet", name], tmp_path, os.environ)
+    status, text = run_command(["new", "--snippet", name], tmp_path, os.environ)
     assert status == 0 and re.search(rf"JOINTS\b[^\d\n]{{1,9}}{of.n}\b", text)

@@ -78,7 +78,7 @@ def test_a_dragged_handle_moves_the_target_and_the_robot_follows(
         window.until("not w.tools['pulling'].is_on")
         # The panel changes the controller; End comes back from the past.
         window.key("Tab")
-        window.until("w.has_panel")
+        window.until("w.shows_panel")
         assert window.ask("w.tools['steering']._toggles.handles is not None")
         left, *_ = window.until("places.get('of turning')")
         _, y = window.middle("of turning")

@@ -23,6 +23,8 @@ from sero_mj.load import load_scene
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.simulate.runs.run_recording import read_run_table
 
+OF_VENDORS = pytest.mark.extensions  # whose columns have names of libfranka or RTDE
+
 SCENE = """
 [robots.two]
 dh_convention = "craig"
@@ -143,9 +145,9 @@ def test_columns_with_text_are_an_error_only_where_they_are_needed(tmp_path: Pat
         (["two.shoulder.torque [Nm]", "two.elbow.torque [Nm]"], "torques"),
         (["joint1_position", "joint2_position"], "joint_angles"),
         (["shoulder", "elbow"], "joint_angles"),
-        (["actual_qd_0", "actual_qd_1"], "joint_velocities"),
+        pytest.param(["actual_qd_0", "actual_qd_1"], "joint_velocities", marks=OF_VENDORS),
         (["A1 [rad]", "A2 [rad]"], "joint_angles"),
-        (["state.dq[0]", "state.dq[1]"], "joint_velocities"),
+        pytest.param(["state.dq[0]", "state.dq[1]"], "joint_velocities", marks=OF_VENDORS),
         (["effort_1", "effort_2"], "torques"),
     ],
 )
@@ -160,6 +162,7 @@ def test_columns_are_recognised_in_the_order_of_the_joints(
     assert {key: each.tolist() for key, each in signals.items()} == {signal: [[1.0, 2.0]]}
 
 
+@OF_VENDORS
 def test_logs_of_franka_have_our_units_and_signs(tmp_path: Path) -> None:
     found = read_table(table(tmp_path, FRANKA))
     assert found.times.tolist() == [0.0, 0.002]
@@ -212,6 +215,7 @@ def test_another_number_of_joints_is_told(tmp_path: Path) -> None:
         robots_in(unknown, scene.robots, {})
 
 
+@OF_VENDORS
 def test_a_table_is_a_source_of_joints_or_of_packets(tmp_path: Path) -> None:
     source = TableReplay(file=table(tmp_path, RTDE), speed=1.0)
     assert source.events == {"joint_angles": (2,), "commanded_torques": (2,), "torques": (2,)}
@@ -236,6 +240,7 @@ def test_a_table_is_a_source_of_joints_or_of_packets(tmp_path: Path) -> None:
             TableReplay(file=tmp_path / "t.csv", **fields)
 
 
+@OF_VENDORS
 def test_a_scene_is_led_by_joints_whatever_its_packets_are(tmp_path: Path) -> None:
     scene = scene_of(tmp_path)
     lead_by_table(scene, table(tmp_path, FRANKA), {})
@@ -273,6 +278,7 @@ def test_columns_of_several_robots_are_told_apart(tmp_path: Path) -> None:
         assert led["right"]["joint_angles"].tolist() == [[0, 1, 2, 3, 4, 5]]
 
 
+@OF_VENDORS
 def test_a_table_of_joints_is_a_run_from_its_first_row(tmp_path: Path) -> None:
     run = read_run_table(table(tmp_path, RTDE), scene_of(tmp_path))
     assert run.times == pytest.approx([0.0, 0.008, 0.016])
@@ -309,6 +315,7 @@ def run(*arguments: object) -> int:
     return int(ended.value.code or 0)
 
 
+@OF_VENDORS
 def test_the_command_sends_joints_by_the_routes_of_the_scene(
     tmp_path: Path, listener: socket.socket
 ) -> None:
@@ -318,6 +325,7 @@ def test_the_command_sends_joints_by_the_routes_of_the_scene(
     assert sent[1] == pytest.approx([math.degrees(0.6), math.degrees(-1.1), 11.0, 21.0])
 
 
+@OF_VENDORS
 def test_commands_say_how_a_table_is_shown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -82,7 +82,13 @@ def test_keys_and_values_of_a_file_are_escaped(
 ) -> None:
     file = tmp_path / "na\x1b[31mme.toml"
     file.write_text(FILE)
-    for command in (["check"], ["fk"], ["simulate"], ["status"], ["render", "-o", "x.png"]):
+    for command in (
+        ["check"],
+        ["check", "--fk"],
+        ["simulate"],
+        ["status"],
+        ["render", "-o", "x.png"],
+    ):
         with pytest.raises(SystemExit) as ended:
             main([*command, str(file)])
         out, err = capsys.readouterr()

@@ -42,6 +42,7 @@ def test_packets_one_by_one_are_as_many_at_once(
     assert math.isfinite(one.jitter) and one.interval >= 0.0
 
 
+@pytest.mark.realtime
 def test_a_steady_sender_at_1_khz() -> None:
     timing = Timing()
     for k in range(100):

@@ -55,7 +55,7 @@ def step_response(robot: SerialRobot, asked: float, seconds: float) -> tuple[Arr
     """Times, s, and measured torques, Nm, after a step of the command, with physics at 100 kHz."""
     run = Run(timestep=1e-5, torque_control=True)
     plant = Plant(World(Scene(robots=[robot], floor=False), dynamic=True), timestep=1e-5)
-    drives = Drives(plant, {robot.name: robot}, run)
+    drives = Drives(plant.rows, {robot.name: robot}, run)
     torques = []
     for _ in range(round(seconds / 1e-5)):
         drives.step(np.array([asked]))
@@ -134,9 +134,10 @@ def test_the_friction_observer_is_a_first_order_low_pass() -> None:
     rng, velocity, torque = np.random.default_rng(0), np.zeros(1), np.zeros(1)
     found, motors = [], []
     for _ in range(200):
-        loop.sensed[:], given = np.concatenate([velocity, torque]), np.zeros(1)
-        loop.step(given)
-        found.append(loop.friction[0])
+        given = np.zeros(1)
+        loop.sensed[0, 0], loop.sensed[0, 1] = velocity, torque
+        loop.step(given[None])
+        found.append(loop.friction[0, 0])
         motors.append(given[0])
         torque = rng.normal(0.0, 5.0, 1)  # whatever the link does
         velocity = velocity + timestep / MOTOR * (given - torque - 3.0)
@@ -438,7 +439,7 @@ def test_what_is_refused_would_shake_and_what_is_not_would_not() -> None:
     for ratio in (0.95, 1.05):
         robot = single(inertia_ratio=ratio * limit, bandwidth=1000.0)
         plant = Plant(World(Scene(robots=[robot], floor=False), dynamic=True), timestep=1 / 3000)
-        drives = Drives(plant, {"one": robot}, Run(timestep=1 / 3000, torque_control=True))
+        drives = Drives(plant.rows, {"one": robot}, Run(timestep=1 / 3000, torque_control=True))
         refused = False
         try:
             drives.check("one", np.array([[LINK]]), np.zeros((1, 1)), np.zeros((1, 1)))

@@ -16,8 +16,7 @@ from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.mailbox import Packets
 from sero_mj.load import load_scene
 from sero_mj.viewer.decor.quantities import joint_name
-from sero_mj.viewer.panels.time_plots import y_range
-from sero_mj.viewer.panels.torque_plots import TorquePlots
+from sero_mj.viewer.panels.torque_plots import TorquePlots, y_range
 from sero_mj.viewer.session.binned_history import SPAN
 from sero_mj.viewer.session.torque_history import TorqueHistory, split_at_gaps
 

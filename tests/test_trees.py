@@ -22,7 +22,7 @@ from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
-from sero_mj.viewer.decor.singularity import jacobian, towards_singularity
+from sero_mj.viewer.decor.quantities import jacobian, towards_singularity
 
 G = np.array([0.0, 0.0, -9.81])
 STILL = ("viscous_friction", "coulomb_friction")

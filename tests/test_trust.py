@@ -22,7 +22,7 @@ from sero_mj import Mirror, load_scene, read_scenario
 from sero_mj.base import trust
 from sero_mj.base.errors import DeclarationError, NotTrusted, UnknownName
 from sero_mj.robots.importers.urdf import read_urdf
-from sero_mj.simulate.external_control.datagrams import UdpProgram
+from sero_mj.simulate.external_control.program_controller import UdpProgram
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.viewer.host.other_scenes import OtherScenes
 from sero_mj.viewer.web import browsers
@@ -72,10 +72,10 @@ PASSIVE = {
     "check": ("check", "{file}"),
     "render": ("render", "{file}", "-o", "{out}/a.png"),
     "render a video": ("render", "{file}", "-o", "{out}/a.gif", "--duration", "0.1"),
-    "fk": ("fk", "{file}"),
+    "fk": ("check", "--fk", "{file}"),
     "convert": ("convert", "{file}", "{out}/a.x3d"),
     "export": ("export", "{file}", "-o", "{out}/a.html", "--seconds", "0.1"),
-    "schema": ("schema", "scenario"),
+    "schema": ("check", "--schema", "scenario"),
     "list": ("list",),
     "status": ("status", "{file}", "--seconds", "0.1"),
 }

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from sero_mj.viewer.decor.card_names import card_names
-from sero_mj.viewer.decor.font import drawable, line_of
+from sero_mj.viewer.decor.font import drawable, line_of, value_columns
 from sero_mj.viewer.decor.panels import Panels
-from sero_mj.viewer.decor.value_columns import value_columns
 from sero_mj.viewer.image.typesetting import (
-    Placed,
-    Text,
+    PlacedPanel,
+    PlacedText,
     Typesetter,
     compose,
 )
@@ -96,20 +95,22 @@ def test_panels_over_the_edge_of_a_picture_are_cut_off(setter) -> None:
     pixels = setter.panel((30, 20), (1.0, 0.0, 0.0, 1.0), (), is_round=False)
     for left, bottom, count in [(-10, -5, 300), (85, 50, 150), (200, 0, 0), (0, -30, 0)]:
         picture = np.zeros((60, 100, 3), np.uint8)
-        compose(picture, [Placed(left, bottom, pixels)])
+        compose(picture, [PlacedPanel(left, bottom, pixels)])
         assert (picture[..., 0] == 255).sum() == count
         assert not picture[..., 1:].any()
 
 
 def test_half_of_the_picture_is_seen_through_a_half_transparent_panel(setter) -> None:
     picture = np.full((50, 50, 3), 200, np.uint8)
-    compose(picture, [Placed(0, 0, setter.panel((50, 50), (0, 0, 0, 0.5), (), is_round=False))])
+    compose(
+        picture, [PlacedPanel(0, 0, setter.panel((50, 50), (0, 0, 0, 0.5), (), is_round=False))]
+    )
     assert (np.abs(picture.astype(int) - 100) <= 1).all()
 
 
 def test_what_no_font_has_is_a_question_mark(setter) -> None:
-    asked = setter.panel((60, 40), BLACK, (Text(5, 5, "a?"),))
-    assert np.array_equal(setter.panel((60, 40), BLACK, (Text(5, 5, "a\ue000"),)), asked)
+    asked = setter.panel((60, 40), BLACK, (PlacedText(5, 5, "a?"),))
+    assert np.array_equal(setter.panel((60, 40), BLACK, (PlacedText(5, 5, "a\ue000"),)), asked)
     assert not drawable("a\ue000") and drawable("a?")
 
 
@@ -121,7 +122,9 @@ def test_letters_of_other_alphabets_are_set_and_measured(setter, text: str) -> N
     lines = [text.encode(), b"ascii"]
     assert setter.font.line_widths(lines).tolist() == [*map(setter.font.width, lines)]
     plain = text.encode("ascii", "replace").decode()
-    shown, asked = (setter.panel((160, 40), BLACK, (Text(5, 5, each),)) for each in (text, plain))
+    shown, asked = (
+        setter.panel((160, 40), BLACK, (PlacedText(5, 5, each),)) for each in (text, plain)
+    )
     assert not np.array_equal(shown, asked)
 
 

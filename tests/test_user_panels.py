@@ -25,7 +25,7 @@ from sero_mj.base.errors import RenderError, SeroError, UsageError
 from sero_mj.viewer.panels.user_widgets import TOOL
 from sero_mj.viewer.program.outbox import Outbox
 from sero_mj.viewer.program.panels import UserPanels
-from sero_mj.viewer.tools.user_panels import UserPanels as UserPanelsTool
+from sero_mj.viewer.tools.user_panels import UserPanelsTool
 from sero_mj.viewer.web.host import WebHost
 
 
@@ -74,7 +74,7 @@ def test_what_the_user_sets_is_the_value_and_calls_back_once_in_sync() -> None:
     assert (stiffness.value, mass.value, log.value, law.value) == (500.0, 1.5, False, "impedance")
     assert (reset.value, text.value) == (0, "idle")
     both.to_view()
-    assert both.shown.has_panel  # it is opened for what is in it
+    assert both.shown.shows_panel  # it is opened for what is in it
     built = both.use().built
     assert built == [
         ("header", "Tuning"),

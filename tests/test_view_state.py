@@ -27,7 +27,7 @@ from sero_mj.viewer.decor.handles import SEGMENTS
 from sero_mj.viewer.decor.toggles import PART_NAMES, Toggles
 from sero_mj.viewer.image.camera import find_camera
 from sero_mj.viewer.image.switches import SWITCH_NAMES, apply_switches, switches_text
-from sero_mj.viewer.session.kept_views import file_of, find_view, keep_view
+from sero_mj.viewer.session.recent_views import file_of, find_view, keep_view
 from sero_mj.viewer.session.view_state import (
     ViewSnapshot,
     ViewState,
@@ -258,10 +258,11 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     window.key("ctrl+y")
     window.until("w.toggles.arrows.all()")
     before = window.ask("[w.view_state().to_text(), w.layout]")
-    window.ask("w.toggle_panel() or w.actions.perform('plot')")
+    window.ask("w.toggle('shows_panel') or w.actions.perform('plot')")
     window.ask("keep(w)")
     window.ask(
-        "w.toggles.reset() or w.choose_camera(0) and w.toggle_panel() or w.actions.perform('plot')"
+        "w.toggles.reset() or w.camera_control.choose(0) and w.toggle('shows_panel')"
+        " or w.actions.perform('plot')"
     )
     window.ask("restore(w)")
     assert window.ask("w.view_state().camera") in before[0]

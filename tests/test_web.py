@@ -41,7 +41,7 @@ def page(served: Served, visitor: Visitor) -> Visitor:
     """The page as it was when it was opened, without its panel and arrows."""
     visitor.page.mouse.move(500, 380)
     served.ask("w.toggles.reset() or w.toggles.arrows.fill(False)")
-    served.ask("w.choose_camera(0)[:0]")
+    served.ask("w.camera_control.choose(0)[:0]")
     served.ask("w.show_layout({'panel': False})")
     visitor.sees_camera()
     visitor.until(f"{NO_ARROWS} && {NO_CARDS} && document.getElementById('panel').hidden")

@@ -49,7 +49,7 @@ def test_axe_finds_nothing_serious(
     page = context.new_page()
     page.goto(f"{file.as_uri()}#t=1.5")
     page.locator("html[data-ready]").wait_for(state="attached")
-    page.evaluate("player.select({ joint: 1 }); player.draw()")
+    page.evaluate("player.recording.select({ joint: 1 }); player.draw()")
     page.evaluate(axe)
     assert page.evaluate(FOUND) == []
     page.locator("#help").click()

@@ -18,11 +18,12 @@ from websockets.http11 import Request, Response
 
 from sero_mj import Mirror
 from sero_mj.load import load_scene
+from sero_mj.viewer.player.page import player_files
 from sero_mj.viewer.web import server
 from sero_mj.viewer.web.compression import CompressedResponses
-from sero_mj.viewer.web.host import _PLAYER, WebHost
+from sero_mj.viewer.web.host import WebHost
 
-PLAYER = (_PLAYER / "player.js").read_bytes()
+PLAYER = player_files()["player.js"]
 
 
 @pytest.fixture

@@ -39,7 +39,7 @@ LWR_LIMITS = np.array([200.0, 200.0, 100.0, 100.0, 100.0, 30.0, 30.0])
 
 # Places of the vertices of the round arrows, in their own frames, as the shader computes them.
 VERTICES = """([joints, time]) => {
-    player.seek(time);
+    player.recording.seek(time);
     player.draw();
     const { stage } = player, { arrows } = stage;
     const gl = document.createElement("canvas").getContext("webgl2");

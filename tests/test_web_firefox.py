@@ -45,10 +45,10 @@ def test_a_file_plays_with_the_numbers_of_the_run(firefox: Firefox, tmp_path: Pa
     firefox.press("h")
     firefox.until("document.getElementById('helptext').open")
     firefox.press("h")
-    firefox.click("#play")
-    firefox.until("player.clock.isPlaying")
-    before = firefox.evaluate("player.clock.at")
-    firefox.until(f"player.clock.at !== {before}")
+    firefox.click("#timeline button")
+    firefox.until("player.recording.clock.isPlaying")
+    before = firefox.evaluate("player.recording.clock.at")
+    firefox.until(f"player.recording.clock.at !== {before}")
     assert firefox.faults == []
 
 

@@ -29,7 +29,7 @@ from sero_mj.cli.browser import leading_to
 from sero_mj.load import load_scene
 from sero_mj.viewer.web.guard import is_loopback
 from sero_mj.viewer.web.host import WebHost
-from sero_mj.viewer.web.server import Listener, PageServer
+from sero_mj.viewer.web.server import PageListener, PageServer
 
 # What a page is made of, without secrets, and what needs its token.
 PUBLIC = ("/", "/index.html", "/player.js", "/player.css", "/access.js", "/uploads.js")
@@ -521,7 +521,7 @@ def test_a_page_that_is_ended_leaves_no_files(sent: signal.Signals, tmp_path: Pa
 
 def test_nobody_else_gets_the_port_between_two_pages_of_a_viewer() -> None:
     """Another user's program that listens there would receive the token that browsers send."""
-    listener = Listener("127.0.0.1")
+    listener = PageListener("127.0.0.1")
     port = listener.sockets[0].getsockname()[1]
 
     def page(text: str) -> PageServer:

@@ -31,12 +31,12 @@ from sero_mj.load import load_scene
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.host.restoring import keep, restore
 from sero_mj.viewer.image.scene_decor import SceneDecor
-from sero_mj.viewer.player.capture import shown_bodies
+from sero_mj.viewer.player.frame import shown_bodies
 from sero_mj.viewer.web import browsers
 from sero_mj.viewer.web.host import WebHost
 from sero_mj.viewer.web.messages import (
     MAX_BYTES,
-    Camera,
+    CameraMessage,
     Card,
     CloseArea,
     Control,
@@ -44,18 +44,18 @@ from sero_mj.viewer.web.messages import (
     ForScene,
     ForStartPage,
     Got,
-    Hold,
-    Key,
+    HoldMessage,
+    KeyMessage,
     Left,
-    Message,
+    MessageReader,
+    MessageSender,
     OpenShown,
     OpenTile,
+    PageMessage,
     PageSize,
-    Pointer,
-    Reader,
+    PointerMessage,
     Said,
-    Sender,
-    View,
+    ViewMessage,
     Wheel,
     Widget,
 )
@@ -481,9 +481,9 @@ def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebHost]:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(said=st.lists(SAID, max_size=5))
 def test_whatever_a_browser_says_the_page_goes_on(fuzzed: WebHost, said: list[Any]) -> None:
-    reader = Reader(ForScene)
+    reader = MessageReader(ForScene)
     messages = [message for each in said if (message := reader.read(json.dumps(each)))]
-    fuzzed._input.take(Said(message, Sender(1, is_local=True)) for message in messages)
+    fuzzed._input.take(Said(message, MessageSender(1, is_local=True)) for message in messages)
     fuzzed.decor.lay_out(fuzzed.data, fuzzed.view.picture(fuzzed.data))
     assert np.isfinite(fuzzed.navigator.camera.lookat).all()
 
@@ -502,26 +502,32 @@ def test_words_that_are_none_are_counted(page: WebHost, client: PageClient) -> N
 
 
 # One message of every kind that changes something.
-EXAMPLES: dict[type[Message], dict[str, Any]] = {
+EXAMPLES: dict[type[PageMessage], dict[str, Any]] = {
     PageSize: {"w": 640, "h": 400, "page": 640},
-    Camera: {"fixed": -1, "lookAt": [0, 0, 1], "distance": 3, "azimuth": 7, "elevation": -8.5},
-    Pointer: {"kind": "press", "x": 9, "y": 9.5, "button": 2, "shift": True, "ctrl": True},
+    CameraMessage: {
+        "fixed": -1,
+        "lookAt": [0, 0, 1],
+        "distance": 3,
+        "azimuth": 7,
+        "elevation": -8.5,
+    },
+    PointerMessage: {"kind": "press", "x": 9, "y": 9.5, "button": 2, "shift": True, "ctrl": True},
     Wheel: {"n": 1.5},
-    Hold: {},
-    Key: {"key": "a", "repeat": False},
+    HoldMessage: {},
+    KeyMessage: {"key": "a", "repeat": False},
     Card: {"kind": int(Kind.BILLBOARD), "item": 0, "x": 9, "y": 9.5, "shift": True},
     Widget: {"tree": "panel", "id": "axes", "value": True},
     Fold: {"tree": "panel", "id": "Sources", "open": False},
     CloseArea: {"area": "Plots"},
-    View: {"text": '{"switches":{"axes":"1"}}'},
+    ViewMessage: {"text": '{"switches":{"axes":"1"}}'},
 }
 KINDS = {kind: kind.model_fields["t"].annotation.__args__[0] for kind in EXAMPLES}  # type: ignore[union-attr]
 
 
 def test_every_kind_of_message_is_declared_once_with_who_may_send_it() -> None:
-    assert set(Reader(ForScene).kinds) == {*EXAMPLES, Got, Control}
-    assert set(Reader(ForStartPage).kinds) == {OpenTile, OpenShown, Got, Control}
-    reader = Reader(ForScene)
+    assert set(MessageReader(ForScene).kinds) == {*EXAMPLES, Got, Control}
+    assert set(MessageReader(ForStartPage).kinds) == {OpenTile, OpenShown, Got, Control}
+    reader = MessageReader(ForScene)
     for kind, fields in EXAMPLES.items():
         message = {"t": KINDS[kind], **fields}
         assert type(reader.read(json.dumps(message))) is kind

@@ -67,7 +67,7 @@ def test_random_events_do_not_end_a_page(own_browser: Any, tmp_path: Path) -> No
         assert served.ask("w._input.wrong") == 0
         assert served.ask("w.browsers.refused") == 0
         # It still shows what the server has, and does what a key says.
-        served.ask("w.toggles.reset() or w.choose_camera(0)[:0]")
+        served.ask("w.toggles.reset() or w.camera_control.choose(0)[:0]")
         before = served.ask("bool(w.toggles.axes.any())")
         page.evaluate("document.activeElement.blur()")
         page.keyboard.press("x")

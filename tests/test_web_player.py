@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import re
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from decor_tools import view_at
+from decor_tools import look, view_at
 from web_tools import MISSING
 
 import sero_mj
@@ -23,6 +22,7 @@ from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.image.render import HeadlessRenderer
 from sero_mj.viewer.player.capture import Mark, capture
 from sero_mj.viewer.player.page import write_page
+from sero_mj.viewer.web.page_state import card_lines
 
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 
@@ -46,16 +46,17 @@ begin = 0.48
 """
 HOSTILE = "</script><script>globalThis.bad=1</script><img src=x onerror='globalThis.bad=2'>"
 SIZE = (640, 400)
+IMAGE = (1280, 900)
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 # What the robots cover, without decor: alpha of the picture, one digit a pixel, top row first.
 SILHOUETTE = """([width, height, time]) => {
     const { stage } = player;
-    player.seek(time);
+    player.recording.seek(time);
     stage.resize(width, height);
     stage.renderer.setPixelRatio(1);
     stage.renderer.setSize(width, height, false);
     stage.chooseCamera(-1);
-    player.switches.shadows = false;
+    player.stage.hasShadows = false;
     player.draw();
     const { robots, arrows, items, surroundings: { floor, backdrop } } = stage;
     for (const each of [robots.depth, robots.ghosts, arrows.mesh, items.group, floor, backdrop])
@@ -128,40 +129,79 @@ def test_numbers_are_those_of_the_run(page: Any, scene: sero_mj.Scene) -> None:
         assert np.array_equal(found, log.of("lwr", key)[rows])
 
 
+def cards_of_image(scene: sero_mj.Scene, time: float) -> set[tuple[str, ...]]:
+    """Title, labels and values of the cards that an image of a scene shows."""
+    with Mirror(scene) as mirror:
+        mirror.advance(time)
+        decor, toggles = Decor(mirror.world), Toggles(mirror.world)
+        toggles.billboards[:] = mirror.world.joints.owner == 0
+        decor.draw(mirror.data, toggles, look((2.6, -2.2, 1.2), (0, 0, 0.5), *IMAGE))
+        texts = [
+            text for each in decor.panels if each.kind == Kind.BILLBOARD for text in each.texts
+        ]
+    cards = [card_lines(text) for text in texts]
+    return {(title, *(word for line in lines for word in line)) for title, lines in cards}
+
+
+CARDS = """() => [...document.querySelectorAll(".card")].filter(e => e.offsetWidth).map(card =>
+    [card.querySelector("i").textContent, ...[...card.querySelectorAll("span")].flatMap(line =>
+        [line.querySelector("i").textContent, line.querySelector("b").textContent])])"""
+
+
+@pytest.mark.parametrize("lines", [None, ["commanded_torques", "torques", "joint_angles"]])
+def test_a_page_shows_the_cards_of_an_image(browser: Any, tmp_path: Path, lines: Any) -> None:
+    scene = load_scene("impedance_push")
+    if lines:
+        scene.robots["lwr"].billboard_lines = lines
+    write_page(capture(scene, fps=FPS, seconds=2.0), tmp_path / "push.html")
+    viewport = dict(zip(("width", "height"), IMAGE, strict=True))
+    page = opened(browser, tmp_path / "push.html", at=1.5, viewport=viewport)
+    page.evaluate("player.draw()")
+    cards = {tuple(card) for card in page.evaluate(CARDS)}
+    assert len(cards) == 7 and cards == cards_of_image(scene, 1.5)
+    page.context.close()
+
+
+def shown_in(choice: Any) -> str:
+    return str(choice.evaluate("each => each.selectedOptions[0].text"))
+
+
 def test_arrows_show_torques_and_their_errors_by_turns(page: Any) -> None:
-    page.evaluate("player.seek(1.0)")
-    button, legend = page.locator("#quantity"), page.locator("#notes")
+    page.evaluate("player.recording.seek(1.0); player.recording.hasPanel = true; player.draw()")
+    choice, legend = page.get_by_label("arrows show"), page.locator("#notes")
     widths = "() => player.stage.arrows.joints.map((_, k) => player.stage.arrows.how.getY(k))"
     told, of_torque = legend.inner_text(), page.evaluate(widths)
-    assert button.inner_text() == "torque" and "round arrows: joint torque\n" in told
+    assert shown_in(choice) == "torque" and "round arrows: joint torque\n" in told
     page.keyboard.press("q")
-    page.locator("#quantity", has_text="torque error").wait_for()
+    page.evaluate("player.draw()")
+    assert shown_in(choice) == "torque error"
     of_error = page.evaluate(widths)
     cards = page.locator(".card").all_inner_texts()
     assert len(cards) == 7 and all("err" in card for card in cards)
     changed = "round arrows: torque error, commanded - measured\n"
     assert legend.inner_text() == told.replace("round arrows: joint torque\n", changed)
     error = page.evaluate("""() => {
-        const { run: { joints, frames, values }, clock } = player;
+        const { run: { joints, frames, values }, clock } = player.recording;
         return joints.map((_, j) => values.torque_error[j * frames + clock.frame]);
     }""")
     assert max(map(abs, error)) < 1.0  # Nm
     assert max(of_torque) > 5 * max(of_error)
-    button.click()
-    page.locator("#quantity", has_text=re.compile("^torque$")).wait_for()
+    choice.select_option("torque")
+    page.evaluate("player.draw()")
     assert (page.evaluate(widths), legend.inner_text()) == (of_torque, told)
+    page.evaluate("player.recording.hasPanel = false; player.draw()")
 
 
 def test_the_legend_tells_of_arrows_that_are_seen(page: Any) -> None:
     notes = page.locator("#notes")
-    page.evaluate("player.seek(1.5); player.draw()")
+    page.evaluate("player.recording.seek(1.5); player.draw()")
     assert "push: 80 mm long = 20 N" in notes.inner_text()
-    page.evaluate("player.seek(0.5); player.draw()")
+    page.evaluate("player.recording.seek(0.5); player.draw()")
     assert "push" not in notes.inner_text()
     assert "round arrows" in notes.inner_text()
-    page.evaluate("player.seek(1.5); player.toggle('arrows'); player.draw()")
+    page.evaluate("player.recording.seek(1.5); player.recording.toggle('arrows'); player.draw()")
     assert notes.is_hidden()
-    page.evaluate("player.toggle('arrows'); player.draw()")
+    page.evaluate("player.recording.toggle('arrows'); player.draw()")
     assert "push: " in notes.inner_text()
 
 
@@ -175,7 +215,7 @@ def test_arrows_of_joints_that_slide_are_those_of_python_whatever_they_show(
     page = opened(browser, tmp_path / "slides.html", at=0.5)
     assert "round arrows: joint torque, or force\n" in page.locator("#notes").inner_text()
     arrow = """() => {
-        const { of, count, positions, rotations, sizes, rgba } = player.geoms, at = [];
+        const { of, count, positions, rotations, sizes, rgba } = player.recording.geoms, at = [];
         for (let k = 0; k < count; k++) if (of[3 * k] === 1) at.push(k);
         return at.map(k => [of[3 * k + 1], [...positions.slice(3 * k, 3 * k + 3)],
             [...rotations.slice(4 * k, 4 * k + 4)], [...sizes.slice(3 * k, 3 * k + 3)],
@@ -203,7 +243,7 @@ def test_arrows_of_joints_that_slide_are_those_of_python_whatever_they_show(
             if quantity == "torques":
                 page.keyboard.press("q")
                 page.locator("#notes", has_text=error).wait_for()
-    page.evaluate("player.select({ joint: 2 })")
+    page.evaluate("player.recording.select({ joint: 2 })")
     page.locator("#details h2", has_text="J3").wait_for()
     page.context.close()
 
@@ -216,15 +256,15 @@ def test_names_of_others_stay_text(page: Any) -> None:
 
 def test_the_page_says_that_an_expectation_failed(page: Any) -> None:
     assert "1 of 1" in page.locator("#about").inner_text()
-    told, time = page.locator(".told"), page.locator("#time")
-    page.evaluate("player.seek(0.2)")
+    told, time = page.locator(".told"), page.locator("#timeline input[type=range]")
+    page.evaluate("player.recording.seek(0.2)")
     told.wait_for(state="hidden")
-    assert time.get_attribute("aria-valuetext") == "0.20 s"
+    assert time.get_attribute("aria-valuetext") == "0.20 s / 2.00 s"
     page.locator(".mark.failed").click()
-    assert page.evaluate("player.clock.time") == 1.0
+    assert page.evaluate("player.recording.clock.time") == 1.0
     told.wait_for(state="visible")
     assert told.inner_text() == "1.00 s: failed: it settles"
-    assert time.get_attribute("aria-valuetext") == "1.00 s, 1.00 s: failed: it settles"
+    assert time.get_attribute("aria-valuetext") == "1.00 s / 2.00 s, 1.00 s: failed: it settles"
 
 
 def boxes(page: Any, *selectors: str) -> list[tuple[float, float, float, float]]:
@@ -256,15 +296,27 @@ NEARER = """() => {
 }"""
 
 
+# A pixel of the page at which nothing but the background is.
+FREE = """() => {
+    const { canvas, size: { width, height } } = player.stage;
+    for (let y = 10; y < height; y += 10)
+        for (let x = 10; x < width; x += 10)
+            if (document.elementFromPoint(x, y) === canvas && !player.stage.pick(x, y))
+                return [x, y];
+}"""
+
+
 @pytest.mark.parametrize("size", [(1280, 800), (900, 640), (390, 844)])
 def test_what_is_told_covers_neither_legend_nor_cards(
     browser: Any, file: Path, size: tuple[int, int]
 ) -> None:
     width, height = size
     page = opened(browser, file, viewport={"width": width, "height": height})
-    page.evaluate("player.select({ joint: 1 }); player.nextQuantity(); player.draw()")
+    page.evaluate(
+        "player.recording.select({ joint: 1 }); player.recording.nextQuantity(); player.draw()"
+    )
     for time in (0.5, 1.0):
-        page.evaluate("time => { player.seek(time); player.draw(); }", time)
+        page.evaluate("time => { player.recording.seek(time); player.draw(); }", time)
         assert page.locator(".told").is_visible()
         seen = (".told", "#notes", "#details", ".card")
         assert len(boxes(page, *seen)) >= 8 and covered(page, *seen) == []
@@ -275,7 +327,7 @@ def test_what_is_told_covers_neither_legend_nor_cards(
 
 def test_what_is_told_goes_when_the_time_is_elsewhere(page: Any) -> None:
     for time, is_told in ((1.0, True), (1.4, True), (1.6, False), (0.95, False), (0.99, True)):
-        page.evaluate("time => { player.seek(time); player.draw(); }", time)
+        page.evaluate("time => { player.recording.seek(time); player.draw(); }", time)
         assert page.locator(".told.failed").is_visible() == is_told
 
 
@@ -305,45 +357,54 @@ def test_marks_at_the_end_fit_a_phone_and_leave_the_slider_free(
     sero_mj.export_html(scene, path, marks=marks, fps=FPS, seconds=2.0)
     page = opened(browser, path, at=0.5, **PHONE)
     assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [390, 390]
-    ((left, top, right, bottom),) = boxes(page, "#time")
+    ((left, top, right, bottom),) = boxes(page, "#timeline input[type=range]")
     assert all(mark[3] <= top + 1 for mark in boxes(page, ".mark"))
     page.touchscreen.tap((left + right) / 2 + 40, (top + bottom) / 2)
-    assert page.evaluate("player.clock.time") not in (0.5, 1.0)
+    assert page.evaluate("player.recording.clock.time") not in (0.5, 1.0)
     ((left, top, right, bottom), *_) = boxes(page, ".mark")[1:]
     page.touchscreen.tap((left + right) / 2 + 12, (top + bottom) / 2)  # beside it
-    assert page.evaluate("player.clock.time") == 1.0
+    assert page.evaluate("player.recording.clock.time") == 1.0
     page.context.close()
 
 
 def test_a_phone_tells_what_arrows_show_and_lets_it_be_chosen(phone: Any) -> None:
-    phone.evaluate("player.select(null); player.seek(1.0); player.draw()")
-    button, legend = phone.locator("#quantity"), phone.locator("#notes")
+    phone.evaluate("player.recording.select(null); player.recording.seek(1.0); player.draw()")
+    choice, legend = phone.get_by_label("arrows show"), phone.locator("#notes")
     assert "round arrows: joint torque\n" in legend.inner_text()
     for word in ("torque error", "torque"):
-        button.tap()
-        phone.locator("#quantity", has_text=re.compile(f"^{word}$")).wait_for()
+        phone.locator("#open").tap()
+        choice.select_option(word)
+        phone.locator("#open").tap()
+        choice.wait_for(state="hidden")
         assert f"round arrows: {'joint ' * (word == 'torque')}{word}" in legend.inner_text()
         assert covered(phone, "#notes", ".told", ".card", "#tools button") == []
     phone.locator(".card", has_text="A2").tap()
     phone.locator("#details h2", has_text="lwr/A2").wait_for()
     assert legend.is_hidden() and covered(phone, "#details", ".told", ".card") == []
-    phone.touchscreen.tap(20, 150)
+    place = phone.evaluate(FREE)
+    phone.touchscreen.tap(*place)
     phone.locator("#details").wait_for(state="hidden")
     assert legend.is_visible()
 
 
 def test_the_plot_says_what_it_shows_in_which_unit(page: Any) -> None:
-    page.evaluate("player.choose(2)")
-    names = page.locator("#legend").inner_text().split("\n")
+    page.evaluate("player.recording.choose(2); player.draw()")
+    names = page.locator(".graph .names").inner_text().split("\n")
     assert " ".join(names).split() == ["torque", "[Nm]", "measured", "commanded"]
-    assert page.locator("#plot").get_attribute("aria-label").startswith("lwr/E1, torque [Nm]: ")
+    assert (
+        page.locator(".graph [role=img]")
+        .get_attribute("aria-label")
+        .startswith("lwr/E1, torque [Nm]: ")
+    )
 
 
 def test_a_low_plot_of_what_is_all_but_0_has_a_scale(phone: Any) -> None:
     numbers = """async (joint) => {
-        player.choose(joint);
+        player.recording.choose(joint);
+        player.draw();
         await new Promise(requestAnimationFrame);
-        return player.plot.plot.axes[1]._values;
+        const { areas } = player.surround.areas, { list } = areas.get("plot").tree;
+        return list.widgets.get("plot:plot").graph.plot.axes[1]._values;
     }"""
     for joint in range(7):
         found = phone.evaluate(numbers, joint)
@@ -355,8 +416,8 @@ def test_an_angle_of_0_has_no_sign(page: Any) -> None:
         const { joint_angles: angles } = player.run.values;
         const [before] = angles;
         angles[0] = -1e-5;
-        player.seek(0);
-        player.select({ joint: 0 });
+        player.recording.seek(0);
+        player.recording.select({ joint: 0 });
         player.draw();
         angles[0] = before;
     }""")
@@ -398,7 +459,7 @@ def test_a_page_opens_in_the_look_that_was_asked_for(
 
 
 def test_a_click_on_a_card_a_link_and_an_arrow_gives_their_numbers(page: Any) -> None:
-    page.evaluate("player.seek(1.5)")
+    page.evaluate("player.recording.seek(1.5)")
     page.locator(".card", has_text="A3").click()
     page.locator("#details h2", has_text="lwr/A3").wait_for()
     torque = page.evaluate("player.run.values.torques[3 * player.run.frames + 30]")
@@ -409,11 +470,13 @@ def test_a_click_on_a_card_a_link_and_an_arrow_gives_their_numbers(page: Any) ->
     pixels = page.evaluate("""() => {
         const { stage } = player, place = stage.camera.position.clone(), found = {};
         for (let y = 60; y < stage.size.height; y += 4)
-            for (let x = 200; x < 700; x += 4) {
+            for (let x = 0; x < stage.size.width; x += 4) {
                 const hit = stage.pick(x, y);
                 if (!hit) continue;
                 found[hit.kind ? "vector" : hit.body ? hit.body : "arrow"] ??= [x, y];
             }
+        const { left, top } = stage.canvas.getBoundingClientRect();
+        for (const each of Object.values(found)) each[0] += left, each[1] += top;
         return found;
     }""")
     assert {"lwr/link2", "arrow", "vector"} <= pixels.keys()
@@ -423,20 +486,23 @@ def test_a_click_on_a_card_a_link_and_an_arrow_gives_their_numbers(page: Any) ->
 
 
 def test_keys_are_those_of_windows(page: Any) -> None:
-    page.evaluate("document.activeElement.blur(); player.seek(1.0)")
-    joint = page.evaluate("player.chosen")
+    page.evaluate("document.activeElement.blur(); player.recording.seek(1.0)")
+    joint = page.evaluate("player.recording.chosen")
     page.keyboard.press(".")
     page.keyboard.press("]")
     page.keyboard.press("a")
-    found = page.evaluate("[player.clock.frame, player.chosen, player.switches.arrows]")
+    found = page.evaluate(
+        "[player.recording.clock.frame, player.recording.chosen, player.recording.switches.arrows]"
+    )
     assert found == [FPS + 1, (joint + 1) % 14, False]
     page.keyboard.press("a")
     page.keyboard.press("w")
-    assert page.evaluate("player.clock.time") == 1.0
+    assert page.evaluate("player.recording.clock.time") == 1.0
     page.keyboard.press(" ")
     # The policy refuses what `wait_for_function` evaluates.
     page.evaluate("""() => new Promise(resolve => {
-        const look = () => player.clock.frame !== 20 ? resolve() : requestAnimationFrame(look);
+        const { clock } = player.recording;
+        const look = () => clock.frame !== 20 ? resolve() : requestAnimationFrame(look);
         look();
     })""")
     page.keyboard.press(" ")
@@ -497,10 +563,9 @@ def test_a_phone_shows_all_in_its_width(browser: Any, file: Path, scheme: str) -
         .map(e => e.getBoundingClientRect())
         .filter(r => r.width && (r.left < -1 || r.right > 391)).length""")
     assert outside == 0
-    # Buttons are in one row, and the two without a word beside the title.
     rows = page.evaluate("""() => [...document.querySelectorAll("#tools button")]
         .filter(e => e.offsetParent).map(e => Math.round(e.getBoundingClientRect().top))""")
-    assert len(set(rows)) == 2
+    assert len(set(rows)) == 1
     page.context.close()
 
 
@@ -527,7 +592,7 @@ def test_graphics_that_the_browser_takes_away_are_told_and_come_back(
     problem.wait_for(state="visible")
     page.evaluate("() => graphics.restoreContext()")
     problem.wait_for(state="hidden")
-    page.evaluate("() => player.seek(1.5)")
+    page.evaluate("() => player.recording.seek(1.5)")
     again = page.evaluate(SILHOUETTE, [*SIZE, 1.5]).count("1")
     page.context.close()
     other = opened(browser, file)
@@ -541,7 +606,7 @@ def test_a_robot_alone_is_a_still_page(browser: Any, tmp_path: Path) -> None:
     write_page(found, tmp_path / "lwr.html")
     page = opened(browser, tmp_path / "lwr.html")
     assert page.said == []
-    assert not page.locator("#bar").is_visible()
+    assert not page.locator("#timeline").is_visible()
     page.context.close()
 
 
@@ -563,7 +628,7 @@ def test_the_camera_of_a_file_follows_as_that_of_a_film(browser: Any, tmp_path: 
     one = browser.new_page()
     one.goto(f"{(tmp_path / 'run.html').as_uri()}#t=0")
     one.locator("html[data-ready]").wait_for(state="attached")
-    places = """times => times.map((t) => { player.seek(t); player.draw();
+    places = """times => times.map((t) => { player.recording.seek(t); player.draw();
         const { orbit, camera } = player.stage;
         return [orbit.target.toArray(), camera.position.toArray()]; })"""
     times = [0.0, 1.0, 1.5, 0.5]

@@ -33,7 +33,7 @@ from sero_mj.viewer.host.start_page import PortMonitor
 from sero_mj.viewer.session.recent_views import RecentView
 from sero_mj.viewer.web import start_host, uploads
 from sero_mj.viewer.web.host import WebHost
-from sero_mj.viewer.web.messages import Control, ForStartPage, Got, Reader
+from sero_mj.viewer.web.messages import Control, ForStartPage, Got, MessageReader
 from sero_mj.viewer.web.server import socket_url
 from sero_mj.viewer.web.start_host import StartHost
 
@@ -160,7 +160,7 @@ def test_only_the_browser_in_control_opens_anything(opened: Opened) -> None:
     files = [{"path": "a.toml", "size": 3}]
     with Onlooker(opened) as first, Onlooker(opened) as other:
         assert other.state["control"] == {"holder": first.id, "count": 2}
-        for kind in Reader(ForStartPage).kinds:
+        for kind in MessageReader(ForStartPage).kinds:
             if kind not in (Got, Control):
                 name = kind.model_fields["t"].annotation.__args__[0]  # type: ignore[union-attr]
                 refused = opened.page.browsers.refused

@@ -229,8 +229,10 @@ def test_a_page_of_a_model_of_dm_control_looks_as_in_mujoco(
     assert page.said == []
     assert page.evaluate("player.calls") <= 12
     # Nothing to switch or to choose where there is no joint.
-    assert page.locator("#switches button").all_inner_texts() == ["shadows"]
-    assert not page.locator("#joint").is_visible()
+    page.locator("#open").click()
+    page.locator("#panel label.check").wait_for()
+    assert page.locator("#panel label.check").all_inner_texts() == ["shadows"]
+    assert page.locator("#areas").is_hidden()
 
 
 def test_a_plane_is_seen_through_from_below(opened: Callable[..., Any]) -> None:

@@ -24,9 +24,8 @@ from sero_mj.simulate.tools.bookmarks import Bookmarks
 from sero_mj.viewer.host.live import LiveHost
 from sero_mj.viewer.image.clicks import CLICKS, KEYS
 from sero_mj.viewer.panels.help import build_help
-from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line
-from sero_mj.viewer.panels.time_line import build_time_line
-from sero_mj.viewer.session.capture import Capture, due_frames, unused_name
+from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line, build_time_line
+from sero_mj.viewer.session.capture import PictureWriter, due_frames, unused_name
 from sero_mj.viewer.session.clock import SPEEDS, Clock, Tick, time_text
 from sero_mj.viewer.session.input import (
     DOUBLE_CLICK_TIME,
@@ -47,9 +46,9 @@ from sero_mj.viewer.session.keys import (
 from sero_mj.viewer.session.status_line import clock_text, source_text, status_pieces
 from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.session.torque_history import TorqueHistory
+from sero_mj.viewer.window.chrome import arrange
 from sero_mj.viewer.window.glfw_window import spread_times
 from sero_mj.viewer.window.host import Pace, Window
-from sero_mj.viewer.window.places import arrange
 
 # ---- clock
 
@@ -544,7 +543,7 @@ def test_files_get_names_that_are_free(tmp_path: Path) -> None:
 
 
 def test_two_screenshots_within_a_second_are_two_files(tmp_path: Path) -> None:
-    capture = Capture("lwr", tmp_path)
+    capture = PictureWriter("lwr", tmp_path)
     with patch("sero_mj.viewer.session.capture.datetime") as clock:
         clock.now.return_value = datetime(2026, 5, 4, 17, 3, 12)
         for value in (0, 255):
@@ -575,8 +574,9 @@ class Host(LiveHost):
     """Notes what it says and is asked for, and shows nothing."""
 
     is_open = is_due = True
-    frame = picture = centre = close = request_close = open_panel = None  # type: ignore[assignment]
-    picture_size = view_camera = is_following = to_clipboard = None  # type: ignore[assignment]
+    frame = picture = close = request_close = None  # type: ignore[assignment]
+    picture_size = to_clipboard = None  # type: ignore[assignment]
+    decor = SimpleNamespace(fixed="")  # type: ignore[assignment]
 
     def __init__(self, world: World) -> None:
         data = world.make_data()
@@ -589,14 +589,8 @@ class Host(LiveHost):
     def help(self) -> None:
         self.helped += 1
 
-    def say(self, text: str, *, is_bad: bool = False) -> None:
+    def say(self, text: str, is_bad: bool = False) -> None:
         self.said.append(text)
-
-    def choose_camera(self, number: int) -> str:
-        return f"camera {number}"
-
-    def follow(self, frame: str | None) -> str:
-        return f"follows {frame}"
 
 
 def test_keys_do_what_the_tables_say_in_every_host(
@@ -614,7 +608,8 @@ def test_keys_do_what_the_tables_say_in_every_host(
     for key in ("3", "f", "h", "[", "]", "]", "l", "f2", "y", "escape"):
         host.actions.press(key)  # F2 is not of this host, y of none
     selected = [f"selected: lwr/{joint}" for joint in ("A6", "A1", "A2")]
-    assert host.said == ["camera 3", "follows None", *selected, "legend: off"]
+    camera = "no camera 3: the scene has none"
+    assert host.said == [camera, "follows nothing", *selected, "legend: off"]
     assert (host.joint, host.helped, host.toggles.legend) == (1, 1, False)
     clock.asked.clear()
     for key in (".", " ", "l"):

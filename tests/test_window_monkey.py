@@ -37,7 +37,7 @@ def test_random_events_do_not_end_a_window(display: str, tmp_path: Path) -> None
         window.ask(f"sys.path.append({_TESTS!r})")
         window.ask("globals().update(hand=__import__('monkeys').WindowHand(w, places, seed=1))")
         window.ask("setattr(w, '_draw', draw)")  # every frame
-        window.ask("w.actions.perform('plot') or w.toggle_panel()")
+        window.ask("w.actions.perform('plot') or w.toggle('shows_panel')")
         places = random.Random(1)
         for _ in range(EVENTS // AT_ONCE):
             assert window.ask(f"hand.run({AT_ONCE})") > 0, window.ask("[*hand.monkey.last]")

@@ -52,7 +52,7 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
     window.settle()
     before = screenshot(window)
     window.click(*window.middle("panel"))
-    window.until("w.has_panel")
+    window.until("w.shows_panel")
     window.until("w.decor.view.inset[0] > 150")  # numbers stay beside it
     assert np.array_equal(screenshot(window), before)
     window.click(*window.middle("Move lwr"))  # folded, so that all the others are seen
@@ -89,13 +89,13 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
     window.click(*window.middle("Move lwr"))
     window.until(f"places['axes'][1] == {was_below}")
     window.key("Tab")
-    window.until("not w.has_panel")
+    window.until("not w.shows_panel")
     window.ask("w._robots._reset()")
     window.ask("w.navigator.choose(0)[:0]")
     window.settle()
     assert np.array_equal(screenshot(window), before)
     window.key("Tab")
-    window.until("w.has_panel")
+    window.until("w.shows_panel")
     # Keys that are no text are actions as ever, and the rest of the window turns the view.
     window.key("a")
     window.until("w.toggles.arrows.all()")

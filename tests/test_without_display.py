@@ -55,7 +55,7 @@ def run_on_server(code: str, folder: Path) -> str:
         _PICTURE,
         f"import mujoco\n{_PICTURE}",
         f"import sero_mj\nimport mujoco\n{_OWN_RENDERER}",
-        f"import sero_mj.robots.declared.dh\nimport mujoco\n{_OWN_RENDERER}",
+        f"import sero_mj.robots.kinematics.dh\nimport mujoco\n{_OWN_RENDERER}",
     ],
     ids=["sero_mj alone", "mujoco first", "sero_mj first, own renderer", "a module of sero_mj"],
 )

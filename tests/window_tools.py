@@ -50,7 +50,7 @@ for name in ("button", "checkbox", "combo", "slider_float", "input_double", "col
 clicks = []
 if "stereo" in options:
     from functools import partial
-    from sero_mj.viewer.window.stereo_viewport import StereoViewport
+    from sero_mj.viewer.window.viewport import StereoViewport
     options["make_viewport"] = partial(StereoViewport, stereo=options.pop("stereo"))
 if "over" in options:  # a camera and its file
     from functools import partial
@@ -67,7 +67,7 @@ with Mirror(scene) as mirror, Window(mirror, size=size, folder=Path(), **options
     w._pace.is_quick = lambda view, now: True
     draw = w._draw
     def draw_some(*given):
-        if frames % 6 == 0 or w.takes_pictures:
+        if frames % 6 == 0 or w.tools.takes_pictures:
             draw(*given)
     w._draw = draw_some
     while w.frame():

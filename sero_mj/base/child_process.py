@@ -33,11 +33,8 @@ class ChildProcess:
     pipe would, and leaves nothing behind.
 
     Args:
-        command: path of the program, and its arguments.
         grace: time in seconds between the request to end and the end.
-        leftovers: files and folders that are removed afterwards.
         keeps_stdout: whether its standard output goes to the same file.
-        **options: further options of `subprocess.Popen`.
 
     Attributes:
         process: the process; its pipes are closed when it is ended.
@@ -90,7 +87,6 @@ class ChildProcess:
         return f"exit status {code}"
 
     def lines(self) -> list[str]:
-        """Returns the last lines of its output that are not blank."""
         if self._output.closed:
             return []
         size = os.fstat(self._output.fileno()).st_size
@@ -98,7 +94,6 @@ class ChildProcess:
         return [line.strip() for line in text.splitlines() if line.strip()]
 
     def end(self) -> None:
-        """Ends it and all that it has started; has no effect if that is done."""
         self._end()
         _running.discard(self)
 
@@ -126,7 +121,6 @@ def _end(
     output: IO[bytes],
     owner: int,
 ) -> None:
-    """Ends a process, which may not have been started, with its group."""
     if os.getpid() != owner:  # in a forked copy
         return
     pid = getattr(process, "pid", None)
@@ -203,7 +197,6 @@ def _note(entry: bytes) -> None:
 # Registered early, so that it runs late: what is registered after it may still use the processes.
 @atexit.register
 def _at_exit() -> None:
-    """Ends all child processes when this process exits, and the reaper."""
     global _is_exiting  # noqa: PLW0603
     end_all()
     _is_exiting = True

@@ -10,6 +10,7 @@ import inspect
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -29,6 +30,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    TypeAdapter,
     ValidationError,
     ValidatorFunctionWrapHandler,
     WrapValidator,
@@ -58,7 +60,10 @@ if TYPE_CHECKING:
         __pydantic_fields_set__: set[str]
 
         def __init__(self, /, **fields: Any) -> None: ...
-        def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self: ...
+        def model_copy(
+            self, *, update: Mapping[str, Any] | None = None, deep: bool = False
+        ) -> Self: ...
+
         def model_dump(self, **options: Any) -> dict[str, Any]: ...
 
 else:
@@ -71,12 +76,14 @@ class Declaration(_Model):
 
     Attributes:
         renamed: names of fields in earlier versions, still accepted in files.
+        checked_alone: fields that only their own type checks; setting one checks only it.
 
     Raises:
         DeclarationError: with a `Problem` for each error.
     """
 
     renamed: ClassVar[Mapping[str, str]] = {}
+    checked_alone: ClassVar[Collection[str]] = ()
     model_config = ConfigDict(
         extra="forbid",
         strict=True,
@@ -93,28 +100,50 @@ class Declaration(_Model):
         try:
             super().__init__(**fields)
         except ValidationError as error:
-            problems: list[Problem] = []
-            for detail in error.errors(include_url=False):
-                problems += _problems(detail, type(self))
-            raise DeclarationError(problems) from None
+            raise _declaration_error(error, type(self)) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Sets a field if the declaration remains valid; else changes nothing."""
         if name.startswith("_"):
             super().__setattr__(name, value)
             return
-        fields = type(self).model_fields
-        kept = {key: held for key, held in self.__dict__.items() if key in fields}
-        # A field set in degrees replaces the one in radians, to which the old one was converted.
-        kept = {
-            key: held
-            for key, held in kept.items()
-            if f"{key}_deg" != name and (key[-4:] != "_deg" or key[:-4] not in fields)
-        }
-        checked = type(self)(**{**kept, name: value})
-        self.__dict__.clear()  # also removes cached properties
-        self.__dict__.update(checked.__dict__)
+        kind: Any = type(self)
+        if name in self.checked_alone:
+            try:
+                checked = _validator_of(kind, name).validate_python(value)
+            except ValidationError as error:
+                problems = _declaration_error(error, kind).problems
+                raise DeclarationError([each.inside(name) for each in problems]) from None
+            self.__dict__[name] = checked
+        else:
+            held = {key: self.__dict__[key] for key in kind.model_fields}
+            # None in degrees: it was converted to radians, or another field's value is used.
+            fields = {k: v for k, v in held.items() if v is not None or not k.endswith("_deg")}
+            if name.endswith("_deg"):
+                fields.pop(name.removesuffix("_deg"), None)
+            whole = kind(**{**fields, name: value})
+            self.__dict__.clear()  # also removes cached properties
+            self.__dict__.update(whole.__dict__)
         self.__pydantic_fields_set__.add(name)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Returns a copy with some fields replaced, which are not checked."""
+        copied: Self = super().model_copy(update=update, deep=deep)
+        for name in copied.__dict__.keys() - type(self).model_fields.keys():
+            del copied.__dict__[name]  # a cached property
+        return copied
+
+
+@cache
+def _validator_of(kind: type[Declaration], name: str) -> TypeAdapter[Any]:
+    field = kind.model_fields[name]
+    annotated: Any = Annotated[field.annotation, field]
+    return TypeAdapter(annotated, config=kind.model_config)
+
+
+def _declaration_error(error: ValidationError, kind: type[Declaration]) -> DeclarationError:
+    details = error.errors(include_url=False)
+    return DeclarationError([each for detail in details for each in _problems(detail, kind)])
 
 
 def meanings(declaration: type[Declaration]) -> dict[str, str]:
@@ -141,8 +170,7 @@ def expecting(what: str) -> WrapValidator:
 def numbers(value: Any) -> Array:
     """Returns a float64 array of finite numbers.
 
-    Raises:
-        ValueError: something in it is not a number, or is NaN or infinite.
+    Raises ValueError if something in it is not a number, or is NaN or infinite.
     """
     try:
         array = np.asarray(value)
@@ -192,8 +220,7 @@ def _in_range(rgba: Array) -> Array:
 def is_name(text: str) -> str:
     """Returns the text if it is a valid name of a robot, a source or an object.
 
-    Raises:
-        ValueError: it has invalid characters.
+    Raises ValueError if it has invalid characters.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", text):
         expected = "letters, digits, _ and -, the first a letter or _"
@@ -275,13 +302,7 @@ _PROBLEMS: dict[str, Callable[[ErrorDetails, type[Declaration]], Problem]] = {
 def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:
     """Builds the declaration of a table's `kind`; returns an instance of `base` unchanged.
 
-    Args:
-        table: as in a file.
-        kinds: name to class; each has a field `kind`.
-        base: of all of these classes.
-
-    Raises:
-        DeclarationError: there is no such kind, or fields are invalid.
+    Raises DeclarationError if there is no such kind, or fields are invalid.
     """
     return table if isinstance(table, base) else kinds[kind_of(table, kinds)](**table)
 
@@ -298,8 +319,7 @@ def file_fields(kind: type[Declaration]) -> list[str]:
 def kind_of(table: Any, kinds: Collection[str]) -> str:
     """The `kind` of a table.
 
-    Raises:
-        DeclarationError: it is not a table, or there is no such kind.
+    Raises DeclarationError if it is not a table, or there is no such kind.
     """
     if not isinstance(table, Mapping):
         raise mismatch(table, "a table with `kind`")

@@ -15,8 +15,7 @@ _PART = re.compile(r"([^.\[\]]+)((?:\[\d+\])*)")
 def parts_of(key: str) -> list[str | int]:
     """Returns names and indices of a dotted key, outermost first.
 
-    Raises:
-        ValueError: it is not a dotted key.
+    Raises ValueError if it is not a dotted key.
     """
     parts: list[str | int] = []
     for text in key.split("."):
@@ -46,7 +45,6 @@ def with_value(
         built: the object built from the table; missing lists are taken from its arrays.
         below: another table that this one overrides; missing lists and frames are taken from it.
         n: number of elements that a single number in the table stands for; 0 for a scalar.
-        lists: lengths of lists that may be missing, by their names.
 
     Raises:
         ValueError: a part does not exist.
@@ -93,12 +91,8 @@ def lacking(
 ) -> str | None:
     """Describes what a table that is not in a file lacks; None if only its values are wrong.
 
-    Args:
-        section: of the table.
-        name: of the table.
-        problems: why it could not be built, by its keys.
-        keys: dotted keys that created it.
-        others: names of the tables in the file.
+    The problems are why it could not be built, by its keys; `keys` are the dotted keys that created
+    it, and `others` the names of the tables in the file.
     """
     for problem in problems:
         place = f"{section}.{name}.{problem.key}."
@@ -115,7 +109,6 @@ def no_table(section: str, name: str, others: Iterable[str]) -> str:
 
 
 def _with_element(values: Any, indices: list[str | int], value: Any, name: str) -> Any:
-    """Returns lists with one element replaced."""
     if not indices:
         return value
     index, *rest = indices

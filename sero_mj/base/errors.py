@@ -1,19 +1,4 @@
-"""All exceptions of sero-mj.
-
-    SeroError
-    ├── DeclarationError      a robot, scene or source is declared wrongly (lists every problem)
-    ├── UnknownName           a name that is not among those available
-    ├── StructureError        a packet structure string that cannot be parsed
-    ├── RouteError            an expression in a route that cannot be parsed or has no meaning
-    ├── SourceError           a source that cannot be opened (a port in use, say)
-    ├── RecordingError        a recording that cannot be written on, or read
-    ├── SimulationError       a simulation that cannot go on
-    ├── CsvError              a table of comma-separated values that cannot be read or written
-    ├── NotTrusted            a file that asks to run something, and may not
-    ├── PluginError           an entry point of another package that cannot be loaded
-    ├── ClusterError          a cluster that cannot be reached, or whose workers differ
-    ├── RenderError           no picture can be made (no GL, no room for the file)
-    └── UsageError            a command line that asks for something impossible
+"""All exceptions of sero-mj; each is a `SeroError`.
 
 Errors take the objects at fault, store them as attributes and build the text themselves, so that
 the same fault has the same message everywhere.
@@ -104,11 +89,8 @@ def in_one_line(text: str) -> str:
 def shown(value: object, depth: int = 3) -> str:
     """Returns a value as messages show it: as TOML writes it, with long ones shortened.
 
-    Arrays are lists; None is `nothing`; of any other object the class is named.
-
-    Args:
-        value: any object.
-        depth: of nested tables and lists that are shown.
+    Arrays are lists; None is `nothing`; of any other object the class is named. Nested tables and
+    lists are shown up to a depth.
     """
     value = value.tolist() if hasattr(value, "tolist") else value
     match value:
@@ -210,7 +192,6 @@ class Problem:
 
     @property
     def near(self) -> str | None:
-        """The available name that is nearest to the wrong one, if there is any."""
         return nearest(self._name, self.available or ())
 
     @property
@@ -234,7 +215,6 @@ class Problem:
         return str(self), shown(self.found), str(self.expected)  # `found` may be an array
 
     def inside(self, prefix: str) -> Problem:
-        """Returns this problem with `prefix` put before its key."""
         key = f"{prefix}.{self.key}" if self.key and prefix else prefix or self.key
         return replace(self, key=key)
 
@@ -266,6 +246,12 @@ def mismatch(
     return DeclarationError([Problem(key, reason, found=found, of=of, expected=expected)])
 
 
+def raise_any(problems: Sequence[Problem]) -> None:
+    """Raises DeclarationError if there are any problems."""
+    if problems:
+        raise DeclarationError(problems)
+
+
 def problems_of(error: Exception, key: str = "") -> list[Problem]:
     """The problems of an error, inside `key`; one with its text if it has no values."""
     if isinstance(error, DeclarationError):
@@ -285,15 +271,7 @@ def collect(problems: list[Problem], key: str) -> Iterator[None]:
 
 
 class UnknownName(SeroError, KeyError):
-    """A name that does not exist among those available.
-
-    Attributes:
-        kind: of the name, e.g. `camera`.
-        name: the unknown name.
-        available: existing names.
-        near: the nearest of these, or None.
-        hint: what is said instead of these, if anything.
-    """
+    """A name of a kind, `camera` say, that is not among those available."""
 
     def __init__(self, kind: str, name: str, available: Iterable[str], hint: str = "") -> None:
         self.kind = kind
@@ -308,13 +286,7 @@ class UnknownName(SeroError, KeyError):
 
 
 class StructureError(SeroError, ValueError):
-    """A packet structure string that cannot be parsed.
-
-    Attributes:
-        structure: the whole string.
-        position: index of the first wrong character.
-        reason: what was expected there.
-    """
+    """A packet structure string that cannot be parsed."""
 
     def __init__(self, structure: str, position: int, reason: str) -> None:
         self.structure = structure
@@ -324,13 +296,7 @@ class StructureError(SeroError, ValueError):
 
 
 class RouteError(SeroError, ValueError):
-    """An expression in a route that cannot be parsed or has no meaning.
-
-    Attributes:
-        text: the whole expression.
-        position: index of the first wrong character.
-        reason: what was expected there.
-    """
+    """An expression in a route that cannot be parsed or has no meaning."""
 
     def __init__(self, text: str, position: int, reason: str, length: int = 1) -> None:
         self.text = text
@@ -340,7 +306,6 @@ class RouteError(SeroError, ValueError):
 
 
 def _pointing(text: str, position: int, length: int) -> str:
-    """Quotes the characters of a text at an error."""
     end = min(position + length, position + _MAX_SHOWN)
     found = f"'{text[position:end]}'" if position < len(text) else "the end"
     first, last = max(position - _MAX_SHOWN, 0), end + _MAX_SHOWN
@@ -350,24 +315,13 @@ def _pointing(text: str, position: int, length: int) -> str:
 
 
 class _ProblemError(SeroError):
-    """An error with one problem.
-
-    Attributes:
-        problem: what is wrong, and with what; of a text alone, it is the reason.
-    """
-
     def __init__(self, problem: Problem | str, place: str = "") -> None:
         self.problem = problem if isinstance(problem, Problem) else Problem("", problem)
         super().__init__(": ".join(part for part in (place, str(self.problem)) if part))
 
 
 class SourceError(_ProblemError, OSError):
-    """A source that cannot be opened.
-
-    Attributes:
-        source: its name.
-        reason: what stood in the way and what would help.
-    """
+    """A source that cannot be opened."""
 
     def __init__(self, source: str, reason: Problem | str) -> None:
         super().__init__(reason, f"source '{source}'")
@@ -376,12 +330,7 @@ class SourceError(_ProblemError, OSError):
 
 
 class RecordingError(_ProblemError, OSError):
-    """A recording that cannot be written on, or read.
-
-    Attributes:
-        path: the file.
-        reason: what stood in the way, what is kept, and what would help.
-    """
+    """A recording that cannot be written on, or read."""
 
     def __init__(self, path: object, reason: Problem | str) -> None:
         super().__init__(reason, str(path))
@@ -390,14 +339,7 @@ class RecordingError(_ProblemError, OSError):
 
 
 class CsvError(_ProblemError, ValueError):
-    """A table of comma-separated values that cannot be read or written.
-
-    Attributes:
-        path: the file.
-        reason: what was found and what would be right.
-        line: its line, from 1, if one is at fault.
-        column: the name of its column, if one is at fault.
-    """
+    """A table of comma-separated values that cannot be read or written; its lines count from 1."""
 
     def __init__(
         self,
@@ -419,9 +361,7 @@ class SimulationError(_ProblemError, RuntimeError):
     """A simulation that cannot continue; data recorded so far is kept.
 
     Attributes:
-        time: of the error, s.
         joint: e.g. `lwr/A3`, or the name of another element at fault.
-        reason: what was found and what would be right.
     """
 
     def __init__(self, time: float, joint: str, reason: Problem | str) -> None:
@@ -432,12 +372,7 @@ class SimulationError(_ProblemError, RuntimeError):
 
 
 class NotTrusted(SeroError, PermissionError):
-    """A file asks to run something, and may not; see `base.trust`.
-
-    Attributes:
-        file: the file.
-        actions: what it asks for, each as text.
-    """
+    """A file asks to run something, and may not; see `base.trust`."""
 
     def __init__(self, file: Path, actions: list[str]) -> None:
         self.file, self.actions = file, actions
@@ -452,12 +387,7 @@ class RenderError(_ProblemError, RuntimeError):
 
 
 class ClusterError(_ProblemError, ConnectionError):
-    """A cluster that cannot be reached, or whose workers differ from this machine.
-
-    Attributes:
-        address: of its scheduler.
-        reason: what stood in the way and what would help.
-    """
+    """A cluster that cannot be reached, or whose workers differ from this machine."""
 
     def __init__(self, address: str, reason: Problem | str) -> None:
         super().__init__(reason, address)
@@ -469,7 +399,6 @@ def about_fault(error: Exception, kind: type) -> str:
     """Returns kind, text and place of an error that code of another package has raised.
 
     Args:
-        error: with its traceback.
         kind: the class whose file is looked for there; its innermost line is told.
     """
     file = getattr(sys.modules.get(kind.__module__), "__file__", None)
@@ -480,12 +409,7 @@ def about_fault(error: Exception, kind: type) -> str:
 
 
 class PluginError(SeroError):
-    """An entry point that cannot be loaded.
-
-    Attributes:
-        group: `sero_mj.sources`, say.
-        point: the entry point.
-    """
+    """An entry point that cannot be loaded."""
 
     def __init__(self, group: str, point: EntryPoint, cause: Exception) -> None:
         self.group, self.point = group, point

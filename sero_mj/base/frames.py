@@ -5,9 +5,7 @@ No MuJoCo.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from types import EllipsisType
 from typing import Any
 
 import numpy as np
@@ -18,11 +16,8 @@ from .errors import Problem, mismatch
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-# Of a first axis of equal things; that of the only one is ..., which leaves arrays as they are.
-RowIndex = int | EllipsisType
 
 _NICE = (1.0, 2.0, 5.0)
-_MANY = 500  # frames, from which on `compose` is faster than `@`
 _ROTATION_KEYS = ("rpy", "rpy_deg", "quat")
 # A frame typed with four digits (0.7071) is accepted as a rotation; larger errors are mistakes.
 _TYPED_ROTATION_TOLERANCE = 1e-3
@@ -33,15 +28,7 @@ MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def rotation_about(axis: int, angle: float | Array) -> Array:
-    """Rotation matrices about one coordinate axis.
-
-    Args:
-        axis: 0, 1 or 2 for x, y or z.
-        angle: rad, any shape (...).
-
-    Returns:
-        (..., 3, 3).
-    """
+    """Rotation matrices (..., 3, 3) about axis 0, 1 or 2 (x, y or z) by angles (...) in rad."""
     c, s = np.cos(angle), np.sin(angle)
     matrix = np.zeros((*np.shape(angle), 3, 3))
     matrix[..., axis, axis] = 1.0
@@ -52,40 +39,12 @@ def rotation_about(axis: int, angle: float | Array) -> Array:
 
 
 def empty_transforms(shape: tuple[int, ...]) -> Array:
-    """Transforms with nothing but their last row, to be filled element by element.
+    """Returns transforms (*shape, 4, 4) with nothing but their last row, to be filled by element.
 
-    The numbers of one element lie together: of a thousand that takes half the time.
-
-    Args:
-        shape: how many.
-
-    Returns:
-        (*shape, 4, 4).
+    Each element is contiguous over `shape`: 1000 poses of seven joints take 250 us, else 375 us.
     """
     T = np.zeros((4, 4, *shape)).transpose(*range(2, len(shape) + 2), 0, 1)
     T[..., 3, 3] = 1.0
-    return T
-
-
-def compose(first: Array, second: Array) -> Array:
-    """T_a_b @ T_b_c, (..., 4, 4), of rigid frames: of thousands in half the time of `@`.
-
-    NumPy multiplies small matrices one by one; here each number is computed for all of them.
-    """
-    shape = np.broadcast_shapes(first.shape[:-2], second.shape[:-2])
-    if math.prod(shape) < _MANY:
-        return np.asarray(first @ second)
-    T = empty_transforms(shape)
-    t = np.moveaxis(T, (-2, -1), (0, 1))
-    a, b = (
-        np.moveaxis(np.broadcast_to(each, T.shape), (-2, -1), (0, 1)) for each in (first, second)
-    )
-    for k in range(3):
-        row = t[k]
-        np.multiply(a[k, 0], b[0], out=row)
-        row += a[k, 1] * b[1]
-        row += a[k, 2] * b[2]
-        row[3] += a[k, 3]
     return T
 
 
@@ -93,7 +52,6 @@ def rotation_to_z(rotation: Array, axis: Array) -> Array:
     """Returns the rotation (3, 3) with a given z axis nearest to another rotation.
 
     Args:
-        rotation: (3, 3).
         axis: (3,), of any length but zero.
     """
     z = np.asarray(axis, np.float64) / np.linalg.norm(axis)
@@ -213,8 +171,7 @@ def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:
 def nearest_rotation(matrix: Array) -> Array:
     """Returns the rotation nearest to a matrix typed with few digits; an exact one unchanged.
 
-    Raises:
-        ValueError: it is not even approximately a rotation, or it is a reflection.
+    Raises ValueError if it is not even approximately a rotation, or it is a reflection.
     """
     # Entries far above 1 are refused before their squares overflow.
     far = np.abs(matrix).max() > 2.0

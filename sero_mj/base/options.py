@@ -1,8 +1,7 @@
-"""Declarations that a command line fills in as well as Python: its options.
+"""Declarations that a command line fills in as well as Python.
 
-A field of `Options` is an option `--its-name`. Its type says what is checked, its default what
-holds without it, `Option` how it is spelled where that is another way, and the docstring's
-"Attributes:" what its help says. `cli.options` makes the parser of them.
+A field of `Options` is an option `--its-name`; the docstring's "Attributes:" is its help.
+`cli.options` builds the parser.
 """
 
 from __future__ import annotations
@@ -93,7 +92,6 @@ class Options(Declaration):
 
 
 def _metadata(kind: Any) -> Iterator[Any]:
-    """All that `Annotated` has put into a type."""
     yield from getattr(kind, "__metadata__", ())
     for each in get_args(kind):
         yield from _metadata(each)

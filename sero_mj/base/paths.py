@@ -48,7 +48,6 @@ _HEAD_BYTES = 100_000  # bytes used to detect a file's format
 
 
 def _shipped(folder: str) -> Path:
-    """Returns the folder inside the package (wheel), else beside it (checkout)."""
     inside = _PACKAGE / folder
     return inside if inside.is_dir() else _PACKAGE.parent / folder
 
@@ -134,12 +133,8 @@ def find_model(name: str, beside: Path | None = None) -> Path:
 def find_group_model(name: str, beside: Path | None = None) -> Path:
     """Returns the file of a group of robots by its name, like `find_model`.
 
-    Args:
-        name: a shipped group's name, a folder with a `group.toml`, or a TOML file.
-        beside: folder that relative paths start from; the working directory when None.
-
-    Raises:
-        UnknownName: nothing of that name exists; lists the groups beside it and the shipped ones.
+    It is a shipped group's name, a folder with a `group.toml`, or a TOML file. Raises UnknownName,
+    which lists the groups beside it and the shipped ones.
     """
     return _find_model("model of a group", name, beside, GROUP_FILE)
 
@@ -180,8 +175,7 @@ def _plain(path: Path) -> Path:
 def model_in(folder: Path) -> Path | None:
     """The model of a third-party folder: its scene, or else the only one; None for none.
 
-    Raises:
-        DeclarationError: there are several.
+    Raises DeclarationError if there are several.
     """
     if os.path.isfile(folder / _SCENE_FILE):
         return folder / _SCENE_FILE
@@ -202,7 +196,6 @@ def model_in(folder: Path) -> Path | None:
 
 
 def _models_in(folder: Path, file: str) -> list[str]:
-    """Names of subfolders that contain such a file; none if the folder is unreadable."""
     try:
         return sorted(path.parent.name for path in folder.glob(f"*/{file}"))
     except OSError:
@@ -210,11 +203,6 @@ def _models_in(folder: Path, file: str) -> list[str]:
 
 
 def _refuse_path(name: str, beside: Path | None = None) -> None:
-    """Reports the error of a name that is meant as a path, where a list would not help.
-
-    Raises:
-        DeclarationError: it has a file's extension, but there is no such file.
-    """
     path = (beside or Path()) / name
     ending = path.suffix.lower()
     if "\0" in name or "://" in name:
@@ -247,7 +235,6 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
 
 
 def _toml_files(folder: Path) -> list[str]:
-    """Names of the TOML files of a folder, without extension; none if it is unreadable."""
     return [Path(name).stem for name in _files(folder, ".toml")]
 
 
@@ -277,7 +264,6 @@ def format_of_file(path: Path) -> str | None:
 
 
 def _files(folder: Path, ending: str) -> list[str]:
-    """Names of the files of a folder with this extension; none if it is unreadable."""
     try:
         return sorted(path.name for path in folder.glob(f"*{ending}"))
     except (OSError, ValueError):
@@ -320,8 +306,7 @@ def list_scenarios() -> list[str]:
 def find_scenario(name: str) -> Path:
     """Returns the scenario file of a name: a TOML file, or a shipped scenario's name.
 
-    Raises:
-        UnknownName: nothing of that name exists; lists the shipped scenarios.
+    Raises UnknownName if nothing of that name exists; lists the shipped scenarios.
     """
     return _find("scenario", name, scenarios_dir(), list_scenarios)
 
@@ -329,14 +314,12 @@ def find_scenario(name: str) -> Path:
 def find_scene(name: str) -> Path:
     """Returns the scene file of a name: a TOML file, or a shipped scene's name.
 
-    Raises:
-        UnknownName: nothing of that name exists; lists the shipped scenes.
+    Raises UnknownName if nothing of that name exists; lists the shipped scenes.
     """
     return _find("scene", name, scenes_dir(), list_scenes)
 
 
 def _find(kind: str, name: str, folder: Path, shipped: Callable[[], list[str]]) -> Path:
-    """A file, or a shipped one of that name."""
     for candidate in (Path(name), folder / f"{name}.toml"):
         if candidate.suffix not in robot_endings() and os.path.isfile(candidate):
             return candidate
@@ -376,9 +359,6 @@ def bag_files_in(folder: Path | str) -> list[Path]:
     alone were copied. One recording is a single file, or `NAME_0.mcap`, `NAME_1.mcap` and so on,
     into which `ros2 bag record` splits long ones. Other files may be beside them, but no robots and
     scenes.
-
-    Args:
-        folder: that may be one.
     """
     try:
         files = [each for each in Path(folder).iterdir() if not each.name.startswith(".")]
@@ -407,10 +387,6 @@ def bag_file_in(folder: Path | str) -> Path | None:
 
 def open_file(path: Path | str, most: int | None = None) -> BinaryIO:
     """Opens a file for reading.
-
-    Args:
-        path: of the file.
-        most: maximum size, bytes.
 
     Raises:
         OSError: it cannot be opened, is not a regular file (a pipe would block, a device may be

@@ -1,28 +1,6 @@
-"""Extensions by other packages: entry points, also used for sero-mj's own parts.
+"""Entry points: extensions by other packages, and sero-mj's own parts.
 
-    sero_mj.importers       files of robots, see `robots.importers.importer.Importer`
-    sero_mj.meshes          files of meshes, see `robots.importers.mesh_files.mesh_endings`
-    sero_mj.robots          places where robots have names, see `robots.importers.robot_places`
-    sero_mj.sources         kinds of sources in scenes, see `data.receive.source.Source`
-    sero_mj.recordings      formats of recordings, see `data.record.formats`
-    sero_mj.networks        schemes of addresses, such as `ros2` of `ros2://`: functions that write
-                            a scene of the robot at an address and return its file
-    sero_mj.controllers     kinds of controllers, see `simulate.control.controller`
-    sero_mj.target_motions  kinds of targets, see `simulate.control.target_motions`
-    sero_mj.decor           visual features, see `viewer.decor.feature.Feature`
-    sero_mj.tools           what pointer, keys and panel do, see `viewer.session.tool.Tool`
-    sero_mj.commands        commands of `sero-mj`, see `cli`
-    sero_mj.renderers       what draws pictures, see `viewer.image.renderer.Renderer`
-    sero_mj.senders         what `sero-mj send` does for a kind of source with its own protocol
-    sero_mj.known_packets   what `structure --sniff` knows by size, see `data.receive.sniffer`
-    sero_mj.explainers      what explains differences of torques, see `study.explainer`
-    sero_mj.backgrounds     what `--over` draws over, see `cli.background`
-    sero_mj.engines         what does many tasks at once, see `study.engine`
-    sero_mj.listed          functions that return title and lines, for `sero-mj list`
-    sero_mj.names           further public names of the package `sero_mj`
-    sero_mj.when_imported   what is done once another package is, see `base.when_imported`
-
-A package adds a kind in its pyproject.toml, and no line of sero-mj changes:
+docs/plugins.md lists the groups. A package adds a kind in its pyproject.toml:
 
     [project.entry-points."sero_mj.sources"]
     json = "my_package:JsonLines"
@@ -47,8 +25,9 @@ IMPORTERS, ROBOTS, SOURCES = "sero_mj.importers", "sero_mj.robots", "sero_mj.sou
 CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
 DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
 NAMES, WHEN_IMPORTED = "sero_mj.names", "sero_mj.when_imported"
-MESHES = "sero_mj.meshes"
-RECORDINGS, NETWORKS = "sero_mj.recordings", "sero_mj.networks"
+MESHES, EXPORTS = "sero_mj.meshes", "sero_mj.exports"
+RECORDINGS, NETWORKS, COLUMNS = "sero_mj.recordings", "sero_mj.networks", "sero_mj.columns"
+SNIPPETS = "sero_mj.snippets"
 EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
 LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"
@@ -91,16 +70,9 @@ def is_own_class(kind: type) -> bool:
 
 
 def load_plugin(group: str, name: str, base: type | None = None) -> Any:
-    """Imports what an entry point names.
+    """Imports what an entry point names, a subclass of `base` if given.
 
-    Args:
-        group: of entry points.
-        name: of the entry point.
-        base: of the class that it has to name.
-
-    Raises:
-        UnknownName: no such name; names the nearest.
-        PluginError: its package cannot be imported, or it names something else.
+    Raises UnknownName, or PluginError if its package cannot be imported or it names something else.
     """
     known = plugins(group)
     if name not in known:
@@ -128,7 +100,6 @@ def load_all(group: str, base: type | None = None) -> Mapping[str, Any]:
     """All of a group by name; logs once which cannot be loaded, and leaves them out.
 
     Args:
-        group: of entry points.
         base: of the classes that they have to name.
     """
     found: dict[str, Any] = {}
@@ -148,8 +119,7 @@ def load_first(group: str, base: type) -> Any | None:
 def plugin_name(group: str, item: type) -> str:
     """The name under which a class is an entry point of a group.
 
-    Raises:
-        UnknownName: it is not an entry point.
+    Raises UnknownName if it is not an entry point.
     """
     value = f"{item.__module__}:{item.__qualname__}"
     found = plugins(group)

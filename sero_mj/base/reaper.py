@@ -1,10 +1,7 @@
-"""A small process that ends child processes when the process that started them has died.
+"""A script that ends process groups and removes files once the process that started it has died.
 
-A process that is killed by `kill -9`, or crashes, cannot end its own children. This one reads their
-process groups, and files to remove, from its standard input. When the input ends, or its parent
-process has changed, it ends these groups and removes these files.
-
-It is run as a script and imports nothing of sero-mj, so that it starts at once.
+A process that is killed by `kill -9`, or crashes, cannot do so itself. The script reads what to end
+and remove from its standard input, and imports nothing of sero-mj, so that it starts at once.
 """
 
 from __future__ import annotations
@@ -27,9 +24,6 @@ def main(parent: int) -> None:
 
     An entry ends with a NUL byte. `+g` and a number add a process group, `+p` and a path add a file
     or folder, `-g` and `-p` remove an entry.
-
-    Args:
-        parent: id of the process that has started this one.
     """
     entries: set[bytes] = set()
     rest = b""
@@ -61,7 +55,6 @@ def _end_groups(groups: set[int]) -> None:
 
 
 def _is_signaled(group: int, number: int) -> bool:
-    """Sends a signal to a process group; returns whether there is one."""
     try:
         os.killpg(group, number)
     except (ProcessLookupError, PermissionError):

@@ -10,16 +10,9 @@ from .frames import Array
 def envelope(times: Array, values: Array, bins: int) -> tuple[Array, Array]:
     """Keeps the smallest and the largest value of every interval, at their own times.
 
-    Every returned point is an input point, so that no peak is lost or lowered. If there are few
-    rows, all of them are returned. An interval without any number is a gap.
-
-    Args:
-        times: (T,), rising.
-        values: (T,), NaN where unknown.
-        bins: intervals with equal numbers of rows; up to twice as many points are kept.
-
-    Returns:
-        times and values of the points, (k,) each.
+    Every returned point is an input point, so that no peak is lost or lowered. Times (T,) rise, and
+    values (T,) are NaN where unknown; up to two points are kept per bin. If there are few rows, all
+    of them are returned. An interval without any number is a gap.
     """
     count = len(times)
     if count <= 2 * bins:

@@ -79,8 +79,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_toml(text: str) -> dict[str, Any]:
     """Parses TOML.
 
-    Raises:
-        ValueError: it is invalid, or too large or deeply nested for the memory; says where.
+    Raises ValueError if it is invalid, or too large or deeply nested for the memory; says where.
     """
     return {key: _copied(value) for key, value in _tables_of(text).items()}
 
@@ -96,7 +95,6 @@ def _parse(text: str) -> dict[str, Any]:
 
 
 def _hint(text: str, message: str) -> str:
-    """Returns what to write instead of a value that is spelled as in Python; empty for others."""
     place = re.search(r"at line (\d+), column (\d+)", message)
     if place is None:
         return ""
@@ -151,7 +149,6 @@ def _as_text(contents: bytes) -> str:
 
 
 def _other_format(contents: bytes) -> str | None:
-    """The format of a file mistaken for a scene or a robot, and what to do with it."""
     if contents.startswith(_MCAP):
         return "is a recording; expected a TOML file. view, render and export show recordings"
     if (found := format_of(contents)) is None:
@@ -206,7 +203,6 @@ def _lines_of(text: str) -> dict[str, int]:
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yields the line number and the text of every header and every `key = value`."""
     depth = begin = 0
     line = first = 1  # of the text, and of the statement
     for token in chain(_TOKENS.finditer(text), [None]):
@@ -224,12 +220,9 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str, int]]:
-    """Line offsets of an array's entries from the first line of their statement.
+    """Returns the number of parts of an array entry's key, and line offsets by key.
 
     The text up to the end of a line is parsed as an array after closing it there.
-
-    Returns:
-        the number of parts of an entry's dotted key, and the lines by that key.
     """
     key = _array_in(parsed)
     rows = statement.rstrip("\n").split("\n")
@@ -251,7 +244,6 @@ def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str,
 
 
 def _array_in(parsed: dict[str, Any]) -> str:
-    """The dotted key of the array declared by a statement; empty for none."""
     keys: list[str] = []
     value: Any = parsed
     while isinstance(value, dict) and len(value) == 1:
@@ -261,7 +253,6 @@ def _array_in(parsed: dict[str, Any]) -> str:
 
 
 def _keys(value: Any, prefix: str = "") -> Iterator[str]:
-    """Yields the dotted key of every entry of tables in a parsed value, the outer ones first."""
     pairs = value.items() if isinstance(value, dict) else enumerate(value)
     for key, inner in pairs:
         name = f"{prefix}.{key}" if prefix else str(key)
@@ -276,10 +267,8 @@ def located(
 ) -> list[Problem]:
     """Returns problems with their file, and the line of their key or of the nearest one above.
 
-    Args:
-        problems: in the file; those that have a file already are in another one.
-        path: of the file.
-        lines: by dotted key; `key_lines` of the file when None.
+    Problems that have a file already are in another one. `lines` are by dotted key; None finds
+    them.
     """
     problems = list(problems)
     if lines is None:

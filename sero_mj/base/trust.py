@@ -37,7 +37,7 @@ _allowed: set[str] = set()  # digests of requests
 
 
 @dataclass(frozen=True)
-class Action:
+class RequestedAction:
     """Something that a file asks to do besides showing robots.
 
     Attributes:
@@ -58,13 +58,8 @@ class Action:
 
 
 @dataclass(frozen=True)
-class Origin:
-    """The file that a declaration was read from.
-
-    Attributes:
-        file: the file.
-        is_trusted: whether it may run what it asks for.
-    """
+class FileOrigin:
+    """The file that a declaration was read from."""
 
     file: Path
     is_trusted: bool = False
@@ -75,15 +70,13 @@ class Request:
     """Everything that a file asks for.
 
     Attributes:
-        file: the file that was opened.
-        actions: what it asks for, at least one.
         tables: the other files that say what is run, such as an extended scenario.
         digest: SHA-256 of the contents of all its files, and of what is run, as they were when the
             request was made: what a user allows is what was shown.
     """
 
     file: Path
-    actions: tuple[Action, ...]
+    actions: tuple[RequestedAction, ...]
     tables: tuple[Path, ...] = ()
     digest: str = field(init=False)
 
@@ -123,15 +116,10 @@ def is_allowed(request: Request) -> bool:
     return request.digest in _allowed
 
 
-def require(origin: Origin | None, actions: Collection[Action]) -> None:
+def require(origin: FileOrigin | None, actions: Collection[RequestedAction]) -> None:
     """Checks that a declaration may run what it asks for.
 
-    Args:
-        origin: of the declaration; None if it was made in Python.
-        actions: what it asks for.
-
-    Raises:
-        NotTrusted: its file is not trusted.
+    Raises NotTrusted if its file is not trusted.
     """
     if actions and origin is not None and not origin.is_trusted:
         raise NotTrusted(origin.file, [str(action) for action in actions])
@@ -140,13 +128,7 @@ def require(origin: Origin | None, actions: Collection[Action]) -> None:
 def import_listed(package: str, module: str, listed: Iterable[str]) -> Any:
     """Imports a module that a file may have named.
 
-    Args:
-        package: an installed package.
-        module: of it.
-        listed: the modules that the package itself lists.
-
-    Raises:
-        UnknownName: the package does not list it.
+    Raises UnknownName if the package does not list it.
     """
     known = list(listed)
     if module not in known:

@@ -1,10 +1,6 @@
 """Lets extensions act as soon as another package is imported, which sero_mj itself does not import.
 
-An extension names the package in the group `sero_mj.when_imported`, and a function without
-arguments:
-
-    [project.entry-points."sero_mj.when_imported"]
-    gymnasium = "my_package:register_environments"
+They name the package and a function without arguments in the group `sero_mj.when_imported`.
 """
 
 from __future__ import annotations
@@ -19,11 +15,7 @@ if TYPE_CHECKING:
 
 
 def when_imported(package: str) -> None:
-    """Calls what extensions name for a package: now, or when the package is imported.
-
-    Args:
-        package: a top-level package.
-    """
+    """Calls what extensions name for a package: now, or when the package is imported."""
     if package in sys.modules:
         _act(package)
     elif not any(isinstance(each, _Finder) and each.package == package for each in sys.meta_path):

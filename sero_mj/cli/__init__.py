@@ -9,6 +9,7 @@ import argparse
 import logging
 import os
 import sys
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from .. import __version__
@@ -21,22 +22,17 @@ from .terminal import escape_output
 log = logging.getLogger(__name__)
 
 _DESCRIPTION = """\
-sero-mj shows what a torque-controlled robot feels.
-
-It mirrors a robot from packets or simulates one, draws round arrows that turn about the joints to
-show torques, and billboards with their numbers: in a window, on a web page, in pictures and films.
+sero-mj shows what a torque-controlled robot feels. It mirrors a real robot or simulates one, and
+draws torques as round arrows about the joints, in a window, on a web page, in images and videos.
 """
-
 _EPILOG = """\
-Without a command it shows a page with all that can be opened, as `sero-mj view` does.
+Without a command, sero-mj shows a start page, as `sero-mj view` does. Try it in two terminals:
+  sero-mj send lwr_udp                     send a motion to port 32000, as the robot would
+  sero-mj view lwr_udp                     show the robot that moves
 
-Try it, in two terminals:
-  sero-mj send lwr_udp                     play a motion as the robot would, on port 32000
-  sero-mj render lwr_udp -o lwr.mp4        film it for 5 s
-
-SCENE is a file (TOML; a robot's URDF or MJCF; X3D as in the paper), or a name of `sero-mj list`.
-Every command has its own help: sero-mj render --help
+SCENE is a file or a name from `sero-mj list`. Help for one command: sero-mj render --help
 """
+GROUPS = ("see", "receive", "simulate", "analyse", "files")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -49,6 +45,7 @@ def main(arguments: list[str] | None = None) -> None:
     given = sys.argv[1:] if arguments is None else arguments
     if not given or (given[0].startswith("--") and given[0] not in ("--help", "--version")):
         given = ["view", *given]  # the start page
+    given = translated(given)
     try:
         check_backend()
         choose_backend()
@@ -77,7 +74,8 @@ class Command(Protocol):
     """The interface of a command: a module, or another object that an entry point names.
 
     Attributes:
-        ORDER: in the help, lowest first; sero-mj's own have 10 to 90.
+        ORDER: position in the help, lowest first. The commands of sero-mj have 10 to 99.
+        GROUP: heading in the help, one of `GROUPS` or a new one (default: "more").
     """
 
     ORDER: int
@@ -86,15 +84,28 @@ class Command(Protocol):
         """Adds the command to the subparsers of argparse, see `_arguments.command`."""
 
 
-def _add_commands(commands: Any, wanted: str) -> None:
-    """Adds the command of that name alone, or all if there is none of that name."""
-    if wanted in plugins(COMMANDS):
-        load_plugin(COMMANDS, wanted).add_to(commands)
-        return
+class _Listed:
+    def __init__(self, commands: Any) -> None:
+        self._commands = commands
+        self.groups: dict[str, list[str]] = {group: [] for group in GROUPS}
+        self.group = ""
+
+    def add_parser(self, name: str, *, help: str = "", **how: Any) -> Any:
+        self.groups.setdefault(self.group, []).append(f"  {name:10} {help}")
+        return self._commands.add_parser(name, **how)
+
+    def text(self) -> str:
+        return "\n".join(
+            "\n".join([f"{group}:", *lines]) for group, lines in self.groups.items() if lines
+        )
+
+
+def _add_commands(listed: _Listed) -> None:
     for name, command in sorted(load_all(COMMANDS).items(), key=lambda item: item[1].ORDER):
         try:
-            command.add_to(commands)
-        except Exception as error:  # whatever another package does wrong
+            listed.group = getattr(command, "GROUP", "more")
+            command.add_to(listed)
+        except Exception as error:  # from another package
             point = plugins(COMMANDS)[name]
             if is_own(point):
                 raise
@@ -102,13 +113,66 @@ def _add_commands(commands: Any, wanted: str) -> None:
 
 
 def _parser(wanted: str) -> argparse.ArgumentParser:
+    """Returns the parser of one command, or of all commands if there is no such command."""
     parser = OneLineParser(
         prog="sero-mj",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
+        usage="sero-mj [-h] [--version] COMMAND ...",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"sero-mj {__version__}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    _add_commands(commands, wanted)
+    commands = parser.add_subparsers(
+        prog="sero-mj", metavar="COMMAND", required=True, help=argparse.SUPPRESS
+    )
+    if wanted in plugins(COMMANDS):
+        load_plugin(COMMANDS, wanted).add_to(commands)
+        return parser
+    listed = _Listed(commands)
+    _add_commands(listed)
+    parser.description = f"{_DESCRIPTION}\n{listed.text()}"
+    parser.epilog = _EPILOG
     return parser
+
+
+def _renamed(*words: str, **options: str) -> Callable[[list[str]], list[str]]:
+    def translate(rest: list[str]) -> list[str]:
+        new = {f"--{old}": f"--{new}" for old, new in options.items()}
+        parts = (word.partition("=") for word in rest)
+        return [*words, *(f"{new.get(name, name)}{equals}{v}" for name, equals, v in parts)]
+
+    return translate
+
+
+def _network(rest: list[str]) -> list[str]:
+    """Translates `ros2 list --host HOST --domain N` to `status ros2://HOST:N --topics`."""
+    words = [part for word in rest for part in word.split("=", 1) if word != "list"]
+    place = {"--host": "", "--domain": ""}
+    for option in place:
+        if option in words[:-1]:
+            at = words.index(option)
+            place[option] = words[at + 1]
+            del words[at : at + 2]
+    host, domain = place.values()
+    return ["status", f"ros2://{host}{domain and f':{domain}'}", "--topics", *words]
+
+
+_OLD: Mapping[str, tuple[str, Callable[[list[str]], list[str]]]] = {
+    "export-csv": ("export REC -o OUT.csv", _renamed("export", start="from", stop="to")),
+    "convert": ("export SCENE -o OUT", _renamed("export")),
+    "fk": ("check ROBOT --fk", _renamed("check", "--fk")),
+    "schema": ("check --schema KIND", _renamed("check", "--schema")),
+    "doctor": ("check", _renamed("check")),
+    "snippet": ("new --snippet NAME", _renamed("new", "--snippet")),
+    "ros2": ("status ros2:// --topics", _network),
+}
+
+
+def translated(arguments: list[str]) -> list[str]:
+    """Returns a command line in which an old name is replaced, and prints a note about it."""
+    name, *rest = arguments
+    if name not in _OLD or name in plugins(COMMANDS):
+        return arguments
+    new, translate = _OLD[name]
+    if not {"-h", "--help"} & {*rest}:
+        note = f"note: 'sero-mj {name}' is now 'sero-mj {new}'; the old name works in version 0.2"
+        print(note, file=sys.stderr)
+    return translate(rest)

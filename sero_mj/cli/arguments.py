@@ -71,17 +71,18 @@ def join_negative_values(arguments: list[str]) -> list[str]:
 
 
 def command(
-    name: str, run: Callable[[T], int], kind: type[T], epilog: str
+    name: str, run: Callable[[T], int], kind: type[T], text: str
 ) -> Callable[[Commands], None]:
     """Returns the function that adds a command to the program's parser.
 
     Args:
-        name: of the command.
-        run: gets the options and returns the exit status.
-        kind: what declares the options; its docstring's first line is what the command does.
-        epilog: what help says at the end, as it is written.
+        name: name of the command.
+        run: function of the options that returns the exit status.
+        kind: declaration of the options. The first line of its docstring describes the command.
+        text: help text. The first paragraph (the examples) precedes the options, the rest follows.
     """
     summary, *_ = str(kind.__doc__).splitlines()
+    examples, _, notes = text.partition("\n\n")
 
     def run_with(given: argparse.Namespace) -> int:
         options = read_options(kind, vars(given))
@@ -92,8 +93,8 @@ def command(
         parser = commands.add_parser(
             name,
             help=summary[0].lower() + summary[1:].removesuffix("."),
-            description=summary,
-            epilog=epilog,
+            description=f"{summary}\n\n{examples.rstrip()}",
+            epilog=notes,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         add_options(parser, kind)
@@ -125,13 +126,7 @@ def writing() -> Iterator[None]:
 
 
 def pace(done: int, begin: float, workers: int) -> str:
-    """How fast tasks are done, and by how many, for `note` of a progress bar.
-
-    Args:
-        done: how many.
-        begin: since when, on `time.perf_counter`.
-        workers: how many do them at the moment.
-    """
+    """How many tasks are done per second since `begin`, and by how many workers."""
     rate = done / (time.perf_counter() - begin)
     return f"{rate:.1f}/s, {workers} {'worker' if workers == 1 else 'workers'}"
 
@@ -142,11 +137,7 @@ def progress_bar(
 ) -> Iterator[Callable[[int, int], None]]:
     """Shows progress on a terminal; yields a function of the amount done and the total.
 
-    Args:
-        what: label of the bar.
-        quiet: whether nothing is shown.
-        stays: whether the bar stays visible at the end.
-        note: says more, behind the bar.
+    `stays` keeps the bar at the end. `note` returns further text behind the bar.
     """
     from rich import progress as bars
     from rich.table import Column
@@ -214,14 +205,9 @@ def read_scene(
     trusted: bool = False,
     replay: Path | None = None,
 ) -> Scene:
-    """Loads a scene by name, file or network, and applies `--set` options.
+    """Loads a scene by name, file or network address, applies `--set`, and prints its programs.
 
-    Args:
-        name: of the scene.
-        settings: values of `--set`.
-        by_hand: see `load_scene`.
-        trusted: see `load_scene`. Programs that the scene starts are printed.
-        replay: see `load_scene`; `replay_instead` then plays it.
+    See `load_scene` for `by_hand`, `trusted` and `replay`.
     """
     from ..load import load_scene
 
@@ -239,7 +225,7 @@ def network_scene(name: str) -> str | None:
     scheme, separator, _ = name.partition("://")
     if not separator or scheme not in plugins(NETWORKS):
         return None
-    return str(load_plugin(NETWORKS, scheme)(name))
+    return str(load_plugin(NETWORKS, scheme).scene_of_network(name))
 
 
 def print_programs(scenario: Scenario | None) -> None:
@@ -260,7 +246,6 @@ def named_settings(given: Mapping[str, Any], option: str = "--set") -> Iterator[
 
 
 def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
-    """Returns the problem with the option named, if the option has set its field."""
     for target in given:
         field = target.partition(".")[2]
         # As keys stand in a scene, in a robot's own file, and where there is nothing to set.
@@ -299,8 +284,8 @@ def replay_instead(
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
-    from ..data.drive.replays import topics_of
     from ..data.drive.table_scene import lead_by_table
+    from ..data.drive.wiring import topics_of
     from ..data.record.formats import look_into
     from ..data.record.table import is_table
     from ..data.record.table_signals import parse_columns
@@ -336,7 +321,6 @@ def replay_instead(
 
 
 def _check_source(scene: Scene, file: Path, source: str) -> None:
-    """Raises UsageError where `--source` is none of a recording, or not for a scene."""
     from ..data.record.formats import look_into
 
     if scene.sources:
@@ -379,14 +363,10 @@ def read_recorded_run(
     robots: Sequence[str] = (),
     columns: Sequence[str] = (),
 ) -> RunLog:
-    """Reads a recording or a table, for a command with `--scene` for recordings without one.
+    """Reads a recording or a table.
 
-    Args:
-        path: of the file.
-        source: of its sources; all that matter when None.
-        scene: its robots; when None, those in it, or those that a recording of ROS may be of.
-        robots: which of these are wanted, by their names; any when empty.
-        columns: of a table, `SIGNAL=COLUMNS`.
+    Without a `scene` its robots are those in the recording. `source` limits it to one source, and
+    `robots` to a scene with one of these names. `columns` are those of a table, `SIGNAL=COLUMNS`.
     """
     from ..data.record.formats import open_recording
     from ..data.record.table import is_table
@@ -430,17 +410,15 @@ def note_choice(recording: Path, scene: str) -> None:
         print(f"note: {recording} {chosen}", file=sys.stderr)
 
 
-def check_span(recording: PacketFile, start: float | None, stop: float | None = None) -> None:
-    """Raises UsageError if a recording has no data between `--start` and `--stop`, s."""
+def check_span(recording: PacketFile, start: float | None, option: str = "--start") -> None:
+    """Raises UsageError if a recording has no data from `start` on, in seconds."""
     from ..data.record.replay import check_start
 
     if start is not None:
         try:
             check_start(start, recording)
         except ValueError as error:
-            raise UsageError(f"--start: {error}") from None
-    if start is not None and stop is not None and stop <= start:
-        raise UsageError(f"--stop: found {stop:g}; expected more than {start:g}, --start, in s")
+            raise UsageError(f"{option}: {error}") from None
 
 
 @contextlib.contextmanager

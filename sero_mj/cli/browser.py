@@ -25,9 +25,6 @@ def open_in_browser(url: str) -> None:
 
     All users of a machine can see the arguments of its programs. So the browser is started with
     the name of a file that only its user can read, and that file leads to the page.
-
-    Args:
-        url: of the page, with its token.
     """
     file = leading_to(url)
 

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import sys
 from collections.abc import Set
+from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
+from pydantic import model_validator
 
 from ..base import paths, trust
-from ..base.errors import in_one_line
+from ..base.errors import UsageError, did_you_mean, in_one_line
 from ..base.frames import rpy_from_rotation
-from .arguments import command, read_scene, replay_instead
-from .shared_options import PackageOptions, ReplayOptions, SceneArgument
+from ..base.options import JointValues, Option, positional
+from .arguments import command, read_scene, replay_instead, writing
+from .shared_options import JsonOptions, PackageOptions, ReplayOptions
 
 if TYPE_CHECKING:
     from ..data.receive.source import Source
@@ -22,30 +27,107 @@ if TYPE_CHECKING:
 
 _MOST_NAMED = 24  # joints
 _TIED = "\0"  # a space at which no line is broken
-_EPILOG = """\
-Reads and compiles the scene and opens nothing. Prints every problem at once, with file and line,
-and exits with 2; else prints what the scene holds. A recording is checked in the scene that
-sero-mj view shows it by, or in that of SCENE --replay REC.
+_HELP = """\
+examples:
+  sero-mj check lwr_udp                  errors of a scene, or its contents
+  sero-mj check lwr --deg --joint-angles 0,30,0,-90,0,60,0    forward kinematics
+  sero-mj check                          what works on this machine, and what to install
+
+A scene is read and compiled; no source is opened. All errors are printed at once, with file and
+line, and the exit status is 2. A recording is checked in the scene that `sero-mj view` shows it by,
+or in that of SCENE --replay REC.
+
+--fk and --joint-angles print base-to-flange by the DH table and by MuJoCo, and their difference.
+
+--schema prints the JSON schema of a kind of file. Editors with Taplo (for VS Code: Even Better
+TOML) then complete and check the files whose first line is `#:schema ./scene.json`. The files of
+`sero-mj new` begin with such a line.
 """
-ORDER = 52  # in the help of `sero-mj`
+GROUP, ORDER = "files", 50
 
 
-class CheckOptions(SceneArgument, PackageOptions, ReplayOptions):
-    """Check a scene file and print its contents."""
+class CheckOptions(PackageOptions, ReplayOptions, JsonOptions):
+    """Check a scene, a recording or this machine.
+
+    Attributes:
+        scene: scene, robot or recording: a file, or a shipped name (default: check this machine).
+        fk: print base-to-flange of a robot by DH and by MuJoCo.
+        joint_angles: joint values with commas, rad or m; implies --fk (default: home).
+        of: robot of a scene that has several, for --fk.
+        deg: --joint-angles are in degrees.
+        schema_of: print the JSON schema of robot, group, scene or scenario files, for editors.
+        output: write the schema to this file.
+        as_json: print JSON (forward kinematics, or this machine).
+    """
+
+    scene: Annotated[str | None, positional("SCENE")] = None
+    fk: bool = False
+    joint_angles: JointValues | None = None
+    of: Annotated[str | None, Option("NAME")] = None
+    deg: bool = False
+    schema_of: Annotated[
+        Literal["robot", "group", "scene", "scenario"] | None, Option(flags=("--schema",))
+    ] = None
+    output: Annotated[Path | None, Option("OUT.json", ("-o", "--output"))] = None
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> Self:
+        is_fk = self.fk or self.joint_angles is not None
+        if self.schema_of is None:
+            self.refuse(("output",), " is for --schema")
+        elif self.scene is not None:
+            raise ValueError(f"--schema {self.schema_of}: found {self.scene}; expected no scene")
+        if not is_fk:
+            self.refuse(("of", "deg"), " is for --fk")
+        if self.scene is None:
+            self.refuse(("fk", "joint_angles"), " is for a robot; name one")
+        if self.as_json and (self.scene is not None) != is_fk:
+            raise ValueError("--json is for --fk, or without a scene")
+        return self
 
 
 def run(options: CheckOptions) -> int:
-    """Prints; returns 0."""
+    """Checks; returns the exit status."""
+    if options.schema_of is not None:
+        return _print_schema(options.schema_of, options.output)
+    if options.scene is None:
+        from .doctor import check_machine
+
+        return check_machine(as_json=options.as_json)
+    if options.fk or options.joint_angles is not None:
+        return _print_kinematics(options, options.scene)
+    return _check_scene(options)
+
+
+add_to = command("check", run, CheckOptions, _HELP)
+
+
+def _print_schema(kind: str, output: Path | None) -> int:
+    from .schema import schema_text
+
+    text = schema_text(kind)
+    if output is None:
+        print(text, end="")
+        return 0
+    with writing():
+        output.parent.mkdir(parents=True, exist_ok=True)
+        output.write_text(text, encoding="utf-8")
+    print(output)
+    return 0
+
+
+def _check_scene(options: CheckOptions) -> int:
     from ..data.drive.wiring import wire
-    from ..data.record.replay import Replay
+    from ..data.record.file_source import FileSource
     from ..robots.assemble.world import World
     from ..robots.declared.route_text import parts_of_origin
     from ..viewer.decor.feature import make_features
     from ..viewer.image.camera import list_cameras
-    from .angle_questions import AngleQuestions
     from .opening import with_scene
+    from .status import AngleQuestions
 
     options = with_scene(options)
+    assert options.scene is not None
     trust.log.setLevel(logging.ERROR)  # what is withheld is listed below
     scene = read_scene(options.scene, replay=options.replay)
     if options.replay is not None:
@@ -70,7 +152,7 @@ def run(options: CheckOptions) -> int:
         lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
         print(lines.replace(_TIED, " "))
         print(_unused(name, source, taken), end="")
-        if isinstance(source, Replay) and (question := questions.about_recording(source)):
+        if isinstance(source, FileSource) and (question := questions.about_recording(source)):
             print(f"          note: {question}")
     for name in scene.groups:
         robots = [scene.robots[each] for each in scene.members(name) or []]
@@ -96,11 +178,7 @@ def run(options: CheckOptions) -> int:
     return 0
 
 
-add_to = command("check", run, CheckOptions, _EPILOG)
-
-
 def _print_decor(scene: Scene) -> None:
-    """Prints doubles, arrows and frames."""
     for name, double in scene.doubles.items():
         print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
     for name, arrow in scene.arrows.items():
@@ -111,7 +189,6 @@ def _print_decor(scene: Scene) -> None:
 
 
 def _kind(robot: SerialRobot) -> str:
-    """Returns its number of joints, and the kinds of its kinematics and link geometry."""
     table = "frames of joints" if robot.dh is None else f"{robot.dh_convention} DH"
     if robot.mjcf is not None:
         look = "geoms of its MJCF"
@@ -124,7 +201,6 @@ def _kind(robot: SerialRobot) -> str:
 
 
 def _about_robot(name: str, robot: SerialRobot) -> list[str]:
-    """Returns lines about a robot's joints, limbs and dynamics."""
     from ..robots.assemble.robot_dynamics import (
         about_large_inertias,
         about_masses,
@@ -171,7 +247,6 @@ def _in_order(robot: SerialRobot) -> str:
 
 
 def _about_flange(robot: SerialRobot) -> str:
-    """Returns the link and the position of the flange at zero joint values."""
     link = robot.flange_link
     own = "" if robot.link_names is None else f" ({robot.link_names[link]})"
     on = f"link{link}{own}, which joint {robot.names[link - 1]} moves"
@@ -184,7 +259,6 @@ def _about_flange(robot: SerialRobot) -> str:
 
 
 def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:
-    """Returns a line about fields of a source that no route uses; they are received too."""
     if not any(of == name for of, _ in taken):
         return "            no route leads from it\n"
     if "structure" not in getattr(source, "model_fields_set", ()):
@@ -195,3 +269,79 @@ def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:
     return f"{fill(text, 100, initial_indent=' ' * 12, subsequent_indent=' ' * 12)}\n" * bool(
         unused
     )
+
+
+def _print_kinematics(options: CheckOptions, name: str) -> int:
+    from ..robots.declared.degrees import degrees_warning
+
+    robot = _robot_of(name, options.of)
+    q = robot.home
+    if options.joint_angles is not None:
+        q = np.array(options.joint_angles)
+        coupled = robot.coupled
+        if len(q) not in (coupled.n, coupled.k):
+            fewer = f", or {coupled.k} without the coupled ones" if coupled.is_coupled else ""
+            found = f"found {len(q)} number{'s' * (len(q) != 1)}"
+            raise UsageError(f"--joint-angles: {found}; {robot.name} has {robot.n} joints{fewer}")
+        if options.deg:
+            turns = robot.kinematics.revolute
+            turns = turns if len(q) == coupled.n else turns[coupled.independent]
+            q = np.where(turns, np.deg2rad(q), q)
+        q = q if len(q) == coupled.n else coupled.positions(q)
+        if not options.deg and (warning := degrees_warning(robot, q)):
+            print(f"WARNING: {warning} Use --deg.", file=sys.stderr)
+    result = _by_both(robot, q)
+    if options.as_json:
+        print(json.dumps({key: np.asarray(value).tolist() for key, value in result.items()}))
+        return 0
+    with np.printoptions(precision=6, suppress=True, floatmode="fixed"):
+        how = "its DH table" if robot.dh is not None else "its joint frames"
+        by_table, by_mujoco = (np.round(result[key], 6) + 0.0 for key in ("dh", "mujoco"))  # no -0
+        print(f"T_base_flange of {robot.name}, by {how}\n{by_table}")
+        print(f"by MuJoCo\n{by_mujoco}")
+    print(
+        f"difference: {result['position_difference']:.1e} m, {result['angle_difference']:.1e} rad"
+    )
+    return 0
+
+
+def _robot_of(name: str, of: str | None) -> SerialRobot:
+    from ..load import load_scene
+
+    robots = load_scene(name).robots
+    if not robots:
+        raise UsageError(f"{name}: found no robot; expected one or more")
+    if of is None and len(robots) == 1:
+        (of,) = robots
+    if of is None:
+        found = f"has {len(robots)} robots"
+        raise UsageError(f"{name}: {found}; expected --of with one of {', '.join(robots)}")
+    if of not in robots:
+        raise UsageError(f"{name}: has no robot '{of}'{did_you_mean(of, robots)}")
+    return robots[of]
+
+
+def _by_both(robot: Any, q: Any) -> dict[str, Any]:
+    """Returns base-to-flange by DH and by MuJoCo, and their difference (m, rad)."""
+    import mujoco
+
+    from ..base import frames
+    from ..robots.assemble.world import World
+    from ..robots.declared.scene import Scene
+
+    # Alone: what carries it does not matter from its base on.
+    alone = robot.model_copy(update={"mount": None})
+    world = World(Scene(robots=[alone], floor=False))
+    data = world.make_data()
+    world.set_input(data, f"{robot.name}.joint_angles", q)
+    mujoco.mj_kinematics(world.model, data)
+    by_dh = robot.fwd_kin_base_to_flange(q)
+    by_mujoco = world.fwd_kin_base_to_flange(data, robot.name)
+    between = frames.inverse(by_dh) @ by_mujoco
+    return {
+        "joint_angles": q,
+        "dh": by_dh,
+        "mujoco": by_mujoco,
+        "position_difference": float(np.linalg.norm(by_mujoco[:3, 3] - by_dh[:3, 3])),
+        "angle_difference": frames.rotation_angle(between[:3, :3]),
+    }

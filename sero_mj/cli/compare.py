@@ -18,8 +18,7 @@ from ..base.declaration import expecting
 from ..base.errors import UsageError
 from ..base.options import NotNegative, Option, ending, positional
 from ..study.explanation import OF_ONE_RUN
-from ..viewer.image.film_kinds import FILMS
-from ..viewer.image.picture_options import FilmOptions, SizeOptions
+from ..viewer.image.picture_options import FILMS, FilmOptions, SizeOptions
 from .arguments import command, print_json, print_table, progress_bar
 from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
 
@@ -31,18 +30,11 @@ if TYPE_CHECKING:
     from ..study.explanation import Explanation
     from .each_recording import Rows
 
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj compare simulated.mcap real.mcap
   sero-mj compare simulated.mcap real.mcap --offset auto --plot difference.pdf
-  sero-mj compare a.mcap b.mcap --render difference.mp4     arrows on the difference
-  sero-mj compare a.mcap b.mcap -o difference.html          a page that plays both
-  sero-mj compare a.mcap b.mcap --tolerance-torque 2 --tolerance-angle 0.5 && echo the same
-  sero-mj compare run.mcap                                  commanded with measured torque
-  sero-mj compare run.mcap --against-model --plot run.pdf   the robot with its own model
-  sero-mj compare a.csv b.mcap --scene lwr_udp              a table of export-csv, simulate --csv
-  sero-mj compare good.mcap runs/*.mcap --table table.csv   many with the first, a row for each
-  sero-mj compare --each runs/*.mcap --against-model        each by itself
+  sero-mj compare run.mcap                              commanded and measured torque of one run
+  sero-mj compare good.mcap runs/*.mcap --table table.csv   a row for each recording
 
 Recordings of simulations and of robots alike; differences are A less B. Time counts from the start
 of a simulation, or from the first packet of a robot. Beneath stands for every joint what explains
@@ -51,7 +43,7 @@ a joint that is stuck. Of many recordings there is a row for each, made by all c
 of a Dask cluster, which are sent the recordings. The exit status is 1 when a tolerance is exceeded,
 2 when they, or one of many, cannot be compared.
 """
-ORDER = 43  # in the help of `sero-mj`
+GROUP, ORDER = "analyse", 40
 _WIDTH = 70  # of explanations in a table of many recordings
 _OF_MANY = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
@@ -160,16 +152,10 @@ def _compare_two(options: CompareOptions) -> int:
 
 
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """What there is to say of one of many recordings, by column; see `EachRecording`.
+    """The outcomes of one of many recordings by column; see `EachRecording`.
 
-    Args:
-        shared: the options, with all recordings.
-        file: the recording.
-
-    Returns:
-        over how many `seconds`; of every signal `peak` and `rms`, those of the joint with the
-        greatest peak, and that `joint`; what was `exceeded`; what is `explained`, and in short the
-        `faults`.
+    `seconds`; `peak` and `rms` of each signal at its worst `joint`; what was `exceeded`; what is
+    `explained`, and in short the `faults`.
     """
     from ..study.compare import compare, exceeded
 
@@ -231,7 +217,6 @@ def _compare_many(options: CompareOptions) -> int:
 
 
 def _table_of(rows: Rows, signals: Mapping[str, str], title: str) -> Table:
-    """A row for each recording: where some signals differ most, by their headings, and why."""
     from rich.table import Table
 
     from ..study.compare import shown_as
@@ -255,14 +240,13 @@ def _table_of(rows: Rows, signals: Mapping[str, str], title: str) -> Table:
     return table
 
 
-add_to = command("compare", run, CompareOptions, _EPILOG)
+add_to = command("compare", run, CompareOptions, _HELP)
 
 
 _Compared = tuple["Pair", "list[Explanation] | None", list[str]]
 
 
 def _compared(options: CompareOptions) -> _Compared:
-    """Returns the compared runs, the explanations of their difference, and lines about both."""
     a, *others = _read(options)
     return _two_runs(a, others[0], options) if others else _one_run(a, options)
 

@@ -14,11 +14,16 @@ from .arguments import command
 
 _SCENE = "lwr_udp"
 _CAMERA = "150,-12,2.0"
-_EPILOG = """\
-Starts `sero-mj send` as another process, which plays a motion to a free UDP port at 1 kHz, and
-writes OUT/lwr.png and OUT/lwr.mp4 of the LWR that mirrors it.
+_HELP = """\
+examples:
+  sero-mj demo                              out/lwr.png and out/lwr.mp4
+  sero-mj demo --duration 2 --size 640x400
+  sero-mj demo --out /tmp/demo
+
+Starts `sero-mj send` in another process, which sends a motion to a free UDP port at 1 kHz, and
+renders an image and a video of the LWR that mirrors it.
 """
-ORDER = 76  # in the help of `sero-mj`
+GROUP, ORDER = "see", 14
 
 
 class DemoOptions(Options):
@@ -67,7 +72,7 @@ def run(options: DemoOptions) -> int:
     return 0
 
 
-add_to = command("demo", run, DemoOptions, _EPILOG)
+add_to = command("demo", run, DemoOptions, _HELP)
 
 
 def _free_port() -> int:

@@ -1,4 +1,7 @@
-"""`sero-mj doctor`: which OpenGL backends and viewers work here, and what to install."""
+"""`sero-mj check` without a scene: working OpenGL backends and viewers, and what to install.
+
+Each backend renders in a process of its own: importing MuJoCo fixes the backend of a process.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,7 @@ import subprocess
 import sys
 from typing import Any
 
-from ..viewer.image.backend import (
-    BACKENDS,
-    PACKAGES,
-    has_display,
-    has_osmesa,
-)
-from .arguments import command
-from .shared_options import JsonOptions
-
-_EPILOG = """\
-Renders a small picture with every backend, each in a process of its own, because a backend is
-fixed once MuJoCo is imported. Exits with 1 when none works. MUJOCO_GL=osmesa (say) before a
-command chooses one by hand.
-"""
+from ..viewer.image.backend import BACKENDS, PACKAGES, has_display, has_osmesa
 
 _NO_DM_CONTROL = """\
   dm-control is not installed; only models made with PyMJCF or composer need it:
@@ -76,15 +66,10 @@ real time: no program may come before all others (SCHED_FIFO), so that steps may
   as root: echo "USER - rtprio 80" > /etc/security/limits.d/rtprio.conf, and log in again"""
 _SMOOTH = 0.04  # s, of a frame
 _TRIAL_SIDE = 64  # pixels
-ORDER = 73  # in the help of `sero-mj`
 
 
-class DoctorOptions(JsonOptions):
-    """Say which OpenGL backends and renderers work, and what to install."""
-
-
-def run(options: DoctorOptions) -> int:
-    """Prints; returns 0 when a backend works, else 1."""
+def check_machine(*, as_json: bool) -> int:
+    """Prints which backends and renderers work; returns 0 if a backend works, else 1."""
     from ..viewer.image.renderer import renderers
 
     versions = {name: _version(name) for name in ("sero-mj", "mujoco", "numpy", "av")}
@@ -97,7 +82,7 @@ def run(options: DoctorOptions) -> int:
     speed = None if used is None else frame_times(used)
     side = _TRIAL_SIDE
     problems = {name: each.problem(side, side) for name, each in renderers().items()}
-    if options.as_json:
+    if as_json:
         found: dict[str, Any] = {"versions": versions, "backends": backends}
         found["python"] = platform.python_version()
         found |= {"chosen": chosen, "live": live, "frame_times": speed, "fifo": may_be_first()}
@@ -135,9 +120,6 @@ def run(options: DoctorOptions) -> int:
     return 0 if works else 1
 
 
-add_to = command("doctor", run, DoctorOptions, _EPILOG)
-
-
 def may_be_first() -> bool:
     """Whether a program of this user may have the scheduler's policy for real time, SCHED_FIFO."""
     trial = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))"
@@ -169,7 +151,6 @@ def frame_times(backend: str) -> dict[str, float] | None:
 
 
 def _python(code: str, backend: str) -> subprocess.CompletedProcess[str]:
-    """Runs Python code in another process, with the given backend."""
     environment = {**os.environ, "MUJOCO_GL": backend}
     environment.pop("PYOPENGL_PLATFORM", None)
     command = [sys.executable, "-c", code]
@@ -179,7 +160,6 @@ def _python(code: str, backend: str) -> subprocess.CompletedProcess[str]:
 
 
 def _about_speed(backend: str, times: dict[str, float]) -> str:
-    """Returns which frame rates the machine reaches, and what would help."""
     said = ", ".join(f"{name} {time * 1e3:.3g} ms" for name, time in times.items())
     text = f"a frame of an LWR with {backend}, 1280x800: {said}"
     if times["normal"] <= _SMOOTH:

@@ -29,15 +29,10 @@ def ask_each(
     *,
     quiet: bool = False,
 ) -> Rows:
-    """Returns the outcomes of every recording in their order; fewer where it was stopped.
+    """Returns the outcomes of every recording in their order; fewer if it was stopped.
 
-    Args:
-        options: of the command, which the study is given as plain values.
-        study: `module:name` of a function of these values and a recording's path, which returns
-            outcomes by column.
-        recordings: files, or folders.
-        needed: further files that the options name.
-        quiet: no progress bar.
+    `study` is `module:name` of a function that takes the options as plain values and a recording's
+    path, and returns outcomes by column. `needed` are further files that the options name.
     """
     from ..study.engine import EachRecording, Work
 
@@ -67,7 +62,6 @@ def ask_each(
 
 
 def _with_whole_paths(shared: Mapping[str, Any], needed: Sequence[Path]) -> dict[str, Any]:
-    """The options with whole paths of files, wherever a worker is."""
     whole = {path.absolute() for path in needed}
     return {
         key: str(Path(value).absolute())
@@ -79,7 +73,6 @@ def _with_whole_paths(shared: Mapping[str, Any], needed: Sequence[Path]) -> dict
 
 @contextmanager
 def _stopped(found: Mapping[int, Any], count: int) -> Iterator[None]:
-    """Keeps what has come where its user stops it, or a cluster ends."""
     try:
         yield
     except (KeyboardInterrupt, ClusterError) as error:
@@ -98,15 +91,7 @@ def tell(
     *,
     quiet: bool,
 ) -> int:
-    """Writes and prints rows, and errors; returns how many recordings were not examined.
-
-    Args:
-        rows: as of `ask_each`.
-        options: whether JSON is printed.
-        to: a file for the rows, or None.
-        table_of: makes the table for a terminal.
-        quiet: no table.
-    """
+    """Writes and prints rows and errors; returns how many recordings were not examined."""
     if to is not None:
         _write(rows, to)
     if options.as_json:
@@ -120,7 +105,6 @@ def tell(
 
 
 def _write(rows: Rows, path: Path) -> None:
-    """Writes a table (.csv): a row for each recording, and a column for each outcome of any."""
     outcomes = dict.fromkeys(key for _, row in rows for key in row if key != "error")
     with writing(), path.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, ["recording", *outcomes, "error"], restval="")

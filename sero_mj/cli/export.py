@@ -1,77 +1,87 @@
-"""`sero-mj export`: a page that plays a run, a glTF animation, or MJCF that plain MuJoCo loads."""
+"""`sero-mj export`: a scene, run or recording as a file of another format."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 from pydantic import model_validator
 
-from ..base.options import Duration, Option, Time, ending, positional
+from ..base.options import Duration, Option, Time, positional
+from ..base.plugins import EXPORTS, load_plugin, plugins
 from ..viewer.image.picture_options import Rate
 from .arguments import command, progress_bar, read_scene, writing
 from .shared_options import SceneArgument, ShownOptions
 
-_EPILOG = """\
+if TYPE_CHECKING:
+    from ..robots.declared.scene import Scene
+    from ..viewer.player.capture import CapturedRun
+
+_HELP = """\
 examples:
-  sero-mj export run.mcap -o run.html          a recording as a page that plays it, offline
-  sero-mj export impedance_push -o push.html   a scenario, simulated
-  sero-mj export lwr_udp -o lwr.html --seconds 10    live sources, for ten seconds
-  sero-mj export run.mcap -o run.glb --from 2 --to 8    for programs that read glTF
-  sero-mj export lwr_udp out/lwr.xml && python -m mujoco.viewer --mjcf=out/lwr.xml
+  sero-mj export run.mcap -o run.html       a page that plays a recording, offline
+  sero-mj export run.mcap -o run.csv        the packets of a recording as a table
+  sero-mj export lwr_udp -o lwr.xml         MJCF with its mesh files, for plain MuJoCo
 
-A page is one file that makes no network requests: it plays, goes frame by frame, turns, and tells
-names and numbers of what is clicked on.
+A page (.html) is one file that makes no network requests. It plays the run, steps frame by frame,
+rotates, and shows names and values of clicked parts. .glb is a glTF animation. Both can also show a
+scenario, which is simulated, or live sources.
 
-Mesh files of MJCF are written to a folder beside the XML. Bodies are named robot/link1 and so on;
-the key frame "home" has the joint angles that the scene declares. It is what is viewed, without
-drives, motor inertia and friction, which are what `simulate` adds, but with the masses of
-simulation. A comment in the file says which of these are estimated.
+MJCF (.xml) has the names robot/link1 etc. and the key frame "home" with the declared joint angles.
+It has the masses of the simulation, but not its drives, motor inertia and friction. A comment in
+the file lists the estimated masses.
+
+A table (.csv) has one row per valid packet: seconds since the recording began, then all values in
+full precision. Joints are in the order of the robot of --scene, of the recorded robot description
+or of the shipped robot with the same joint names; otherwise in the order of the messages.
+
+.toml and .x3d convert a scene from and to X3D. What the other format cannot express is listed.
 """
-ORDER = 55  # in the help of `sero-mj`
-_ENDINGS = (".html", ".glb", ".xml")
-_OfRuns = ("seconds", "begin", "end", "fps", "camera", "replay", "start", "look", "name")
+GROUP, ORDER = "files", 52
 
 
 class ExportOptions(SceneArgument, ShownOptions):
-    """Write a scene or a run as one file: a page, a glTF animation, or MJCF with its meshes.
+    """Write a scene or run as page, glTF, table, MJCF, TOML or X3D.
 
     Attributes:
         scene: scene, scenario, robot or recording: a file, or a shipped name.
         file: the file to write, as --output.
-        output: the file to write: .html, .glb or .xml.
-        seconds: how long, s (default: to the end; of live sources 10 s).
-        begin: from this time of a run on, s.
-        end: up to this time of a run, s.
+        output: the file to write; its ending selects the format.
+        seconds: length, s (default: to the end; 10 s for live sources).
+        begin: start time in the run, s.
+        end: end time in the run, s.
         fps: frames per second.
         name: title of the page (default: the scene's name).
+        joint_order: robot, or scene of one robot, that orders the joints of a table.
+        overwrite: replace an existing table, TOML or X3D file.
         quiet: no progress bar, no closing line.
     """
 
     scene: Annotated[str, positional("SCENE")]
-    file: Annotated[Path | None, ending(*_ENDINGS), positional("OUT")] = None
-    output: Annotated[Path | None, ending(*_ENDINGS), Option("OUT", ("-o", "--output"))] = None
+    file: Annotated[Path | None, positional("OUT")] = None
+    output: Annotated[Path | None, Option("OUT", ("-o", "--output"))] = None
     seconds: Annotated[Duration | None, Option("S", ("--duration", "--seconds"))] = None
     begin: Annotated[Time | None, Option("S", ("--from",))] = None
     end: Annotated[Duration | None, Option("S", ("--to",))] = None
     fps: Rate = 30.0
     name: Annotated[str, Option("TEXT")] = ""
+    joint_order: Annotated[str | None, Option("SCENE", ("--scene",))] = None
+    overwrite: bool = False
     quiet: bool = False
 
     @model_validator(mode="after")
     def _check_output(self) -> Self:
+        endings = ", ".join(f".{name}" for name in plugins(EXPORTS))
         if (self.file is None) == (self.output is None):
-            raise ValueError("-o OUT: expected one file to write, .html, .glb or .xml")
+            raise ValueError(f"-o OUT: expected one file to write, {endings}")
+        if self.ending not in plugins(EXPORTS):
+            raise ValueError(f"found '{self.path}'; expected a name that ends in {endings}")
         if self.end is not None:
             if self.seconds is not None:
                 raise ValueError("--to and --seconds say the same; give one of them")
             if self.end <= (self.begin or 0.0):
                 raise ValueError(f"--to: found {self.end:g}; expected more than --from, s")
-        if self.path.suffix.lower() == ".xml":
-            self.refuse(_OfRuns, f" is for pages and animations; {self.path} is MJCF")
-        if self.path.suffix.lower() != ".html":
-            self.refuse(("follow",), f" is for cameras; {self.path} has none")
         return self
 
     @property
@@ -82,22 +92,67 @@ class ExportOptions(SceneArgument, ShownOptions):
         return path
 
     @property
+    def recording(self) -> Path:
+        """The recording that is written as a table."""
+        return Path(self.scene)
+
+    @property
+    def ending(self) -> str:
+        """The ending of the file's name, without the dot."""
+        return self.path.suffix.lower().removeprefix(".")
+
+    @property
     def length(self) -> float | None:
         """How long, s; None for to the end."""
         return self.seconds if self.end is None else self.end - (self.begin or 0.0)
 
+    def accept(self, *names: str) -> None:
+        """Raises UsageError if an option is given that the format does not have."""
+        always = {"scene", "file", "output", "quiet", "package", "arg", *names}
+        others = [name for name in type(self).model_fields if name not in always]
+        self.refuse(others, f" is not for {self.path}, a file of another kind")
+
 
 def run(options: ExportOptions) -> int:
-    """Writes; returns 0."""
-    path = options.path
-    if path.suffix.lower() == ".xml":
-        return _write_mjcf(options, path)
+    """Writes the file; returns the exit status."""
+    return int(load_plugin(EXPORTS, options.ending)(options))
+
+
+add_to = command("export", run, ExportOptions, _HELP)
+
+_PLAYED = (
+    *("seconds", "begin", "end", "fps", "camera", "settings", "replay", "start", "source"),
+    *("columns", "look"),
+)
+
+
+def write_page_of(options: ExportOptions) -> int:
+    """Writes a page that plays a scene or a run; returns 0."""
     from ..study.run_marks import marks_of
-    from ..viewer.player.capture import capture
     from ..viewer.player.page import write_page
+
+    options.accept(*_PLAYED, "follow", "name")
+    scene, found = _captured(options)
+    found.marks = marks_of(scene, found.begin)
+    write_page(found, options.path, options.name)
+    return _report(options)
+
+
+def write_animation(options: ExportOptions) -> int:
+    """Writes a glTF animation of a scene or a run; returns 0."""
+    from ..viewer.player.gltf import write_glb
+
+    options.accept(*_PLAYED)
+    _, found = _captured(options)
+    write_glb(found, options.path)
+    return _report(options)
+
+
+def _captured(options: ExportOptions) -> tuple[Scene, CapturedRun]:
+    from ..viewer.player.capture import capture
     from .opening import with_scene
 
-    options = with_scene(options)
+    path, options = options.path, with_scene(options)
     scene = options.read(options.scene)
     is_new = not path.exists()
     with writing():
@@ -115,26 +170,22 @@ def run(options: ExportOptions) -> int:
         raise
     for name in found.silent:
         print(f"sero-mj: no good packet for source '{name}' within 2 s", file=sys.stderr)
-    if path.suffix.lower() == ".glb":
-        from ..viewer.player.gltf import write_glb
+    return scene, found
 
-        write_glb(found, path)
-    else:
-        found.marks = marks_of(scene, found.begin)
-        write_page(found, path, options.name)
+
+def _report(options: ExportOptions) -> int:
     if not options.quiet:
-        print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
+        print(f"{options.path}: {options.path.stat().st_size / 1e6:.2f} MB")
     return 0
 
 
-add_to = command("export", run, ExportOptions, _EPILOG)
-
-
-def _write_mjcf(options: ExportOptions, path: Path) -> int:
+def write_mjcf(options: ExportOptions) -> int:
+    """Writes MJCF and its mesh files; returns 0."""
     from ..robots.assemble.world import World
 
-    world = World(read_scene(options.scene))
+    options.accept("settings")
+    world = World(read_scene(options.scene, options.settings))
     with writing():
-        written = world.export(path)
+        written = world.export(options.path)
     print(f"{written[0]} and {len(written) - 1} mesh files")
     return 0

@@ -1,106 +1,64 @@
-"""`sero-mj export-csv`: a recording as a table."""
+"""The table of a recording that `sero-mj export` writes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from ..base.errors import SeroError, UsageError, without_warnings
-from ..base.options import Option, Options, Time, positional
-from .arguments import (
-    check_new,
-    check_span,
-    command,
-    read_scene,
-    replay_instead,
-)
+from .arguments import check_new, check_span, read_scene, replay_instead
 
 if TYPE_CHECKING:
     from ..data.record.recording import PacketFile
     from ..data.record.replay import Replay
     from ..robots.declared.scene import Scene
-
-_EPILOG = """\
-examples:
-  sero-mj export-csv run.mcap run.csv
-  sero-mj export-csv run.mcap run.csv --source udp --start 2 --stop 5
-
-A row for every good packet: its time in s since the recording began, then all of its numbers, to
-the last digit. With several sources, --source chooses one.
-
-Values of joints that messages name are called joint_angles[NAME], torques[NAME] and so on. They are
-in the order of the robot: that of --scene, the one that a recording of ROS describes, or the
-shipped robot with these joints; else in the order of the messages.
-"""
-ORDER = 37  # in the help of `sero-mj`
+    from .export import ExportOptions
 
 
-class ExportCsvOptions(Options):
-    """Write a recording as a table.
-
-    Attributes:
-        recording: a recording.
-        output: where to.
-        source: which source (default: the only one).
-        scene: robot, or scene of one robot, in whose order joints are.
-        start: from this time on, s.
-        stop: until before this time, s.
-        overwrite: write over a file that exists.
-    """
-
-    recording: Annotated[Path, positional("REC.mcap")]
-    output: Annotated[Path, positional("OUT.csv")]
-    source: Annotated[str | None, Option("NAME")] = None
-    scene: Annotated[str | None, Option("SCENE")] = None
-    start: Time | None = None
-    stop: Time | None = None
-    overwrite: bool = False
-
-
-def run(options: ExportCsvOptions) -> int:
-    """Writes; returns 0, or 1 if there are packets and none could be decoded."""
+def write_table(options: ExportOptions) -> int:
+    """Writes a table; returns 0, or 1 if there are packets and none could be decoded."""
+    options.accept("begin", "end", "source", "joint_order", "overwrite")
     from ..data.record.csv_files import export_csv
     from ..data.record.formats import open_recording
     from ..data.record.replay import Replay
 
     if not options.overwrite:
-        check_new([options.output], "choose another name, or --overwrite")
+        check_new([options.path], "choose another name, or --overwrite")
     led = _led(options)
     opened = open_recording(options.recording) if led is None else led.open_recording()
     with opened as recording:
         given = options.source or "" if led is None else led.source
         name = recording.choose_source(given, by="--source NAME")
-        check_span(recording, options.start, options.stop)
+        check_span(recording, options.begin, "--from")
         source = led or Replay(file=options.recording, source=name)
         source.allow_nan(source.events)  # a table has a place for them
-        start = -math.inf if options.start is None else options.start
+        start = -math.inf if options.begin is None else options.begin
         joints = recording.sources[name].declared.get("joints") or []
         ordered, robot = _in_order(recording, joints, options)
         written = export_csv(
             recording,
             name,
-            options.output,
+            options.path,
             source.decode,
             joints=joints,
             ordered=ordered,
             start=start,
-            stop=options.stop,
+            stop=options.end,
         )
         for fault in recording.faults:
             print(f"note: {options.recording}: {fault}")
         damaged = bool(recording.faults)
     left_out = f", {written.malformed} malformed packets left out" if written.malformed else ""
     order = f", joints in the order of {robot}" if robot else ""
-    print(f"{options.output}: {written.rows} rows{order}{left_out}")
+    print(f"{options.path}: {written.rows} rows{order}{left_out}")
     if not written.rows and led is None and source.recorded.declared.get("joint_states") == "tf":
         print("note: transforms tell joint angles of a robot; --scene names it")
     return 1 if (damaged or written.malformed) and not written.rows else 0
 
 
-def _led(options: ExportCsvOptions) -> Replay | None:
+def _led(options: ExportOptions) -> Replay | None:
     """What plays a recording of ROS whose messages name no joints, for those of its robot.
 
     The robot is that of `--scene`, or the one that the recording describes.
@@ -113,7 +71,7 @@ def _led(options: ExportCsvOptions) -> Replay | None:
     sources = known.sources.values()
     if not known.names_joints or any(each.declared.get("joints") for each in sources):
         return None
-    scene = None if options.scene is None else read_scene(options.scene)
+    scene = None if options.joint_order is None else read_scene(options.joint_order)
     if scene is None:
         with open_recording(options.recording) as recording:
             scene = _described(recording)
@@ -127,7 +85,6 @@ def _led(options: ExportCsvOptions) -> Replay | None:
 
 
 def _described(recording: PacketFile) -> Scene | None:
-    """A scene of the robot that a recording describes; None for none that can be read."""
     with without_warnings(), suppress(SeroError):
         if (file := recording.described_scene()) is not None:
             return read_scene(str(file))
@@ -135,18 +92,17 @@ def _described(recording: PacketFile) -> Scene | None:
 
 
 def _in_order(
-    recording: PacketFile, joints: Sequence[str], options: ExportCsvOptions
+    recording: PacketFile, joints: Sequence[str], options: ExportOptions
 ) -> tuple[list[str], str]:
-    """Returns the joints in the order of the robot, and its name; empty if it is not known."""
     from ..data.record.csv_files import prefix_before
     from ..load import load_robot
     from ..robots.importers.imported_tables import first_of
 
-    if options.scene is not None:
-        robots = list(read_scene(options.scene).robots.values())
+    if options.joint_order is not None:
+        robots = list(read_scene(options.joint_order).robots.values())
         if len(robots) != 1:
             count = f"it has {len(robots)} robots; expected one, in whose order joints are"
-            raise UsageError(f"--scene {options.scene}: {count}")
+            raise UsageError(f"--scene {options.joint_order}: {count}")
     elif recording.names_joints:
         described = _described(recording)
         robots = [] if described is None else list(described.robots.values())
@@ -159,13 +115,10 @@ def _in_order(
     for robot in robots:
         prefix = prefix_before(robot.names, joints)
         there = [prefix + name for name in robot.names if prefix + name in joints]
-        if options.scene is not None and joints and not there:
+        if options.joint_order is not None and joints and not there:
             found = f"its joints are {first_of(robot.names)}; expected {first_of(joints)}"
-            raise UsageError(f"--scene {options.scene}: {found}")
+            raise UsageError(f"--scene {options.joint_order}: {found}")
         orders.append(there + [name for name in joints if name not in there])
     if not joints or not orders or any(order != orders[0] for order in orders):
         return [], ""
     return orders[0], " and ".join(robot.name for robot in robots)
-
-
-add_to = command("export-csv", run, ExportCsvOptions, _EPILOG)

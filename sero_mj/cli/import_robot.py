@@ -24,15 +24,16 @@ if TYPE_CHECKING:
     from ..robots.declared.robot import SerialRobot
     from ..robots.importers.imported_tables import ImportedTables
 
-_EPILOG = """\
-example:
+_HELP = """\
+examples:
   sero-mj import ur5.urdf --out my_ur5      my_ur5/robot.toml, its meshes; the scene my_ur5.toml
+  sero-mj import arm.xacro --arg ur_type=ur5e --package ur_description=DIR
+  sero-mj import arm.xml --convention standard
 
-The robot file is commented: limits, masses and inertias, meshes with their frames, which joints
-belong to which limb, and a Denavit-Hartenberg table where there is one. It is to be changed by
-hand. Nothing that is there is written over. xacro becomes URDF if the package `xacro` is installed.
-Of MJCF the geoms stay in a copy of it, with all that it includes; joints, limits, inertias and
-couplings are in the robot file.
+The robot file has comments: limits, masses and inertias, meshes with their frames, the joints of
+each limb, and a Denavit-Hartenberg table if there is one. Edit it by hand. Existing files are not
+replaced. xacro is converted to URDF if the package `xacro` is installed. The geoms of MJCF stay in
+a copy of it, with all files that it includes.
 """
 _ENDINGS = (".urdf", ".xacro", ".xml")
 _TIED = "\0"  # a space at which no line is broken
@@ -40,7 +41,7 @@ _BESIDE = re.compile(
     rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<|^[ \t]*(?:mtllib|map_Kd)[ \t]+([^\r\n]+)",
     re.MULTILINE,
 )
-ORDER = 67  # in the help of `sero-mj`
+GROUP, ORDER = "files", 54
 
 
 class ImportOptions(PackageOptions):
@@ -90,7 +91,7 @@ def run(options: ImportOptions) -> int:
     return 0
 
 
-add_to = command("import", run, ImportOptions, _EPILOG)
+add_to = command("import", run, ImportOptions, _HELP)
 
 
 _Limbs: TypeAlias = Mapping[str, Sequence[int]]
@@ -152,7 +153,6 @@ def _read(options: ImportOptions) -> _Source:
 
 
 def _about_joints(robot: SerialRobot) -> str:
-    """Returns comments on the order of joints in packets, and on coupled joints."""
     coupled, names = robot.coupled, robot.names
     independent = coupled.independent.tolist()
     lines = ["# The joints, in the order of packets:"]
@@ -170,21 +170,19 @@ def _about_joints(robot: SerialRobot) -> str:
 
 
 def _comment(items: Sequence[str]) -> list[str]:
-    """Returns the lines of a comment, wrapped between items."""
     text = ", ".join(item.replace(" ", _TIED) for item in items)
     lines = wrap(text, 100, initial_indent="#   ", subsequent_indent="#   ")
     return [line.replace(_TIED, " ") for line in lines]
 
 
 def _check_format(path: Path) -> None:
-    """Raises UsageError for anything but URDF and MJCF, naming the command that reads it."""
     ending = path.suffix.lower()
     importer = None if ending in _ENDINGS else find_importer(path)
     if importer is not None and importer.is_scene:
         hints = [f"`sero-mj view {path}` shows it"]
         if "convert" in plugins(COMMANDS):
             hints.insert(
-                0, f"`sero-mj convert {path} {path.stem}.toml` writes it as a scene of ours"
+                0, f"`sero-mj export {path} {path.stem}.toml` writes it as a scene of ours"
             )
         raise UsageError(
             f"{path}: found a scene; expected a robot in URDF or MJCF. {', '.join(hints)}"
@@ -207,7 +205,6 @@ def _check_format(path: Path) -> None:
 
 
 def _copy(mesh: Path, to: Path) -> None:
-    """Copies a mesh with the material files and pictures beside it, which have its colours."""
     waiting, seen = [(mesh, to)], set()
     while waiting:
         source, target = waiting.pop()

@@ -19,6 +19,7 @@ from ..base.plugins import (
     LISTED,
     RENDERERS,
     ROBOTS,
+    SNIPPETS,
     SOURCES,
     TARGET_MOTIONS,
     TOOLS,
@@ -30,14 +31,22 @@ from ..base.plugins import (
 from .arguments import command
 from .terminal import make_console
 
-ORDER = 61  # in the help of `sero-mj`
+_HELP = """\
+examples:
+  sero-mj list                              shipped robots, scenes, scenarios, and kinds of parts
+  sero-mj list --known                      third-party robots by name
+  sero-mj list --fields scenarios           all keys of scenario files
+
+See also: sero-mj check SCENE
+"""
+GROUP, ORDER = "files", 56
 
 
 class ListOptions(Options):
     """List the shipped robots, scenes, scenarios and environments.
 
     Attributes:
-        known: list the robots of others that are known by name, see docs/robots.md.
+        known: list the robots of others that are known by name, see docs/robot_files.md.
         fields: list the fields of a robot and their defaults, or those of a scenario.
     """
 
@@ -70,7 +79,7 @@ def run(options: ListOptions) -> int:
     return 0
 
 
-add_to = command("list", run, ListOptions, "See also: sero-mj check SCENE")
+add_to = command("list", run, ListOptions, _HELP)
 
 
 def _print_known() -> None:
@@ -108,6 +117,7 @@ _KINDS = {
     RENDERERS: "renderers besides the classic one",
     ENGINES: "engines of many tasks besides the local one",
     COMMANDS: "commands",
+    SNIPPETS: "example code of extensions",
 }
 
 
@@ -120,7 +130,6 @@ def _print_plugins() -> None:
 
 
 def _about(file: Path) -> str:
-    """Returns a file's description, else its first line if that is a comment."""
     text = file.read_text(encoding="utf-8")
     described = tomllib.loads(text).get("description")
     if described is not None:
@@ -136,7 +145,6 @@ def _print_fields() -> None:
 
 
 def _print_scenario_fields() -> None:
-    """Prints every table of a scenario: kinds, keys, defaults, meanings."""
     from ..simulate.runs.measures import MEASURES
     from ..simulate.runs.monitor import KINDS
 

@@ -3,28 +3,41 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tomllib
-from pathlib import Path
-from typing import Annotated, Self
+from importlib import resources
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Annotated, NamedTuple, Self
 
 from pydantic import AfterValidator, model_validator
 
 from ..base import paths
 from ..base.declaration import is_name
-from ..base.errors import UsageError
-from ..base.options import Option, Options, positional, whole
+from ..base.errors import UnknownName, UsageError
+from ..base.options import Option, Options, Port, positional, whole
+from ..base.plugins import SNIPPETS, load_all
 from .arguments import check_new, command, writing
 from .schema import schema_text
 
-_EPILOG = """\
-examples:
-  sero-mj new my_robot                 my_robot/robot.toml of 6 joints, and my_robot.toml, its scene
-  sero-mj new gripper --joints 2
-  sero-mj new my_lwr --like lwr        a copy of a shipped robot, to be changed
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
-Both files begin with a line by which editors complete and check their keys (sero-mj schema).
-Nothing that is there is written over.
+_HELP = """\
+examples:
+  sero-mj new my_robot                     my_robot/robot.toml with 6 joints, and a scene
+  sero-mj new my_lwr --like lwr            a copy of a shipped robot
+  sero-mj new --snippet c                  code for a control loop that sends to sero-mj
+
+Robot and scene begin with a line that lets editors complete and check their keys. Existing files
+are not replaced.
+
+--snippet prints example code that sends data from your control loop to a scene: c, rust, simulink,
+lcm, or one of an extension (sero-mj list). Or it prints a controller for a simulated robot, as a
+library (controller-c, controller-cpp, controller-rust) or as a program (controller-udp-c,
+controller-udp-python). --scene prints the scene or scenario for it instead. Each packet has a
+count, a time (s), and angles (rad), measured and commanded torques (Nm) of all joints as
+little-endian float64. NaN means no data.
 """
 _MOST_JOINTS = 64
 _FIRST, _LONGEST, _SHORTER = 0.34, 0.4, 0.85  # m, and ratio of one arm to the one before
@@ -85,35 +98,61 @@ structure = "{n}F{n}F"             # `sero-mj structure {n}F{n}F` says what stan
 "{name}.joint_angles" = "udp.values0"
 "{name}.torques" = "udp.values1"
 """
-ORDER = 64  # in the help of `sero-mj`
+GROUP, ORDER = "simulate", 34
+
+
+def _checked(name: str | None) -> str | None:
+    return None if name is None else is_name(name)
 
 
 class NewOptions(Options):
-    """Write a robot file and a scene to start from.
+    """Write a robot file and a scene, or print example code.
 
     Attributes:
-        name: of the robot.
-        joints: how many.
+        name: name of the robot.
+        joints: number of joints.
         like: copy a shipped robot, or one of a folder.
+        snippet: print example code instead.
+        robot: robot that the snippet's scene shows: a file, or a shipped name.
+        host: address of sero-mj, as seen by the robot's computer.
+        port: UDP port of the packets.
+        scene: print the snippet's scene instead of its code.
     """
 
-    name: Annotated[str, AfterValidator(is_name), positional("NAME")]
+    name: Annotated[str | None, AfterValidator(_checked), positional("NAME")] = None
     joints: Annotated[int, whole(1, _MOST_JOINTS), Option("N")] = 6
     like: Annotated[str | None, Option("ROBOT")] = None
+    snippet: Annotated[str | None, Option("NAME")] = None
+    robot: Annotated[str | None, Option("ROBOT")] = None
+    host: Annotated[str, Option("HOST")] = "127.0.0.1"
+    port: Port = 32000
+    scene: bool = False
 
     @model_validator(mode="after")
-    def _check_joints(self) -> Self:
+    def _check_kind(self) -> Self:
+        if (self.name is None) == (self.snippet is None):
+            raise ValueError("expected NAME of a new robot, or --snippet NAME")
+        if self.snippet is not None:
+            self.refuse(("joints", "like"), " is for a new robot")
+        else:
+            self.refuse(("robot", "host", "port", "scene"), " is for --snippet NAME")
         if self.like is not None and self.given("joints"):
             raise ValueError("--joints and --like: a copy has the joints of its robot; choose")
         return self
 
 
 def run(options: NewOptions) -> int:
-    """Writes the files; returns 0."""
+    """Writes the files, or prints a snippet; returns 0."""
     from ..robots.declared.robot import SerialRobot
     from ..robots.importers.robot_file import is_robot_file
 
-    name = options.name
+    if options.snippet is not None:
+        text = snippet_text(
+            options.snippet, options.robot, options.host, options.port, is_scene=options.scene
+        )
+        print(text, end="")
+        return 0
+    name = str(options.name)
     like = None if options.like is None else paths.find_model(options.like)
     if like is not None and like.suffix != ".toml":
         is_imported = like.suffix in (".urdf", ".xacro")
@@ -139,7 +178,7 @@ def run(options: NewOptions) -> int:
     return 0
 
 
-add_to = command("new", run, NewOptions, _EPILOG)
+add_to = command("new", run, NewOptions, _HELP)
 
 
 def write_scene(folder: Path, text: str) -> None:
@@ -156,14 +195,7 @@ def print_next(scene: Path) -> None:
 
 
 def scene_text(name: str, n: int, more: str = "", joints: str = "") -> str:
-    """A scene that mirrors a robot of n independent joints, whose folder is beside it.
-
-    Args:
-        name: of the robot and its folder.
-        n: number of its independent joints.
-        more: lines that the scene has as well.
-        joints: comments that say which joints these are.
-    """
+    """A scene that mirrors a robot of n independent joints, whose folder is beside it."""
     return _SCENE.format(name=name, n=n, more=more, joints=joints)
 
 
@@ -184,12 +216,7 @@ def _copy(model: Path, to: Path) -> None:
 
 
 def robot_text(name: str, n: int) -> str:
-    """A robot file for an arm whose joints turn about its links and across them by turns.
-
-    Args:
-        name: of the robot.
-        n: number of its joints.
-    """
+    """A robot file for an arm with n joints that rotate along and across its links in turn."""
     rows, limits, velocities, torques, angles = [], [], [], [], []
     for k in range(n):
         is_across, arm = k % 2 == 1, _LONGEST * _SHORTER ** (k // 2 - 1)
@@ -209,3 +236,122 @@ def robot_text(name: str, n: int) -> str:
         torques=", ".join(torques),
         angles=", ".join(angles),
     )
+
+
+_SNIPPET_SCENE = """\
+# Shows what the lines of `sero-mj new --snippet {name}` send: angles (rad), measured and commanded
+# torques (Nm) of {n} joints.
+[robots.{robot}]
+model = "{model}"
+show_arrows = true
+show_billboards = true
+
+[sources.udp]
+kind = "udp"
+host = "{host}"
+port = {port}
+structure = "count:1I time:1F angles:{n}F torques:{n}F commanded:{n}F"
+sequence = "count"
+time = "time"
+
+[routes]
+"{robot}.joint_angles" = "udp.angles"
+"{robot}.torques" = "udp.torques"
+"{robot}.commanded_torques" = "udp.commanded{more}"
+"""
+_SCENARIO = """\
+# Runs the controller of `sero-mj new --snippet {name}`: it follows a sine, and does not overshoot.
+[robots.{robot}]
+model = "{model}"
+show_arrows = true
+
+[controllers.{robot}]
+{controller}
+
+[targets.{robot}]
+kind = "sine"
+amplitude_deg = 5
+frequency = 0.5
+ramp = 1.0
+
+[run]
+duration = 3.0
+
+[expect.follows]
+robot = "{robot}"
+measure = "position_error"
+below = 0.05
+"""
+_CONTROLLERS = {
+    "controller-c": 'kind = "library"\nfile = "controller.so"',
+    "controller-cpp": 'kind = "library"\nfile = "controller.so"',
+    "controller-rust": 'kind = "library"\nfile = "controller.so"',
+    "controller-udp-c": 'kind = "udp"\ncommand = ["./controller", "{port}"]',
+    "controller-udp-python": 'kind = "udp"\ncommand = ["python3", "controller.py", "{port}"]',
+}
+_HEADER = '#include "sero_mj_controller.h"\n'
+_HOST, _PORT = re.compile(r"127\.0\.0\.1"), re.compile(r"\b32000\b")
+_JOINTS = re.compile(r"(JOINTS\b[^\d\n]{1,9})\d+")
+
+
+class Snippet(NamedTuple):
+    """Example code in a file of a package's folder `snippets`.
+
+    A package adds one by an entry point in the group `sero_mj.snippets`, which has its name.
+
+    Attributes:
+        robot: model that the scene of the snippet shows.
+        commanded: expression that is added to the commanded torques in this scene.
+    """
+
+    package: str
+    file: str
+    robot: str = "lwr"
+    commanded: str = ""
+
+    @property
+    def text(self) -> str:
+        """The code."""
+        return (resources.files(self.package) / "snippets" / self.file).read_text("utf-8")
+
+
+def snippets() -> Mapping[str, Snippet]:
+    """Returns all snippets by name."""
+    files = sorted(each.name for each in (resources.files(__package__) / "snippets").iterdir())
+    own = {PurePath(name).stem: Snippet(__package__, name) for name in files if "." in name}
+    own["lcm"] = own["lcm"]._replace(robot="iiwa14")
+    return {**own, **load_all(SNIPPETS)}
+
+
+def snippet_text(name: str, robot: str | None, host: str, port: int, *, is_scene: bool) -> str:
+    """Returns a snippet, or the scene or scenario for it; raises UnknownName.
+
+    Args:
+        name: name of the snippet.
+        robot: robot of the scene: a file or a shipped name. None selects that of the snippet.
+        host: address of sero-mj, as seen by the robot's computer.
+        port: UDP port of the packets.
+        is_scene: whether to return the scene.
+    """
+    from ..load import load_robot
+
+    known = snippets()
+    if name not in known:
+        raise UnknownName("snippet", name, known)
+    snippet = known[name]
+    model = robot or snippet.robot
+    loaded = load_robot(model)
+    n = loaded.coupled.k  # the other joints follow
+    names = {"name": name, "robot": loaded.name, "model": model}
+    if is_scene and name in _CONTROLLERS:
+        return _SCENARIO.format(controller=_CONTROLLERS[name], **names)
+    if is_scene:
+        more = snippet.commanded.format(robot=loaded.name)
+        return _SNIPPET_SCENE.format(n=n, more=more, host=host, port=port, **names)
+    code = snippet.text
+    if _HEADER in code:
+        from ..simulate.external_control.library import HEADER
+
+        return code.replace(_HEADER, HEADER.read_text(encoding="utf-8"))
+    text = _JOINTS.sub(rf"\g<1>{n}", code)
+    return _PORT.sub(str(port), _HOST.sub(host, text))

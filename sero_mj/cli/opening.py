@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 from ..base import paths
 from ..base.errors import SeroError, UsageError, without_warnings
 from ..data.record.table import is_table
-from ..viewer.session.recent_views import RecentView, recent_views
 from .arguments import network_scene, note_choice, read_scene, replay_instead
 from .shared_options import is_recording
+
+if TYPE_CHECKING:  # `render` asks only whether a file is a recording
+    from ..viewer.session.recent_views import RecentView
 
 
 class _ShowsScene(Protocol):
@@ -42,6 +44,8 @@ def view_of_file(path: Path, shown: str | None, source: str | None = None) -> Re
     Raises:
         SeroError: there is no such file, or nothing shows the recording.
     """
+    from ..viewer.session.recent_views import RecentView
+
     if not is_recording(path):
         return RecentView(str(path.resolve()))
     if not path.exists():
@@ -105,6 +109,8 @@ def _scenes_of(path: Path, shown: str | None, source: str | None) -> Iterator[st
         name = recording.about.get("scene", "")
     if not name:
         return
+    from ..viewer.session.recent_views import recent_views
+
     for view in recent_views():
         if Path(view.scene).stem == name:
             yield view.scene

@@ -70,7 +70,6 @@ def _bare(kind: Any) -> Any:
 
 
 def _help(about: str, default: Any) -> str:
-    """What a docstring says of a field, with the default where there is one worth a word."""
     text = about.removesuffix(".").replace("%", "%%")
     if "default" in text or default is None or isinstance(default, bool) or not str(default):
         return text
@@ -82,15 +81,7 @@ def _help(about: str, default: Any) -> str:
 
 
 def read_options(kind: type[T], given: Mapping[str, Any]) -> T:
-    """Returns the declaration that a command line stands for.
-
-    Args:
-        kind: of the command's options.
-        given: text by the names of fields, as `add_options` parses it.
-
-    Raises:
-        DeclarationError: with all that is wrong, in the words of a command line.
-    """
+    """Returns the declaration that a command line stands for; raises DeclarationError."""
     try:
         return kind(**{name: given[name] for name in kind.model_fields if name in given})
     except DeclarationError as error:

@@ -13,18 +13,17 @@ from ..base.options import Option, positional
 from .arguments import command
 from .shared_options import Figure, PartOptions
 
-_EPILOG = """\
+_HELP = """\
 examples:
   sero-mj plot run.mcap -o run.pdf
   sero-mj plot run.mcap -o elbow.png --joints A3,A4 --from 2 --to 5
-  sero-mj plot monday.mcap tuesday.mcap -o week.pdf       a page for each recording
-  sero-mj plot run.csv --scene lwr -o run.svg             of simulate --csv, or export-csv
+  sero-mj plot monday.mcap tuesday.mcap -o week.pdf     a page for each recording
 
 A row for each joint: commanded and measured torque with the limit, and beside them the error,
 commanded less measured. Recordings of simulations and of robots alike; time counts from the start
 of a simulation, or from the first packet of a robot. `sero-mj compare` shows two in one figure.
 """
-ORDER = 40  # in the help of `sero-mj`
+GROUP, ORDER = "analyse", 42
 
 
 def _parts(text: Any) -> Any:
@@ -75,4 +74,4 @@ def run(options: PlotOptions) -> int:
     return 0
 
 
-add_to = command("plot", run, PlotOptions, _EPILOG)
+add_to = command("plot", run, PlotOptions, _HELP)

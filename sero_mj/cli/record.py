@@ -30,14 +30,11 @@ if TYPE_CHECKING:
     from ..data.record.recorder import Recorder
     from ..data.record.triggered_recorder import RecordedEvent, TriggeredRecorder
 
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj record lwr_udp run.mcap                    until Ctrl-C
+  sero-mj record lwr_udp run.mcap                       until Ctrl-C
   sero-mj record lwr_udp run.mcap --duration 10
-  sero-mj render lwr_udp --replay run.mcap -o run.mp4
-  sero-mj export-csv run.mcap run.csv
   sero-mj record lwr_udp night --trigger "abs(lwr.torques) > 100" --before 5 --after 5
-  sero-mj record lwr_udp hits.mcap --trigger "abs(lwr.torques[3]) > 40" --replay run.mcap
 
 The file holds every packet as it came, malformed ones too, with the time at which the kernel got
 it, and decoded values as messages of ROS 2, which Foxglove, PlotJuggler and ros2 bag read; what is
@@ -52,7 +49,7 @@ min, max, norm, any, all. On several joints it holds where it holds for any of t
 """
 
 _EVERY = 0.25  # s
-ORDER = 34  # in the help of `sero-mj`
+GROUP, ORDER = "receive", 22
 
 
 class TriggerOptions(Options):
@@ -155,7 +152,7 @@ def run(options: RecordOptions) -> int:
     return _status(found)
 
 
-add_to = command("record", run, RecordOptions, _EPILOG)
+add_to = command("record", run, RecordOptions, _HELP)
 
 
 def _status(found: Any) -> int:
@@ -168,12 +165,11 @@ def _status(found: Any) -> int:
 
 
 def _record_events(options: RecordOptions, condition: str) -> int:
-    """Records events; returns 0, or 1 when nothing came."""
     from ..data.drive.record_sources import record_events
     from ..data.drive.trigger import Trigger
     from ..data.drive.wiring import wire
+    from ..data.record.file_source import FileSource
     from ..data.record.recording_format import RecordingClock
-    from ..data.record.replay import Replay
 
     scene = read_scene(options.scene, replay=options.replay)
     begin = time.time() - time.monotonic()  # of the clock of arrivals, s since the epoch
@@ -181,7 +177,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     if options.replay is not None:
         replay_instead(scene, options.replay, 0.0)
     wiring = wire(scene).check(scene)
-    replays = [source for source in wiring.sources.values() if isinstance(source, Replay)]
+    replays = [source for source in wiring.sources.values() if isinstance(source, FileSource)]
     if options.replay is not None and replays:
         with replays[0].open_recording() as recording:
             begin = recording.start.timestamp()
@@ -243,7 +239,6 @@ def _record_events(options: RecordOptions, condition: str) -> int:
 
 
 def _names_of_events(output: Path, scene: str, begin: float) -> Callable[[int, float], Path]:
-    """Returns what names the file of an event, by its number and its arrival."""
     if output.suffix.lower() == ".mcap":
         return lambda number, _: output.with_name(f"{output.stem}_{number:03}{output.suffix}")
     if output.suffix:
@@ -261,7 +256,6 @@ def _names_of_events(output: Path, scene: str, begin: float) -> Callable[[int, f
 
 
 def _tell(begin: float, event: RecordedEvent) -> None:
-    """Prints an event when it begins, and its recording when it ends."""
     if math.isnan(event.ended):
         at = datetime.fromtimestamp(begin + event.time)
         print(f"{at:%H:%M:%S}.{at.microsecond // 1000:03}  {event.what}", flush=True)
@@ -277,7 +271,6 @@ def _tell(begin: float, event: RecordedEvent) -> None:
 def _play_through(
     recorder: TriggeredRecorder, sources: Mapping[str, Any], console: Any, *, quiet: bool
 ) -> None:
-    """Hands all packets of recordings to the recorder, as fast as it looks at them."""
     end = max(source.end or 0.0 for source in sources.values())
     now, step = 0.0, 0.5
     while now < end + step and recorder.error is None:

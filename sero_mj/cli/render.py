@@ -11,32 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Self
 from pydantic import model_validator
 
 from ..base.options import Option, Time, ending
-from ..viewer.image.film_kinds import FILMS, PASS_ENDINGS, PICTURES
-from ..viewer.image.picture_options import FilmOptions
+from ..viewer.image.picture_options import FILMS, PASS_ENDINGS, PICTURES, FilmOptions
 from .arguments import command, progress_bar
 from .shared_options import EyeOptions, OverOptions, SceneArgument, ShownOptions
 
 if TYPE_CHECKING:
     from ..robots.declared.scene import Scene
 
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj render lwr_udp -o lwr.png                   wait for the robot, take a picture
-  sero-mj render lwr_udp -o lwr.mp4 --duration 10     film it for 10 s of real time
-  sero-mj render lwr -o pose.png --set lwr.joint_angles=0,0.5,0,-1.5,0,1,0 \\
-      --set lwr.torques=10,-80,5,30,0,-2,1 --set lwr.show_arrows=true
-  sero-mj render lwr_udp -o lwr.gif --size 480x320    small enough for a page of text
-  sero-mj render lwr_udp -o top.png --camera 90,-80,2.5 --size 640x480
-  sero-mj render lwr_udp -o lwr.png --stereo anaglyph  for red-cyan glasses
-  sero-mj render lwr_udp -o run.mp4 --replay run.mcap --duration 10
-  sero-mj render lwr -o turn.mp4 --orbit 360          a turntable
-  sero-mj render justin -o drive.mp4 --follow justin --duration 20
-  sero-mj render lwr -o links.png --pass segmentation
-                                                      links.parts.json names links by colour
-  sero-mj render lwr -o joint.png --click 640,400     as if one clicked there in a window
-  sero-mj render lwr_udp -o now.png --over photo.jpg --camera-file cell.yaml
-  sero-mj render lwr_udp -o run.mp4 --over video.mp4 --camera-file cell.yaml \\
-      --replay run.mcap                               when it begins is found from the motion
+  sero-mj render lwr_udp -o lwr.png                     an image, once the robot has sent data
+  sero-mj render lwr_udp -o run.mp4 --replay run.mcap   a video of a recording
+  sero-mj render lwr -o pose.png --camera 90,-80,2.5 --set lwr.torques=10,-80,5,30,0,-2,1
 
 --set takes any field of a robot (sero-mj list --fields shows them), as TOML. An input that is set
 is not received. A film of live sources shows real time, however long rendering takes.
@@ -51,7 +37,7 @@ _OF_OTHERS = "the picture is as large as the photo or video, seen by its camera"
 _KINDS = f"{', '.join(PICTURES)} for a picture, or in {', '.join(FILMS)} for a film"
 PictureOrFilm = Annotated[Path, ending(*PICTURES, *FILMS, expected=_KINDS)]
 _AnyPicture = Annotated[Path, ending(*PICTURES, *FILMS, ".npy", expected=_KINDS)]
-ORDER = 13  # in the help of `sero-mj`
+GROUP, ORDER = "see", 12
 
 
 class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOptions):
@@ -88,7 +74,6 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
         return self
 
     def _check_pass(self) -> None:
-        """Raises where segmentation or depth do not go with other options."""
         ends = self.output.suffix.lower()
         if self.render_pass == "colour":
             if ends not in (*PICTURES, *FILMS):
@@ -112,7 +97,7 @@ def run(options: RenderOptions) -> int:
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.viewer.image.painter").setLevel(logging.INFO)
     if options.over is not None:
-        from .background import find_background
+        from .shared_options import find_background
 
         silent = find_background().render(options, Path(options.over))
     elif options.is_film:
@@ -134,7 +119,7 @@ def run(options: RenderOptions) -> int:
     return 0
 
 
-add_to = command("render", run, RenderOptions, _EPILOG)
+add_to = command("render", run, RenderOptions, _HELP)
 
 
 def film_with_progress(
@@ -145,18 +130,7 @@ def film_with_progress(
     quiet: bool = False,
     make: Callable[..., list[str]] | None = None,
 ) -> list[str]:
-    """Makes a film with a progress bar, unless `quiet`.
-
-    Args:
-        scene: what to show.
-        output: the film's file.
-        options: of the film.
-        quiet: without the bar.
-        make: `render.render_film`, the default, or another of its kind.
-
-    Returns:
-        the silent sources.
-    """
+    """Makes a film with a progress bar, unless `quiet`; returns the silent sources."""
     from ..viewer.image.render import render_film
 
     frames = 0

@@ -1,14 +1,11 @@
-"""`sero-mj schema`: JSON schemas of robot, scene, group and scenario files, for editors."""
+"""JSON schemas of robot, scene, group and scenario files for editors: `check --schema`."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from ..base.options import Option, Options, positional
-from .arguments import command, writing
 from .listing import field_rows, scenario_tables, scene_tables
 
 if TYPE_CHECKING:
@@ -17,61 +14,14 @@ if TYPE_CHECKING:
 KINDS = ("robot", "group", "scene", "scenario")
 Schema = dict[str, Any]
 
-_EPILOG = """\
-examples:
-  sero-mj schema scene                        prints it
-  sero-mj schema scenario -o scenario.json    for the files beside it, whose first line is then
-                                              #:schema ./scenario.json
-
-Visual Studio Code with the extension Even Better TOML, and every other editor with Taplo, then
-complete keys, say what they mean, and underline what is wrong. `sero-mj new` writes such a line.
-"""
-ORDER = 70  # in the help of `sero-mj`
-
-
-class SchemaOptions(Options):
-    """Write the JSON schema of a kind of file, for editors.
-
-    Attributes:
-        kind: of which files.
-        output: else it is printed.
-    """
-
-    kind: Annotated[Literal["robot", "group", "scene", "scenario"], positional("")]
-    output: Annotated[Path | None, Option("OUT.json", ("-o", "--output"))] = None
-
-
-def run(options: SchemaOptions) -> int:
-    """Writes or prints; returns 0."""
-    text = schema_text(options.kind)
-    if options.output is None:
-        print(text, end="")
-    else:
-        with writing():
-            options.output.parent.mkdir(parents=True, exist_ok=True)
-            options.output.write_text(text, encoding="utf-8")
-        print(options.output)
-    return 0
-
-
-add_to = command("schema", run, SchemaOptions, _EPILOG)
-
 
 def schema_text(kind: str) -> str:
-    """The schema of a kind of file, as JSON.
-
-    Args:
-        kind: `robot`, `group`, `scene` or `scenario`.
-    """
+    """The schema of a kind of file, as JSON."""
     return json.dumps(schema_of(kind), indent=1) + "\n"
 
 
 def schema_of(kind: str) -> Schema:
-    """The schema of a kind of file.
-
-    Args:
-        kind: `robot`, `group`, `scene` or `scenario`.
-    """
+    """The schema of a kind of file: robot, group, scene or scenario."""
     definitions = _Definitions()
     sections = {
         "robot": lambda: definitions.fields("SerialRobot"),
@@ -127,12 +77,10 @@ class _Definitions:
         return {key: schema for key, schema in fields.items() if schema is not None}
 
     def table(self, name: str, /, **changed: Schema | None) -> Schema:
-        """The schema of a table of a file, of which nothing is required; see `fields`."""
         fields = self.fields(name, **changed)
         return {"type": "object", "additionalProperties": False, "properties": fields}
 
     def of_kind(self, kinds: Mapping[str, type[Declaration]]) -> Schema:
-        """The schema of a table that says its kind."""
         choices = []
         for kind, declaration in kinds.items():
             schema = self.table(declaration.__name__, name=None, kind={"const": kind})
@@ -147,7 +95,6 @@ def _sources() -> dict[str, type[Declaration]]:
 
 
 def _each(schema: Schema, of: str) -> Schema:
-    """The schema of a section [of.NAME]."""
     about = f"a table [{of}.NAME] each"
     return {"type": "object", "additionalProperties": schema, "description": about}
 
@@ -242,8 +189,6 @@ def _generator() -> Any:
     from pydantic.json_schema import GenerateJsonSchema
 
     class Generator(GenerateJsonSchema):
-        """Arrays of numpy are numbers, or lists of them; defaults that are none are left out."""
-
         ignored_warning_kinds = {"skipped-choice", "non-serializable-default"}
 
         def is_instance_schema(self, schema: Any) -> Schema:

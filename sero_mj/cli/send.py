@@ -2,36 +2,152 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 from pydantic import Field, model_validator
 
 from ..base.declaration import expecting
-from ..base.errors import CsvError, UsageError
-from ..base.options import Duration, NotNegative, Option, Options, Positive, Seed
+from ..base.errors import CsvError, SimulationError, UsageError
+from ..base.options import Duration, NotNegative, Option, Options, Port, Positive, Seed
 from ..base.paths import list_scenarios
 from ..base.plugins import SENDERS, load_plugin, plugins
 from .arguments import command, print_programs, read_scene
-from .sending import Sender, SinkOptions, goes_to_shm, make_sink
 from .shared_options import Columns, SceneArgument
 
 if TYPE_CHECKING:
     from ..data.receive.source import Source
     from ..data.receive.structure import Structure
     from ..data.send.playback import Playback
+    from ..data.send.sender import ShmWriter, UdpSink
     from ..robots.declared.scene import Scene
+    from ..simulate.simulation import Simulation
 
-_EPILOG = """\
+_EVERY = 0.05  # s between two looks at the clock, where nobody waits for packets
+
+
+class SinkOptions(Options):
+    """The structure of packets and their receiver.
+
+    Attributes:
+        source: which source of that scene to feed.
+        structure: packet layout instead of that scene's.
+        host: where to (default 127.0.0.1).
+        port: UDP port (default: that scene's).
+        shm: write to this shared memory (default: that scene's).
+    """
+
+    title: ClassVar[str] = "where packets go"
+    source: Annotated[str | None, Option("NAME")] = None
+    structure: Annotated[str | None, Option("S")] = None
+    host: str | None = None
+    port: Port | None = None
+    shm: Annotated[str | None, Option("NAME")] = None
+
+
+def goes_to_shm(options: SinkOptions, source: Source) -> bool:
+    """Whether packets go to shared memory: with `--shm`, or if the source reads it."""
+    return options.shm is not None or (source.memory is not None and options.port is None)
+
+
+def make_sink(options: SinkOptions, source: Source, structure: Structure) -> UdpSink | ShmWriter:
+    """Returns the receiver of packets: as in the options, else the address of the source."""
+    from ..data.send.sender import ShmWriter, UdpSink
+
+    if goes_to_shm(options, source):
+        if source.memory is None:
+            return ShmWriter(options.shm or "", structure)
+        if options.host is not None:
+            raise UsageError(f"source '{source.name}' is {source.about}; --host needs --port")
+        block, lock, offset = source.memory
+        if lock not in structure.events:
+            lock = ""
+        return ShmWriter(options.shm or block, structure, lock, offset)
+    port = options.port or (0 if source.place is None else source.place[1])
+    if not port and not source.is_live:
+        reason = "is a recording, to which nothing can be sent; give --port, and --host"
+        raise UsageError(f"source '{source.name}' of the scene {reason}")
+    if not port:
+        raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
+    message_of = source.message_of if options.structure is None else None
+    return UdpSink(options.host or "127.0.0.1", port, message_of)
+
+
+def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
+    """Runs a simulation in real time; yields each range of new rows of its log."""
+    from ..simulate.real_time import RealTimeWatch
+
+    timestep, watch = simulation.scenario.run.timestep, RealTimeWatch(simulation.scenario.name)
+    begin, late = time.perf_counter(), 0.0
+    while not simulation.is_done:
+        time.sleep(_EVERY)
+        first = simulation.step + 1 if simulation.step else 0
+        due = int((time.perf_counter() - begin) / timestep)
+        try:
+            simulation.advance(min(max(due, simulation.step + 1), simulation.steps))
+        finally:
+            if simulation.step >= first:
+                yield first, simulation.step + 1
+        late = time.perf_counter() - begin - simulation.time
+        watch.update(simulation.time, late)
+    watch.finish(simulation.time, late)
+
+
+class Sender:
+    """Sends a simulation, advanced by `run`, to the source of a named scene."""
+
+    def __init__(self, simulation: Simulation, name: str, options: SinkOptions) -> None:
+        from ..data.send.play import MotionPackets
+        from ..simulate.log_output import LogSignals
+
+        scene = read_scene(name)
+        players = {name: LogSignals(simulation, name) for name in simulation.scenario.scene.robots}
+        self._packets = MotionPackets(scene, options.source, options.structure, players=players)
+        self._sink: Any = make_sink(options, self._packets.source, self._packets.structure)
+        self._simulation = simulation
+        self.report: Any = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._sink.close()
+
+    def run(self) -> Iterator[tuple[int, int]]:
+        """Sends a packet for every step; yields each range of new rows of the log."""
+        from ..data.send.sender import send
+
+        simulation = self._simulation
+        stopped: list[SimulationError] = []
+
+        def packets() -> Iterator[tuple[float, bytes]]:
+            times = simulation.rows[:, 0]
+            for k in range(simulation.steps + 1):
+                try:
+                    simulation.advance(k)
+                except SimulationError as error:
+                    stopped.append(error)
+                    return
+                yield float(times[k]), self._packets.at(float(times[k]))
+
+        print(
+            f"sending {self._packets.structure.text} ({self._packets.structure.size} bytes) to "
+            f"{self._sink.place} in real time; Ctrl-C stops",
+            flush=True,
+        )
+        self.report = send(packets(), self._sink)
+        print(self.report)
+        yield 0, simulation.step + 1
+        if stopped:
+            raise stopped[0]
+
+
+_HELP = """\
 examples:
-  sero-mj send lwr_udp                        what the scene lwr_udp expects, at 1 kHz
-  sero-mj send lwr_udp --rate 200 --duration 10
-  sero-mj send lwr_fri --cycle 2 --loss 0.01  as the controller of a real LWR
-  sero-mj send lwr --structure 7F7F --port 32000
-  sero-mj send my_scene.toml --host 192.168.0.7
-  sero-mj send lwr_shm --rate 10000           to the shared memory that the scene reads
-  sero-mj send lwr_udp --play REC.mcap --loop what was recorded, as it came
-  sero-mj send lwr_udp --play TABLE.csv --rate 500
+  sero-mj send lwr_udp --rate 200 --duration 10         a motion, as the scene expects it
+  sero-mj send lwr_udp --play run.mcap --loop           a recording
   sero-mj send ur5e --play TABLE.csv --columns "joint_angles=A* [deg]" --columns "time=Zeit [s]"
 
 Joints swing within their limits; torques are what the motion takes, by inverse dynamics. With a
@@ -40,13 +156,13 @@ along straight lines between packets of 1 kHz. Ctrl-C stops.
 
 A recording is sent bit for bit, at the times at which it came, where the scene's structure is the
 recorded one; else its events are packed anew, by their names. The columns of a table are called
-like the numbers of the packet (`values0[0]`, as export-csv has them); or they are signals of the
+like the numbers of the packet (`values0[0]`, as export writes them); or they are signals of the
 robot's joints, recognised by their names or given by --columns, from which the scene's routes make
 the packet; or they are all numbers of the packet, in order.
 """
 
 FASTEST = 1e5  # packets/s; a Python loop does not send faster
-ORDER = 19  # in the help of `sero-mj`
+GROUP, ORDER = "receive", 24
 
 
 class PlayOptions(Options):
@@ -135,7 +251,7 @@ def run(options: SendOptions) -> int:
     return _send_motion(options, scene)
 
 
-add_to = command("send", run, SendOptions, _EPILOG)
+add_to = command("send", run, SendOptions, _HELP)
 
 
 def _send_motion(options: SendOptions, scene: Scene) -> int:
@@ -166,7 +282,6 @@ def _send_motion(options: SendOptions, scene: Scene) -> int:
 
 
 def _declare_source(scene: Scene, options: SendOptions) -> None:
-    """Declares what a robot without a scene is fed by: its joint angles and its torques."""
     robot = next(iter(scene.robots.values()))
     structure = options.structure or f"{robot.n}F{robot.n}F"
     where = {"kind": "udp", "port": 32000}
@@ -179,7 +294,6 @@ def _declare_source(scene: Scene, options: SendOptions) -> None:
 
 
 def _send_file(options: SendOptions, scene: Scene, source: Source, file: Path) -> int:
-    """Sends what is in a recording or a table; returns 0."""
     from ..data.send.play import structure_for
     from ..data.send.playback import timed
     from ..data.send.sender import send
@@ -260,7 +374,6 @@ def _open_table(
 
 
 def _send_simulation(options: SendOptions, scenario: Path) -> int:
-    """Simulates a scenario and sends it while it runs; returns 0."""
     from ..simulate.scenario_file import read_scenario
     from ..simulate.simulation import Simulation
 

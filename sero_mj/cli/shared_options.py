@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
@@ -14,7 +17,7 @@ from ..base import paths
 from ..base.declaration import expecting
 from ..base.errors import UsageError, did_you_mean
 from ..base.options import Duration, Option, Options, Time, ending, positional, whole
-from ..base.plugins import ENGINES, load_plugin, plugins
+from ..base.plugins import BACKGROUNDS, ENGINES, load_first, load_plugin, plugins
 from ..data.record.table import TABLE_ENDINGS, is_table
 from ..data.record.table_signals import parse_columns
 from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
@@ -23,13 +26,14 @@ from ..viewer.image.picture_options import EYE_DISTANCE, CameraOptions, StereoOp
 from .arguments import read_recorded_run, read_scene, replay_instead
 
 if TYPE_CHECKING:
+    from ..data.drive.mirror import Mirror
     from ..robots.declared.scene import Scene
     from ..simulate.runs.run_log import RunLog
     from ..study.engine import Engine
+    from ..viewer.window.viewport import Viewport
 
 
 def _drawn(path: Path | None) -> Path | None:
-    """The path of a figure, before work of minutes that it would show."""
     if path is not None and not has_matplotlib():
         raise ValueError(NO_MATPLOTLIB)
     return path
@@ -165,13 +169,7 @@ class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
     look: Literal["light", "dark"] | None = None
 
     def read(self, name: str, *, by_hand: bool = False, trusted: bool = False) -> Scene:
-        """The scene of a name, with what is set over it.
-
-        Args:
-            name: of the scene.
-            by_hand: see `load_scene`.
-            trusted: see `load_scene`.
-        """
+        """The scene of a name, with what is set over it; see `load_scene`."""
         scene = read_scene(
             name,
             self.settings,
@@ -258,12 +256,7 @@ class RunOptions(Options):
         return [*scene.files(), *(mesh for _, mesh in scene.meshes())]
 
     def read(self, path: Path, source: str | None) -> RunLog:
-        """Reads a recording or a table.
-
-        Args:
-            path: of the file.
-            source: of its sources; all when None.
-        """
+        """Reads a recording or a table; all of its sources when None."""
         robots = vars(self).get("robot") or ()
         names = robots.split(",") if isinstance(robots, str) else robots
         return read_recorded_run(path, source, self._declared, names, self.columns)
@@ -335,3 +328,25 @@ class PartOptions(RunOptions):
         if self.begin is None and self.end is None:
             return log
         return log.between(self.begin, self.end)
+
+
+class Background(ABC):
+    """Draws scenes over pictures of the real robot. Objects are made without arguments."""
+
+    @abstractmethod
+    def render(self, options: Options, over: Path) -> list[str]:
+        """Renders a picture or film over a photo or video; returns the silent sources."""
+
+    @abstractmethod
+    def viewport(
+        self, mirror: Mirror, options: OverOptions
+    ) -> AbstractContextManager[Callable[..., Viewport]]:
+        """Opens a camera or video; yields what makes the viewport of a window that shows it."""
+
+
+def find_background() -> Background:
+    """Returns the installed background; raises UsageError without."""
+    found: Background | None = load_first(BACKGROUNDS, Background)
+    if found is None:
+        raise UsageError("--over needs an extension that draws over photos and videos")
+    return found

@@ -11,8 +11,8 @@ from pydantic import model_validator
 
 from ..base.errors import SimulationError, UsageError
 from ..base.options import NotNegative, Option, Seed, Time, ending, positional
-from ..viewer.image.film_kinds import FILMS
 from ..viewer.image.picture_options import (
+    FILMS,
     CameraOptions,
     FilmOptions,
     MotionOptions,
@@ -30,27 +30,24 @@ from .arguments import (
     progress_bar,
 )
 from .render import PictureOrFilm, film_with_progress
-from .sending import Sender, SinkOptions, in_real_time
+from .send import Sender, SinkOptions, in_real_time
 from .shared_options import Figure, JsonOptions, Settings
 
 if TYPE_CHECKING:
     from ..simulate.simulation import Simulation
 
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj simulate impedance_push                      runs it, says what held and what was found
-  sero-mj simulate impedance_push --render out.mp4     and films it
-  sero-mj simulate my.toml --record run.mcap --plot torques.png --csv run.csv
-  sero-mj simulate impedance_push --report out/        a page, a figure, JUnit XML for CI
-  sero-mj simulate impedance_push --set controllers.lwr.stiffness=200
-  sero-mj simulate impedance_push --send lwr_udp       as a robot would, in real time, for a mirror
+  sero-mj simulate impedance_push                       run and judge a scenario
+  sero-mj simulate my.toml --record run.mcap --plot torques.png --render out.mp4
+  sero-mj simulate impedance_push --send lwr_udp        as a robot would, in real time
 
 A scenario is a scene with [controllers], [targets], [disturbances], [faults], [expect]. Exits with
 1 when something that was expected did not hold, or the simulation could not go on, and with 130
 when Ctrl+C ended it; what was recorded until then is kept. The same seed gives the same run, bit
 for bit.
 """
-ORDER = 22  # in the help of `sero-mj`
+GROUP, ORDER = "simulate", 30
 
 
 class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, SinkOptions):
@@ -159,13 +156,12 @@ def run(options: SimulateOptions) -> int:
     return 0 if error is None and all(outcome.holds for outcome in outcomes) else 1
 
 
-add_to = command("simulate", run, SimulateOptions, _EPILOG)
+add_to = command("simulate", run, SimulateOptions, _HELP)
 
 
 def _simulate(
     simulation: Simulation, options: SimulateOptions
 ) -> SimulationError | KeyboardInterrupt | None:
-    """Runs to the end, or as far as it goes; returns what stopped it."""
     from contextlib import ExitStack
 
     from ..simulate.log_output import RunRecorder

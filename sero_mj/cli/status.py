@@ -7,23 +7,31 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..base.errors import UsageError
 from ..base.options import Duration
+from ..base.plugins import NETWORKS, load_plugin, plugins
+from ..robots.declared.degrees import degrees_warning
 from .arguments import command, print_json, read_scene, replay_instead, until_ended
 from .shared_options import JsonOptions, ReplayOptions, SceneArgument
 from .terminal import make_console
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..base.frames import Array
+    from ..data.drive.route import Route
     from ..data.drive.wiring import Wiring
     from ..data.receive.source import Source
+    from ..data.record.file_source import FileSource
     from ..robots.declared.scene import Scene
 
-_EPILOG = """\
+_HELP = """\
 examples:
   sero-mj status lwr_udp                    live, until Ctrl-C
-  sero-mj status lwr_udp --duration 5       for 5 s, then the result
   sero-mj status lwr_udp --duration 5 --json
-  sero-mj status run.mcap --duration 5      what a recording has, as it is played
+  sero-mj status run.mcap --duration 5      a recording, while it plays
 
 Opens the scene's sources as a viewer would, so no viewer can listen to the same ports meanwhile.
 Recordings play meanwhile.
@@ -32,7 +40,7 @@ Every cause for which packets are not applied is counted. Exits with 1 when a so
 
 _EVERY = 0.25  # s
 _GOOD = ("state", "controller", "clock", "received", "blanked")  # rows that tell of no fault
-ORDER = 28  # in the help of `sero-mj`
+GROUP, ORDER = "receive", 20
 
 
 class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
@@ -41,10 +49,12 @@ class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
     Attributes:
         scene: scene or recording: a file, or a shipped name.
         duration: seconds to watch (default: until Ctrl-C).
+        topics: list the topics at an address, ros2:// for example, and the robots they could move.
         as_json: print JSON at the end, nothing else.
     """
 
     duration: Duration | None = None
+    topics: bool = False
 
 
 def run(options: StatusOptions) -> int:
@@ -52,6 +62,8 @@ def run(options: StatusOptions) -> int:
     from ..data.drive.wiring import wire
     from .opening import with_scene
 
+    if options.topics:
+        return _print_topics(options)
     options = with_scene(options)
     scene = read_scene(options.scene, replay=options.replay)
     if options.replay is not None:
@@ -75,7 +87,17 @@ def run(options: StatusOptions) -> int:
     return 0 if all(entry["good"] for entry in found) else 1
 
 
-add_to = command("status", run, StatusOptions, _EPILOG)
+add_to = command("status", run, StatusOptions, _HELP)
+
+
+def _print_topics(options: StatusOptions) -> int:
+    scheme, separator, _ = options.scene.partition("://")
+    if not separator or scheme not in plugins(NETWORKS):
+        known = " or ".join(f"{name}://" for name in plugins(NETWORKS)) or "an extension"
+        raise UsageError(f"--topics: found {options.scene}; expected {known}")
+    duration = 2.0 if options.duration is None else options.duration
+    network = load_plugin(NETWORKS, scheme)
+    return int(network.print_topics(options.scene, duration, as_json=options.as_json))
 
 
 class _Reports:
@@ -85,14 +107,11 @@ class _Reports:
     """
 
     def __init__(self, scene: Scene, wiring: Wiring) -> None:
-        from .angle_questions import AngleQuestions
-
         self._sources = wiring.sources
         self._questions = AngleQuestions(scene, wiring)
         self._warnings = dict.fromkeys(wiring.sources, "")
 
     def __call__(self) -> list[dict[str, Any]]:
-        """Returns a report of every source."""
         from ..data.receive.report import report
 
         for name, source in self._sources.items():
@@ -104,14 +123,12 @@ class _Reports:
 
 
 def _watch(reports: _Reports, sources: list[Source], duration: float | None, *, live: bool) -> None:
-    """Waits, and refreshes the table on a terminal."""
     from rich.live import Live
 
     begin = time.monotonic()
     end = begin + (float("inf") if duration is None else duration)
 
     def go_on() -> bool:
-        """Sleeps a little and plays recordings up to now; says whether there is time left."""
         left = end - time.monotonic()
         time.sleep(min(max(left, 0.0), _EVERY))
         for source in sources:
@@ -154,3 +171,50 @@ def _print(found: list[dict[str, Any]]) -> None:
             print(f"  {what:15} {count:>10}  {why}")
     if any(not entry["received"] for entry in found):
         print("sero-mj structure --sniff PORT shows whatever comes at a port", file=sys.stderr)
+
+
+_CHECKED = 5  # positions of a recording
+
+
+class AngleQuestions:
+    """Questions about the joint angles that routes lead from a source to a robot."""
+
+    def __init__(self, scene: Scene, wiring: Wiring) -> None:
+        self._routes = [
+            (route, scene.robots[name])
+            for route in wiring.routes
+            for name, _, key in (route.to.target.partition("."),)
+            if key == "joint_angles" and route.direct and name in scene.robots
+        ]
+
+    def about_latest(self, source: Source) -> str:
+        """Returns a question about the newest good packet of a source; empty for none."""
+        latest = source.latest()
+        for route, robot in self._routes:
+            if latest is not None and str(route.direct) == source.name:
+                numbers = {key: values.ravel() for key, values in latest.values.items()}
+                if found := degrees_warning(robot, _evaluated(route, numbers)):
+                    return found
+        return ""
+
+    def about_recording(self, replay: FileSource) -> str:
+        """Returns a question about packets at some positions of a recording; empty for none.
+
+        Raises:
+            SourceError: the recording cannot be read.
+        """
+        leads = any(str(route.direct) == replay.name for route, _ in self._routes)
+        if not leads or replay.recorded.is_unreadable:
+            return ""
+        with replay:
+            begin = replay.position
+            for position in np.linspace(begin, begin + replay.duration, _CHECKED):
+                replay.seek(float(position))
+                if found := self.about_latest(replay):
+                    return found
+        return ""
+
+
+def _evaluated(route: Route, numbers: Mapping[str, Array]) -> Array:
+    with np.errstate(all="ignore"):
+        return route.value.evaluate(lambda origin: numbers[origin.key])

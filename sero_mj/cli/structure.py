@@ -30,19 +30,16 @@ if TYPE_CHECKING:
 _REFRESH = 0.25  # s between two pictures of a terminal
 _TELL_EVERY = 2.0  # s between two lines about a stream where there is no terminal
 _FIRST_NUMBERS = 4  # of an event
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj structure 7F7F                        offsets, types, events, size
-  sero-mj structure "1H=size 7f 1Tf" --alignment 4
-  sero-mj structure --scene lwr_contact         what the sources of a scene expect
-  sero-mj structure --sniff 32000               what arrives, and what would fit it
-  sero-mj structure 7F1M --sniff 32000          the same, with the numbers in it
-  sero-mj structure                             the page about the language
+  sero-mj structure 7F7F                    offsets, types, events, size
+  sero-mj structure --scene lwr_contact     the packets that a scene expects
+  sero-mj structure 7F1M --sniff 32000      the packets that arrive, and their values
 
 A port can be listened to by one program only: close the viewer while you sniff. Ctrl-C ends it
 with a summary.
 """
-ORDER = 31  # in the help of `sero-mj`
+GROUP, ORDER = "receive", 26
 
 
 class StructureOptions(JsonOptions):
@@ -105,11 +102,10 @@ def run(options: StructureOptions) -> int:
     return 0
 
 
-add_to = command("structure", run, StructureOptions, _EPILOG)
+add_to = command("structure", run, StructureOptions, _HELP)
 
 
 def _read(text: str, options: StructureOptions) -> Structure:
-    """The structure that is given; where it is wrong, a line points at the character."""
     from ..data.receive.structure import Structure
 
     try:
@@ -152,12 +148,10 @@ def _print_page() -> None:
 
 
 def _make_console() -> Console:
-    """Prints to a terminal in its width, and to files and pipes without a limit."""
     return make_console(width=None if sys.stdout.isatty() else 250)
 
 
 def _print_layout(layout: Structure, title: str = "") -> None:
-    """Prints a table of what stands where."""
     from rich import box
     from rich.table import Table
 
@@ -192,7 +186,6 @@ def _print_layout(layout: Structure, title: str = "") -> None:
 
 
 def _type_in_words(item: Item) -> str:
-    """For example `7 float64, little-endian`."""
     if item.kind == "x":
         return "skipped"
     kind = {"f": "float", "i": "int", "u": "uint"}[item.type[-2]]
@@ -225,7 +218,6 @@ def _must_be(item: Item) -> str:
 
 
 def _layout_as_json(layout: Structure) -> dict[str, Any]:
-    """The layout as plain lists and numbers."""
     return {
         "structure": layout.text,
         "size": layout.size,
@@ -250,7 +242,6 @@ def _layout_as_json(layout: Structure) -> dict[str, Any]:
 
 
 def _sniff(port: int, options: StructureOptions, layout: Structure | None) -> int:
-    """Listens until the time is over, the packets have come, or Ctrl-C; returns 0."""
     from ..data.receive.sniffer import Sniffer
 
     host, interface = options.host or "127.0.0.1", options.interface or ""
@@ -286,7 +277,6 @@ def _listen(sniffer: Sniffer, options: StructureOptions, show: Callable[[], None
 def _shown(
     options: StructureOptions, sniffer: Sniffer, layout: Structure | None, place: str
 ) -> Iterator[Callable[[], None]]:
-    """A function that shows the current state."""
     if options.as_json:
         yield lambda: None
     elif not sys.stdout.isatty():
@@ -301,7 +291,6 @@ def _shown(
 
 
 def _teller(sniffer: Sniffer, layout: Structure | None) -> Callable[[], None]:
-    """Tells of every stream when it begins, and every two seconds."""
     told: dict[tuple[bytes, int], tuple[float, int]] = {}
 
     def tell() -> None:
@@ -334,7 +323,6 @@ def _head(stream: Stream) -> str:
 
 
 def _picture(sniffer: Sniffer, layout: Structure | None, title: str) -> RenderableType:
-    """All streams, for a terminal or a file."""
     from rich.console import Group
     from rich.text import Text
 
@@ -360,7 +348,6 @@ def _fits(stream: Stream, layout: Structure | None) -> bool:
 
 
 def _values(stream: Stream, layout: Structure | None) -> str:
-    """The last packet by the structure that was given, or why it does not fit."""
     if layout is None:
         return ""
     if stream.size != layout.size:
@@ -373,7 +360,6 @@ def _values(stream: Stream, layout: Structure | None) -> str:
 
 
 def _numbers(values: Mapping[str, Any]) -> str:
-    """The first numbers of every event."""
     return "  ".join(f"{event} {_first(array)}" for event, array in values.items())
 
 
@@ -398,7 +384,6 @@ def _guess_lines(stream: Stream) -> list[str]:
 
 
 def _values_by(guess: Guess, stream: Stream) -> dict[str, Any]:
-    """The numbers of the last packet by a guess."""
     from ..data.receive.structure import Structure
 
     layout = Structure(guess.structure, is_double=guess.is_double, column_major=guess.column_major)

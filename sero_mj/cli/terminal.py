@@ -19,14 +19,7 @@ if TYPE_CHECKING:
 
 
 class EscapedStream:
-    """A text stream that writes control characters and invisible characters as escapes.
-
-    Args:
-        stream: it writes to.
-
-    Attributes:
-        plain: as given, for texts that are escaped already.
-    """
+    """A text stream that writes control and invisible characters as escapes to `plain`."""
 
     def __init__(self, stream: Any) -> None:
         self.plain = stream

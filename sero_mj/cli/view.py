@@ -35,27 +35,21 @@ if TYPE_CHECKING:
     from ..viewer.host.live import LiveHost
     from ..viewer.session.recent_views import RecentView
     from ..viewer.session.view_state import ViewState
-    from ..viewer.web.server import Listener, PageServer
+    from ..viewer.web.server import PageListener, PageServer
 
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
-_EPILOG = """\
+_HELP = """\
 examples:
-  sero-mj view                                        a page with all that can be opened
-  sero-mj view lwr_udp                                the robot, as it moves
-  sero-mj view impedance_push                         a simulation, with a time line
-  sero-mj view lwr_udp --replay run.mcap              a recording, with a time line
-  sero-mj view lwr_udp --web                          on a page for browsers on this machine
-  sero-mj view lwr --set lwr.show_axes=true --camera 150,-15,2.2
-  sero-mj view lwr_udp --over 0 --camera-file cell.yaml   over what a camera sees of the robot
-  sero-mj view lwr_udp --over video.mp4 --camera-file cell.yaml --replay run.mcap
-  sero-mj view lwr --simulate --control joint         a robot to play with, without an end
+  sero-mj view lwr_udp                      the robot, as it moves
+  sero-mj view lwr_udp --replay run.mcap    a recording, with a timeline
+  sero-mj view impedance_push --web         a simulation, on a page for browsers on this machine
 
 H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
 the page. The printed address of a page has a secret token. Browsers on other machines reach it
 through `ssh -L 8080:localhost:8080 MACHINE`, or with --host 0.0.0.0; nothing is encrypted.
 """
-ORDER = 10  # in the help of `sero-mj`
+GROUP, ORDER = "see", 10
 
 
 class ViewOptions(EyeOptions, OverOptions, ShownOptions):
@@ -172,28 +166,22 @@ def run(options: ViewOptions) -> int:
     return 0
 
 
-add_to = command("view", run, ViewOptions, _EPILOG)
+add_to = command("view", run, ViewOptions, _HELP)
 
 
 class Session:
     """What one command shows, one thing after the other.
 
-    Args:
-        options: of the command; become those of what is shown.
-        on_page: whether it is shown on a page.
-
     Attributes:
-        options: as given.
-        on_page: as given.
         plain: the scene that is shown, without being simulated.
-        is_at_start: whether the start page is what is shown next.
+        is_at_start: whether the start page is shown next.
     """
 
     def __init__(self, options: ViewOptions, *, on_page: bool) -> None:
         from ..robots.declared.scene import Scene
 
         self.options, self.on_page = options, on_page
-        self._listener: Listener | None = None  # as long as the session: see `Listener`
+        self._listener: PageListener | None = None  # as long as the session: see `PageListener`
         self._token: bool | str = not options.no_token  # as browsers know the page
         self.plain = Scene()
         self.is_at_start = options.scene is None
@@ -204,12 +192,11 @@ class Session:
         self._warnings: list[str] = []  # of the files of what is shown next
 
     @property
-    def _listening(self) -> Listener:
-        """The sockets of all pages of the session."""
+    def _listening(self) -> PageListener:
         if self._listener is None:
-            from ..viewer.web.server import Listener
+            from ..viewer.web.server import PageListener
 
-            self._listener = Listener(self.options.host or _LOOPBACK, self.options.port or 0)
+            self._listener = PageListener(self.options.host or _LOOPBACK, self.options.port or 0)
         return self._listener
 
     def first(self) -> Mirror | None:
@@ -224,7 +211,6 @@ class Session:
             return self._begin(options.read(name, by_hand=not options.simulate, trusted=True))
 
     def _begin(self, scene: Scene, *, is_replayed: bool = False) -> Mirror:
-        """Returns what shows a scene that was read, or its simulation; compiled, and checked."""
         is_simulated = self.options.simulate and not is_replayed
         control = self.options.control or "joint"
         mirror = _simulated(scene, control) if is_simulated else _mirror_of(scene)
@@ -295,7 +281,6 @@ class Session:
 
     @contextmanager
     def _noting_warnings(self) -> Iterator[None]:
-        """Keeps what is logged of a scene's files, for who does not look at the terminal."""
         kept, log = _KeptWarnings(), logging.getLogger("sero_mj")
         log.addHandler(kept)
         try:
@@ -305,7 +290,6 @@ class Session:
             log.removeHandler(kept)
 
     def _offer(self, host: LiveHost) -> None:
-        """Offers to simulate the robots that are shown, to show them without, and to go back."""
         from ..simulate.runs.run_source import RunSource
         from ..viewer.session.recent_views import RecentView
         from ..viewer.tools.rolling_recorder import RollingRecorder
@@ -355,7 +339,6 @@ class Session:
         panel: Mapping[str, bool],
         state: ViewState,
     ) -> None:
-        """Shows the same robots as they were seen a moment ago, simulated or not."""
         from ..viewer.image.camera import copy_camera
         from ..viewer.session.view_state import apply_state
 
@@ -367,7 +350,6 @@ class Session:
         host.show_layout({**host.layout, **panel})
 
     def _run(self, host: LiveHost) -> None:
-        """Shows it until it is closed, and remembers how it was left."""
         from ..viewer.host.live import SECTION
         from ..viewer.host.restoring import keep
         from ..viewer.session.recent_views import RecentView, remember_view
@@ -398,19 +380,18 @@ class Session:
 
     def _open_window(self, mirror: Mirror) -> Mirror | None:
         from ..viewer.host.restoring import restore
-        from ..viewer.window.host import Viewport, Window
+        from ..viewer.window.host import Window
+        from ..viewer.window.viewport import StereoViewport, Viewport
 
         options = self.options
         with ExitStack() as stack:
             make_viewport: Callable[..., Viewport] = Viewport
             if options.stereo is not None:
-                from ..viewer.window.stereo_viewport import StereoViewport
-
                 make_viewport = partial(
                     StereoViewport, stereo=options.stereo, eye_distance=options.eye_distance
                 )
             if options.over is not None:
-                from .background import find_background
+                from .shared_options import find_background
 
                 make_viewport = stack.enter_context(find_background().viewport(mirror, options))
             stack.enter_context(mirror)
@@ -459,7 +440,6 @@ class Session:
             return page.others.chosen
 
     def _announce(self, name: str, server: PageServer, host: str) -> None:
-        """Says once where the page is, and who else may see it; others will be there, too."""
         self._token = server.token or False
         if self._is_announced:
             return
@@ -477,14 +457,11 @@ class Session:
 
 
 class _KeptWarnings(logging.Handler):
-    """Keeps the texts of what is logged as a warning or an error."""
-
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.texts: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keeps a text."""
         if record.name != trust.log.name:  # of which a dialog tells
             self.texts.append(record.getMessage())
 

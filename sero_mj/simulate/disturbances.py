@@ -14,7 +14,7 @@ from ..base.errors import Problem
 from ..base.frames import Array
 from ..robots.declared.dynamics import inertia_problem, tensors_from
 from ..robots.declared.robot import SerialRobot
-from .plant_rows import PlantRow
+from .plant import Plant
 from .sensors import Signal
 
 _SAME_TIME = 1e-9  # s, by which two times of one step may differ
@@ -206,12 +206,10 @@ class Fault(Timed, ABC):
         ]
 
     @abstractmethod
-    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Begins it.
 
         Args:
-            plant: whose sensors and joints.
-            rows: of the joints that it concerns, see `rows`.
             gains: (n,), what the torques that controllers ask for are multiplied by.
         """
 
@@ -243,7 +241,7 @@ class SensorFault(Fault):
             raise ValueError(f"does nothing; expected one of {', '.join(keys)}")
         return self
 
-    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Changes the sensor."""
         given = {key: getattr(self, key) for key in ("bias", "gain", "noise", "resolution")}
         changed = {key: value for key, value in given.items() if value is not None}
@@ -266,7 +264,7 @@ class EncoderOffset(Fault):
     offset: float = 0.0
     offset_deg: float = 0.0
 
-    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Shifts the encoder."""
         offset = self.offset + float(np.deg2rad(self.offset_deg))
         plant.sensors.change("angles", rows, bias=offset)
@@ -282,7 +280,7 @@ class DeadSensor(Fault):
     kind: Literal["dead_sensor"] = "dead_sensor"
     signal: Signal = "torques"
 
-    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Sets its readings to zero."""
         for row in rows:
             plant.sensors.kill(self.signal, row)
@@ -298,7 +296,7 @@ class FrozenSensor(Fault):
     kind: Literal["frozen_sensor"] = "frozen_sensor"
     signal: Signal = "torques"
 
-    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Freezes its last reading."""
         for row in rows:
             plant.sensors.freeze(self.signal, row)
@@ -316,7 +314,7 @@ class ControllerFault(Fault):
     kind: Literal["controller"] = "controller"
     gain: float = -1.0
 
-    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Changes the gain of the drives."""
         gains[list(rows)] = self.gain
 
@@ -343,7 +341,7 @@ class FrictionFault(Fault):
             raise ValueError("does nothing; expected viscous, coulomb or added_coulomb")
         return self
 
-    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
         """Changes the friction."""
         first = 0
         for name, part in plant.world.robots.items():

@@ -12,7 +12,7 @@ import numpy as np
 from ..base.errors import UsageError
 from ..base.frames import Array
 from .external_loads import Push
-from .plant_rows import PlantRow
+from .plant import Plant
 from .runs.run_log import event_of
 from .scenario import Scenario
 
@@ -52,10 +52,6 @@ class DragForce:
     beginning; d makes the spring with what the point weighs (the smallest eigenvalue of
     (J M^-1 J^T)^-1) a damped oscillator. Stiffness and damping are as large as the step holds.
 
-    Args:
-        plant: with the robots.
-        scenario: that is run.
-
     Attributes:
         name: of the arrow that shows the force, and of its signals in the log.
         pulls: those until now, with that which acts.
@@ -68,7 +64,7 @@ class DragForce:
 
     limit = LIMIT
 
-    def __init__(self, plant: PlantRow, scenario: Scenario) -> None:
+    def __init__(self, plant: Plant, scenario: Scenario) -> None:
         scene = scenario.scene
         taken = {*scene.robots, *scene.doubles, *scene.arrows, *scene.frames, *scene.cameras}
         taken |= {*scenario.disturbances, *(each.name for each in scene.objects)}
@@ -136,7 +132,6 @@ class DragForce:
         """Discards all pulls, and continues with another log.
 
         Args:
-            columns: of every event.
             rows: (T, width), the log.
         """
         self._clear()
@@ -148,7 +143,6 @@ class DragForce:
         """Discards pulls in rows that the log has discarded.
 
         Args:
-            dropped: how many rows.
             kept: how many are left; those behind them have nothing yet.
         """
         for pull in self.pulls:
@@ -201,7 +195,7 @@ class _SpringPush(Push):
         is_due: whether a step of the controllers begins.
     """
 
-    def __init__(self, drag: DragForce, plant: PlantRow, frame: str, point: Array) -> None:
+    def __init__(self, drag: DragForce, plant: Plant, frame: str, point: Array) -> None:
         super().__init__(plant.world, frame, np.zeros(3), np.zeros(3), "world", point)
         self.offset = np.array(point, np.float64)
         self.mass = 1.0
@@ -211,7 +205,6 @@ class _SpringPush(Push):
         self._jacobian: Array = np.zeros((3, plant.model.nv))
 
     def apply(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array) -> None:
-        """See `Push`."""
         if self.is_due:
             self.is_due = False
             self.place = self.point(data).copy()
@@ -224,12 +217,7 @@ class _SpringPush(Push):
         super().apply(model, data, torques)
 
     def mobility(self, model: mujoco.MjModel, data: mujoco.MjData) -> float:
-        """The largest acceleration of the point by a force of 1 N, 1/kg: of J M^-1 J^T.
-
-        Args:
-            model: of the world.
-            data: after `mj_forward`.
-        """
+        """The largest acceleration of the point by a force of 1 N, 1/kg: of J M^-1 J^T."""
         mujoco.mj_jac(model, data, self._jacobian, None, self.point(data), self.body)
         accelerations = np.zeros_like(self._jacobian)
         mujoco.mj_solveM(model, data, accelerations, self._jacobian)

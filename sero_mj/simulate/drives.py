@@ -7,17 +7,15 @@ the physics is faster.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ..base.errors import DeclarationError, Problem, collect
-from ..base.frames import Array
+from ..base.frames import Array, Bools
 from ..robots.assemble.robot_dynamics import robot_dynamics
 from ..robots.declared.robot import SerialRobot
 from .control.joint_control import largest_share
 from .control.torque_loop import LoopGains, TorqueLoop, unstable_loop
-from .plant_rows import PlantRows
+from .plant import PlantRows
 from .scenario import Run
 
 
@@ -47,13 +45,13 @@ class Drives:
         if run.torque_control:
             self._find_gains(robots)
             joined = LoopGains.joined([*self.gains.values()])
-            self.loop = TorqueLoop(joined, plant.timestep, self._high, plant.rows.shape)
+            self.loop = TorqueLoop(joined, plant.timestep, self._high, plant.physics.m)
         # Motors of elastic joints have encoders of their own, without errors; others the links'.
         self._velocities = plant.motor_velocities if plant.joints.elastic else None
-        self._measured = plant.measured[..., 1:, :].reshape(*plant.rows.shape, -1)
+        self._measured: Array = plant.measured[:, 1:]
         # Torques that do not act yet, in a ring, and the place in it of the next ones.
         delay = round(run.drive_delay / plant.timestep)
-        self._pending: Array = np.zeros((delay + 1, *plant.rows.shape, plant.n))
+        self._pending: Array = np.zeros((delay + 1, plant.physics.m, plant.n))
         self._place = 0
         self.reset()
 
@@ -74,7 +72,6 @@ class Drives:
         """Refuses a loop, or a controller before it, that is unstable at this time step.
 
         Args:
-            name: of the robot.
             mass: (n, n), of its links where it starts, without the motors, kg m2 (kg).
             stiffness: (n, n), by which its controller's torques fall with the angles, Nm/rad (N/m).
             damping: (n, n), likewise with velocities, Nm s/rad (N s/m).
@@ -123,29 +120,20 @@ class Drives:
                 ),
             ).error()
 
-    def reset(self, which: Any = ...) -> None:
-        """Restarts with a plant at rest, held by its motors.
-
-        Args:
-            which: of its rows; all by default.
-        """
+    def reset(self, which: Bools | slice = slice(None)) -> None:
+        """Restarts some rows with a plant at rest, held by its motors."""
         plant = self.plant
-        self._pending[:, which] = plant.actual[which][..., 2, :]
+        self._pending[:, which] = plant.actual[which, 2]
         if self.loop is not None:
             measured = plant.measured[which]
-            velocities = measured[..., 1, :]
-            if self._velocities is not None:
-                velocities = self._velocities[which]
-            self.loop.reset(measured[..., 2, :], velocities, which)
+            velocities = measured[:, 1] if self._velocities is None else self._velocities[which]
+            self.loop.reset(measured[:, 2], velocities, which)
 
     def step(self, commanded: Array) -> None:
-        """Simulates one step of the controllers.
+        """Simulates one step of the controllers; see `PlantRows.step`.
 
         Args:
-            commanded: (n,), torques behind the controllers' limits and faults, Nm or N.
-
-        Raises:
-            SimulationError: as `Plant.step`.
+            commanded: (m, n), torques behind the controllers' limits and faults, Nm or N.
         """
         plant, loop = self.plant, self.loop
         if loop is None:
@@ -159,14 +147,13 @@ class Drives:
         for _ in range(self.substeps):
             sensed[...] = self._measured
             if self._velocities is not None:
-                sensed[..., : plant.n] = self._velocities
+                sensed[:, 0] = self._velocities
             loop.step(motor_torques)
             if is_late:
                 motor_torques[...] = self._delayed(motor_torques)
             plant.step_given()
 
     def _delayed(self, torques: Array) -> Array:
-        """The delayed torques that act while `torques` are commanded."""
         pending = self._pending
         if len(pending) == 1:
             return torques

@@ -50,7 +50,6 @@ class EndlessRun(RunSource):
 
     @property
     def about(self) -> str:
-        """What it is, for people."""
         return str(self.run.about)
 
     def start_again(self) -> None:
@@ -61,7 +60,6 @@ class EndlessRun(RunSource):
         self.open()
 
     def _before(self, row: int) -> int:
-        """Only the row itself: a minute of packets would take longer than a frame."""
         return row - 1
 
     def advance_to(self, time: float) -> None:
@@ -85,7 +83,6 @@ def endless_scene(
     its scene and gravity are taken. Arrows are shown, unless a robot declares that they are not.
 
     Args:
-        scene: with robots.
         control: kind of the controller of all of them at first, or its short name, as `joint`.
         angles: where they begin, (n,), rad or m; others at the declared pose, see `bent_pose`.
 

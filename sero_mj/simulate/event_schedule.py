@@ -1,52 +1,123 @@
-"""`EventSchedule`: pushes, payloads and faults of a run, ordered by step; `CarriedObjects`."""
+"""Pushes, payloads and faults of a run, ordered by step, and the objects that robots carry."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from ..base.frames import Array, Ints, RowIndex
-from .disturbances import Force, Payload
-from .due_actions import DueActions
+from ..base.frames import Array, Ints
+from .disturbances import Fault, Force, Payload
 from .external_loads import Push
-from .fault_schedule import FaultSchedule
-from .plant_rows import PlantRow, PlantRows
+from .plant import Plant, PlantRows
 from .runs.run_log import event_of
 from .scenario import Scenario
 
 
-class CarriedObjects:
-    """Objects that robots of any rows carry, whose poses are computed and logged together.
+class DueActions:
+    """Actions by the step at which they are due, in the order in which they were added.
 
     Args:
-        plant: with the robots of all rows.
+        timestep: s.
     """
+
+    def __init__(self, timestep: float) -> None:
+        self._timestep = timestep
+        self._due: list[tuple[int, Callable[[], None]]] = []
+        self._next = 0
+
+    def add(self, time: float, action: Callable[[], None]) -> None:
+        """Plans an action for a time, s."""
+        self._due.append((max(round(time / self._timestep), 0), action))
+        self._due.sort(key=lambda entry: entry[0])
+
+    @property
+    def next(self) -> float:
+        """The row at which the next action is due; infinite if none is left."""
+        return self._due[self._next][0] if self._next < len(self._due) else math.inf
+
+    def act(self, k: int) -> None:
+        """Runs the actions that are due at row k, before the step after it."""
+        while self._next < len(self._due) and self._due[self._next][0] <= k:
+            self._due[self._next][1]()
+            self._next += 1
+
+
+class FaultSchedule:
+    """Lets the faults of a scenario begin and end.
+
+    Args:
+        gains: (n,), factors of the commanded torques, after the limits: those of faulty drives;
+            to be written.
+    """
+
+    def __init__(self, scenario: Scenario, plant: Plant, due: DueActions, gains: Array) -> None:
+        self._scenario, self._plant, self._gains = scenario, plant, gains
+        self._active: list[Fault] = []
+        model, parts = plant.world.model, plant.world.robots
+        self._friction = {
+            name: (model.dof_damping[part.dofs].copy(), model.dof_frictionloss[part.dofs].copy())
+            for name, part in parts.items()
+        }
+        for fault in scenario.faults.values():
+            due.add(fault.begin, partial(self._begin, fault))
+            if fault.end is not None:
+                due.add(fault.end, partial(self._end, fault))
+
+    def _begin(self, fault: Fault) -> None:
+        self._active.append(fault)
+        self._apply(fault)
+
+    def _apply(self, fault: Fault) -> None:
+        fault.apply(self._plant, fault.rows(self._scenario.scene.robots), self._gains)
+
+    def _end(self, fault: Fault) -> None:
+        """Ends a fault; others of the same part are applied again in their order."""
+        self._active = [other for other in self._active if other is not fault]
+        others = [other for other in self._active if other.part == fault.part]
+
+        def apply_others() -> None:
+            for other in others:
+                self._apply(other)
+
+        if fault.part == "sensors":
+            self._plant.sensors.end_faults(apply_others)
+            return
+        if fault.part == "drives":
+            self._gains[:] = 1.0
+        else:
+            for name, (viscous, coulomb) in self._friction.items():
+                self._plant.set_friction(name, viscous, coulomb)
+        apply_others()
+
+
+class CarriedObjects:
+    """Objects that robots of any rows carry, whose poses are computed and logged together."""
 
     def __init__(self, plant: PlantRows) -> None:
         self._plant = plant
         # By row and name: the flange's body, T_flange_object, and where poses are written.
-        self._carried: dict[tuple[RowIndex, str], tuple[int, Array, Array]] = {}
+        self._carried: dict[tuple[int, str], tuple[int, Array, Array]] = {}
 
     def __bool__(self) -> bool:
         return bool(self._carried)
 
-    def take(self, plant: PlantRow, name: str, robot: str, grasp: Array, poses: Array) -> None:
+    def take(self, plant: Plant, name: str, robot: str, grasp: Array, poses: Array) -> None:
         """Lets an object be carried.
 
         Args:
-            plant: the robots of its row.
-            name: of the object.
-            robot: name of the one that carries it.
             grasp: T_flange_object.
             poses: (T, 16), its poses at every step, to be written.
         """
-        self._carried[plant.index, name] = plant.flange_body(robot), grasp, poses
+        self._carried[plant.row, name] = plant.flange_body(robot), grasp, poses
         self._sort()
 
-    def put_down(self, plant: PlantRow, name: str) -> None:
+    def put_down(self, plant: Plant, name: str) -> None:
         """Lets an object be carried no more."""
-        del self._carried[plant.index, name]
+        del self._carried[plant.row, name]
         self._sort()
 
     def clear(self) -> None:
@@ -62,7 +133,7 @@ class CarriedObjects:
 
     def write(self, k: int) -> None:
         """Writes where they are now into the rows k of their poses."""
-        poses = self._plant.rows.poses_of(self._rows, self._bodies) @ self._grasps
+        poses = self._plant.physics.poses_of(self._rows, self._bodies) @ self._grasps
         for written, pose in zip(self._written, poses.reshape(-1, 16), strict=True):
             written[k] = pose
 
@@ -72,16 +143,13 @@ class EventSchedule:
     """The disturbances and faults of a scenario, ordered by step.
 
     Args:
-        scenario: with its disturbances and faults.
-        plant: to which they are applied.
-        steps: of the run.
         gains: (n,), factors of the commanded torques, after the limits: those of faulty drives; to
             be written.
         carried: the objects that robots carry, those of other runs in a batch as well.
     """
 
     scenario: Scenario
-    plant: PlantRow
+    plant: Plant
     steps: int
     gains: Array
     carried: CarriedObjects
@@ -127,7 +195,6 @@ class EventSchedule:
         """Writes events known in advance into the log, and keeps it for carried objects.
 
         Args:
-            columns: of every event.
             rows: (T, width), the log.
         """
         times = rows[:, 0]

@@ -106,7 +106,6 @@ class Expect(Declaration):
     @model_validator(mode="before")
     @classmethod
     def _counts_the_whole_run(cls, table: dict[str, Any]) -> dict[str, Any]:
-        """Takes the final real time factor, as that of the whole run."""
         if table.get("measure") == "real_time_factor":
             return {"of": "final", **table}
         return table
@@ -145,7 +144,6 @@ class Expect(Declaration):
         return self
 
     def _check_sign(self) -> None:
-        """Checks that signed measures have a sign, and that bounds of magnitudes can be met."""
         if self.signed and self.measure not in SIGNED:
             raise ValueError(f"signed: is for {', '.join(SIGNED)}; found {self.measure}")
         if self.signed and self.of == "rms":
@@ -163,7 +161,6 @@ class Expect(Declaration):
                 raise ValueError(f"{key}: found {value:g}, but no size is below 0{near}")
 
     def _check_whose(self) -> None:
-        """Checks that the measure exists for the joints, robot or object."""
         if self.joints and self.measure is not None and self.measure not in PER_JOINT:
             whole = "an object" if self.object is not None else "a robot as a whole"
             raise Problem(
@@ -227,7 +224,6 @@ class Expect(Declaration):
             raise DeclarationError(problems)
 
     def _ambiguous(self, scene: Scene) -> list[Problem]:
-        """Returns that it has to say at how many joints or robots a number is to be above."""
         if self.above is None or self.holds_at is not None or self.object is not None:
             return []
         robots = [name for name in self._robots(list(scene.robots)) if name in scene.robots]
@@ -248,7 +244,6 @@ class Expect(Declaration):
         return [Problem("holds_at", message)]
 
     def _not_free(self, scene: Scene) -> list[Problem]:
-        """Returns that what must be free for this measure is fixed, or is not there."""
         if self.object is not None:
             objects = {item.name: item for item in scene.objects}
             if self.object not in objects:
@@ -271,14 +266,7 @@ class Expect(Declaration):
     def judge(
         self, name: str, log: RunLog, findings: Sequence[Finding], scenario: RunContext
     ) -> Outcome:
-        """Judges a run.
-
-        Args:
-            name: of the expectation.
-            log: of the run.
-            findings: of the monitor.
-            scenario: that was run.
-        """
+        """Judges a run."""
         if self.measure is not None:
             return self._judge_measure(name, log)
         start = self.after
@@ -371,7 +359,6 @@ class Expect(Declaration):
         return np.minimum(high, low)
 
     def _deciding(self, values: Array, any_of_them: bool) -> int:
-        """Which of values decides: the best where one is enough, else the worst."""
         margins = self._margins(values)
         margins = np.where(np.isnan(margins), -np.inf, margins)
         return int(np.argmax(margins) if any_of_them else np.argmin(margins))

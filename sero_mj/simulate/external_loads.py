@@ -15,7 +15,7 @@ from ..robots.assemble.mjcf_dynamics import PAYLOAD
 from ..robots.assemble.parts import robots_of_bodies
 from ..robots.assemble.world import World
 from ..robots.declared.dynamics import inertia_problem, principal_moments, tensors_from
-from .rows import ManyRows
+from .physics import Physics
 
 
 class Push:
@@ -66,8 +66,6 @@ class Push:
         """Adds its joint torques.
 
         Args:
-            model: of the world.
-            data: with its kinematics.
             torques: (nv,), Nm or N, to which they are added.
         """
         force, torque = self.force, self.torque
@@ -77,11 +75,7 @@ class Push:
         mujoco.mj_applyFT(model, data, force, torque, self.point(data), self.body, torques)
 
     def point(self, data: mujoco.MjData) -> Array:
-        """Returns the world point at which it acts, (3,), m.
-
-        Args:
-            data: with its kinematics.
-        """
+        """Returns the world point at which it acts, (3,), m."""
         point: Array = data.site_xpos[self.site]
         if self.at.any():
             point = point + data.site_xmat[self.site].reshape(3, 3) @ self.at
@@ -93,16 +87,12 @@ class PushRows:
 
     MuJoCo is asked for no row by itself: to copy a row's `MjData` takes twice as long as its step.
     Sums and products are those of `mj_applyFT` in its order, so that the torques are the same.
-
-    Args:
-        rows: in which they act.
-        pushes: the row and the push, of all that act.
     """
 
-    def __init__(self, rows: ManyRows, pushes: Sequence[tuple[int, Push]]) -> None:
-        model = rows.model
+    def __init__(self, physics: Physics, pushes: Sequence[tuple[int, Push]]) -> None:
+        model = physics.model
         acting = [push for _, push in pushes]
-        self._rows, self._wrenches = rows, np.zeros((len(pushes), 2, 3))
+        self._physics, self._wrenches = physics, np.zeros((len(pushes), 2, 3))
         for push, wrench in zip(acting, self._wrenches, strict=True):
             push.write_into(wrench)
         self._of: Ints = np.array([row for row, _ in pushes], np.intp)
@@ -112,8 +102,8 @@ class PushRows:
         self._sites: Ints = np.array([push.site for push in acting], np.intp)
         self._roots: Ints = model.body_rootid[bodies].astype(np.intp)
         self._moved: Bools = np.array([_moving(model, body) for body in bodies])
-        self._places = rows.bind("site_xpos")
-        self._centers, self._motions = rows.bind("subtree_com"), rows.bind("cdof")
+        self._places = physics.bind("site_xpos")
+        self._centers, self._motions = physics.bind("subtree_com"), physics.bind("cdof")
         ats = np.array([push.at for push in acting])
         is_off = bool(ats.any())
         self._off: Array | None = ats[..., None] if is_off else None
@@ -121,7 +111,7 @@ class PushRows:
         self._turned: Ints = np.array(turned, np.intp)
         self._axes: Ints = np.array([acting[k].axes for k in turned], np.intp)
         # Bound only where needed: what is bound is copied in every step.
-        self._turns = rows.bind("site_xmat") if is_off or turned else None
+        self._turns = physics.bind("site_xmat") if is_off or turned else None
 
     def write(self, torques: Array) -> None:
         """Writes their torques on the joints.
@@ -129,8 +119,8 @@ class PushRows:
         Args:
             torques: (m, nv), Nm or N: zeros.
         """
-        rows, of, sites = self._rows, self._of, self._sites
-        rows.look_ahead()
+        of, sites = self._of, self._sites
+        self._physics.look_ahead()
         wrenches = self._wrenches
         points = self._places[of, sites]
         if self._turns is not None:
@@ -239,7 +229,6 @@ class Contacts:
 
     Args:
         world: compiled with `dynamic`.
-        model: of its physics.
 
     Attributes:
         forces: (robots, 3), on every robot, in the world's axes, N; of the last `update`.

@@ -31,7 +31,7 @@ import numpy as np
 from ..base.frames import Array, Ints
 from ..robots.assemble.mjcf_dynamics import COUPLING, deflection_joint, spring_damping
 from ..robots.assemble.world import World
-from .rows import ManyRows, OneRow
+from .physics import Physics
 
 Index = slice | Ints
 
@@ -51,12 +51,8 @@ class JointModel:
 
     Angles of links and their velocities are sums of two joints' where joints are elastic. Readings
     of the sensors are linear in the states before and after a step and in the torques that acted in
-    it: one matrix product computes them all, in few calls of numpy. Of many rows all arrays have
-    the rows as their first axis.
-
-    Args:
-        world: compiled with `dynamic`.
-        rows: worlds like it.
+    it: one matrix product computes them all, in few calls of numpy. All arrays have the m worlds as
+    their first axis.
 
     Attributes:
         n: number of joints of all robots together.
@@ -73,8 +69,8 @@ class JointModel:
         motor_torques: (n,), in the next step, Nm; to be written before `advance`.
     """
 
-    def __init__(self, world: World, rows: OneRow | ManyRows) -> None:
-        self._model, self._data, self._rows = world.model, rows.data, rows
+    def __init__(self, world: World, physics: Physics) -> None:
+        self._model, self._physics = world.model, physics
         self._world = world
         motor: list[int] = []
         sensor: list[int] = []
@@ -101,19 +97,18 @@ class JointModel:
         self.motor_positions = as_slice(np.array(motor_q, np.intp))
         self._motor_q, self._spring_q = np.array(motor_q, np.intp), np.array(spring_q, np.intp)
         self._spring_dofs = self.sensor_dofs[self._elastic_rows]
-        self._qpos, self._qvel, self._applied = rows.qpos, rows.qvel, rows.applied
+        self._qpos, self._qvel, self._applied = physics.qpos, physics.qvel, physics.applied
         # Where joints stand in equal steps these are views, which are always up to date.
         self._copies: list[tuple[Array, Ints, Array]] = []
         self.motor_angles = self._watch(self._qpos, self.motor_positions)
         self.motor_velocities = self._watch(self._qvel, self.motor_dofs)
-        self.motor_torques: Array = np.zeros((*rows.shape, self.n))
+        self.motor_torques: Array = np.zeros((physics.m, self.n))
         self._dofs_with_friction = np.zeros(0, np.intp)
-        self._friction: Array = np.zeros((*rows.shape, 0))
+        self._friction: Array = np.zeros((physics.m, 0))
         self._find_couplings()
         self.refresh()
 
     def _find_couplings(self) -> None:
-        """Finds the constraints of coupled joints: their rows, and what a row's force does."""
         model = self._model
         couplings: list[int] = []
         self._coupled_dofs: list[tuple[int, int, float]] = []  # which follows which, by what ratio
@@ -124,21 +119,24 @@ class JointModel:
                     couplings.append(model.equality(f"{name}/{part.robot.names[i]}{COUPLING}").id)
                     ratio = float(coupled.ratio[i])
                     self._coupled_dofs.append((int(part.dofs[i]), int(part.dofs[source]), ratio))
-        # Equality constraints stand first and in their order; all are active from the start on.
-        ids = self._data.efc_id[: self._data.ne].tolist()
+        ids: list[int] = []
+        if couplings:  # equality constraints stand first, and all are active from the start on
+            data = mujoco.MjData(self._physics.model)
+            mujoco.mj_forward(self._physics.model, data)
+            ids = data.efc_id[: data.ne].tolist()
         self._coupling_rows = np.array([ids.index(each) for each in couplings], np.intp)
-        self._coupling: Array = np.zeros((*self._rows.shape, len(couplings)))
+        self._coupling: Array = np.zeros((self._physics.m, len(couplings)))
 
     def _watch(self, array: Array, index: Index) -> Array:
-        watched = array[..., index]
+        watched = array[:, index]
         if not isinstance(index, slice):
             self._copies.append((array, index, watched))
         return watched
 
     def refresh(self) -> None:
         """Reads inertia, friction and stiffness anew from the models, after they were changed."""
-        model, rows = self._model, self._rows
-        models = [rows.model_of(row) for row in rows.indices]
+        model, physics = self._model, self._physics
+        models = [physics.model_of(row) for row in range(physics.m)]
         for name, part in self._world.robots.items():
             if part.robot.elastic_joints:
                 damping = spring_damping(self._world.dynamics[name], model.opt.timestep)
@@ -148,24 +146,20 @@ class JointModel:
                 for joint, value in zip(dofs, damping, strict=True):
                     model.dof_damping[joint.dofadr[0]] = value
         self._spring_stiffness = model.jnt_stiffness[model.dof_jntid[self._spring_dofs]]
-        friction: Array = np.zeros((*rows.shape, model.nv))
-        friction[..., self._dofs_with_friction] = self._friction
+        friction: Array = np.zeros((physics.m, model.nv))
+        friction[:, self._dofs_with_friction] = self._friction
         losses = np.array([each.dof_frictionloss for each in models])
         self._dofs_with_friction = np.flatnonzero((losses > 0).any(axis=0))
         self._arrange(models)
-        self._friction[:] = friction[..., self._dofs_with_friction]
+        self._friction[:] = friction[:, self._dofs_with_friction]
 
     def _arrange(self, models: Sequence[mujoco.MjModel]) -> None:
-        """Lays out what the sensors feel: [q, dq; torques; q, dq after; couplings; friction].
-
-        Args:
-            models: of all rows.
-        """
+        """Lays out what the sensors feel: [q, dq; torques; q, dq after; couplings; friction]."""
         model, n = self._model, self.n
         kinds = [model.nq, model.nv, n, model.nq, model.nv, len(self._coupled_dofs)]
         sizes = np.array([*kinds, len(self._dofs_with_friction)])
         ends = np.cumsum(sizes)
-        self._terms: Array = np.zeros((*self._rows.shape, ends[-1]))
+        self._terms: Array = np.zeros((self._physics.m, ends[-1]))
         self._column = self._terms[..., None]
         q_before, dq_before, motor_torques, q_after, dq_after, coupling, friction = np.split(
             self._terms, ends[:-1], axis=-1
@@ -173,7 +167,7 @@ class JointModel:
         motor_torques[:] = self.motor_torques
         coupling[:] = self._coupling
         self.motor_torques, self._coupling, self._friction = motor_torques, coupling, friction
-        self._inner = self._terms[..., ends[4] :]
+        self._inner = self._terms[:, ends[4] :]
         self._after = slice(ends[2], ends[4])
         first = (ends - sizes).tolist()
         found = {id(each): np.zeros((3 * n, ends[-1])) for each in models}
@@ -208,65 +202,68 @@ class JointModel:
         torques[:, coupling:friction] = slopes
         torques[:, friction:] = self._friction_at = dofs[:, None] == self._dofs_with_friction
 
-    def load_springs(self) -> None:
+    def load_springs(self, data: mujoco.MjData) -> None:
         """Deflects the springs so that they hold the links at rest; `data` has its bias torques."""
-        deflection = -self._data.qfrc_bias[self._spring_dofs] / self._spring_stiffness
+        deflection = -data.qfrc_bias[self._spring_dofs] / self._spring_stiffness
         motors = self._motor_q[self._elastic_rows]
-        angles = self._qpos[motors] + self._qpos[self._spring_q]
-        self._qpos[self._spring_q] = deflection
-        self._qpos[motors] = angles - deflection
+        angles = data.qpos[motors] + data.qpos[self._spring_q]
+        data.qpos[self._spring_q] = deflection
+        data.qpos[motors] = angles - deflection
 
     def advance(self, pushes: Array | None) -> bool:
         """Simulates one step.
 
         Args:
-            pushes: what else acts from outside, (nv,), Nm.
+            pushes: torques that act from outside, (m, nv), Nm.
 
         Returns:
             whether the motion is stable.
         """
-        rows = self._rows
+        physics = self._physics
         q_before, dq_before, q_after, dq_after = self._states
         q_before[...], dq_before[...] = self._qpos, self._qvel
-        self._applied[..., self.motor_dofs] = self.motor_torques
+        self._applied[:, self.motor_dofs] = self.motor_torques
         if pushes is not None:
             self._applied += pushes
-        is_stable = rows.step()
-        if not is_stable and not rows.shape:
+        is_stable = physics.step()
+        if not is_stable and physics.m == 1:
             return False
         q_after[...], dq_after[...] = self._qpos, self._qvel
         if self.reads_torques:
-            rows.read_inner_forces(self._coupling_rows, self._dofs_with_friction, self._inner)
+            physics.read_inner_forces(self._coupling_rows, self._dofs_with_friction, self._inner)
         if self.looks_ahead:
-            rows.look_ahead()
+            physics.look_ahead()
         return is_stable
 
-    def external(self, pushes: Array) -> Array:
-        """Torques on the links from outside in the last step, (n,), Nm: pushes, contacts, stops.
+    def external(self, row: int, pushes: Array) -> Array:
+        """Torques on the links of a row from outside in the last step, (n,), Nm.
 
         Args:
-            pushes: what acted by pushes, (nv,).
+            pushes: torques of pushes, (nv,).
         """
-        outer = pushes + self._data.qfrc_constraint
-        inner = self._friction_at @ self._friction + self._couples_at @ self._coupling
+        outer = pushes + self._physics.data_of(row).qfrc_constraint
+        inner = self._friction_at @ self._friction[row] + self._couples_at @ self._coupling[row]
         return np.asarray(outer[self.sensor_dofs] - inner)
 
     def read(self, readings: Array) -> None:
-        """Writes what sensors feel of the links: angles, velocities, torques, (3n, 1)."""
+        """Writes what sensors feel of the links: angles, velocities, torques, (m, 3n, 1)."""
         self.update_motors()
-        # As many products as rows: one for all would round otherwise than that for one.
+        # One product per row: one for all would round differently.
         np.matmul(self._readings_of, self._column, readings)
 
     def update_motors(self) -> None:
         """Brings `motor_angles` and `motor_velocities` up to date, where they are copies."""
         for array, index, copy in self._copies:
-            np.take(array, index, axis=-1, out=copy)
+            np.take(array, index, axis=1, out=copy)
 
-    def read_at_rest(self, readings: Array) -> None:
-        """Writes the readings at rest, before any step: torque sensors read the static load."""
-        self._terms[:] = 0.0
-        self._terms[self._after] = np.hstack([self._qpos, self._qvel])
-        equalities = self._data.ne
-        self._friction[:] = self._data.efc_force[equalities : equalities + len(self._friction)]
-        self.read(readings)
-        readings[2 * self.n :, 0] = self._data.qfrc_bias[self.sensor_dofs]
+    def read_at_rest(self, row: int, data: mujoco.MjData) -> Array:
+        """Readings of a row at rest, (3, n), before any step: torque sensors read the load."""
+        self._terms[row] = 0.0
+        self._terms[row, self._after] = np.hstack([data.qpos, data.qvel])
+        friction = self._friction[row]
+        friction[:] = data.efc_force[data.ne : data.ne + len(friction)]
+        self.update_motors()
+        readings = self._readings_of if self._readings_of.ndim == 2 else self._readings_of[row]
+        found = (readings @ self._column[row]).reshape(3, self.n)
+        found[2] = data.qfrc_bias[self.sensor_dofs]
+        return np.asarray(found)

@@ -88,9 +88,6 @@ class LiveRobot:
     def choose(self, control: str) -> str:
         """Changes the controller, and sets the target to the current pose.
 
-        Args:
-            control: its kind, one of `controllers`, or the short name of that.
-
         Returns:
             why it cannot be; empty where it is.
 
@@ -117,10 +114,6 @@ class LiveRobot:
 
     def change(self, values: Mapping[str, Any], text: Callable[[Mapping[str, Any]], str]) -> str:
         """Changes gains of the controller in use, at once; refuses what the step cannot hold.
-
-        Args:
-            values: gains by the fields of its declaration.
-            text: writes some of them for the message.
 
         Returns:
             why they are refused, and the largest that the step holds; empty where they are not.
@@ -154,7 +147,6 @@ class LiveRobot:
         return ""
 
     def _stand(self) -> None:
-        """Sets the target to the robot's angles and velocities, and decelerates it to rest."""
         target = self.target
         target.angles[:] = target.posture[:] = self.measured
         target.velocities[:] = self.speeds
@@ -192,7 +184,6 @@ class LiveRobot:
         self._place()
 
     def _place(self) -> None:
-        """Moves the target's pose to its angles."""
         target = self.target
         self.model.update(target.angles, target.velocities)
         target.position[:] = self.model.flange_position
@@ -226,5 +217,4 @@ class LiveControl:
 
 
 def _reason(error: DeclarationError) -> str:
-    """What is wrong, without the place in a file that there is none of."""
     return "; ".join(problem.message for problem in error.problems)

@@ -29,7 +29,6 @@ class RunRecorder:
     context manager.
 
     Args:
-        simulation: whose log.
         path: where to, OUT.mcap.
         overwrite: write over a file that exists.
         signals_rate: of how many rows per simulated second the values are kept as JSON as well.
@@ -84,7 +83,6 @@ class RunRecorder:
 
 
 def _signals_of(simulation: Simulation) -> Signals:
-    """The log's events, those of joints by name: `lwr.A1.torque [Nm]`."""
     events = simulation.layout.structure.events
     shapes = {name: tuple(shape) for name, shape in events.items()}
     names: dict[str, list[str]] = {}
@@ -109,7 +107,6 @@ class LogSignals:
     """The signals of one robot of a simulation at any time until now; stands in for a motion.
 
     Args:
-        simulation: it is not run here.
         robot: whose signals.
     """
 

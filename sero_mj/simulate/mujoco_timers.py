@@ -44,7 +44,6 @@ def without_timers() -> Iterator[None]:
 
 @cache
 def _installed_clock() -> ctypes.c_void_p | None:
-    """MuJoCo's `mjcb_time`, in place."""
     names = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")
     folders = [Path(folder) for folder in mujoco.__path__]
     for file in chain.from_iterable(each.glob(name) for each in folders for name in names):

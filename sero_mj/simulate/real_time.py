@@ -40,11 +40,7 @@ def real_time_of(log: RunLog) -> dict[str, RealTime]:
 
 
 class RealTimeWatch:
-    """Warns of a run that falls behind real time, at most every 5 s.
-
-    Args:
-        name: of the run.
-    """
+    """Warns of a run that falls behind real time, at most every 5 s."""
 
     def __init__(self, name: str) -> None:
         self._name = name

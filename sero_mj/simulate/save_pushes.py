@@ -23,7 +23,6 @@ def save_pushes(simulation: Simulation, folder: Path) -> Path:
     """Saves a run that was pushed by drag: `NAME_pushed.toml`, and `.mcap` beside it.
 
     Args:
-        simulation: that was run, with a drag force.
         folder: where to; names that are taken there get a number.
 
     Returns:
@@ -95,7 +94,6 @@ def _disturbance(pull: Pull, timestep: float) -> dict[str, Any]:
 
 
 def _named(scenario: Scenario, folder: Path) -> str:
-    """What a scenario in that folder calls this one: its name if it is shipped, else its file."""
     assert scenario.file is not None
     try:
         if find_scenario(scenario.file.stem).samefile(scenario.file):

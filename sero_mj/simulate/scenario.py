@@ -16,12 +16,12 @@ from pydantic import Field, model_validator
 from ..base.declaration import Declaration, by_kind, of_shape
 from ..base.errors import DeclarationError, Problem, collect
 from ..base.frames import Array
-from ..base.trust import Origin, Request
+from ..base.trust import FileOrigin, Request
 from ..robots.assemble.robot_dynamics import EARTH
 from ..robots.declared.degrees import look_like_degrees
 from ..robots.declared.scene import Scene
 from ..robots.declared.surroundings import Object
-from .control.controller import Controller, ControllerDeclaration, within
+from .control.controller import Controller, ControllerDeclaration, as_controller, within
 from .control.joint_control import GravityCompensation
 from .control.make_controller import controller_from
 from .control.plan import target_motion_from
@@ -104,7 +104,6 @@ class Run(Declaration):
     @model_validator(mode="before")
     @classmethod
     def _without_jit(cls, table: dict[str, Any]) -> dict[str, Any]:
-        """Drops `jit`, which once selected machine code, with a warning."""
         if "jit" in table:
             _warn_of_jit()
         return {key: value for key, value in table.items() if key != "jit"}
@@ -270,7 +269,6 @@ class Scenario:
                 expect.check(self)
 
     def _check_starts(self) -> None:
-        """Checks that robots start within their position limits."""
         for name, robot in self.scene.robots.items():
             if robot.position_limits is None:
                 continue
@@ -286,7 +284,6 @@ class Scenario:
                 self.problems.append(Problem(f"robots.{name}.joint_angles", message))
 
     def _check_disturbance(self, place: str, disturbance: Disturbance) -> None:
-        """Checks that its frame, robot or object exists."""
         known: list[tuple[str, str, list[str]]] = []
         if isinstance(disturbance, Force):
             frames = [*self.scene.named_frames(), "world"]
@@ -336,7 +333,7 @@ class Scenario:
         file = self.file or Path(self.name)
         return Request(file, tuple(actions), self.tables) if actions else None
 
-    def set_origin(self, origin: Origin) -> None:
+    def set_origin(self, origin: FileOrigin) -> None:
         """Says which file its controllers were read from, and whether that is trusted."""
         for declared in self.controllers.values():
             if isinstance(declared, ControllerDeclaration):
@@ -363,28 +360,24 @@ class Scenario:
         """Whether a robot has a target pose: a declared one, or that at which it starts."""
         if self._is_wrong(f"controllers.{robot}", f"targets.{robot}"):
             return True  # its declaration is invalid, which is reported, not missing
-        return robot in self.targets or getattr(self.controller_of(robot), "needs_target", True)
+        return robot in self.targets or self.controller_of(robot).needs_target
 
     def is_in_real_time(self, robot: str) -> bool:
         """Whether a robot has a controller that runs in real time, and logs how late steps are."""
         controller = self.controller_of(robot)
-        is_timed = getattr(controller, "clock", "") == "real_time"
-        is_logged = STEP_LATENESS in getattr(controller, "logged", ())
-        return (is_timed and is_logged) or self._is_wrong(f"controllers.{robot}")
+        is_timed = controller.is_in_real_time and STEP_LATENESS in controller.logged
+        return is_timed or self._is_wrong(f"controllers.{robot}")
 
     def _is_wrong(self, *sections: str) -> bool:
         keys = [f"{problem.key}." for problem in self.problems]
         return any(key.startswith(f"{each}.") for key in keys for each in sections)
 
-    def controller_of(self, robot: str) -> Controller | ControllerDeclaration:
+    def controller_of(self, robot: str) -> Any:
         """The controller of a robot; gravity compensation where none is declared."""
-        return self.controllers.get(robot, GravityCompensation())
+        return as_controller(self.controllers.get(robot, GravityCompensation()))
 
     def make_sensors(self, seed: int) -> Sensors:
         """The sensors of all robots together.
-
-        Args:
-            seed: of their noise.
 
         Raises:
             DeclarationError: errors that do not fit the joints, or delays that differ.
@@ -451,7 +444,6 @@ def build_entry(section: str, table: Any) -> Any:
 
     Args:
         section: `controllers`, `targets`, `sensors`, `disturbances`, `faults` or `expect`.
-        table: of one of its names.
 
     Raises:
         DeclarationError: what is wrong in it.

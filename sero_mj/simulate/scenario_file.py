@@ -26,7 +26,7 @@ from ..base.errors import (
 from ..base.frames import Array
 from ..base.paths import find_scenario, find_scene
 from ..base.toml_file import located, read_toml
-from ..base.trust import Origin, is_allowed
+from ..base.trust import FileOrigin, is_allowed
 from ..data.drive.table_scene import robots_in
 from ..data.record.table import is_table, read_csv, read_table
 from ..robots.declared.robot import SerialRobot
@@ -70,9 +70,9 @@ def read_scenario(
     file = find_scenario(str(path))
     scenario = _read(file, dict(overrides or {}), ())
     if trusted:  # without a request, which reads all files: sweeps come here for each variant
-        scenario.set_origin(Origin(file, is_trusted=True))
+        scenario.set_origin(FileOrigin(file, is_trusted=True))
     elif (request := scenario.request()) is not None:
-        scenario.set_origin(Origin(file, is_allowed(request)))
+        scenario.set_origin(FileOrigin(file, is_allowed(request)))
     return scenario
 
 
@@ -87,7 +87,6 @@ def _read(file: Path, overrides: dict[str, Any], extending: tuple[Path, ...]) ->
 
 
 def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -> Scenario:
-    """Reads a scenario that extends none."""
     whole = dict(tables)
     own = {key: tables.pop(key) for key in (*SECTIONS, *OTHERS) if key in tables}
     of_scene: dict[str, Any] = {}
@@ -137,14 +136,13 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         raise DeclarationError(problems)
     scenario.file, scenario.settings = file, overrides
     scenario.tables = (file,)
-    scenario.set_origin(Origin(file))  # whoever reads files decides whether it is trusted
+    scenario.set_origin(FileOrigin(file))  # whoever reads files decides whether it is trusted
     return scenario
 
 
 def _problems_without(
     file: Path, tables: dict[str, Any], settings: dict[str, Any]
 ) -> list[Problem]:
-    """What is wrong with settings of a scenario itself, without those of its scene."""
     try:
         _read_whole(file, tables, settings)
     except DeclarationError as error:
@@ -154,14 +152,12 @@ def _problems_without(
 
 
 def _is_part(key: str, of: str) -> bool:
-    """Whether a problem's key is one that was set, or a part of it, or has it."""
     return any(a == b or a.startswith((f"{b}.", f"{b}[")) for a, b in ((key, of), (of, key)))
 
 
 def _read_extended(
     file: Path, tables: dict[str, Any], overrides: dict[str, Any], extending: tuple[Path, ...]
 ) -> Scenario:
-    """Reads what a scenario extends, with what it sets."""
     base, settings = tables.pop("extends"), tables.pop("set", {})
     problems: list[Problem] = []
     if not isinstance(settings, dict):
@@ -193,7 +189,6 @@ def _read_extended(
 
 
 def _extended(file: Path, base: Any, extending: tuple[Path, ...]) -> Path:
-    """The scenario that `extends = ...` names, beside the file or a shipped one."""
     if not isinstance(base, str):
         raise _wrong("extends", f"found {base!r}; expected the name or file of a scenario")
     beside = file.parent / base
@@ -207,7 +202,6 @@ def _extended(file: Path, base: Any, extending: tuple[Path, ...]) -> Path:
 
 
 def _as_set_in(problems: list[Problem], settings: Mapping[str, Any]) -> list[Problem]:
-    """Takes the place from problems of what is set by these keys: it is not in that file."""
     return [
         replace(problem, file=None, line=None)
         if any(f"{problem.key}.".startswith(f"{key}.") for key in settings)
@@ -237,7 +231,6 @@ def _read_motions(own: dict[str, Any], scene: Scene, beside: Path) -> list[Probl
 
 
 def _place_files(own: dict[str, Any], beside: Path) -> None:
-    """Lets names of files, and the folders of programs, in tables of controllers begin here."""
     tables, kinds = own.get("controllers"), controller_kinds()
     for name, table in tables.items() if isinstance(tables, dict) else ():
         kind = kinds.get(str(table.get("kind"))) if isinstance(table, dict) else None
@@ -254,7 +247,6 @@ def _place_files(own: dict[str, Any], beside: Path) -> None:
 def _other_scene(
     folder: Path, name: Any, tables: Mapping[str, Any], overrides: Mapping[str, Any]
 ) -> tuple[Any, list[Problem]]:
-    """The scene that `scene = ...` names, in the scenario's folder or a shipped one."""
     if not isinstance(name, str):
         raise Problem("scene", found=name, expected="the name or file of a scene").error()
     if tables:
@@ -276,9 +268,6 @@ def _set_all(
 
     Args:
         own: the tables, by section; those that something is set in are replaced.
-        settings: values by key.
-        scene: has the robots and groups.
-        file: of the scenario, for problems.
 
     Returns:
         what is wrong with the keys, once for each.
@@ -366,8 +355,6 @@ def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> 
 
     Args:
         table: of the target; others than such with a `file` come back as they are.
-        robot: that is to follow.
-        beside: folder that the file is relative to.
 
     Returns:
         the table with `times` and `angles` instead, averaged over 20 ms and beginning at 0 s.

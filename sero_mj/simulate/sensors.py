@@ -10,17 +10,15 @@ differences through a first-order low pass of bandwidth w, exact for what is con
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy import add, copyto, divide, multiply, rint
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from ..base.declaration import Declaration, numbers
 from ..base.errors import Problem, UnknownName
-from ..base.frames import Array, Bools, Ints, RowIndex
+from ..base.frames import Array, Bools, Ints
 
 Signal = Literal["angles", "velocities", "torques"]
 SIGNALS: tuple[Signal, ...] = ("angles", "velocities", "torques")
@@ -65,25 +63,24 @@ class SensorErrors(Declaration):
     delay: int = Field(0, ge=0, le=100_000)
 
 
+_ALL = slice(None)
+Joints = int | Sequence[int] | slice
+
+
 class Sensors:
     """Sensors of n joints for three signals: angles, velocities and torques, in that order.
 
-    With m rows, of which each has sensors and noise of its own (see `joined`), all arrays have the
-    rows as their first axis.
-
     Args:
-        n: number of joints.
         angles: of the link, behind gear and spring.
-        velocities: likewise.
+        velocities: of the same.
         torques: of the torque sensors.
         seed: of the noise; the same seed gives the same values.
         velocity_filter: w, (n,), 1/s, of joints whose velocities are differentiated, with their own
             errors on top; 0 for those that have tachometers. None for no differentiated ones.
-        timestep: t, s between two readings; needed with `velocity_filter`.
+        timestep: t, seconds between two readings; needed with `velocity_filter`.
 
     Attributes:
-        is_perfect: whether they read the truth, at once.
-        measured: (3, n), what was read last; the same array all the time.
+        rows: the sensors of all rows that are read together; this is row `row` of them.
         seed: of the noise from the next `reset` on.
 
     Raises:
@@ -101,96 +98,22 @@ class Sensors:
         velocity_filter: Array | None = None,
         timestep: float = 0.0,
     ) -> None:
-        errors = [each or SensorErrors() for each in (angles, velocities, torques)]
-        filters = np.zeros(n) if velocity_filter is None else np.array(velocity_filter)
-        if filters.any() and not timestep > 0:
+        self.n, self.seed, self.timestep = n, seed, timestep
+        self.declared = [each or SensorErrors() for each in (angles, velocities, torques)]
+        self.filters = np.zeros(n) if velocity_filter is None else np.array(velocity_filter)
+        if self.filters.any() and not timestep > 0:
             raise Problem("timestep", found=timestep, of="s", expected="more than 0").error()
-        self._build(n, (), [errors], filters, timestep, seed)
-        self.reset(self.measured)
+        self.row, self.rows = 0, SensorRows([self])
 
-    @classmethod
-    def joined(cls, each: Sequence[Sensors]) -> Self:
-        """The sensors of as many rows, which begin with `reset_row`.
+    @property
+    def measured(self) -> Array:
+        """(3, n), the last readings; always the same array."""
+        return np.asarray(self.rows.measured[self.row])
 
-        Args:
-            each: of every row, of n joints and with one timestep.
-        """
-        first, made = each[0], cls.__new__(cls)
-        declared = [one._declared[0] for one in each]
-        filters = np.array([one._filters for one in each])
-        made._build(first.n, (len(each),), declared, filters, first._timestep, first.seed)
-        made._alone = each
-        return made
-
-    def _build(
-        self,
-        n: int,
-        rows: tuple[int, ...],
-        declared: list[list[SensorErrors]],
-        filters: Array,
-        timestep: float,
-        seed: int,
-    ) -> None:
-        self.n, self._rows, self._declared, self.seed = n, rows, declared, seed
-        m, shape = len(declared), (*rows, 3, n)
-        self.measured = np.zeros(shape)
-        # Noise alone, and all in all.
-        self._noise, self._offsets = np.zeros((2, _BLOCK, *shape))
-        self._offset_rows = tuple(self._offsets)
-        self._grid_steps = np.zeros((*rows, n))
-        # Of every joint in a ring of late values.
-        self._places: tuple[Ints, ...] = (np.arange(n),)
-        if rows:
-            self._places = (np.arange(m)[:, None], *self._places)
-        self._filters, self._timestep = filters, timestep
-        self._differentiated: Bools | None = filters > 0 if filters.any() else None
-        self._new_share = -np.expm1(-filters * timestep)
-        self._speeds, self._read_angles = np.zeros((2, *rows, n))
-        self._has_read = False
-        # What was read without its delay.
-        self._past = [np.zeros((1, *rows, n)) for _ in SIGNALS]
-        self._rngs = [np.random.default_rng(seed) for _ in declared]
-        self._k = 0  # readings until now
-        self._first = np.zeros(m, np.intp)  # where the noise of every row begins
-        self._together: int | None = 0  # the same where it is one for all
-        self._has_noise, self._has_drawn = np.zeros((2, m), bool)
-        self._errors = {key: np.zeros(shape) for key in _ERRORS}
-        self._held: Array = np.zeros(shape)
-        self._dead, self._frozen = np.zeros((2, *shape), bool)
-        self._delays = np.zeros(shape, np.intp)
-        self._changed: set[RowIndex] = set()
-        self._alone: Sequence[Sensors] = ()
-        for row in range(m) if rows else (...,):
-            self._of: Any = row  # the rows that are changed
-            self.repair()
-        self._of = ...
-
-    def repair(self) -> None:
-        """Ends all faults and changes: every sensor is as it was declared."""
-        of = self._of
-        errors = self._declared[0 if of is ... else of]
-        self._dead[of] = self._frozen[of] = False
-        self._held[of] = 0.0
-        for row, (signal, declared) in enumerate(zip(SIGNALS, errors, strict=True)):
-            for key in _ERRORS:
-                value = getattr(declared, key)
-                if value.shape not in ((), (1,), (self.n,)):
-                    place, expected = f"{signal}.{key}", f"1 or {self.n}"
-                    raise Problem(place, found=len(value), of="numbers", expected=expected).error()
-                self._errors[key][of][..., row, :] = value
-        self._delays[of] = 0
-        for signal, declared in zip(SIGNALS, errors, strict=True):
-            self.delay(signal, declared.delay)
-
-    @contextmanager
-    def only(self, row: RowIndex) -> Iterator[None]:
-        """Limits the changes in its context to one row; `...` is the single one."""
-        self._changed.add(row)
-        before, self._of = self._of, row
-        try:
-            yield
-        finally:
-            self._of = before
+    @property
+    def is_perfect(self) -> bool:
+        """Whether the sensors read the true values without delay."""
+        return bool(self.rows.is_idle[self.row])
 
     def reset(self, actual: Array) -> None:
         """Restarts the noise from its seed, and delays as if everything had been at rest.
@@ -198,217 +121,10 @@ class Sensors:
         Args:
             actual: (3, n), the true values now.
         """
-        self._rngs = [np.random.default_rng(self.seed)]
-        self._has_drawn[:] = self._drawn = False
-        self._k = 0
-        self._speeds[:] = 0.0
-        self._has_read = False
-        for _ in range(int(self._delays.max()) + 1):
-            self.measure(actual)
-
-    def reset_row(self, row: int, actual: Array, seed: int) -> None:
-        """Resets one of the rows, without faults.
-
-        Args:
-            row: from 0.
-            actual: (3, n), the true values now.
-            seed: of its noise.
-        """
-        if row in self._changed:
-            with self.only(row):
-                self.repair()
-            self._changed.remove(row)
-        one = self._alone[row]
-        one.seed = seed
-        one.reset(actual)
-        self.measured[row], self._rngs[row] = one.measured, one._rngs[0]
-        self._speeds[row], self._read_angles[row] = one._speeds, one._read_angles
-        self._has_read |= one._has_read  # of rows without a filter it does not matter
-        for signal, past in enumerate(one._past):
-            own = self._past[signal]
-            for age in range(len(past)):
-                own[(self._k - 1 - age) % len(own), row] = past[(one._k - 1 - age) % len(past)]
-        self._noise[:, row], self._has_drawn[row] = one._noise, one._drawn
-        self._first[row] = self._k - one._k
-        self._find_together()
-        self._drawn = bool(self._has_drawn[self._has_noise].all())
-        self._offset(row)
-
-    def change(
-        self, signal: Signal, joints: int | Sequence[int] | slice | None = None, **errors: float
-    ) -> None:
-        """Changes gain, bias, noise or resolution of some sensors while they run.
-
-        Args:
-            signal: `angles`, `velocities` or `torques`.
-            joints: from 0; all when None.
-            **errors: of `SensorErrors`, but `delay`.
-
-        Raises:
-            UnknownName: no such signal or error.
-            ValueError: noise or resolution below 0.
-        """
-        row = _row(signal)
-        for key, value in errors.items():
-            if key not in _ERRORS:
-                raise UnknownName("sensor error", key, _ERRORS)
-            if key in ("noise", "resolution") and not value >= 0:
-                raise Problem(f"{signal}.{key}", found=value, expected="0 or more").error()
-            chosen = slice(None) if joints is None else joints
-            self._errors[key][self._of][..., row, chosen] = value
-        self._plan()
-
-    def delay(
-        self, signal: Signal, steps: int, joints: int | Sequence[int] | slice | None = None
-    ) -> None:
-        """Sets the delay of a signal, in steps.
-
-        What was read before is kept; before the first delay only what was read last.
-
-        Args:
-            signal: `angles`, `velocities` or `torques`.
-            steps: 0 ends a delay.
-            joints: from 0; all when None.
-
-        Raises:
-            UnknownName: no such signal.
-            ValueError: fewer than 0 steps.
-        """
-        row = _row(signal)
-        if steps < 0:
-            raise Problem(
-                signal, "found a delay of", found=steps, of="steps", expected="0 or more"
-            ).error()
-        delays = self._delays[self._of][..., row, :].copy()
-        delays[..., slice(None) if joints is None else joints] = steps
-        self._delay(row, delays)
-        self._plan()
-
-    def _delay(self, row: int, delays: Ints) -> None:
-        """Sets the delays of a signal's joints, (n,)."""
-        of = self._of
-        was_late = self._delays[of][..., row, :].any()
-        has_late = self._delays[..., row, :].any()
-        self._delays[of][..., row, :] = delays
-        longest = int(self._delays[..., row, :].max())
-        old, past = self._past[row], np.empty((longest + 1, *self._rows, self.n))
-        past[:] = now = self.measured[..., row, :]
-        for age in range(min(len(old), len(past)) if has_late else 0):
-            past[(self._k - 1 - age) % len(past)] = old[(self._k - 1 - age) % len(old)]
-        if has_late and not was_late:
-            past[:, of] = now[of]
-        self._past[row] = past
-
-    def end_faults(self, reapply: Callable[[], None]) -> None:
-        """Ends all faults and changes, and applies the remaining ones again.
-
-        Args:
-            reapply: makes these once more; for them it is as if nothing had been.
-        """
-        of = self._of
-        held, delays, past = self._held[of].copy(), self._delays[of].copy(), list(self._past)
-        self.repair()
-        reapply()
-        self._held[of] = held
-        wanted = self._delays[of].copy()
-        self._delays[of], self._past = delays, past
-        for row in range(len(SIGNALS)):
-            if (wanted[..., row, :] != delays[..., row, :]).any():
-                self._delay(row, wanted[..., row, :])
-        self._plan()
-
-    def kill(self, signal: Signal, joint: int) -> None:
-        """A sensor that reads zero."""
-        self._dead[self._of][..., _row(signal), joint] = True
-        self._plan()
-
-    def freeze(self, signal: Signal, joint: int) -> None:
-        """A sensor that keeps its last reading."""
-        row = _row(signal)
-        of = self._of
-        self._frozen[of][..., row, joint] = True
-        self._held[of][..., row, joint] = self.measured[of][..., row, joint]
-        self._plan()
-
-    def _plan(self) -> None:
-        """Determines the operations of every step."""
-        errors = self._errors
-        self._gain = errors["gain"]
-        self._scaled = bool((self._gain != 1).any())
-        self._noisy = bool((errors["noise"] != 0).any())
-        self._shifted = self._noisy or bool((errors["bias"] != 0).any())
-        self._has_noise[:] = (errors["noise"] != 0).reshape(len(self._rngs), -1).any(axis=1)
-        self._drawn = bool(self._has_drawn[self._has_noise].all())
-        for row in range(len(self._rngs)) if self._of is ... else (self._of,):
-            self._offset(row)
-        coarse = errors["resolution"] > 0
-        # Values, their resolution, and for which of them; None for all.
-        self._grids = [
-            (
-                self.measured[..., row, :],
-                np.where(coarse[..., row, :], errors["resolution"][..., row, :], 1.0),
-                None if coarse[..., row, :].all() else coarse[..., row, :],
-            )
-            for row in range(len(SIGNALS))
-            if coarse[..., row, :].any()
-        ]
-        self._faulty = bool(self._dead.any() or self._frozen.any())
-        self._late = [
-            (self.measured[..., row, :], past, self._delays[..., row, :])
-            for row, past in enumerate(self._past)
-            if self._delays[..., row, :].any()
-        ]
-
-        is_off = self._dead | self._frozen | (self._delays != 0)
-        for key, right in (("gain", 1.0), ("bias", 0.0), ("noise", 0.0), ("resolution", 0.0)):
-            is_off |= errors[key] != right
-        if self._differentiated is not None:
-            is_off[...] = True
-        # Perfect sensors by themselves are not asked to `measure`: among rows it does not count.
-        self._idle = ~is_off.reshape(len(self._rngs), -1).any(axis=1)
-        self._has_idle = bool(self._rows) and bool(self._idle.any())
-        self.is_perfect = bool(self._idle.all())
-
-    def _offset(self, row: int) -> None:
-        """Noise and bias of a row together for a block of steps: one addition in every step."""
-        shape = (-1, 3, self.n)
-        noise, bias = (self._errors[key].reshape(shape)[row] for key in ("noise", "bias"))
-        offsets = self._offsets.reshape(_BLOCK, *shape)[:, row]
-        multiply(self._noise.reshape(_BLOCK, *shape)[:, row], noise, offsets)
-        add(offsets, bias, offsets)
-
-    def _offsets_now(self) -> Array:
-        """Noise and bias of this reading, (3, n)."""
-        if self._together is not None:
-            k = (self._k - self._together) % _BLOCK
-            if self._noisy and (k == 0 or not self._drawn):
-                self._draw(np.full(len(self._rngs), k))
-            together: Array = self._offset_rows[k]
-            return together
-        rows = (self._k - self._first) % _BLOCK
-        if self._noisy and not (self._drawn and rows.all()):
-            self._draw(rows)
-        return np.asarray(self._offsets[rows, self._places[0][:, 0]])
-
-    def _find_together(self) -> None:
-        first = int(self._first[0])
-        self._together = first if (self._first == first).all() else None
-
-    def _draw(self, k: Ints) -> None:
-        """Draws the noise of a block of steps, of rows that are at its beginning or need it now.
-
-        Args:
-            k: (m,), where in their blocks the rows are.
-        """
-        noise = self._noise.reshape(_BLOCK, -1, 3, self.n)
-        for row in np.flatnonzero(self._has_noise & ((k == 0) | ~self._has_drawn)).tolist():
-            noise[:, row] = self._rngs[row].standard_normal((_BLOCK, 3, self.n))
-            self._has_drawn[row] = True
-            self._offset(row)
-        self._drawn = True
+        self.rows.reset(self.row, actual, self.seed)
 
     def measure(self, actual: Array) -> Array:
-        """Reads all sensors.
+        """Reads sensors that are the only row.
 
         Args:
             actual: (3, n), the true values.
@@ -416,54 +132,260 @@ class Sensors:
         Returns:
             `measured`, (3, n).
         """
-        measured, source = self.measured, actual
-        if self._scaled:
-            source = multiply(source, self._gain, measured)
-        offsets = self._offsets_now() if self._shifted else None
-        if offsets is not None:
-            source = add(source, offsets, measured)
-        if source is actual:
-            copyto(measured, actual)
-        for values, grid, coarse in self._grids:
-            steps = values if coarse is None else self._grid_steps
-            divide(values, grid, steps)
-            rint(steps, steps)
-            multiply(steps, grid, steps)
-            if coarse is not None:
-                copyto(values, steps, where=coarse)
-        if self._differentiated is not None:
-            self._differentiate(self._differentiated, offsets)
-        if self._faulty:
-            copyto(measured, self._held, where=self._frozen)
-            copyto(measured, 0.0, where=self._dead)
-        for values, past, late in self._late:
-            past[self._k % len(past)] = values
-            values[:] = past[((self._k - late) % len(past), *self._places)]
-        self._k += 1
-        if self._has_idle:
-            self._first += self._idle
-            self._find_together()
+        return np.asarray(self.rows.measure(actual[None])[0])
+
+    def change(self, signal: Signal, joints: Joints | None = None, **errors: float) -> None:
+        """Changes gain, bias, noise or resolution of some sensors while they run.
+
+        Args:
+            joints: from 0; all when None.
+            **errors: of `SensorErrors`, but `delay`.
+
+        Raises:
+            UnknownName: no such signal or error.
+            ValueError: noise or resolution below 0.
+        """
+        number = _number(signal)
+        for key, value in errors.items():
+            if key not in _ERRORS:
+                raise UnknownName("sensor error", key, _ERRORS)
+            if key in ("noise", "resolution") and not value >= 0:
+                raise Problem(f"{signal}.{key}", found=value, expected="0 or more").error()
+            chosen = slice(None) if joints is None else joints
+            self.rows.errors[key][self.row, number, chosen] = value
+        self.rows.update()
+
+    def delay(self, signal: Signal, steps: int, joints: Joints | None = None) -> None:
+        """Sets the delay of a signal in steps; 0 ends it.
+
+        Earlier readings are kept; before the first delay only the last one.
+
+        Args:
+            joints: from 0; all when None.
+
+        Raises:
+            UnknownName: no such signal.
+            ValueError: fewer than 0 steps.
+        """
+        number = _number(signal)
+        if steps < 0:
+            problem = Problem(
+                signal, "found a delay of", found=steps, of="steps", expected="0 or more"
+            )
+            raise problem.error()
+        delays = self.rows.delays[self.row].copy()
+        delays[number, slice(None) if joints is None else joints] = steps
+        self.rows.set_delays(self.row, delays)
+
+    def kill(self, signal: Signal, joint: int) -> None:
+        """Lets a sensor read zero."""
+        self.rows.dead[self.row, _number(signal), joint] = True
+        self.rows.update()
+
+    def freeze(self, signal: Signal, joint: int) -> None:
+        """Lets a sensor keep its last reading."""
+        place = self.row, _number(signal), joint
+        self.rows.frozen[place], self.rows.held[place] = True, self.rows.measured[place]
+        self.rows.update()
+
+    def repair(self) -> None:
+        """Ends all faults and changes: every sensor is as it was declared."""
+        self.rows.repair(self.row)
+
+    def end_faults(self, reapply: Callable[[], None]) -> None:
+        """Ends all faults and changes, and applies the remaining ones again.
+
+        Args:
+            reapply: applies these; what they hold and delay continues.
+        """
+        rows, row = self.rows, self.row
+        held, delays, past = rows.held[row].copy(), rows.delays[row].copy(), rows.past.copy()
+        self.repair()
+        reapply()
+        wanted = rows.delays[row].copy()
+        rows.held[row], rows.delays[row], rows.past = held, delays, past
+        rows.set_delays(row, wanted)
+
+
+class SensorRows:
+    """The sensors of m rows, which are read together; all arrays have the rows as first axis.
+
+    Args:
+        each: the sensors of every row, of n joints and with one timestep; they become its rows.
+
+    Attributes:
+        measured: (m, 3, n), the last readings; always the same array.
+        errors: gain, bias, noise and resolution, (m, 3, n) each; call `update` after a change.
+        dead: (m, 3, n), sensors that read zero.
+        frozen: (m, 3, n), sensors that read what is in `held`.
+        delays: (m, 3, n), steps.
+        past: (L, m, 3, n), a ring of readings that were not delayed yet.
+        is_idle: (m,), whether a row reads the true values.
+        is_perfect: whether all do, so that `measure` need not be called.
+    """
+
+    def __init__(self, each: Sequence[Sensors]) -> None:
+        first, m = each[0], len(each)
+        self._each, shape = each, (m, 3, first.n)
+        self.measured: Array = np.zeros(shape)
+        self.errors: dict[str, Array] = {key: np.zeros(shape) for key in _ERRORS}
+        self.held: Array = np.zeros(shape)
+        self.dead, self.frozen = np.zeros((2, *shape), bool)
+        self.delays: Ints = np.zeros(shape, np.intp)
+        self.past: Array = np.zeros((1, *shape))
+        self._place = 0  # in that ring
+        filters = np.array([one.filters for one in each])
+        self._is_filtered: Bools = filters > 0
+        self._differentiates = bool(filters.any())
+        self._timestep = first.timestep
+        self._new_share = -np.expm1(-filters * self._timestep)
+        self._speeds, self._read_angles = np.zeros((2, m, first.n))
+        self._has_read: Bools = np.zeros((m, 1), bool)
+        # Noise is drawn for a block of readings: for each alone that takes longer than the rest.
+        self._noise: Array = np.zeros((m, _BLOCK, 3, first.n))
+        self._has_drawn: Bools = np.zeros(m, bool)
+        self._k: Ints = np.zeros(m, np.intp)  # readings until now
+        self._rngs = [np.random.default_rng(one.seed) for one in each]
+        self._at = np.arange(m)[:, None, None], np.arange(3)[:, None], np.arange(first.n)
+        for row, one in enumerate(each):
+            one.rows, one.row = self, row
+            self.repair(row)
+            self.reset(row, self.measured[row].copy(), one.seed)
+
+    def repair(self, row: int) -> None:
+        """Ends all faults and changes of a row."""
+        self.dead[row] = self.frozen[row] = False
+        self.held[row] = 0.0
+        delays = np.zeros_like(self.delays[row])
+        n = delays.shape[-1]
+        for number, (signal, declared) in enumerate(
+            zip(SIGNALS, self._each[row].declared, strict=True)
+        ):
+            for key in _ERRORS:
+                value = getattr(declared, key)
+                if value.shape not in ((), (1,), (n,)):
+                    place, expected = f"{signal}.{key}", f"1 or {n}"
+                    raise Problem(place, found=len(value), of="numbers", expected=expected).error()
+                self.errors[key][row, number] = value
+            delays[number] = declared.delay
+        self.set_delays(row, delays)
+
+    def set_delays(self, row: int, delays: Ints) -> None:
+        """Sets the delays of a row, (3, n), in steps."""
+        was_late = self.delays.any(axis=(0, 2))  # signals of any row
+        row_was_late = self.delays[row].any(axis=1)
+        is_new = (delays != self.delays[row]).any(axis=1)
+        self.delays[row] = delays
+        old, longest = self.past, int(self.delays.max())
+        past: Array = np.empty((longest + 1, *self.measured.shape))
+        past[:] = self.measured
+        for age in range(1, min(len(old), len(past)) + 1):
+            kept = old[(self._place - age) % len(old)][:, was_late]
+            past[(self._place - age) % len(past)][:, was_late] = kept
+        begins = is_new & ~row_was_late
+        past[:, row, begins] = self.measured[row, begins]
+        self.past = past
+        self.update()
+
+    def update(self) -> None:
+        """Determines what every reading takes, after changes."""
+        errors = self.errors
+        self._has_noise: Bools = np.asarray(errors["noise"].any(axis=(1, 2)))
+        self._coarse: Bools = errors["resolution"] > 0
+        self._grid = np.where(self._coarse, errors["resolution"], 1.0)
+        self._grids = [
+            (signal, self._grid[:, signal], self._coarse[:, signal])
+            for signal in range(len(SIGNALS))
+            if self._coarse[:, signal].any()
+        ]
+        self._is_noisy = bool(self._has_noise.any())
+        self._is_biased = bool(errors["bias"].any())
+        self._is_scaled = bool((errors["gain"] != 1.0).any())
+        self._is_faulty = bool(self.dead.any() or self.frozen.any())
+        self._is_late = bool(self.delays.any())
+        is_off = self.dead | self.frozen | (self.delays != 0)
+        for key, right in (("gain", 1.0), ("bias", 0.0), ("noise", 0.0), ("resolution", 0.0)):
+            is_off |= errors[key] != right
+        if self._differentiates:
+            is_off[...] = True
+        self.is_idle: Bools = np.logical_not(np.asarray(is_off.any(axis=(1, 2))))
+        self._counts = (~self.is_idle).astype(np.intp)
+        self.is_perfect = bool(self.is_idle.all())
+
+    def reset(self, row: int, actual: Array, seed: int) -> None:
+        """Restarts a row: its noise, and its delays as if it had been at rest.
+
+        Args:
+            actual: (3, n), the true values now.
+        """
+        self._rngs[row] = np.random.default_rng(seed)
+        self._has_drawn[row] = self._has_read[row] = False
+        self._k[row], self._speeds[row] = 0, 0.0
+        only = slice(row, row + 1)
+        for age in range(int(self.delays[row].max()) + 1, 0, -1):
+            self.measured[only] = self._read(actual[None], only)
+            self.past[(self._place - age) % len(self.past), row] = self.measured[row]
+            self._k[row] += 1
+        late = (self._place - 1 - self.delays[row]) % len(self.past)
+        self.measured[row] = self.past[late, row, *self._at[1:]]
+
+    def measure(self, actual: Array) -> Array:
+        """Reads all sensors, (m, 3, n); returns `measured`."""
+        measured = self.measured
+        measured[...] = self._read(actual, _ALL)
+        if self._is_late:
+            self.past[self._place % len(self.past)] = measured
+            measured[...] = self.past[(self._place - self.delays) % len(self.past), *self._at]
+        self._place += 1
+        self._k += self._counts
         return measured
 
-    def _differentiate(self, joints: Bools, offsets: Array | None) -> None:
-        """Replaces the velocities of some joints by what their angles have changed by."""
-        angles = self.measured[..., 0, :]
-        gain, resolution = (
-            of_all[..., 1, :] for of_all in (self._gain, self._errors["resolution"])
-        )
-        if self._has_read:
-            change = (angles - self._read_angles) / self._timestep
-            self._speeds += self._new_share * (change - self._speeds)
-        self._read_angles[:], self._has_read = angles, True
-        values = self._speeds * gain
-        if offsets is not None:
-            values += offsets[..., 1, :]
-        grid = np.where(resolution > 0, resolution, 1.0)
-        values = np.where(resolution > 0, rint(values / grid) * grid, values)
-        copyto(self.measured[..., 1, :], values, where=joints)
+    def _read(self, actual: Array, rows: slice) -> Array:
+        errors = self.errors
+        offsets, gain = errors["bias"][rows], errors["gain"][rows]
+        if self._is_noisy:
+            offsets = offsets + errors["noise"][rows] * self._noise_now(rows)
+        values: Array = actual * gain if self._is_scaled else actual.copy()
+        if self._is_noisy or self._is_biased:
+            values += offsets
+        for signal, grid, coarse in self._grids:
+            of = values[:, signal]
+            np.copyto(of, np.rint(of / grid[rows]) * grid[rows], where=coarse[rows])
+        if self._differentiates:
+            self._differentiate(values, gain, offsets, rows)
+        if self._is_faulty:
+            np.copyto(values, self.held[rows], where=self.frozen[rows])
+            np.copyto(values, 0.0, where=self.dead[rows])
+        return values
+
+    def _noise_now(self, rows: slice) -> Array:
+        """Standard noise of this reading, (k, 3, n)."""
+        if len(self._k) == 1:
+            k = int(self._k[0]) % _BLOCK
+            if k == 0 or not self._has_drawn[0]:
+                self._noise[0] = self._rngs[0].standard_normal(self._noise[0].shape)
+                self._has_drawn[0] = True
+            return self._noise[:, k]
+        at = self._k[rows] % _BLOCK
+        numbers = np.arange(len(self._k))[rows]
+        due = self._has_noise[rows] & ((at == 0) | ~self._has_drawn[rows])
+        for row in numbers[due].tolist():
+            self._noise[row] = self._rngs[row].standard_normal(self._noise[row].shape)
+            self._has_drawn[row] = True
+        return np.asarray(self._noise[numbers, at])
+
+    def _differentiate(self, values: Array, gain: Array, offsets: Array, rows: slice) -> None:
+        angles, speeds = values[:, 0], self._speeds[rows]
+        change = (angles - self._read_angles[rows]) / self._timestep
+        speeds += np.where(self._has_read[rows], self._new_share[rows] * (change - speeds), 0.0)
+        self._read_angles[rows], self._has_read[rows] = angles, True
+        found = speeds * gain[:, 1] + offsets[:, 1]
+        grid = self._grid[rows, 1]
+        found = np.where(self._coarse[rows, 1], np.rint(found / grid) * grid, found)
+        np.copyto(values[:, 1], found, where=self._is_filtered[rows])
 
 
-def _row(signal: str) -> int:
+def _number(signal: str) -> int:
     if signal not in SIGNALS:
         raise UnknownName("signal", signal, SIGNALS)
     return SIGNALS.index(signal)

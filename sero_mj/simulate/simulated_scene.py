@@ -33,7 +33,6 @@ def simulated_scene(simulation: Simulation, source: RunSource | None = None) -> 
     Rows of doubles stand along the targets' paths where `[run]` asks for them.
 
     Args:
-        simulation: that is shown.
         source: that hands in its rows; one to its end when None.
     """
     scenario, columns = simulation.scenario, simulation.layout.columns
@@ -80,9 +79,7 @@ def with_routes(scenario: Scenario, events: Collection[str], source: object) -> 
     goes along. What the scenario's scene routes itself is left as it is.
 
     Args:
-        scenario: what is simulated.
         events: of the log; in a recording they may have old names, see `recorded_event`.
-        source: that hands them in, or a table that declares it.
     """
 
     def is_there(event: str) -> bool:
@@ -151,7 +148,6 @@ def _add_double(scene: Scene, robot: str) -> str:
 
 
 def _show_drag(scene: Scene, drag: DragForce) -> None:
-    """Adds an arrow for what is pulled by drag, shown once something is, at the grabbed point."""
     point = f"{drag.name}_point"
     scene.frames = {**scene.frames, point: ReceivedFrame(name=point, show_axes=False)}
     scene.arrows[drag.name] = SmartArrow(
@@ -182,7 +178,6 @@ def _add_arrow(scene: Scene, name: str, key: str, force: Force) -> str:
 
 
 def _free(scene: Scene, name: str) -> str:
-    """The name, with a number if it is taken."""
     taken = {*scene.robots, *scene.doubles, *scene.arrows, *scene.frames, *scene.cameras}
     taken |= {each.name for each in scene.objects}
     while name in taken:

@@ -39,19 +39,10 @@ class Shift:
 
 
 def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array) -> Shift | None:
-    """Finds the shift of the times of `b` from the velocities of all joints together.
+    """Finds the shift of the times of `b` from the velocities of all joints; None for no motion.
 
     It maximizes the normalised cross-correlation over overlaps of at least 30 % of the shorter
-    motion, refined by a parabola through the highest three values.
-
-    Args:
-        times_a: (T,), s.
-        angles_a: (T, n).
-        times_b: (T',), s.
-        angles_b: (T', n).
-
-    Returns:
-        the shift; None if one of them hardly moves.
+    motion, refined by a parabola through the highest three values. Times are (T,), angles (T, n).
     """
     spans = times_a[-1] - times_a[0], times_b[-1] - times_b[0]
     if min(spans) <= 0.0:
@@ -107,7 +98,6 @@ def _summed(velocities: Array) -> Array:
 
 
 def _velocities(times: Array, angles: Array, step: float) -> Array:
-    """Differences of angles at equidistant times, (T, n)."""
     even = np.arange(times[0], times[-1] + 0.5 * step, step)
     sampled = np.stack([np.interp(even, times, column) for column in angles.T], axis=1)
     return np.asarray(np.gradient(sampled, step, axis=0)) if len(even) > 1 else sampled * 0.0
@@ -221,15 +211,10 @@ def align(
 
 
 def pair_with_commands(log: RunLog, robot: str | None = None) -> Pair:
-    """The commanded and the measured torques of a robot as a pair of runs.
-
-    Args:
-        log: a run.
-        robot: its name; the only one when None.
+    """The commanded and the measured torques of a robot, the only one when None, as a pair of runs.
 
     Raises:
-        UsageError: there is no such robot, there are several to choose from, or commanded or
-            measured torques are missing.
+        UsageError: there is no such robot, there are several, or one of the torques is missing.
     """
     name = choose_robot(log, robot)
     for signal in ("torques", "commanded_torques"):
@@ -265,12 +250,7 @@ def choose_robot(log: RunLog, name: str | None) -> str:
 
 
 def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, str]:
-    """Names of the robot in two runs.
-
-    Args:
-        a: a run.
-        b: another one.
-        name: in both, or `NAME,NAME`; the only common one, or the only one in each, when None.
+    """Names of a robot in two runs, from `NAME`, `NAME,NAME`, or None for the only common one.
 
     Raises:
         UsageError: there is none, there are several, or their numbers of joints differ.
@@ -303,7 +283,6 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
 
 
 def _check_names(a: RunLog, of_a: str, b: RunLog, of_b: str) -> None:
-    """Warns of joints with other names; raises UsageError if they are in another order."""
     first, second = a.robots[of_a].names, b.robots[of_b].names
     if first == second:
         return
@@ -315,7 +294,6 @@ def _check_names(a: RunLog, of_a: str, b: RunLog, of_b: str) -> None:
 
 
 def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, Array]:
-    """The compared signals of a run at other times."""
     return {
         signal: at_times(times, compared_signal(log, robot, signal), wanted)
         for signal in COMPARED
@@ -324,16 +302,7 @@ def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, 
 
 
 def at_times(times: Array, values: Array, wanted: Array) -> Array:
-    """Interpolates linearly; NaN in gaps, and outside.
-
-    Args:
-        times: (T,), s, rising.
-        values: (T, n).
-        wanted: (T',), s.
-
-    Returns:
-        (T', n).
-    """
+    """Interpolates values (T, n) at rising times linearly, (T', n); NaN in gaps and outside."""
     if len(times) == 1:
         return np.where(wanted[:, None] == times[0], values[0], np.nan)
     right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)

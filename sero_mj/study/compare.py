@@ -128,11 +128,7 @@ def exceeded(
 ) -> list[Exceeded]:
     """Differences of measured torques or angles above a tolerance; NaN is above any.
 
-    Args:
-        differences: result of `compare`.
-        torque: Nm (N for sliding joints); any when None.
-        angle: rad; any when None.
-        travel: of sliding joints, m; any when None.
+    Tolerances are in Nm (N), rad and, for prismatic joints, m; None allows any difference.
     """
     found = []
     for each in differences:
@@ -311,7 +307,6 @@ def _shown(robot: SerialRobot) -> SerialRobot:
 
 
 def _run(name: str, times: Array, signals: Mapping[str, Array]) -> FinishedRun:
-    """One of the runs, with no more rows than a film shows, from the time that both begin at."""
     shown = [signal for signal in ("joint_angles", "torques") if signal in signals]
     n = signals["joint_angles"].shape[1]
     structure = Structure(" ".join([f"{TIME}:1F", *(f"{signal}:{n}F" for signal in shown)]))

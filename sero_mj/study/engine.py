@@ -131,10 +131,6 @@ class Work:
         """How many are done together: few enough for memory, and for results to come meanwhile.
 
         Batches are of one size, so that at the end no worker waits for another.
-
-        Args:
-            left: how many are still to be done.
-            workers: how many take some of them.
         """
         each = -(-left // max(workers, 1))
         batches = max(-(-each // self.most), min(each // _ENOUGH, 2), 1)  # of every worker

@@ -27,32 +27,17 @@ class Explainer(ABC):
     ) -> list[Explanation]:
         """Returns what explains the torques of A less those of B.
 
-        Args:
-            a: a run.
-            b: another one.
-            robots: the robot's name in A and in B.
-            offset: added to the times of B, s.
-
         Raises:
             UsageError: nothing can be said of them.
         """
 
     @abstractmethod
     def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
-        """Returns what explains commanded less measured torques, and lines about how.
-
-        Args:
-            run: a run.
-            robot: its name.
-        """
+        """Returns what explains commanded less measured torques, and lines about how."""
 
     @abstractmethod
     def with_model(self, run: RunLog, robot: str) -> tuple[Pair, list[Explanation], list[str]]:
         """Compares a run with the robot's model in the same motion.
-
-        Args:
-            run: a run.
-            robot: its name.
 
         Returns:
             both; what explains the difference of their torques; lines about how.

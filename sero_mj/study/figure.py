@@ -121,12 +121,7 @@ def styled() -> Iterator[None]:
 
 
 def drawn_name(name: str, number: int) -> str:
-    """Returns the name of a joint, or `joint 3` if no font has its characters.
-
-    Args:
-        name: of the joint.
-        number: counted from 0.
-    """
+    """Returns the name of a joint, or `joint 3` if no font has its characters."""
     from ..viewer.decor.font import drawable
 
     return name if drawable(name) else f"joint {number + 1}"
@@ -134,7 +129,6 @@ def drawn_name(name: str, number: int) -> str:
 
 @cache
 def _more_families() -> list[str]:
-    """Families of the fonts for scripts that the first one does not have."""
     from matplotlib import font_manager
 
     from ..viewer.decor.font import more_fonts
@@ -153,16 +147,9 @@ class Figure:
     matplotlib's constrained layout makes room for every label.
 
     Args:
-        rows: text left of each row, its name and a line below.
-        columns: title of each column, and its share of the width.
-        title: of the whole.
-        subtitle: beneath, in grey.
-        times: first and last, s.
-        size_mm: width and height; A4's width, and a height that suits the rows, when None.
-
-    Attributes:
-        figure: matplotlib's.
-        axes: by row and column.
+        rows: name and further line left of each row.
+        columns: title and share of the width of each column.
+        size_mm: width and height; the width of A4, and a height that suits the rows, when None.
 
     Raises:
         UsageError: an invalid size.
@@ -220,25 +207,11 @@ class Figure:
                        color=GREY, linespacing=1.25)  # fmt: skip
 
     def line(self, panel: Axes, times: Array, values: Array, label: str, **look: Any) -> None:
-        """Draws values over time; of many rows only their envelope.
-
-        Args:
-            panel: which one.
-            times: (T,), s.
-            values: (T,), NaN where nothing is known.
-            label: of the line.
-            **look: matplotlib's properties of a line.
-        """
+        """Draws values (T,) over time; of many rows only their envelope."""
         panel.plot(*envelope(times, values, _POINTS), label=label, **look)
 
     def signed_area(self, panel: Axes, times: Array, values: Array) -> None:
-        """Draws a difference: orange above zero, blue below, like the arrows.
-
-        Args:
-            panel: which one.
-            times: (T,), s.
-            values: (T,), NaN where nothing is known.
-        """
+        """Draws a difference (T,): orange above zero, blue below, like the arrows."""
         at, shown = envelope(times, values, _POINTS)
         for colour, side in ((ORANGE, np.maximum(shown, 0.0)), (BLUE, np.minimum(shown, 0.0))):
             panel.fill_between(at, side, 0.0, color=colour, alpha=0.45, linewidth=0.0)
@@ -257,12 +230,7 @@ class Figure:
     ) -> bool:
         """Sets the range of a panel to its curves, at least `least`; returns whether it has any.
 
-        Args:
-            panel: which one.
-            curves: what is drawn in it.
-            least: minimum range of the axis.
-            floor: the same if `least` is not finite.
-            also: further values to include.
+        `floor` replaces an infinite `least`; `also` are further values to include.
         """
         known = [curve[np.isfinite(curve)] for curve in curves]
         known = [curve for curve in known if len(curve)]

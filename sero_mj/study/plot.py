@@ -116,7 +116,6 @@ def _by_robots(chosen: Sequence[_Joint]) -> list[list[_Joint]]:
 
 
 def _most_loaded(log: RunLog, chosen: Sequence[_Joint]) -> list[_Joint]:
-    """Returns the joints with the largest peaks, as shares of their limits, in their order."""
     peaks, limits = np.zeros((2, len(chosen)))
     for i, (robot, k) in enumerate(chosen):
         limits[i] = log.torque_limits(robot)[k]
@@ -184,7 +183,6 @@ def spans_of(scenario: Scenario) -> list[Span]:
 def _choose(
     log: RunLog, robots: Sequence[str] | None, joints: Sequence[str] | None
 ) -> list[tuple[str, int]]:
-    """Robot and index of every joint to show."""
     for name in robots or ():
         if name not in log.robots:
             where, known = f"in {log.name}", log.robots
@@ -211,7 +209,6 @@ def _choose(
 
 
 def _beneath(log: RunLog, robot: str, k: int, *, named: bool) -> str:
-    """The text below a joint's name: its robot, its limit, and its peak share."""
     limit = float(log.torque_limits(robot)[k])
     lines = [robot] if named else []
     if np.isfinite(limit):
@@ -266,7 +263,6 @@ def _draw_difference(
     least: float,
     floor: float = _MIN_TORQUE,
 ) -> int | None:
-    """Draws a difference; returns the row of its peak, None if unknown."""
     figure.signed_area(panel, times, values)
     is_known = figure.fit(panel, [values], least=least, floor=floor, also=[0.0])
     return peak(values) if is_known else None
@@ -279,7 +275,6 @@ def _signed(value: float) -> str:
 def _mark(
     figure: Figure, log: RunLog, chosen: Sequence[tuple[str, int]], findings: Sequence[Finding]
 ) -> list[str]:
-    """Marks findings at the upper edge of their joints' panels; returns their kinds."""
     rows = {(robot, log.robots[robot].names[k]): i for i, (robot, k) in enumerate(chosen)}
     kinds: list[str] = []
     marked: dict[Axes, list[float]] = {}
@@ -398,7 +393,6 @@ def plot_pair(
 
 
 def _explain(figure: Figure, panel: Axes, explanations: Sequence[Explanation]) -> None:
-    """Marks the begin of differences, and names them in small print at the panel's lower edge."""
     begin, end = panel.get_xlim()
     for level, each in enumerate(explanations[:3]):
         left = begin if each.from_start else each.begin
@@ -428,7 +422,6 @@ def _about_pair(pair: Pair) -> str:
 
 
 def _least(pair: Pair, signal: str, k: int) -> tuple[float, float]:
-    """The minimum range of a panel, and that without limits."""
     if signal == "joint_angles":
         return np.inf, _MIN_ANGLE
     factor, _ = pair.robot.torque_units[k]

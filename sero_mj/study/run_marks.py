@@ -21,12 +21,7 @@ _MOST = 200  # findings on a time line
 
 
 def marks_of(scene: Scene, begin: float = 0.0) -> list[Mark]:
-    """Returns the marks of a scene's scenario or recordings.
-
-    Args:
-        scene: after it was simulated.
-        begin: time of the page's first frame, s.
-    """
+    """Returns the marks of a simulated scene or of recordings, from `begin` (s) on."""
     marks: list[Mark] = []
     for source in scene.sources.values():
         if isinstance(source, RunSource) and isinstance(source.run, Simulation):
@@ -37,12 +32,7 @@ def marks_of(scene: Scene, begin: float = 0.0) -> list[Mark]:
 
 
 def marks_of_run(simulation: Simulation, begin: float = 0.0) -> list[Mark]:
-    """Returns what was done in a run, found in it, and expected of it.
-
-    Args:
-        simulation: as far as it has come; expectations are judged at its end.
-        begin: time of the page's first frame, s.
-    """
+    """Returns what was done in a run, found in it, and expected of it, from `begin` (s) on."""
     scenario = simulation.scenario
     marks = [
         _mark(span.begin, span.end, span.name, "fault" if span.is_fault else "push")
@@ -56,7 +46,6 @@ def marks_of_run(simulation: Simulation, begin: float = 0.0) -> list[Mark]:
 
 
 def _of_outcome(outcome: Outcome, scenario: Scenario) -> Mark:
-    """An expectation, at the time at which it is judged."""
     expect = scenario.expect[outcome.name]
     end = scenario.duration if expect.before is None else expect.before
     text = f"{outcome.name}: {outcome.text}"

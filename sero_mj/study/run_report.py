@@ -76,7 +76,6 @@ def _junit(
     found: dict[str, Any],
     error: BaseException | None,
 ) -> xml.ElementTree[xml.Element]:
-    """The outcomes as test cases, in the format that CI servers read."""
     name = simulation.scenario.name
     failures = sum(not outcome.holds for outcome in outcomes)
     cases = len(outcomes) + (error is not None)

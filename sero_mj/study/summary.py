@@ -65,12 +65,7 @@ class JointSummary:
 
 
 def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummary]:
-    """Summarises a run, a row for each joint of every robot.
-
-    Args:
-        log: the run; signals may be missing.
-        findings: of the monitor.
-    """
+    """Summarises a run, a row for each joint of every robot; signals may be missing."""
     found = sorted(findings, key=lambda finding: finding.time)
     rows = []
     for robot, declared in log.robots.items():
@@ -142,7 +137,6 @@ def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
 
 
 def _most_loaded(rows: Sequence[JointSummary]) -> list[JointSummary]:
-    """Returns the rows without the less loaded joints of robots with many."""
     kept: set[int] = set()
     for robot in {row.robot for row in rows}:
         mine = [i for i, row in enumerate(rows) if row.robot == robot]
@@ -153,7 +147,6 @@ def _most_loaded(rows: Sequence[JointSummary]) -> list[JointSummary]:
 
 
 def _torque_units(rows: Sequence[JointSummary]) -> dict[tuple[str, str], TorqueUnit]:
-    """Returns the unit for display of every joint's torque, by robot and joint."""
     units: dict[tuple[str, str], TorqueUnit] = {}
     for robot in {row.robot for row in rows}:
         mine = [row for row in rows if row.robot == robot]
@@ -164,7 +157,6 @@ def _torque_units(rows: Sequence[JointSummary]) -> dict[tuple[str, str], TorqueU
 
 
 def _signed_peak(values: Array) -> float | None:
-    """The value of largest magnitude."""
     row = peak(values)
     return None if row is None else float(values[row])
 
@@ -180,7 +172,6 @@ def _with_unit(value: float | None, unit: tuple[float, str], form: str) -> str:
 
 
 def _with_unit_above(heading: str, cells: list[str]) -> tuple[str, list[str]]:
-    """Moves a unit shared by all cells to the heading."""
     units = {cell.rpartition(" ")[2] for cell in cells if cell}
     if len(units) > 1 or "s" in units:
         return heading, cells

@@ -37,12 +37,7 @@ def available_cpus() -> int:
 
 
 def start_worker(parent: Connection, job: Job) -> None:
-    """Prepares a worker process, which ends with its parent process.
-
-    Args:
-        parent: carries no data; it is closed when that process ends, or before.
-        job: what it does.
-    """
+    """Prepares a worker process, which ends when the other end of `parent` is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # its parent process ends it
     threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
     os.environ["MUJOCO_GL"] = "disable"  # no rendering here
@@ -62,12 +57,9 @@ def _run(tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 class Processes:
-    """An `Engine` of processes on this machine; one alone is this process itself.
+    """An `Engine` of `jobs` processes on this machine; one alone is this process itself.
 
     In a script, call it below `if __name__ == "__main__":`, for new processes read the script.
-
-    Args:
-        jobs: how many run at once.
     """
 
     def __init__(self, jobs: int = 1) -> None:

@@ -14,8 +14,9 @@ from polling import until
 
 from sero_mj import FrankaReceiver, RtdeReceiver
 from sero_mj.data.receive import connecting, receiving_thread
+from sero_mj.data.receive.led_robot import LedJoint
 from sero_mj.data.receive.receiving_thread import ClosedHere
-from sero_mj.data.receive.source import LedJoint, Source
+from sero_mj.data.receive.source import Source
 from sero_mj.extensions.ros.foxglove import Foxglove
 from sero_mj.extensions.ros.zenoh import Zenoh
 

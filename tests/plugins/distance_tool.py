@@ -1,4 +1,4 @@
-"""An external package: the key G measures the distance between two points that are clicked on.
+"""A plug-in: the key G measures the distance between two clicked points.
 
 Its pyproject.toml has:
 
@@ -59,7 +59,8 @@ class Distance(Tool):
         if len(self.points) == 2:
             middle = frame.view.project(np.mean(self.points, axis=0))[0]
             texts = [[self._text().encode()]]
-            frame.panels.append(Panels(*labels_at(frame.view, middle[None], texts), texts))
+            label = labels_at(frame.view, middle[None], texts)
+            frame.panels.append(Panels(*label, texts))
 
     def draw(self, frame: Frame) -> None:
         if len(self.points) < 2:

@@ -1,6 +1,7 @@
-"""An external package: a kind of source that reads JSON lines from a TCP server.
+"""A plug-in: a kind of source that reads JSON lines from a TCP server.
 
-Each line is an object with a list of numbers per event: {"values0": [...], "values1": [...]}.
+Each line is an object with a list of numbers per event:
+{"values0": [...], "values1": [...]}.
 Its pyproject.toml has:
 
     [project.entry-points."sero_mj.sources"]
@@ -22,7 +23,7 @@ from sero_mj.data.receive.source import Source
 
 
 class JsonLines(Source):
-    """Connects to `host` and `port`; the structure says which events lines have."""
+    """Connects to `host` and `port`; the structure declares the events of a line."""
 
     host: str = "127.0.0.1"
     port: int = Field(ge=1, le=65535)
@@ -31,22 +32,23 @@ class JsonLines(Source):
 
     @property
     def about(self) -> str:
-        """Kind and place in a few words."""
+        """Kind and address of the source."""
         return f"JSON lines from {self.host}:{self.port}"
 
     def open(self) -> None:
-        """Connects, and reads lines on the source's thread."""
+        """Connects, and reads lines in the thread of the source."""
         self.close()
         try:
             self._socket = socket.create_connection((self.host, self.port), timeout=5)
         except OSError as error:
-            raise SourceError(self.name, f"{self.host}:{self.port}: {error.strerror}") from error
+            where = f"{self.host}:{self.port}"
+            raise SourceError(self.name, f"{where}: {error.strerror}") from error
         self._socket.settimeout(None)
         self.reset()
         self.start_receiving(self._read, interrupt=self._end_connection)
 
     def close(self) -> None:
-        """Ends the connection."""
+        """Closes the connection."""
         self.stop_receiving()
         if self._socket is not None:
             self._socket.close()
@@ -58,17 +60,20 @@ class JsonLines(Source):
                 self._socket.shutdown(socket.SHUT_RDWR)
 
     def _read(self, _: socket.socket) -> None:
-        """Passes lines on; what it raises is shown, and it is called again after a pause."""
+        """Accepts lines; called again after a pause if it raises an exception."""
         assert self._socket is not None
         with self._socket.makefile("rb") as lines:
             for line in lines:
                 self.accept([self._packet(line)])
 
     def _packet(self, line: bytes) -> bytes:
-        """The line as a packet of the structure; what is no such line is a packet of no size."""
+        """Encodes a line as a packet; returns an empty packet for an invalid line."""
         try:
             fields: dict[str, Any] = json.loads(line)
-            events = {k: np.reshape(np.array(fields[k], float), s) for k, s in self.events.items()}
+            events = {
+                name: np.array(fields[name], float).reshape(shape)
+                for name, shape in self.events.items()
+            }
         except (ValueError, TypeError, KeyError):
             return b""
         return self.layout.encode(events)

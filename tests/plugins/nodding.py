@@ -1,4 +1,4 @@
-"""An external package: a target motion in which every joint goes to and fro, from rest to rest.
+"""A plug-in: a target motion in which every joint moves back and forth.
 
 Its pyproject.toml has:
 
@@ -19,12 +19,12 @@ from sero_mj.simulate.control.target_motions import JointTargetMotion, Motion
 
 
 class Nod(JointTargetMotion):
-    """Every joint goes to and fro: q = q_0 + a (1 - cos(2 pi t / T)) / 2.
+    """Every joint moves back and forth: q = q_0 + a (1 - cos(2 pi t / T)) / 2.
 
     Attributes:
-        amplitude: how far every joint goes, rad or m, one number or one per joint.
+        amplitude: amplitude in rad or m, one number or one per joint.
         period: s.
-        count: how often; then the robot rests.
+        count: number of periods; the robot then rests.
     """
 
     kind: Literal["nod"] = "nod"
@@ -33,7 +33,7 @@ class Nod(JointTargetMotion):
     count: int = Field(3, ge=1)
 
     def motion(self, times: np.ndarray, robot: SerialRobot, start: np.ndarray) -> Motion:
-        """The motion of a whole run: rows are times, columns are joints."""
+        """Returns the motion of a run: rows are times, columns are joints."""
         omega = 2 * np.pi / self.period
         t = np.minimum(times, self.count * self.period)[:, None]
         moves = (times < self.count * self.period)[:, None]

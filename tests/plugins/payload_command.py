@@ -1,4 +1,4 @@
-"""An external package: a command that says what a robot can carry with its arm stretched out.
+"""A plug-in: a command that prints the payload of a robot with a stretched arm.
 
 Its pyproject.toml has:
 
@@ -17,20 +17,20 @@ from sero_mj import SerialRobot
 
 
 class Carry:
-    """`sero-mj carry lwr`: by the torque limits against gravity, joint by joint."""
+    """`sero-mj carry lwr`: the payload that the strongest joint can hold."""
 
-    ORDER = 100
+    GROUP, ORDER = "analyse", 100
 
     @staticmethod
     def add_to(commands: Any) -> None:
         """Adds the command."""
-        parser = commands.add_parser("carry", help="say what a robot can carry, stretched out")
+        parser = commands.add_parser("carry", help="print the payload of a stretched arm")
         parser.add_argument("robot", metavar="ROBOT")
         parser.set_defaults(run=Carry.run)
 
     @staticmethod
     def run(options: argparse.Namespace) -> int:
-        """Prints; returns 0."""
+        """Prints the payload in kg; returns 0."""
         robot = SerialRobot.from_model(options.robot)
         strongest = float(np.max(robot.torque_bounds))
         print(f"{robot.name}: at most {strongest / (9.81 * robot.reach):.1f} kg")

@@ -1,4 +1,4 @@
-"""An external package: a PD controller for joints, with a slider for its bandwidth.
+"""A plug-in: a PD controller for joints, with a slider for its bandwidth.
 
 Its pyproject.toml has:
 
@@ -28,7 +28,7 @@ class PD(ControllerDeclaration):
     """Computed torque: every joint follows its target as a critically damped oscillator.
 
     Attributes:
-        bandwidth: of the oscillator, rad/s.
+        bandwidth: bandwidth of the oscillator, rad/s.
     """
 
     title: ClassVar[str] = "computed torque"
@@ -37,11 +37,11 @@ class PD(ControllerDeclaration):
     bandwidth: float = Field(15.0, gt=0, le=100)
 
     def make(self, model: RobotModel, timestep: float) -> ComputedTorque:
-        """The controller of one robot."""
+        """Returns the controller of one robot."""
         return ComputedTorque(model, self.bandwidth)
 
     def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
-        """The bandwidth, changed while it runs."""
+        """Returns a slider for the bandwidth, which acts while the robot moves."""
 
         def fields(value: float) -> dict[str, Any]:
             return {"bandwidth": max(value, 1.0)}
@@ -57,9 +57,10 @@ class ComputedTorque:
         self._model, self._bandwidth = model, bandwidth
 
     def torques(self, sensed: Sensed, target: Target, out: np.ndarray) -> None:
-        """Writes the torques of this step."""
+        """Writes the torques of one step to `out`."""
         model, w = self._model, self._bandwidth
         model.update(sensed.motor_angles, sensed.motor_velocities)
-        wanted = target.accelerations + 2 * w * (target.velocities - sensed.motor_velocities)
-        wanted += w**2 * (target.angles - sensed.motor_angles)
-        out[:] = model.mass() @ wanted + model.gravity()
+        velocity_errors = target.velocities - sensed.motor_velocities
+        accelerations = target.accelerations + 2 * w * velocity_errors
+        accelerations += w**2 * (target.angles - sensed.motor_angles)
+        out[:] = model.mass() @ accelerations + model.gravity()

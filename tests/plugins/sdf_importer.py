@@ -1,7 +1,8 @@
-"""An external package: chains of joints in SDF, the format of Gazebo (sdformat.org/spec).
+"""A plug-in: an importer for chains of joints in SDF, the format of Gazebo.
 
-It reads models whose links and joints have plain poses; a link stands in the model's frame, a
-joint in its child's. Its pyproject.toml has:
+It reads models whose links and joints have plain poses (sdformat.org/spec). The pose of a
+link is in the frame of the model, the pose of a joint in the frame of its child. Its
+pyproject.toml has:
 
     [project.entry-points."sero_mj.importers"]
     sdf = "sdf_importer:Sdf"
@@ -26,7 +27,7 @@ KINDS = {"revolute": "revolute", "prismatic": "prismatic"}
 
 
 def pose_of(element: Element) -> Array:
-    """The pose of an element (4, 4): x y z, m, then roll pitch yaw, rad."""
+    """Returns the pose of an element (4, 4) from x y z (m) and roll pitch yaw (rad)."""
     numbers = np.array((element.findtext("pose") or "0 0 0 0 0 0").split(), float)
     return frame(rotation_from_rpy(numbers[3:]), numbers[:3])
 
@@ -64,7 +65,8 @@ class Sdf(Importer):
             frames.append(T if before is None else inverse(before[1]) @ T)
             parents.append("base" if before is None else before[0])
             on[child] = (joint.get("name", ""), T)
-            low, high = (joint.findtext(f"axis/limit/{end}") for end in ("lower", "upper"))
+            low = joint.findtext("axis/limit/lower")
+            high = joint.findtext("axis/limit/upper")
             limits.append([float(low or -np.pi), float(high or np.pi)])
         base = next(name for name in links if name not in on)
         return ImportedTables({

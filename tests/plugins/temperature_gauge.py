@@ -1,7 +1,7 @@
-"""An external package: a round gauge at every joint that shows its motor's temperature.
+"""A plug-in: a round gauge at each joint that shows the temperature of its motor.
 
-A robot declares the input `temperatures`, and a route leads a source's values to it. A scene may
-have a table [decor.temperature] with its settings. Its pyproject.toml has:
+A robot declares the input `temperatures`, and a route connects it to values of a source.
+A scene can set the settings in the table [decor.temperature]. Its pyproject.toml has:
 
     [project.entry-points."sero_mj.decor"]
     temperature = "temperature_gauge:TemperatureGauge"
@@ -20,17 +20,17 @@ COLD, HOT = np.array([0.20, 0.55, 0.90, 1.0]), np.array([0.90, 0.15, 0.10, 1.0])
 
 
 class GaugeSettings(FeatureSettings):
-    """Settings of a scene.
+    """Settings of the gauge in a scene.
 
     Attributes:
-        full: temperature of the whole circle, degrees Celsius.
+        full: temperature at which the circle is full, degrees Celsius.
     """
 
     full: float = Field(80.0, gt=0)
 
 
 class TemperatureGauge(Feature):
-    """A ring of boxes about each joint, filled and coloured by its temperature."""
+    """A ring of boxes about each joint, filled and colored by its temperature."""
 
     settings_kind = GaugeSettings
 
@@ -54,9 +54,8 @@ class TemperatureGauge(Feature):
 
         grid = rows.reshape(len(index), SEGMENTS)
         grid["pos"] = frame.data.site_xpos[sites][:, None] + radius * outward
-        grid["mat"] = np.stack(
-            np.broadcast_arrays(outward, along, np.broadcast_to(axes[..., 2], along.shape)), axis=-1
-        )
+        normal = np.broadcast_to(axes[..., 2], along.shape)
+        grid["mat"] = np.stack(np.broadcast_arrays(outward, along, normal), axis=-1)
         grid["size"] = radius * (0.06, 0.2, 0.06)
         colour = COLD + share[..., None] * (HOT - COLD)
         grid["rgba"] = np.where(filled[..., None], colour, (0.3, 0.3, 0.3, 0.4))

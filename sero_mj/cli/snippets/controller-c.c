@@ -1,7 +1,7 @@
 /* A controller for sero-mj as a shared library:
  *
  *     cc -O2 -shared -fPIC controller.c -o controller.so
- *     sero-mj simulate controller.toml          (sero-mj snippet controller-c --scene prints it)
+ *     sero-mj simulate controller.toml          (sero-mj new --snippet controller-c --scene prints it)
  */
 #include "sero_mj_controller.h"
 

@@ -1,7 +1,7 @@
 // A controller for sero-mj as a shared library:
 //
 //     c++ -O2 -std=c++17 -shared -fPIC controller.cpp -o controller.so
-//     sero-mj simulate controller.toml          (sero-mj snippet controller-cpp --scene prints it)
+//     sero-mj simulate controller.toml          (sero-mj new --snippet controller-cpp --scene prints it)
 #include "sero_mj_controller.h"
 
 namespace {

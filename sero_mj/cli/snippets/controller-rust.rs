@@ -1,7 +1,7 @@
 // A controller for sero-mj as a shared library:
 //
 //     rustc -O --crate-type cdylib controller.rs -o controller.so
-//     sero-mj simulate controller.toml          (sero-mj snippet controller-rust --scene prints it)
+//     sero-mj simulate controller.toml          (sero-mj new --snippet controller-rust --scene prints it)
 use std::os::raw::{c_double, c_int};
 
 /// The state of a robot with n joints (rad, Nm; prismatic ones m, N); the same arrays in every step.

@@ -1,7 +1,7 @@
 /* A controller for sero-mj as a program of its own, over UDP:
  *
  *     cc -O2 controller.c -o controller
- *     sero-mj simulate controller.toml          (sero-mj snippet controller-udp-c --scene prints it)
+ *     sero-mj simulate controller.toml          (sero-mj new --snippet controller-udp-c --scene prints it)
  */
 #include <arpa/inet.h>
 #include <stdint.h>

@@ -1,6 +1,6 @@
 """A controller for sero-mj as a program of its own, over UDP; it needs numpy alone.
 
-sero-mj simulate controller.toml     (sero-mj snippet controller-udp-python --scene prints it)
+sero-mj simulate controller.toml     (sero-mj new --snippet controller-udp-python --scene prints it)
 """
 
 import socket

@@ -17,8 +17,8 @@ from ...base.frames import Array
 from ...robots.declared.inputs import Input
 from ...robots.declared.scene import Scene
 from ...robots.importers.joint_names import identifiers
-from ._units import robot_of, units_of, wrong_unit
 from .route import Route
+from .units import robot_of, units_of, wrong_unit
 from .values import Value, joined
 
 _MAX_LISTED = 8  # joints in a message
@@ -28,7 +28,6 @@ class Place(NamedTuple):
     """A number of an input.
 
     Attributes:
-        to: the input of a robot or a double.
         joint: index of the joint.
     """
 
@@ -41,10 +40,7 @@ class JointPart:
     """An origin for some of the joints of an input.
 
     Attributes:
-        to: the input.
-        joints: indices of its numbers, k.
         value: their values, (k,).
-        text: of the origin, as declared.
         numbers: index of each in the numbers of the text, k.
     """
 
@@ -107,12 +103,8 @@ def joint_parts(
     """Returns the values of an origin for joints, a part for each robot.
 
     Args:
-        scene: the declaration.
-        value: of the origin.
-        text: of the origin.
         places: the joints, in the order of the values; values of joints coupled to others of them
             may be left out.
-        target: the input that is declared, for messages.
 
     Raises:
         DeclarationError: a wrong number of values, or a wrong unit.
@@ -144,7 +136,6 @@ def joint_parts(
 
 
 def _follows(place: Place, places: Set[Place]) -> bool:
-    """Whether a joint is coupled to another one of these."""
     coupled = place.to.coupled
     if coupled is None:
         return False
@@ -181,7 +172,6 @@ def whole_route(scene: Scene, parts: Sequence[JointPart]) -> Route:
 
 
 def _declared_values(scene: Scene, item: Input) -> Array:
-    """Values of the joints of an input without a route, (n,)."""
     robot, double = robot_of(scene, item), scene.doubles.get(item.name)
     declared = getattr(robot if double is None else double, item.key, None)
     if declared is None:

@@ -9,7 +9,7 @@ expression = numbers, names, `+ - * /`, parentheses, lists `[a, b]`, indices `a[
 Names may contain `-`, `.` and `/`, so as operators `-` and `/` need spaces around them. Python
 parses a text in which each token is replaced by a cell of fixed width.
 
-`values` computes expressions of routes, and `conditions` conditions, of routes and triggers alike.
+`evaluator` computes them.
 """
 
 from __future__ import annotations
@@ -44,11 +44,7 @@ class Expression:
     """A parsed origin.
 
     Attributes:
-        text: as it is written.
         negated: whether it begins with `not` and is not a condition.
-        tree: of the rest.
-        words: the words of the rest.
-        is_condition: whether it has comparisons or logical operators.
     """
 
     text: str
@@ -80,18 +76,13 @@ class Expression:
 
         Args:
             word: its index.
-            reason: what was expected there.
             length: number of marked words.
         """
         raise RouteError(self.text, self.words[word].at, reason, length)
 
 
 def parse(text: str) -> Expression:
-    """Parses an origin.
-
-    Raises:
-        RouteError: points at the first invalid word.
-    """
+    """Parses an origin; raises RouteError."""
     words = list(tokens_of(text))
     if len(words) > _MAX_WORDS:
         word, found = words[_MAX_WORDS], f"{len(words)} numbers, names and signs"
@@ -138,7 +129,6 @@ def _sign_of(word: Token, is_condition: bool) -> str:
 
 
 def _tree_of(signs: Sequence[str]) -> ast.expr | None:
-    """The tree of an expression; None for anything else."""
     try:
         cells = "".join(sign.ljust(_CELL) for sign in signs)
         tree = ast.parse(f"({cells})", mode="eval").body
@@ -177,7 +167,6 @@ def _is_whole(node: ast.AST) -> bool:
 
 
 def _is_beginning(signs: Sequence[str]) -> bool:
-    """Whether an expression can begin with these words."""
     opened: list[str] = []
     for sign in signs:
         if sign in "([":
@@ -188,8 +177,6 @@ def _is_beginning(signs: Sequence[str]) -> bool:
 
 
 def _expected(before: Sequence[str], found: Token) -> str:
-    """What is expected after the previous words."""
-
     def fits(sign: str) -> bool:
         return _is_beginning([*before, sign])
 

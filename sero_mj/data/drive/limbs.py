@@ -12,11 +12,7 @@ from ...robots.declared.double import OUT_OF_SIGHT
 
 
 class Limbs:
-    """The objects of shape `limb` of a world.
-
-    Args:
-        world: the compiled scene.
-    """
+    """The objects of shape `limb` of a world."""
 
     def __init__(self, world: WorldView) -> None:
         self._world = world
@@ -25,11 +21,10 @@ class Limbs:
             for item in world.scene.objects
             if item.shape == "limb" and world.has_sites  # else the model is somebody else's
         ]
+        self.are_any = bool(self._limbs)
 
     def place(self, data: mujoco.MjData) -> None:
         """Places both links of all limbs, out of sight where what they reach for is."""
-        if not self._limbs:
-            return
         mujoco.mj_kinematics(self._world.model, data)
         for item, bodies in self._limbs:
             assert item.size is not None and item.reaches is not None  # checked by Object

@@ -15,8 +15,9 @@ from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
 from ..receive.intake import Counters
-from ..receive.mailbox import Packet, Packets
-from ..receive.source import QUIET_AFTER, Source, age
+from ..receive.mailbox import Packet, Packets, age
+from ..receive.reception import QUIET_AFTER
+from ..receive.source import Source
 from .place import Placer, Router, follow
 from .route import Route
 from .velocities import Velocities
@@ -82,15 +83,6 @@ class Mirror:
     """Follows live sources: opens them, applies what arrives, keeps the last good pose.
 
     Use it as a context manager; `advance` applies the latest packets to `data`.
-
-    Args:
-        scene: what to compile and follow.
-
-    Attributes:
-        world: the compiled scene.
-        data: its state.
-        routes: the routes of numbers in force.
-        sources: those with routes.
 
     Raises:
         DeclarationError: the scene, its sources or its routes are invalid.
@@ -161,7 +153,6 @@ class Mirror:
 
     @property
     def has_states(self) -> bool:
-        """True, see `state`."""
         return True
 
     def wait(self, timeout: float) -> list[str]:
@@ -210,7 +201,6 @@ class Mirror:
         sets all inputs routed from its source, so `data` shows the last of them.
 
         Args:
-            listener: called before the last packet is applied.
             to_all: whether it is called with all good packets of every source, including those
                 replaced by newer ones before use. Up to 16 MB of them are kept between calls of
                 `advance`.
@@ -261,7 +251,6 @@ class Mirror:
         return bool(fresh)
 
     def _values(self, fresh: Set[str]) -> dict[str, dict[str, Array]]:
-        """The latest values of every source, and whether it receives."""
         values: dict[str, dict[str, Array]] = {}
         for name, source in self.sources.items():
             packet = self._latest.get(name)
@@ -281,34 +270,24 @@ class Mirror:
 
 
 def restore(world: World, data: mujoco.MjData, state: Array) -> None:
-    """Restores a state in `data` and moves the frames.
-
-    Args:
-        world: whose state it is.
-        data: to change.
-        state: what `Mirror.state` returned.
-    """
+    """Restores a state in `data` and moves the frames. `state`: what `Mirror.state` returned."""
     mujoco.mj_setState(world.model, data, state, _STATE)
     follow(world.model, data)
 
 
 class _SourceStates:
-    """Writes the slots `sources.<name>` of a world's user data, see `SOURCE_FIELDS`."""
-
     def __init__(self, world: WorldView) -> None:
         self._slots = world.slots
         self._link: dict[str, tuple[tuple[int, ...], float]] = {}
         self._foreign: dict[str, tuple[int, float]] = {}
 
     def forget(self) -> None:
-        """Resets, when the sources are opened."""
         self._link.clear()
         self._foreign.clear()
 
     def write(
         self, data: mujoco.MjData, sources: Mapping[str, Source], latest: Mapping[str, Packet]
     ) -> None:
-        """Writes the current counters of every source."""
         for name, source in sources.items():
             packet, counters, now = latest.get(name), source.counters, source.now()
             data.userdata[self._slots[f"sources.{name}"]] = (
@@ -317,7 +296,7 @@ class _SourceStates:
                 age(packet, now) if packet is not None else -1.0,
                 counters.wrong_size,
                 counters.last_size,
-                source.size,
+                source.layout.size,
                 max(now - counters.last_fault_time, 0.0) if counters.malformed else -1.0,
                 counters.not_frames,
                 counters.wrong_constant,
@@ -367,9 +346,6 @@ class Watch:
     """Follows the data of an overlay, like a mirror its sources.
 
     It shows a copy, so that a paused window does not change while the user's loop continues.
-
-    Args:
-        world: of the overlay.
     """
 
     def __init__(self, world: ModelWorld) -> None:
@@ -381,7 +357,6 @@ class Watch:
 
     @property
     def is_live(self) -> bool:
-        """True: its time is the user's."""
         return True
 
     @property
@@ -396,7 +371,6 @@ class Watch:
         """Does nothing: there are no sources."""
 
     def wait(self, timeout: float) -> list[str]:
-        """Returns immediately: no source is silent."""
         return []
 
     def listen(self, listener: Listener, *, to_all: bool = False) -> None:

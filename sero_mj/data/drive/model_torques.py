@@ -59,11 +59,7 @@ def output_now(world: WorldView, data: mujoco.MjData, name: str, key: str) -> Ar
 
 
 class ModelTorques:
-    """Computes outputs of robots from what leads to them, over time.
-
-    Args:
-        robots: by name.
-    """
+    """Computes outputs of robots from what leads to them, over time."""
 
     def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
         self._robots = robots
@@ -75,8 +71,6 @@ class ModelTorques:
         NaN where nothing is known of its velocities, for friction.
 
         Args:
-            name: of the robot.
-            key: of the output, which its model tells.
             input_of: returns the values (T, n) of an input by its name, `lwr.joint_angles`; None
                 where nothing is known of it.
         """

@@ -24,14 +24,10 @@ LatestValues = Mapping[str, Mapping[str, Array]]
 
 
 class Placer:
-    """Computes all frames of a world from its data.
+    """Computes all frames of a world from its data; raises DeclarationError.
 
     Args:
-        world: the compiled scene.
         wiring: result of `wire` for its scene; created when None.
-
-    Raises:
-        DeclarationError: the scene's routes are invalid.
     """
 
     def __init__(self, world: WorldView, wiring: Wiring | None = None) -> None:
@@ -52,7 +48,6 @@ class Placer:
         First, routes from other robots' outputs are applied.
 
         Args:
-            data: the world's state.
             packets: the latest values by source and event, for routes that need several.
         """
         self._late.apply(data, packets or {})
@@ -67,7 +62,8 @@ class Placer:
                 else:
                     self._place_received(data, name)
             pose_doubles(self._world, data)
-        self._limbs.place(data)
+        if self._limbs.are_any:
+            self._limbs.place(data)
         follow(self._world.model, data)
         for route in self._checks:
             self._keep(data, route)
@@ -93,7 +89,6 @@ class Placer:
         data.userdata[self._world.flags[target]] = SET_BY_SOURCE
 
     def _place_received(self, data: mujoco.MjData, name: str) -> None:
-        """Places a received frame, or hides it while none has been received."""
         world = self._world
         T = data.userdata[world.slots[f"{name}.frame"]].reshape(4, 4)
         if data.userdata[world.flags[f"{name}.frame"]] <= 0 or not np.isfinite(T).all():
@@ -132,14 +127,7 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
 def _targets(
     world: WorldView, data: mujoco.MjData, name: str, known: dict[str, Array | None]
 ) -> Array | None:
-    """Returns the frames of a double, (rows, n + 1, 4, 4), base first; None without a pose.
-
-    Args:
-        world: the compiled scene.
-        data: its state.
-        name: of the double.
-        known: cache of frames of doubles that others are mounted on.
-    """
+    """Returns the frames of a double, (rows, n + 1, 4, 4), base first; None without a pose."""
     if name in known:
         return known[name]
     part = world.doubles[name]
@@ -161,7 +149,6 @@ def _targets(
 
 
 def _base(data: mujoco.MjData, robot: RobotPart) -> Array:
-    """Returns T_world_base (4, 4) of a robot: as received, or by its carrier."""
     if robot.mocap >= 0:
         return frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
     body = robot.bodies[0]
@@ -184,12 +171,7 @@ def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:
 
 
 class Router:
-    """Applies routes to a world's data.
-
-    Args:
-        world: the compiled scene.
-        routes: each after the routes to its own origins.
-    """
+    """Applies routes to a world's data. `routes`: each after the routes to its own origins."""
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world
@@ -205,10 +187,6 @@ class Router:
 
         Inputs whose origin has no data yet are left unchanged; with several origins for different
         joints, only their joints.
-
-        Args:
-            data: the world's state.
-            packets: the newest values by source and event.
         """
         if not self._routes:
             return
@@ -242,15 +220,12 @@ class Router:
     def _numbers_if_there(
         self, data: mujoco.MjData, packets: LatestValues, origin: Origin
     ) -> Array:
-        """Returns the numbers of an origin, NaN without data."""
         if self._has(data, packets, origin):
             return self._numbers(data, packets, origin)
         return np.full(self._sizes[origin], np.nan)
 
 
 class _InputWriter:
-    """Writes an input of the world."""
-
     def __init__(self, world: WorldView, route: Route) -> None:
         item = route.to
         self._world = world
@@ -265,7 +240,6 @@ class _InputWriter:
         self._qpos = None if robot is None else robot.qpos
 
     def put(self, data: mujoco.MjData, values: Array) -> None:
-        """Writes the numbers; overflow is no data, and never moves anything."""
         if self._condition is not None:
             values = self._condition(values)
         if self._negated:

@@ -25,9 +25,9 @@ from ..record.recorder import SIGNALS_RATE, Recorder
 from ..record.recording_format import Signals, media_type
 from ..record.scene_files import attached_files
 from ..record.triggered_recorder import TriggeredRecorder
-from ._units import robot_of
 from .route import Route
 from .trigger import Trigger
+from .units import robot_of
 from .wiring import wire
 
 Shapes = Mapping[str, tuple[int, ...]]
@@ -53,19 +53,13 @@ def record_sources(
     overwrite: bool = False,
     signals_rate: float = SIGNALS_RATE,
 ) -> Iterator[Recorder]:
-    """Records every packet received by the sources within the context.
+    """Records every packet received by the sources within the context; raises RecordingError.
 
     Args:
         sources: by name, `mirror.sources` say; opened or not. Replays are not recorded again.
-        path: of the recording, OUT.mcap.
         scene: its file and those of its robots are stored in the recording, and its routes give the
             names of decoded values: `lwr.A1.torque [Nm]`.
-        overwrite: whether to overwrite an existing file.
         signals_rate: maximum rate of decoded values per source, packets/s.
-
-    Raises:
-        RecordingError: the file exists already or cannot be written; also at the end, if the disk
-            is full. Data written before is kept and readable.
     """
     about = {"sero-mj": __version__, "scene": "" if scene is None else scene.name}
     live = {name: source for name, source in sources.items() if source.is_live}
@@ -88,7 +82,6 @@ def record_events(
         sources: by name; opened or not, live or replays.
         trigger: the condition; with None only what `record_now` asks for is recorded.
         path_of: see `TriggeredRecorder`.
-        scene: whose files are kept in every recording.
         **options: of `TriggeredRecorder`: `before`, `after`, ...
 
     Raises:
@@ -123,8 +116,6 @@ def record_last(
     Args:
         sources: by name; opened or not.
         path_of: see `TriggeredRecorder`.
-        scene: whose files are kept in every recording.
-        seconds: duration kept.
         signals_rate: see `TriggeredRecorder`.
 
     Raises:
@@ -139,7 +130,6 @@ def record_last(
 def _connected(
     recorder: Recorder | TriggeredRecorder, sources: Mapping[str, Source], scene: Scene | None
 ) -> Iterator[None]:
-    """Connects sources to a recorder, and adds the scene's files to its recordings."""
     routes = [] if scene is None else wire(scene).routes
     try:
         files = {} if scene is None else attached_files(scene, scene.files())
@@ -182,8 +172,6 @@ def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
     """Names of a quantity of every joint, n: `lwr.A1.torque [Nm]`.
 
     Args:
-        name: of the robot or double.
-        robot: with these joints.
         quantity: `torques`, `joint_angles`, `target_velocities`, or one of its own inputs, whose
             unit a line of its billboards may give.
     """
@@ -210,7 +198,6 @@ def joint_states_of(
     """Which values are the states of robots' joints.
 
     Args:
-        robots: by name.
         keys: of the values, `lwr.joint_angles` say.
         key_of: the key of a robot's quantity, by the names of both.
     """
@@ -231,13 +218,7 @@ class RoutedSignals:
     Numbers are the results of the routes, in SI units. Other values are unchanged.
 
     Args:
-        scene: whose routes these are.
         routes: all of them; those that need more than a packet of this source are left out.
-        source: name of the source.
-        events: event name to its shape.
-
-    Attributes:
-        signals: names and shapes.
     """
 
     def __init__(self, scene: Scene, routes: Sequence[Route], source: str, events: Shapes) -> None:

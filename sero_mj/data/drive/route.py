@@ -22,9 +22,7 @@ class Origin(NamedTuple):
     """The origin of numbers.
 
     Attributes:
-        name: of a source, or of a robot, a double or an arrow.
         key: the source's event, or the output.
-        is_event: whether it is an event.
     """
 
     name: str
@@ -39,7 +37,6 @@ class Term(NamedTuple):
     """Multiples of the numbers of one origin.
 
     Attributes:
-        origin: their origin.
         at: indices in the result to which they are added, (k,).
         take: flat indices in the origin, (k,).
         times: factors, (k,).
@@ -57,8 +54,6 @@ class Affine:
 
     Attributes:
         offset: the constant, (n,).
-        terms: what is added to it, in this order.
-        whole: the origin, if the result equals all of its numbers.
         only: if the result consists of numbers of one origin: their indices and the origin.
     """
 
@@ -69,7 +64,6 @@ class Affine:
 
     @cached_property
     def origins(self) -> tuple[Origin, ...]:
-        """All distinct origins."""
         return tuple(dict.fromkeys(term.origin for term in self.terms))
 
     def evaluate(self, numbers_of: Callable[[Origin], Array]) -> Array:
@@ -93,13 +87,7 @@ class Affine:
 
 
 def make_affine(offset: Array, terms: Sequence[Term], sizes: Mapping[Origin, int]) -> Affine:
-    """Builds an `Affine`.
-
-    Args:
-        offset: the constant, (n,).
-        terms: what is added to it, in this order.
-        sizes: count of numbers of each origin.
-    """
+    """Builds an `Affine`. `offset`: the constant, (n,)."""
     only = whole = None
     if len(terms) == 1 and len(terms[0].at) == len(offset) and not offset.any():
         origin, _, take, times = terms[0]
@@ -145,10 +133,6 @@ class Route:
     """One checked route of numbers.
 
     Attributes:
-        to: the input it leads to.
-        text: of the origin, as declared.
-        value: of the input.
-        negated: whether a toggle is negated.
         numbers: index of each of the input's numbers in those of the text; a robot of a group has
             its share of them, and coupled joints those of their driving joints.
         texts: origin of each of the input's numbers, for routes to some joints; empty for joints
@@ -203,9 +187,7 @@ class FrameRoute:
     """One checked route from a frame.
 
     Attributes:
-        to: the input it leads to.
         frame: name of the frame, or of the robot whose `fwd_kin_base_to_flange` it is.
-        is_fwd_kin: whether it is the latter.
     """
 
     to: Input

@@ -33,18 +33,13 @@ def read_for(path: Path, columns: Columns, rate: float | None = None, instead: s
 def robots_in(
     table: Table, robots: Mapping[str, SerialRobot], columns: Columns
 ) -> dict[str, dict[str, Array]]:
-    """Returns the signals of the joints of robots, by robot, in a table.
+    """Returns the signals of the joints of robots, by robot, in a table; raises CsvError.
 
     Args:
-        table: that was read.
-        robots: by name.
         columns: signal of the only robot, or `ROBOT.SIGNAL`, to its columns; see `signals_of`.
 
     Returns:
         for each robot with joint angles its signals, (T, n).
-
-    Raises:
-        CsvError: no robot has any, or a column is missing or has text.
     """
     found = {}
     for name, robot in robots.items():
@@ -67,7 +62,6 @@ def robots_in(
 
 
 def _columns_of(name: str, robots: Mapping[str, SerialRobot], columns: Columns) -> Columns:
-    """The declared columns of one of the robots."""
     own = {key: value for key, value in columns.items() if "." not in key and len(robots) == 1}
     for key, value in columns.items():
         robot, dot, signal = key.rpartition(".")
@@ -83,20 +77,14 @@ def lead_by_table(
     start: float | None = None,
     source: str | None = None,
 ) -> None:
-    """Replaces the sources of a scene by a table.
+    """Replaces the sources of a scene by a table; raises CsvError.
 
     If columns are called like the numbers of a source's packets, the table replaces that source.
     Otherwise it has signals of the robots' joints, which replace all sources.
 
     Args:
-        scene: is changed.
-        file: the table.
         columns: see `robots_in`.
         start: where to begin, s after the first row.
-        source: the only source that may be replaced.
-
-    Raises:
-        CsvError: the table cannot be read, or its columns fit neither a source nor a robot.
     """
     table = read_for(file, columns)
     declared: dict[str, Any] = {"kind": "table", "file": str(file)}
@@ -132,7 +120,6 @@ def lead_by_table(
 
 
 def _packets_in(table: Table, scene: Scene, name: str) -> dict[str, Any]:
-    """How rows are packets of a source; empty if no column is called like their numbers."""
     events: Mapping[str, tuple[int, ...]] = {}
     with suppress(SeroError):  # a source that is declared wrongly is reported where it is used
         source = wired_source(scene, name, scene.sources[name])

@@ -1,6 +1,6 @@
 """Triggers: conditions on received values, `abs(lwr.torque_error) > 20`, packet by packet.
 
-`language` has their grammar, and `conditions` their meaning. Names are events of sources
+`language` has their grammar, and `evaluator` their meaning. Names are events of sources
 (`udp.values0`), inputs that routes lead to (`lwr.torques`), what the models of robots tell
 (`lwr.gravity_torques`, `lwr.friction_torques`) and, of robots with commanded and measured torque,
 their difference (`lwr.torque_error`).
@@ -19,11 +19,11 @@ from ...base.frames import Array, Bools
 from ...robots.assemble.friction_torques import VELOCITIES
 from ...robots.declared.scene import Scene
 from ..receive.source import SIGNALS
-from ._units import robot_of
-from .conditions import Compared, Conditions, Leaf, Signal
+from .evaluator import Compared, Evaluator, Leaf, Rows
 from .language import first_word, parse
 from .model_torques import FRICTION, MODEL_TORQUES, ModelTorques, why_unknown
 from .route import Origin, Route
+from .units import robot_of
 from .wiring import Wiring
 
 ERROR = "torque_error"
@@ -62,22 +62,10 @@ class Hits:
 
 
 class Trigger:
-    """A condition on the received values of a scene's sources.
+    """A condition on the received values of a scene's sources; raises RouteError.
 
     It keeps the newest values of every source, which are used for sources other than that of the
     examined packets.
-
-    Args:
-        text: the condition.
-        scene: of its signals.
-        wiring: of the scene.
-
-    Attributes:
-        text: the condition.
-
-    Raises:
-        RouteError: it cannot be parsed, has unknown names, or is not a condition; points at the
-            error.
     """
 
     def __init__(self, text: str, scene: Scene, wiring: Wiring) -> None:
@@ -90,8 +78,8 @@ class Trigger:
         self._latest: dict[str, dict[str, Array]] = {}
         # Report errors immediately.
         with np.errstate(all="ignore"):
-            conditions = Conditions(self._expression, self._leaf(_Reader(self, {}, 1)))
-            conditions.truth(self._expression.tree)
+            evaluator = Evaluator(self._expression, self._leaf(_Reader(self, {}, 1)))
+            evaluator.truth(self._expression.tree)
         if self._expression.negated:
             self._expression.refuse(0, "expected a comparison such as lwr.torques > 20")
 
@@ -99,28 +87,25 @@ class Trigger:
         """Returns in which of the packets of a source the condition holds.
 
         Args:
-            source: its name.
             events: event to its numbers, (T, ...), of good packets in their order.
         """
         count = len(next(iter(events.values()), np.empty(0)))
         if not count:
             return Hits(np.zeros(0, bool))
-        conditions = Conditions(
-            self._expression, self._leaf(_Reader(self, {source: events}, count))
-        )
+        evaluator = Evaluator(self._expression, self._leaf(_Reader(self, {source: events}, count)))
         with np.errstate(all="ignore"):
-            values = conditions.truth(self._expression.tree).values
+            values = evaluator.truth(self._expression.tree).values
         self._latest[source] = {event: array[-1:].copy() for event, array in events.items()}
         holds = np.broadcast_to(values.reshape(len(values), -1).any(axis=1), count)
-        return Hits(np.asarray(holds), tuple(conditions.compared), self.text)
+        return Hits(np.asarray(holds), tuple(evaluator.compared), self.text)
 
     def _leaf(self, reader: _Reader) -> Leaf:
-        def leaf(node: ast.expr) -> Signal | None:
+        def leaf(node: ast.expr) -> Rows | None:
             if not isinstance(node, ast.Name | ast.Constant):
                 return None
             word = self._expression.words[first_word(node)]
             if word.kind == "number":
-                return Signal(np.array([float(word.text)]))
+                return Rows(np.array([float(word.text)]))
             self._check(first_word(node), word.text)
             return reader.signal(word.text)
 
@@ -150,7 +135,6 @@ class Trigger:
         return all(f"{robot}.{key}" in self._routes for key in ("torques", "commanded_torques"))
 
     def _check(self, word: int, name: str) -> None:
-        """Refuses unknown names of signals."""
         names = self.names
         if name in names:
             self._check_velocities(word, name)
@@ -167,7 +151,6 @@ class Trigger:
         self._expression.refuse(word, reason, len(name))
 
     def _check_velocities(self, word: int, name: str) -> None:
-        """Refuses a name that needs velocities where none are received."""
         todo, seen = [name], set[str]()
         while todo:
             output = todo.pop()
@@ -183,31 +166,28 @@ class Trigger:
 
 
 class _Reader:
-    """Signals during the examination of packets of one source."""
-
     def __init__(self, trigger: Trigger, events: Mapping[str, Events], count: int) -> None:
         self._trigger, self._events, self._count = trigger, events, count
         self._inputs: dict[str, Array] = {}
 
-    def signal(self, name: str) -> Signal:
-        """Returns a signal, (T, ...), with T = 1 if it is constant meanwhile."""
+    def signal(self, name: str) -> Rows:
         trigger = self._trigger
         owner, _, key = name.partition(".")
         if name in trigger._routes:
             route = trigger._routes[name]
-            return Signal(self._input(route), _labels(trigger._scene, route))
+            return Rows(self._input(route), _labels(trigger._scene, route))
         if key == ERROR and owner in trigger._scene.robots:
             commanded, measured = (
                 trigger._routes[f"{owner}.{each}"] for each in ("commanded_torques", "torques")
             )
             error = self._input(commanded) - self._input(measured)
-            return Signal(error, _labels(trigger._scene, measured))
+            return Rows(error, _labels(trigger._scene, measured))
         if owner in trigger._scene.robots and key in MODEL_TORQUES:
             labels = [f"{owner}/{joint}" for joint in trigger._scene.robots[owner].names]
-            return Signal(self._model_output(owner, key), labels)
+            return Rows(self._model_output(owner, key), labels)
         values = self._event(Origin(owner, key, True))
         count = values.shape[1] if values.ndim > 1 else 0
-        return Signal(values, [f"{name}[{k}]" for k in range(count)])
+        return Rows(values, [f"{name}[{k}]" for k in range(count)])
 
     def _event(self, origin: Origin) -> Array:
         source = self._trigger._sources[origin.name]

@@ -10,7 +10,7 @@ import numpy as np
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
 from ..receive.mailbox import Packet
-from ..receive.source import QUIET_AFTER
+from ..receive.reception import QUIET_AFTER
 from .route import Route
 
 
@@ -19,10 +19,6 @@ class Velocities:
 
     They are differences between the angles of two packets that were applied, by their arrivals;
     zero where these are more than half a second apart.
-
-    Args:
-        world: the compiled scene.
-        routes: all routes of numbers.
     """
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
@@ -50,8 +46,6 @@ class Velocities:
 
         Args:
             data: the world's state, with their angles.
-            fresh: sources whose packets have just been applied.
-            latest: the packet applied last, by source.
             late: whether of the robots that `Placer.place` moves, else of all others.
         """
         for name, (part, is_late, sources) in self._parts.items():
@@ -71,7 +65,6 @@ class Velocities:
 
 
 def _sources(routes: Mapping[str, Route], target: str) -> frozenset[str]:
-    """The sources whose values lead to a target, also through other routes."""
     found, todo, seen = set[str](), [target], set[str]()
     while todo:
         route = routes.get(at := todo.pop())

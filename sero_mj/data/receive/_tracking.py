@@ -155,14 +155,7 @@ class StampTracker:
 
 @dataclass
 class _Sender:
-    """The activity of a sender.
-
-    Attributes:
-        first: index of its first packet.
-        last: index of its last packet.
-        at: arrival of that, s.
-        count: number of its packets.
-    """
+    """The activity of a sender; its last packet arrived `at`, in seconds."""
 
     first: int
     last: int
@@ -319,7 +312,6 @@ class Timing:
             self._compare(arrival - stamp, arrival - stamp)
 
     def _compare(self, fastest: float, last: float) -> None:
-        """Sets the delay from the differences between arrivals and the sender's clock, s."""
         assert self._arrival is not None
         if self._arrival - self._since > _BASELINE:
             self._since = self._arrival
@@ -347,7 +339,6 @@ def _joined(before: float | None, values: Array) -> Array:
 
 
 def _running(mean: float, values: Array) -> float:
-    """The running mean after these values, equal to updating it one by one."""
     if not len(values):
         return mean
     kept = (1.0 - _WEIGHT) ** np.arange(len(values) - 1, -1, -1)

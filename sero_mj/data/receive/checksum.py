@@ -28,11 +28,8 @@ class Crc:
 
     Attributes:
         width: bits, 8, 16 or 32.
-        poly: generator polynomial, without its highest term.
-        init: register before the first byte.
         is_reflected: whether bytes enter with their lowest bit first, and the register is reflected
             (`refin` and `refout`).
-        xorout: combined with the register at the end.
         check: CRC of the nine bytes `123456789`.
     """
 
@@ -125,7 +122,6 @@ class Recognized:
         name: see `compute`.
         width: its bytes.
         order: `<` or `>`.
-        begin: the first byte that it covers.
     """
 
     name: str
@@ -187,7 +183,6 @@ def _crcs(crc: Crc, rows: NDArray[np.uint8]) -> _Words:
 
 
 def _as_bytes(crc: Crc, registers: _Words) -> NDArray[np.uint8]:
-    """Registers as the bytes that they are combined with, (n, width / 8)."""
     width = crc.width // 8
     order = "<" if crc.is_reflected else ">"
     registers = registers if crc.is_reflected else registers << np.uint32(32 - crc.width)
@@ -195,7 +190,6 @@ def _as_bytes(crc: Crc, registers: _Words) -> NDArray[np.uint8]:
 
 
 def _step(crc: Crc, registers: Any, table: Any) -> Any:
-    """Registers after a byte 0."""
     if crc.is_reflected:
         return registers >> 8 ^ table[registers & 0xFF]
     return (registers << 8) & (2**crc.width - 1) ^ table[registers >> (crc.width - 8)]
@@ -203,7 +197,6 @@ def _step(crc: Crc, registers: Any, table: Any) -> Any:
 
 @cache
 def _tables(crc: Crc) -> _Words:
-    """Registers after a block with one byte that is not 0, by its place and value, (256, 256)."""
     tables = np.empty((_BLOCK, 256), np.uint32)
     registers = table = np.array([_after_bits(crc, value) for value in range(256)], np.int64)
     for place in reversed(range(_BLOCK)):
@@ -213,7 +206,6 @@ def _tables(crc: Crc) -> _Words:
 
 
 def _after_bits(crc: Crc, value: int) -> int:
-    """The register after one byte, from 0, bit by bit."""
     if crc.is_reflected:
         poly = int(f"{crc.poly:0{crc.width}b}"[::-1], 2)
         for _ in range(8):
@@ -228,7 +220,6 @@ def _after_bits(crc: Crc, value: int) -> int:
 
 @lru_cache(256)
 def _of_zeros(crc: Crc, count: int) -> int:
-    """The CRC of so many bytes 0."""
     table = _tables(crc)[-1].tolist()
     register = crc.init  # those of `CRCS` are their own reflections
     for _ in range(count):

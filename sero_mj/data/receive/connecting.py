@@ -20,7 +20,9 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
-from ...base.errors import Problem
+from ...base.errors import (
+    mismatch,
+)
 from .receiving_thread import ClosedHere, Disconnected
 from .source import Source
 
@@ -37,7 +39,7 @@ def is_address(expected: str) -> Callable[[str], str]:
 
     def validate(host: str) -> str:
         if not host or any(character.isspace() for character in host):
-            raise Problem(found=host, expected=expected).error()
+            raise mismatch(host, expected)
         return host
 
     return validate
@@ -46,7 +48,7 @@ def is_address(expected: str) -> Callable[[str], str]:
 Address = Annotated[str, AfterValidator(is_address("an address such as 192.168.0.3"))]
 
 
-class Nonsense(Exception):
+class ProtocolError(Exception):
     """The peer sent what is not of its protocol, or refuses.
 
     Attributes:
@@ -76,19 +78,16 @@ class ConnectingSource(Source):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         state = f", {self._state}" if self._state else ""
         return f"{self._link} of {self.host}:{self.port}{state}"
 
     def open(self) -> None:
-        """Starts the thread that connects; the controller need not be there."""
         self.close()
         self.reset()
         self._state = ""
         self.start_receiving(self._receive, name=f"{self._link} {self.name}")
 
     def close(self) -> None:
-        """Ends the connection; harmless when it is not open."""
         self.stop_receiving()
 
     @abstractmethod
@@ -98,15 +97,14 @@ class ConnectingSource(Source):
         Raises:
             OSError: it cannot be made, or is lost.
             ClosedHere: `wake` can be read.
-            Nonsense: the peer is no such controller, or refuses.
+            ProtocolError: the peer is no such controller, or refuses.
         """
 
     def _receive(self, wake: socket.socket) -> None:
-        """Connects and receives once; see `Source.start_receiving`."""
         place = f"{self.host}:{self.port}"
         try:
             self._converse(wake)
-        except Nonsense as error:
+        except ProtocolError as error:
             if raw := error.received[:_MOST_KEPT]:
                 self.accept([raw + b"\0" * (len(raw) == self.size)])
             raise Disconnected(f"{place} {error}") from error
@@ -156,13 +154,9 @@ def connect(host: str, port: int, wake: socket.socket) -> socket.socket:
 
 
 def addresses(host: str, port: int, wake: socket.socket) -> list[tuple[Any, ...]]:
-    """All addresses of a machine, as of `socket.getaddrinfo`.
+    """All addresses of a machine, as of `socket.getaddrinfo`; raises OSError or ClosedHere.
 
     A name is looked up on another thread, since that can take long and cannot be interrupted.
-
-    Raises:
-        OSError: the name is unknown.
-        ClosedHere: `wake` can be read.
     """
     with suppress(ValueError):
         ipaddress.ip_address(host.partition("%")[0])
@@ -189,11 +183,7 @@ def addresses(host: str, port: int, wake: socket.socket) -> list[tuple[Any, ...]
 
 
 def _wait(wake: socket.socket, sock: socket.socket, event: int, timeout: float | None) -> bool:
-    """Waits for an event of a socket; returns whether it came within `timeout` s.
-
-    Raises:
-        ClosedHere: `wake` can be read.
-    """
+    """Returns whether an event came within `timeout` s; raises ClosedHere if `wake` is readable."""
     with selectors.DefaultSelector() as selector:
         selector.register(wake, selectors.EVENT_READ)
         selector.register(sock, event)
@@ -204,12 +194,7 @@ def _wait(wake: socket.socket, sock: socket.socket, event: int, timeout: float |
 
 
 class Connection:
-    """A connection by TCP, which ends when `wake` can be read.
-
-    Raises:
-        OSError: it cannot be made, or is lost, in any method.
-        ClosedHere: `wake` can be read, in any method.
-    """
+    """A connection by TCP, which ends when `wake` can be read; raises OSError or ClosedHere."""
 
     def __init__(self, host: str, port: int, wake: socket.socket) -> None:
         self._wake = wake
@@ -234,7 +219,6 @@ class Connection:
 
         Args:
             deadline: on the clock of `time.monotonic`, s.
-            else_what: what is wrong when none is by then.
         """
         ready = self._selector.select(max(deadline - clock.monotonic(), 0.0))
         found: list[object] = [key.fileobj for key, _ in ready]

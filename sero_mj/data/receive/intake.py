@@ -52,26 +52,18 @@ class Counters:
     """Counts of packets since the source was opened.
 
     Attributes:
-        received: packets of any kind.
-        wrong_size: malformed ones: not as long as the structure says.
         wrong_constant: malformed ones: a number differs from the structure's constant.
         wrong_checksum: malformed ones: a checksum of the structure differs from that of the bytes.
         not_finite: malformed ones: with NaN or infinity where these are not allowed.
-        not_frames: malformed ones: with a matrix that is not a rigid frame.
         implausible: malformed ones: with a number beyond its limit; see `Source.limit`.
         foreign: from senders other than the configured `sender`; not examined.
-        lost: missing sequence numbers.
         late: arrived after one with a higher number; applied only when none may be lost.
         duplicates: repeated sequence numbers; not applied.
         restarts: how often the sender restarted: with its numbers, or from another port.
         torn: reads of shared memory given up because the writer was always in between.
         senders: number of concurrent senders within the last 2 s.
-        blanked: valid ones with NaN or infinity where these are allowed.
         superseded: valid ones replaced by a later packet before use, as intended when a robot sends
             faster than the frame rate.
-        dropped: packets that the kernel dropped because its buffer was full.
-        failures: how often reception, or a callback, raised an exception.
-        last_fault: error of the last malformed packet.
         last_size: bytes of the last packet of a wrong size.
         last_fault_time: arrival of the last malformed packet, on the clock of `Source.now`.
     """
@@ -115,19 +107,13 @@ class Intake:
     """Checks packets in batches, as received from a socket, a memory block or a file.
 
     Args:
-        layout: of the packets.
         sequence: event that numbers the packets; empty for none.
         time: event with the packet's send time; empty for none.
         time_scale: s per unit of `time`.
-        lossless: whether late packets are applied as well.
         nan_allowed: events in which NaN means `no data`.
         limits: event name to the largest magnitude of each of its numbers, flat, (k,).
-        on_fault: called with a line about the last fault of a batch.
 
     Attributes:
-        nan_allowed: as above.
-        on_fault: as above.
-        counters: what came in.
         timing: rate, jitter and delay.
     """
 
@@ -301,7 +287,6 @@ class Intake:
         places: NDArray[np.int8],
         begins: int | None,
     ) -> None:
-        """Measures the timing of well-formed packets since the last restart."""
         timed = good.copy()
         restarts = np.flatnonzero(places == RESTARTED)
         self._tally.restarts += len(restarts)
@@ -316,7 +301,6 @@ class Intake:
     def _are_frames(
         self, rows: Rows, arrivals: Array, finite: NDArray[np.bool_], events: Collection[str]
     ) -> NDArray[np.bool_]:
-        """Which packets have only valid frames in these events; NaN is checked elsewhere."""
         layout = self.layout
         values = layout.decode_rows(rows, events)
         matrices = np.concatenate([values[event] for event in events], axis=1)
@@ -339,7 +323,6 @@ class Intake:
     def _are_plausible(
         self, rows: Rows, arrivals: Array, before: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Which packets have no number beyond its limit; NaN and infinity are checked elsewhere."""
         good = np.ones(len(rows), bool)
         found = self.layout.decode_rows(rows, self.limits)
         for event, limit in self.limits.items():
@@ -359,7 +342,6 @@ class Intake:
     def _follow(
         self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Rows | None
     ) -> NDArray[np.int8]:
-        """The positions of packets by their numbers or time stamps, (n,)."""
         places = np.zeros(len(rows), np.int8)
         if not self._sequence and stamps is None:
             return places
@@ -407,7 +389,6 @@ class Intake:
 
 
 def _describe_not_finite(values: Mapping[str, Array], but: Collection[str]) -> str:
-    """Describes the first NaN or infinity outside the events `but`; empty for none."""
     for event, array in values.items():
         if event in but:
             continue
@@ -419,7 +400,6 @@ def _describe_not_finite(values: Mapping[str, Array], but: Collection[str]) -> s
 
 
 def _describe_implausible(values: Mapping[str, Array], limits: Mapping[str, Array]) -> str:
-    """Describes the first number beyond its limit."""
     for event, array in values.items():
         limit = limits[event].reshape(array.shape)
         beyond = np.isfinite(array) & (np.abs(array) > limit)
@@ -433,10 +413,7 @@ def _describe_implausible(values: Mapping[str, Array], limits: Mapping[str, Arra
 def _blank_not_finite(
     values: MutableMapping[str, Array], events: Collection[str], matrices: Collection[str]
 ) -> None:
-    """Replaces infinities in these events, and matrices with NaN or infinity, by NaN.
-
-    Changed arrays are copied; `values` are those of one packet or of many.
-    """
+    """Replaces infinities, and whole matrices with NaN or infinity, by NaN in copies."""
     for event in events:
         array = values.get(event)
         if array is None:
@@ -456,7 +433,6 @@ def find_not_frame(
 
     Args:
         values: event name to its array; NaN matrices are skipped.
-        events: those with matrices.
         column_major: the order used, to suggest the other one if that gives a frame.
     """
     matrices = np.concatenate([values[event] for event in events])

@@ -51,9 +51,7 @@ class Item:
     Attributes:
         name: the event's name, given or numbered; empty for items without an event.
         kind: `F`, `V`, `M` or `T`; `x` for bytes that are skipped.
-        count: how many.
         type: numpy's name of the number's type, with byte order; `u1` when skipped.
-        offset: its first byte in the packet.
         is_bool: whether any byte but 0 is 1.
         constant: the required value of every number; None for any value.
         is_size: whether that constant is the packet's size.
@@ -87,17 +85,14 @@ class Item:
 
     @cached_property
     def numbers(self) -> int:
-        """Number of its numbers in the packet."""
         return math.prod(self.wire_shape)
 
     @cached_property
     def item_bytes(self) -> int:
-        """Bytes of one of its numbers."""
         return int(self.type[-1])
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """Type of one of its numbers in the packet."""
         return np.dtype(self.type)
 
     @cached_property
@@ -107,27 +102,20 @@ class Item:
 
     @cached_property
     def is_float(self) -> bool:
-        """Whether it can contain NaN."""
         return self.type[-2] == "f"
 
 
 def parse(text: str, *, is_double: bool = True, alignment: int = 1) -> list[Item]:
-    """Returns the items of a structure string.
+    """Returns the items of a structure string; raises StructureError.
 
     Args:
-        text: see STRUCTURE.md.
         is_double: the type of `F`, `V`, `M` and `T` without a letter.
         alignment: every item begins at a multiple of this many bytes.
-
-    Raises:
-        StructureError: points at the first invalid character.
     """
     return _Parser(text, is_double, alignment).items()
 
 
 class _Parser:
-    """Reads one string from left to right."""
-
     def __init__(self, text: str, is_double: bool, alignment: int) -> None:
         self.text = text
         self.at = 0
@@ -155,14 +143,12 @@ class _Parser:
 
     @property
     def next(self) -> str:
-        """The next character; empty at the end."""
         return self.text[self.at : self.at + 1]
 
     def wrong(self, reason: str, at: int | None = None) -> StructureError:
         return StructureError(self.text, self.at if at is None else at, reason)
 
     def skip(self, pattern: re.Pattern[str]) -> int:
-        """Skips a pattern, which may be empty."""
         if found := pattern.match(self.text, self.at):
             self.at = found.end()
         return self.at
@@ -208,7 +194,6 @@ class _Parser:
         return name
 
     def with_name(self, item: Item) -> Item:
-        """Stores a name, or numbers an unnamed event; unnamed checks create no event."""
         if item.name:
             self.names.add(item.name)
             return item
@@ -232,7 +217,6 @@ class _Parser:
         return count
 
     def kind(self) -> tuple[str, str]:
-        """The kind, and the letter of the type."""
         letter = self.next
         self.at += 1
         if letter == "x":
@@ -250,7 +234,6 @@ class _Parser:
         raise self.wrong(f"{kinds}, for example 7F1M{hint}", self.at - 1)
 
     def with_constant(self, item: Item) -> Item:
-        """Reads the constant after `=`, if any."""
         equals = _EQUALS.match(self.text, self.at)
         if equals is None:
             return item
@@ -272,7 +255,6 @@ class _Parser:
         return item
 
     def with_checksum(self, item: Item, word: re.Match[str]) -> Item:
-        """Reads the name of a checksum, and the range that it covers, if any."""
         name = find_checksum(word[0])
         if name is None:
             near = did_you_mean(word[0], ("size", *SUMS, *CRCS, *ALIASES))
@@ -292,7 +274,6 @@ class _Parser:
         return replace(item, checksum=name, covers=covers, at=at)
 
     def number(self, text: str, item: Item) -> int | float:
-        """A number in the range of an item's type; integers are exact."""
         if len(text) > _MAX_NUMBER:
             raise self.wrong(f"expected a number of at most {_MAX_NUMBER} characters")
         digits = text.lstrip("+-")
@@ -312,7 +293,6 @@ class _Parser:
         return int(value)
 
     def with_range(self, item: Item, items: list[Item]) -> Item:
-        """Inserts the end of what a checksum covers: the checksum itself, or the packet's end."""
         begin, end = item.covers
         if end < 0:
             end = item.offset if begin < item.offset else self.size
@@ -325,7 +305,6 @@ class _Parser:
         return replace(item, covers=(begin, end))
 
     def with_size(self, item: Item) -> Item:
-        """Inserts the packet's size, which is known only at the end."""
         if self.size > limits(item)[1]:
             reason = f"the packet has {self.size} bytes; expected a type that holds this number"
             raise self.wrong(f"{reason}, for example 1H=size", item.at)

@@ -34,6 +34,14 @@ class Packet:
     number: int
 
 
+def age(packet: Packet | None, now: float) -> float:
+    """Seconds since the packet arrived, `now` being `Source.now()`.
+
+    Infinite without a packet, 0 if it arrived after `now`.
+    """
+    return float("inf") if packet is None else max(now - packet.arrival, 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Packets:
     """Consecutive good packets.
@@ -41,7 +49,6 @@ class Packets:
     Attributes:
         values: event name to its arrays, (n, ...), float64, n >= 1.
         arrivals: (n,), s, on the clock of `Source.now`.
-        number: of the last one.
     """
 
     values: Mapping[str, Array]
@@ -53,7 +60,6 @@ class Packets:
 
     @cached_property
     def last(self) -> Packet:
-        """The newest one."""
         values = {event: array[-1] for event, array in self.values.items()}
         return Packet(values, float(self.arrivals[-1]), self.number)
 
@@ -62,12 +68,10 @@ class Mailbox:
     """Keeps good packets until they are taken; the consumer decodes them.
 
     Args:
-        decode: converts packets in rows to values.
         on_superseded: called with the number of packets replaced by newer ones before use.
 
     Attributes:
         is_lossless: whether every packet is kept, and `put` waits for room; else only the newest.
-        number: of packets put so far.
         closing: set while the source is being closed, so that `put` does not wait.
     """
 

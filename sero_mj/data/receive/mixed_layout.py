@@ -68,7 +68,6 @@ def mixed_layout(rows: Rows) -> tuple[str, list[Run], float] | None:
 
 
 def _wide_counters(runs: list[Run]) -> list[Run]:
-    """The same with zeros adjacent to a counter included: high bytes of a small count."""
     result: list[Run] = []
     for run in runs:
         last, left = result[-1] if result else None, run.count
@@ -84,14 +83,7 @@ def _wide_counters(runs: list[Run]) -> list[Run]:
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Hypothetical items of a type at every byte.
-
-    Attributes:
-        width: bytes of one.
-        bits: of its numbers in all packets, (k,); infinite where impossible.
-        raw: number of unexplained bytes, (k,).
-        counts: whether it is a counter, (k,); None if impossible.
-    """
+    """Items of a type at every byte, (k,): bits, unexplained bytes, and whether one counts."""
 
     width: int
     bits: Array
@@ -100,7 +92,6 @@ class _Kind:
 
 
 def _cheapest(rows: Rows, order: str) -> tuple[float, list[Run], float]:
-    """Bits, runs, and unexplained bytes of the cheapest layout in a byte order."""
     n, size = rows.shape
     padding = np.where(rows.any(axis=0), np.inf, _PADDING_BITS)
     kinds = {"x": _Kind(1, np.asarray(padding, np.float64), np.zeros(size))}
@@ -156,7 +147,6 @@ def _cheapest(rows: Rows, order: str) -> tuple[float, list[Run], float]:
 
 
 def _at_every_byte(rows: Rows, type_: str) -> NDArray[np.generic]:
-    """Numbers of a type that begin at every byte, (n, size - width + 1)."""
     width = int(type_[-1])
     if rows.shape[1] < width:
         return np.zeros((len(rows), 0), type_)
@@ -173,7 +163,6 @@ def _told_once(values: NDArray[np.generic], bits: Array) -> Array:
 
 
 def _runs(items: list[Run]) -> list[Run]:
-    """Merges items of one type; counters are kept separate."""
     runs: list[Run] = []
     for item in items:
         last = runs[-1] if runs else None

@@ -63,7 +63,6 @@ class PacketDeclaration(Declaration):
 
     @classmethod
     def _fixed(cls, field: str) -> Collection[Any]:
-        """The values of a field that the protocol can have."""
         return (cls.model_fields[field].default,)
 
     @field_validator("structure")
@@ -95,7 +94,6 @@ class PacketDeclaration(Declaration):
 
     @cached_property
     def layout(self) -> Structure:
-        """The decoder."""
         return Structure(
             self.structure,
             is_double=self.is_double,
@@ -111,23 +109,14 @@ class PacketDeclaration(Declaration):
 
     @property
     def size(self) -> int:
-        """Bytes of a packet."""
         return self.layout.size
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """State of the robot's controller and quality of the link to it; -1 where unknown.
-
-        Args:
-            values: event name to its array, of one packet.
-        """
+        """State of the robot's controller and quality of the link to it; -1 where unknown."""
         return self.layout.link_state(values)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot's controller, in words; empty if nothing.
-
-        Args:
-            values: event name to its array, of one packet.
-        """
+        """What a packet says of the robot's controller, in words; empty if nothing."""
         return ""
 
     def link_faults(self, state: float, quality: float) -> list[str]:
@@ -135,7 +124,6 @@ class PacketDeclaration(Declaration):
 
         Args:
             state: as in `link_state`.
-            quality: likewise.
         """
         return []
 
@@ -150,7 +138,6 @@ class PacketDeclaration(Declaration):
         return {key: value for key, value in fields.items() if value != ""}
 
     def _judge(self) -> Intake:
-        """Checks each packet separately, and counts for nobody."""
         return Intake(self.layout, nan_allowed=self._nan_allowed)
 
     def decode(self, packet: bytes) -> dict[str, Array] | None:

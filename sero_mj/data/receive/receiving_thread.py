@@ -19,12 +19,7 @@ class ClosedHere(Exception):
 
 
 class Disconnected(Exception):
-    """There is no connection to the sender, or it has ended.
-
-    Args:
-        trouble: the reason, shown until packets arrive.
-        detail: what the log states in addition.
-    """
+    """There is no connection to the sender, or it has ended."""
 
     def __init__(self, trouble: str, detail: str = "") -> None:
         super().__init__(trouble)
@@ -54,8 +49,6 @@ class ReceivingThread:
     source's `trouble`, any other exception its `error`.
 
     Args:
-        source: the source.
-        name: of the thread.
         receive: receives packets until `source.closing` is set; its argument becomes readable then.
         interrupt: called by `end`, for a `receive` that waits for something else than the socket.
     """
@@ -72,12 +65,10 @@ class ReceivingThread:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Starts the thread."""
         self._thread.start()
 
     @property
     def is_current(self) -> bool:
-        """Whether the caller runs on this thread."""
         return threading.current_thread() is self._thread
 
     def end(self) -> None:

@@ -8,7 +8,8 @@ from typing import Any
 
 from ...base.errors import SourceError
 from .intake import Counters
-from .source import Source, age
+from .mailbox import age
+from .source import Source
 
 _SAME_DAY = 86_400.0  # s; stamps farther from the time count from something else
 # Diagnoses by counter, in the order in which to check them.
@@ -36,14 +37,13 @@ def report(source: Source) -> dict[str, Any]:
 
     Returns:
         every counter by its name, and `source`, `about`, `message` (what its packets are; empty for
-        plain structures), `receiving`, `rate` (packets/s), `age` (s
-        since the last good packet, None before the first), `jitter` and `delay` (s, None where
-        the packets have no time stamp), `clock` (s by which the sender's clock is behind ours, with
-        the time that the fastest packet took; None where its stamps are not of a clock), `good`,
-        `trouble` (why no packets arrive, if known: missing shared memory, say), `error` (the last
-        failure of reception; empty once packets arrive again), `controller` (what
-        the last good packet says of the robot's controller, in words), `fault_age` (s since the
-        last rejected packet, None for none).
+        plain structures), `receiving`, `rate` (packets/s), `age` (s since the last good packet,
+        None before the first), `jitter` and `delay` (s, None where the packets have no time stamp),
+        `clock` (s by which the sender's clock is behind ours, with the time that the fastest packet
+        took; None where its stamps are not of a clock), `good`, `trouble` (why no packets arrive,
+        if known: missing shared memory, say), `error` (the last failure of reception; empty once
+        packets arrive again), `controller` (what the last good packet says of the robot's
+        controller, in words), `fault_age` (s since the last rejected packet, None for none).
     """
     counters, timing = source.counters, source.timing
     latest = source.latest()
@@ -75,7 +75,6 @@ def error_text(source: Source) -> str:
 
 
 def _clock(source: Source) -> float | None:
-    """How far a sender's clock is behind ours, s; None where its stamps are not of the time."""
     behind = source.timing.fastest + time.time() - time.monotonic()
     return behind if source.is_live and abs(behind) < _SAME_DAY else None
 

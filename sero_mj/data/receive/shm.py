@@ -12,8 +12,9 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 from ...base.errors import SourceError
 from .language import Item
 from .mailbox import Packet, Packets
+from .reception import log
 from .shm_block import Block, block_path
-from .source import Source, log
+from .source import Source
 
 _BLOCK_POLL_INTERVAL = 0.02  # s; delay until a created or recreated block is detected
 _LOCK_TIMEOUT = 2e-3  # s; how long a frame waits while another thread reads the block
@@ -98,25 +99,18 @@ class ShmReader(Source):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         return f"shared memory {block_path(self.block)}"
 
     @property
     def memory(self) -> tuple[str, str, int]:
-        """Name of the block, event that locks it (or ""), and offset in bytes."""
         return self.block, self.lock, self.offset
 
     @property
     def trouble(self) -> str:
-        """Why no packets arrive, as shown to the user; empty when unknown."""
         return self._trouble or (self._packets.trouble if self._packets is not None else "")
 
     def open(self) -> None:
-        """Starts the thread that reads; the block need not exist.
-
-        Raises:
-            SourceError: this system has no POSIX shared memory, or the block may not be read.
-        """
+        """Starts the thread that reads; the block need not exist; raises SourceError."""
         self.close()
         self.reset()
         self._packets = _PacketFinder(self)
@@ -135,7 +129,6 @@ class ShmReader(Source):
         self.start_receiving(self._receive, self._wake.release, name=f"shm {self.name}")
 
     def close(self) -> None:
-        """Stops the thread and closes the block; harmless when it is not open."""
         self.stop_receiving()
         with self._reading:
             if self._block is not None:
@@ -203,7 +196,6 @@ class ShmReader(Source):
         self._check()
 
     def _poll(self) -> None:
-        """Polls the block once, and keeps a new packet."""
         now = clock.monotonic()
         try:
             if now >= self._look_next:
@@ -227,7 +219,6 @@ class ShmReader(Source):
             self._gathered.append((found, now))
 
     def _check(self) -> None:
-        """Checks the packets read, and hands on the good ones."""
         if not self._gathered:
             return
         gathered, self._gathered = self._gathered, []
@@ -236,7 +227,6 @@ class ShmReader(Source):
         self._checked = clock.monotonic()
 
     def _look_for_another(self) -> None:
-        """Opens the block that now has the name."""
         old = self._block
         assert self._packets is not None
         try:
@@ -270,15 +260,7 @@ def _why(error: OSError) -> str:
 
 
 class _PacketFinder:
-    """Finds new, untorn packets in a block written by another process.
-
-    A plain class for speed: its attributes are read many times per packet, at thousands of packets
-    a second.
-
-    Attributes:
-        torn: number of reads abandoned because the writer interfered.
-        trouble: why no packets arrive, for people; empty if unknown.
-    """
+    """Finds new, untorn packets in a block; a plain class because attribute access counts here."""
 
     def __init__(self, reader: ShmReader) -> None:
         self.torn, self.trouble = 0, ""
@@ -290,20 +272,13 @@ class _PacketFinder:
         self.forget()
 
     def forget(self) -> None:
-        """Treats the next packet that is read as new."""
         self._done = b""  # the last packet returned
         self._standing = b""  # a new one that may be incomplete
         self._unfinished = b""  # an incomplete one, according to its lock
         self._since = 0.0  # when either was first seen
 
     def find(self, block: Block) -> bytes | None:
-        """Returns the current packet, if it is new and complete.
-
-        Contents that are too short for a packet are returned every time.
-
-        Raises:
-            OSError: the block cannot be read.
-        """
+        """Returns the current packet if it is new and complete, or contents that are too short."""
         # Before reading: a delay in between must not count as time without changes.
         started = clock.monotonic()
         seen = block.read(self._size, self._offset)
@@ -328,7 +303,6 @@ class _PacketFinder:
         return packet
 
     def _find_locked(self, block: Block, field: Item, seen: bytes) -> bytes | None:
-        """Reads between two writes, by the writer's lock."""
         if seen == self._unfinished:  # the same write as before
             if clock.monotonic() - self._since > _MAX_WRITE_TIME:
                 self.trouble = (
@@ -352,7 +326,6 @@ class _PacketFinder:
         return None
 
     def _is_counted(self, packet: bytes, lock: bytes) -> bool:
-        """Whether this complete packet is new, according to the lock."""
         if packet == self._done:
             return False
         name, about = self._lock_name, self._about

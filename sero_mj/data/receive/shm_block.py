@@ -59,25 +59,17 @@ _PREAD, _PWRITE = _system_call("pread"), _system_call("pwrite")
 
 
 class Block:
-    """An open block of POSIX shared memory.
+    """An open block of POSIX shared memory; raises OSError or ValueError.
 
     On Linux it is read and written by system calls. With a mapping, the process would get SIGBUS if
     another one shrinks the block; and calls are ordered even on processors that reorder memory
     accesses. Elsewhere it is mapped, and its size checked before every access.
 
     Args:
-        name: of the block, with or without the slash at its front.
-        writable: whether it is opened for writing as well.
         create: whether to create it; it must not exist yet.
 
     Attributes:
-        path: its name with the slash.
         identity: distinguishes it from other blocks of the same name; 0 if unavailable.
-
-    Raises:
-        OSError: it does not exist (FileNotFoundError), exists already, may not be opened, or is
-            something else than shared memory.
-        ValueError: no block can have this name.
     """
 
     def __init__(self, name: str, *, writable: bool = False, create: bool = False) -> None:
@@ -99,11 +91,9 @@ class Block:
 
     @property
     def size(self) -> int:
-        """Its current size, bytes."""
         return os.fstat(self._fd).st_size
 
     def resize(self, size: int) -> None:
-        """Changes its size, bytes."""
         os.ftruncate(self._fd, size)
 
     def read(self, count: int, start: int = 0) -> bytes:
@@ -129,7 +119,6 @@ class Block:
             raise _last_error()
 
     def _mapped(self) -> mmap.mmap | None:
-        """The block in memory; None while it has no size."""
         size = self.size
         if self._map is not None and len(self._map) != size:
             self._map.close()

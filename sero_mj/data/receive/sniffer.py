@@ -51,8 +51,6 @@ class Guess:
     Attributes:
         structure: for `Structure`.
         is_double: whether `F`, `V` and `M` are float64.
-        column_major: order of its matrices.
-        about: description.
         plausible: share of its non-zero floating-point numbers that look like measurements, 0 to 1;
             1 without any.
     """
@@ -69,11 +67,8 @@ class Stream:
     """Packets of one size from one sender.
 
     Attributes:
-        sender: address and port.
         size: bytes of a packet.
-        count: packets so far.
         timing: their rate and jitter.
-        last: the newest ones, in order.
     """
 
     sender: tuple[str, int]
@@ -84,12 +79,10 @@ class Stream:
 
     @property
     def rows(self) -> Rows:
-        """The newest packets, (n, size)."""
         rows = np.frombuffer(b"".join(self.last), np.uint8)
         return rows.reshape(len(self.last), self.size)
 
     def guesses(self) -> list[Guess]:
-        """Possible layouts, most likely first."""
         return guess_layouts(self.rows) if self.is_binary else []
 
     @property
@@ -104,7 +97,7 @@ class Stream:
 
 
 class Sniffer:
-    """Receives packets of any size from any sender.
+    """Receives packets of any size from any sender; raises SourceError.
 
     Args:
         host: address to listen on; `0.0.0.0` for every interface, or a multicast group.
@@ -113,12 +106,7 @@ class Sniffer:
 
     Attributes:
         streams: by sender and size, in the order in which they were first seen.
-        received: packets of all streams.
         untold: number of packets of streams beyond the first hundred.
-        port: that it listens on.
-
-    Raises:
-        SourceError: the port is in use, or the address is not one of this machine.
     """
 
     def __init__(self, host: str, port: int, interface: str = "") -> None:
@@ -191,7 +179,6 @@ def guess_layouts(rows: Rows) -> list[Guess]:
 
 
 def _with_checksum(guess: Guess, found: Recognized) -> Guess:
-    """A layout with a checksum behind it."""
     orders = [each for each in guess.structure if each in "<>"]
     mark = "" if found.width == 1 or found.order == (orders or ["<"])[-1] else found.order
     covers = f"[{found.begin}:]" if found.begin else ""
@@ -201,7 +188,6 @@ def _with_checksum(guess: Guess, found: Recognized) -> Guess:
 
 
 def _guess_layouts(rows: Rows, size: int) -> list[Guess]:
-    """Layouts of packets (n, k) that have `size` bytes with what follows."""
     header, begin = find_header(rows, size)
     first = ">" if header.startswith(">") else "<"  # the default if both fit
     fits = {}
@@ -239,7 +225,6 @@ def known_packets() -> dict[int, tuple[str, str]]:
 
 
 def _mixed(rows: Rows) -> list[Guess]:
-    """A layout of several types, if there is one."""
     found = mixed_layout(rows)
     if found is None:
         return []
@@ -278,7 +263,6 @@ def _of(ranked: tuple[tuple[float, ...], Guess]) -> float:
 def _with_body(
     rows: Rows, header: str, start: int, type_: str, word: str
 ) -> tuple[tuple[float, ...], Guess]:
-    """A layout with numbers of one type after a header, and its rank."""
     numbers = rows[:, start:].view(type_)
     plausible, seen = plausibility(numbers)
     body, column_major, words = _body(numbers)
@@ -304,7 +288,6 @@ def plausibility(numbers: NDArray[np.floating]) -> tuple[float, int]:
 
 
 def _body(numbers: NDArray[np.floating]) -> tuple[str, bool, str]:
-    """Structure of these numbers (n, k) without a header, `column_major`, and a description."""
     places, column_major = find_frames(numbers)
     ends = [*places, numbers.shape[1]]
     parts, words, at = [], [], 0
@@ -373,7 +356,6 @@ def find_header(rows: Rows, size: int) -> tuple[str, int]:
 
 
 def _header_in(rows: Rows, size: int, order: str) -> tuple[str, int]:
-    """The header in one byte order."""
     count, at, parts, is_counted = rows.shape[1], 0, [], False
     while at < 16:
         for letter, each in (("Q", 8), ("I", 4), ("H", 2)):
@@ -401,7 +383,6 @@ def _header_in(rows: Rows, size: int, order: str) -> tuple[str, int]:
 
 
 def _second(numbers: NDArray[np.integer], order: str) -> NDArray[np.integer]:
-    """The last two of four bytes."""
     return numbers >> 16 if order == "<" else numbers & 0xFFFF
 
 

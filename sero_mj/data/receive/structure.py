@@ -13,7 +13,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...base.errors import Problem, UnknownName
+from ...base.errors import (
+    Problem,
+    UnknownName,
+    mismatch,
+)
 from ...base.frames import Array, Ints
 from .checksum import compute
 from .language import Item, limits, parse
@@ -42,7 +46,6 @@ class Structure:
     Args:
         text: the structure string; STRUCTURE.md explains it.
         is_double: `F`, `V`, `M` and `T` are float64 when true, else float32.
-        column_major: whether matrices are column-major, else row-major.
         alignment: every item begins at a multiple of this many bytes from the packet's start, as in
             Simulink's Byte Pack.
         scale: every floating-point number is multiplied by it, except those checked against a
@@ -51,16 +54,6 @@ class Structure:
             of signs; not for matrices.
 
     Attributes:
-        text: the structure string.
-        is_double: see above.
-        column_major: see above.
-        alignment: see above.
-        scale: see above.
-        signs: see above.
-        fields: all items of the string in order, with their offsets.
-        events: event name to the shape of its array.
-        matrices: names of the events that are matrices.
-        checksums: the items that are checksums, in order.
         size: bytes of a packet.
         message: what packets are called that come encoded, of any size, and are turned into ones of
             `size` bytes by `unpack`; empty if they come as they are.
@@ -85,9 +78,9 @@ class Structure:
         signs: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         if alignment not in _ALIGNMENTS:
-            raise Problem("alignment", found=alignment, expected="1, 2, 4 or 8").error()
+            raise mismatch(alignment, "1, 2, 4 or 8", key="alignment")
         if not 0.0 < scale < math.inf:
-            raise Problem("scale", found=scale, expected="a finite number above 0").error()
+            raise mismatch(scale, "a finite number above 0", key="scale")
         self.text = text
         self.is_double = is_double
         self.column_major = column_major
@@ -174,23 +167,17 @@ class Structure:
         return None if is_plain and self._factor(item) == 1.0 else item
 
     def _factor(self, item: Item) -> float:
-        """The factor between the numbers in a packet and their values."""
         is_scaled = item.is_float and item.constant is None
         return self.signs.get(item.name, 1.0) * (self.scale if is_scaled else 1.0)
 
     def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
-        """Returns every event's array, float64, in the shapes of `events`.
+        """Returns every event's array, float64, in the shapes of `events`; raises ValueError.
 
         Little-endian float64 is not copied: such arrays are views into the packet, and read-only if
         it is; 3 x 4 matrices are copied. Constants are not checked: see `find_wrong_constants`.
-
-        Raises:
-            ValueError: the packet is not `size` bytes long.
         """
         if len(packet) != self.size:
-            raise Problem(
-                found=len(packet), of="bytes", expected=f"{self.size} for '{self.text}'"
-            ).error()
+            raise mismatch(len(packet), f"{self.size} for '{self.text}'", of="bytes")
         values = {}
         if self._is_plain:  # without the cost of `errstate`
             for name, dtype, offset, count, _ in self._plan:
@@ -219,11 +206,7 @@ class Structure:
             }
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """State of the robot's controller and quality of the link to it; -1: packets tell neither.
-
-        Args:
-            values: event name to its array, of one packet.
-        """
+        """Returns the state of the controller and the quality of its link; -1 if unknown."""
         return -1.0, -1.0
 
     @property
@@ -432,7 +415,7 @@ class Structure:
             allowed = [item.shape, item.shape[1:]] if item.count == 1 else [item.shape]
             if array.shape not in allowed:
                 expected = " or ".join(map(str, allowed))
-                raise Problem(name, found=array.shape, expected=expected).error()
+                raise mismatch(array.shape, expected, key=name)
             _numbers(packet, item)[:] = self._to_write(item, array.reshape(item.shape)).ravel()
         for item, constant in self._constants:
             if item.name in values and _is_wrong(packet, item, constant).any():
@@ -447,7 +430,6 @@ class Structure:
         return packet.tobytes()
 
     def _to_write(self, item: Item, array: NDArray[Any]) -> NDArray[Any]:
-        """An event's array in the layout and type of the packet."""
         if len(item.shape) == 3:
             array = np.array(array, np.float64)
             if self._factor(item) != 1.0:
@@ -470,7 +452,7 @@ class Structure:
             unscaled = array / self._factor(item)
         if (wrong := np.isinf(unscaled) & np.isfinite(array)).any():
             expected = f"less, for scale {self.scale:g}"
-            raise Problem(item.name, found=array[wrong].flat[0], expected=expected).error()
+            raise mismatch(array[wrong].flat[0], expected, key=item.name)
         return unscaled
 
 
@@ -494,7 +476,6 @@ def _numbers(rows: Rows, item: Item) -> NDArray[Any]:
 
 
 def _checksums(rows: Rows, item: Item) -> NDArray[np.uint64]:
-    """What a checksum must be in each packet, (n,)."""
     begin, end = item.covers
     covered = rows[:, begin:end]
     if begin <= item.offset < end:
@@ -504,14 +485,12 @@ def _checksums(rows: Rows, item: Item) -> NDArray[np.uint64]:
 
 
 def _is_wrong(rows: Rows, item: Item, constant: Any) -> NDArray[np.bool_]:
-    """Which numbers of an item are not its constant, (n, k)."""
     numbers = _numbers(rows, item)
     wrong: NDArray[np.bool_] = (numbers != 0 if item.is_bool else numbers) != constant
     return wrong
 
 
 def _shown(number: Any) -> str:
-    """A number as text; integers also in hexadecimal."""
     if isinstance(number, np.integer) and number > 9:
         return f"{number} (0x{int(number):x})"
     return str(number)
@@ -538,11 +517,6 @@ def _limit(item: Item) -> float:
 
 
 def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
-    """The array converted to an item's type.
-
-    Raises:
-        ValueError: a number is out of its range.
-    """
     low, high = (0, 255) if item.is_bool else limits(item)
     if item.is_float:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -558,5 +532,5 @@ def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
         fitted = (whole != 0) if item.is_bool else whole
         expected = f"whole numbers from {low} to {high}"
     if not fits.all():
-        raise Problem(item.name, found=array[~fits].flat[0], expected=expected).error()
+        raise mismatch(array[~fits].flat[0], expected, key=item.name)
     return fitted

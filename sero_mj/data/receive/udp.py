@@ -13,10 +13,12 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_validator
 
-from ...base.errors import Problem
+from ...base.errors import (
+    mismatch,
+)
 from .connecting import is_address
-from .scheduling import request_short_slices
-from .source import Source, log
+from .reception import log
+from .source import Source
 from .udp_socket import (
     BATCH,
     Batch,
@@ -77,7 +79,6 @@ class UdpReceiver(Source):
 
     @property
     def place(self) -> tuple[str, int]:
-        """Address and port it listens on."""
         return self.host, self.udpport
 
     @property
@@ -87,15 +88,10 @@ class UdpReceiver(Source):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         return f"UDP {self.host}:{self.port}"
 
     def open(self) -> None:
-        """Binds the socket and starts the thread.
-
-        Raises:
-            SourceError: the port is in use, or the address is not one of this machine.
-        """
+        """Binds the socket and starts the thread; raises SourceError."""
         self.close()
         self._socket = open_socket(
             self.name, self.host, self.udpport, self.interface, self.buffer_size
@@ -109,7 +105,6 @@ class UdpReceiver(Source):
         self.start_receiving(self._receive, name=f"udp {self.name}")
 
     def close(self) -> None:
-        """Stops the thread and closes the socket; harmless when it is not open."""
         self.stop_receiving()
         if self._socket is not None:
             self._socket.close()
@@ -123,8 +118,6 @@ class UdpReceiver(Source):
         datagrams = Datagrams(sock, max(self.layout.size + 1, self._most_bytes))
         datagrams.on_arrival = self._on_arrival(datagrams.send)
         answers, since = datagrams.on_arrival is not None, 0.0
-        if answers:
-            request_short_slices()
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_READ)
             selector.register(wake, selectors.EVENT_READ)
@@ -164,7 +157,6 @@ class UdpReceiver(Source):
         return not self._allowed or _is_among(sender, self._allowed)
 
     def _take_in(self, batch: Batch) -> None:
-        """Accepts a batch, without packets of other senders than `sender`."""
         rows, lengths, arrivals, senders = batch.rows, batch.lengths, batch.arrivals, batch.senders
         if self._allowed:
             if (senders == senders[0]).all():
@@ -205,10 +197,7 @@ def split_sender(text: str) -> tuple[str, int]:
                 f"found {text!r}, which no sender has; leave it out to accept every sender"
             )
     if not 0 <= number <= 65535:
-        raise Problem(
-            found=text,
-            expected="an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234",
-        ).error()
+        raise mismatch(text, "an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234")
     return host, number
 
 

@@ -1,9 +1,10 @@
 """Opens UDP sockets, with clear errors, and reads them in batches.
 
-On Linux one `recvmmsg` call reads up to 256 packets, with the kernel's arrival time of each. A
-Python call per packet would be too slow for a hundred thousand a second, and would let other
-threads run each time: beside a busy one, reading what has come takes 30 ms by `recvmsg_into` and 3
-by `recvmmsg` (99th percentile at 1 kHz). Elsewhere packets are read one by one.
+On Linux one `recvmmsg` call reads up to 256 packets, with the kernel's arrival time of each.
+Measured for waiting packets of 112 bytes: one takes 15 us (`recvmsg_into`: 3), eight 17 us (13),
+and 256 take 114 us (405). Receiving 300,000 packets/s while rendering (docs/peers.md) leaves 3.3 us
+for each. `recvmsg_into` also releases the interpreter for every packet: beside a busy thread, the
+99th percentile of 64 packets is 26 ms instead of 10. Elsewhere packets are read one by one.
 """
 
 from __future__ import annotations
@@ -139,7 +140,6 @@ class Datagrams:
             self._prepare()
 
     def _prepare(self) -> None:
-        """Lays out the headers once; each call resets only what the kernel changes."""
         self._controls = np.zeros((BATCH, _CONTROL_BYTES), np.uint8)
         self._vectors = np.zeros(BATCH, np.dtype(_Iovec))
         self._vectors["base"], self._vectors["length"] = _places(self._rows), self._rows.shape[1]
@@ -163,20 +163,12 @@ class Datagrams:
         ]
 
     def receive(self) -> Batch | None:
-        """Returns up to 256 available packets, or None without any.
-
-        Raises:
-            OSError: the system says what is wrong with the socket.
-        """
+        """Returns up to 256 available packets, or None without any; raises OSError."""
         self.read()
         return self.take()
 
     def read(self) -> int:
-        """Appends available packets to `waiting`; returns their number.
-
-        Raises:
-            OSError: the system says what is wrong with the socket.
-        """
+        """Appends available packets to `waiting`; returns their number; raises OSError."""
         if self.waiting == BATCH:
             return 0
         count = self._one_by_one() if self._recvmmsg is None else self._at_once()
@@ -233,7 +225,6 @@ class Datagrams:
         return count
 
     def _arrivals(self, count: int) -> Array:
-        """The kernel's arrival times of the packets, on the monotonic clock."""
         now, wall = _both_clocks()
         stamps = self._stamps[:count]
         if not (stamps["kind"] == _SO_TIMESTAMPNS).all():
@@ -269,7 +260,6 @@ class Datagrams:
         return BATCH - first
 
     def _receive_into(self, row: memoryview) -> tuple[int, Any]:
-        """Reads one packet; returns its length and its sender."""
         if hasattr(self._socket, "recvmsg_into"):
             length, _, flags, sender = self._socket.recvmsg_into([row])
             return (len(row) + 1 if flags & socket.MSG_TRUNC else length), sender
@@ -282,7 +272,6 @@ class Datagrams:
 
 
 def _places(rows: NDArray[Any]) -> Ints:
-    """Memory addresses of an array's rows."""
     return np.asarray(rows.ctypes.data + rows.strides[0] * np.arange(len(rows)))
 
 
@@ -313,7 +302,6 @@ def unpack_address(packed: bytes) -> tuple[str, int]:
 
 
 def _as_tuple(packed: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
-    """One of `Batch.senders` in the form of Python's sockets."""
     host, port = unpack_address(packed)
     if ":" not in host:
         return host, port
@@ -353,18 +341,13 @@ def _interfaces() -> str:
 
 
 def open_socket(source: str, host: str, port: int, interface: str, buffer: int) -> socket.socket:
-    """Returns a bound UDP socket.
+    """Returns a bound UDP socket; raises SourceError.
 
     Args:
-        source: name of the source, for messages.
-        host: address to listen on, or a multicast group to join.
         port: to listen on; 0 lets the system choose.
-        interface: name or IPv4 address of the network interface on which a group is joined;
-            empty for the system's choice.
+        interface: name or IPv4 address of the network interface on which a group is joined; empty
+            for the system's choice.
         buffer: bytes of the receive buffer; 0 for 4 MiB, or what the system grants.
-
-    Raises:
-        SourceError: the port is in use, or the address is not one of this machine.
     """
     place = f"UDP port {port} on {host}"
     address, _, zone = host.partition("%")
@@ -403,7 +386,6 @@ def _set_buffer(sock: socket.socket, size: int) -> None:
 
 
 def _join(sock: socket.socket, group: str, port: int, interface: str) -> None:
-    """Joins a multicast group; several programs of one machine may listen to it."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     if sock.family == socket.AF_INET6:
         address, _, zone = group.partition("%")

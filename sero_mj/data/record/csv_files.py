@@ -34,10 +34,6 @@ def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[W
     Until then they are in a temporary file beside it, which is removed on failure. Pipes are
     written to directly.
 
-    Args:
-        path: the table.
-        failed: message on failure, before the reason.
-
     Raises:
         CsvError: the file cannot be written.
     """
@@ -65,7 +61,6 @@ class Exported:
     """What was written to a table.
 
     Attributes:
-        rows: packets, one row each.
         malformed: number of packets left out because they could not be decoded.
     """
 
@@ -77,7 +72,6 @@ def column_names(events: Mapping[str, tuple[int, ...]], joints: Sequence[str] = 
     """Returns a name for every number of a packet: `values0[0]`, `vectors0[0][2]`, ...
 
     Args:
-        events: event to its shape.
         joints: names of the joints that messages tell of: `torques[elbow]`; empty for none.
     """
     return [
@@ -106,9 +100,6 @@ def export_csv(
     complete, and then replaces an existing one.
 
     Args:
-        recording: to export.
-        name: the source.
-        path: the file to write.
         decode: a packet to its events; None, or ValueError, for a malformed one.
         joints: names of the joints that messages tell of, in the order of the packets.
         ordered: the same in the order of the columns; as in packets when empty.

@@ -33,16 +33,11 @@ def open_recording(
     topics: Mapping[str, Source] | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> PacketFile:
-    """Opens a recording.
+    """Opens a recording; raises RecordingError if it cannot be read, or no format fits.
 
     Args:
-        path: the file, or a folder for formats that have folders.
-        topics: name of each source that is read from messages to the receiver of these messages;
-            by default the format chooses the sources.
-        tell: called with each note on the messages.
-
-    Raises:
-        RecordingError: it cannot be read, or no format fits.
+        topics: name of each source that is read from messages to the receiver of these messages; by
+            default the format chooses the sources.
     """
     path = Path(path)
     try:
@@ -58,16 +53,13 @@ def open_recording(
 
 
 def look_into(path: Path, topics: Mapping[str, Source] | None = None) -> PacketFile:
-    """Returns a closed recording: its sources, its begin and its end.
+    """Returns a closed recording: its sources, its begin and its end; raises RecordingError.
 
     The result is cached until the file changes, because opening a scene needs it many times.
 
     Args:
         path: as for `open_recording`.
         topics: as for `open_recording`.
-
-    Raises:
-        RecordingError: it cannot be read.
     """
     named = {name: source.decoding_fields() for name, source in (topics or {}).items()}
     key = path.absolute(), _state_of(path), json.dumps(named)

@@ -39,8 +39,6 @@ class JointStates:
     """Which values of a recording are the states of a robot's joints.
 
     Attributes:
-        names: of the joints, n.
-        angles: key of their angles, of n numbers.
         velocities: key of their velocities; empty for none.
         torques: key of their torques; empty for none.
     """
@@ -52,12 +50,7 @@ class JointStates:
 
 
 class JointStateMessages:
-    """Encodes states of joints.
-
-    Args:
-        joints: which values they are.
-        shapes: key to the shape of its values, in the order of tables.
-    """
+    """Encodes states of joints."""
 
     def __init__(self, joints: JointStates, shapes: Mapping[str, tuple[int, ...]]) -> None:
         sizes = [int(np.prod(shape)) for shape in shapes.values()]

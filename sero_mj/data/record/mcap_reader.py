@@ -24,7 +24,9 @@ from mcap.reader import FOOTER_SIZE, SeekingReader
 from mcap.records import Channel, Chunk, Metadata
 from mcap.stream_reader import MAGIC_SIZE
 
-from ...base.errors import Problem
+from ...base.errors import (
+    mismatch,
+)
 
 MAX_CHUNK_BYTES = 64 << 20  # decompressed; writers make chunks of 1 to 4 MiB
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time
@@ -50,7 +52,6 @@ class ChunkPlace:
     """A chunk in the file.
 
     Attributes:
-        offset: of its record.
         length: bytes of its record.
         first: log time of its earliest message, ns.
         last: log time of its latest message, ns.
@@ -69,13 +70,8 @@ class FileIndex:
     """An index of the file.
 
     Attributes:
-        channels: number to channel.
-        chunks: in the order of the file.
         counts: channel to its number of messages, except those in `uncounted`.
         uncounted: chunks with an unknown number of messages.
-        metadata: name to the contents of a metadata record.
-        attachments: name to offset and length of its record.
-        faults: errors of the file.
     """
 
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -102,15 +98,11 @@ def read_index(file: BinaryIO) -> FileIndex:
 
 
 def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
-    """Returns the content of a record, without its head.
+    """Returns the content of a record, without its head; raises ValueError.
 
     Args:
-        file: the MCAP file.
         offset: of the content, bytes.
         length: of the content, bytes.
-
-    Raises:
-        ValueError: it does not fit into the file.
     """
     size = file.seek(0, os.SEEK_END)
     if not 0 <= offset <= offset + length <= size:
@@ -120,7 +112,6 @@ def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
 
 
 def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
-    """Reads the summary; None without one; raises one of BROKEN if it is damaged."""
     ending = FOOTER_SIZE + MAGIC_SIZE
     if size < MAGIC_SIZE + ending:
         return None
@@ -201,7 +192,6 @@ def fault_of_end(position: int, size: int, *, is_whole: bool) -> str:
     Args:
         position: where its last whole record ends, bytes.
         size: of the file, bytes.
-        is_whole: whether that is where its data end.
     """
     if is_whole:
         return f"was not closed ({NOT_CLOSED}), so it has no index"
@@ -225,7 +215,6 @@ def walk_records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
 
 
 def _note(file: BinaryIO, opcode: int, offset: int, length: int, index: FileIndex) -> None:
-    """Adds a record to the index; the file position is after the record's head."""
     if opcode == Opcode.CHANNEL:
         found = Channel.read(ReadDataStream(read_record(file, offset, length)))
         index.channels[found.id] = found
@@ -249,7 +238,7 @@ def mcap_reason(error: BaseException) -> str:
 
 
 def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
-    """Returns a chunk's messages of one channel: log time in ns, and data.
+    """Returns a chunk's messages of one channel: log time in ns, and data; raises BROKEN.
 
     `mcap.stream_reader.breakup_chunk` would take five times as long, and decompresses without
     bounds.
@@ -257,9 +246,6 @@ def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
     Args:
         record: the chunk's record, without its head.
         channel: the channel's number.
-
-    Raises:
-        BROKEN: one of these, if the chunk is damaged or implausibly large.
     """
     _, data = unpack_chunk(record)
     found = []
@@ -272,13 +258,10 @@ def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
 
 
 def unpack_chunk(record: bytes) -> tuple[Chunk, bytes]:
-    """Returns a chunk and its contents, decompressed.
+    """Returns a chunk and its contents, decompressed; raises BROKEN.
 
     Args:
         record: the chunk's record, without its head.
-
-    Raises:
-        BROKEN: one of these, if the chunk is damaged or implausibly large.
     """
     chunk = Chunk.read(ReadDataStream(io.BytesIO(record)))
     if len(chunk.data) + _CHUNK_FIELDS + len(chunk.compression) != len(record):
@@ -303,7 +286,6 @@ def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """The contents of a chunk; memory is bounded by the size stated in the chunk."""
     size = chunk.uncompressed_size
     if size > MAX_CHUNK_BYTES:
         most = f"expected at most {MAX_CHUNK_BYTES}"
@@ -319,9 +301,7 @@ def _decompressed(chunk: Chunk) -> bytes:
 
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
     elif chunk.compression:
-        raise Problem(
-            "", "compression", found=chunk.compression, expected="zstd, lz4 or none"
-        ).error()
+        raise mismatch(chunk.compression, "zstd, lz4 or none", "compression")
     else:
         data = chunk.data
     if len(data) != size:

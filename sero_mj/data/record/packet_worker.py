@@ -40,10 +40,6 @@ class PacketWorker(ABC):
 
     Use it as a context manager, or call `close`.
 
-    Args:
-        name: of its thread.
-        queue_bytes: how much may wait to be handled.
-
     Attributes:
         error: what ended it, or None. Nothing is taken any more then.
     """
@@ -64,7 +60,6 @@ class PacketWorker(ABC):
         """Takes packets to be handled soon. Cheap, and never waits.
 
         Args:
-            name: their source.
             rows: (n, bytes), a packet each; they are copied.
             lengths: how many bytes of each row are the packet, (n,). What was longer than its row
                 is kept as long as the row.

@@ -26,9 +26,8 @@ class RecorderStatistics:
     """Packets and bytes of a recording so far.
 
     Attributes:
-        packets: those that were written, of all sources. When the disk was full, up to one chunk
-            (1 MiB, or 0.4 s) of them is lost nevertheless; the error says how many are kept.
-        bytes: how long these are together.
+        packets: those that were written, of all sources. When the disk was full, up to one chunk (1
+            MiB, or 0.4 s) of them is lost nevertheless; the error says how many are kept.
         signals: those of them whose decoded values were written too.
         seconds: since the recording began; until it ended, when it has.
         not_recorded: source to the packets that were lost to it: the queue was full, or the
@@ -74,7 +73,6 @@ class PacketWriter(RecordingWriter):
     """Writes packets as they came, and the decoded values of some of them, for other programs.
 
     Args:
-        path: the file.
         signals_rate: of how many packets per second and source the values are written.
         **options: of `RecordingWriter`.
     """
@@ -110,15 +108,10 @@ class Recorder(PacketWorker):
     file as well.
 
     Args:
-        path: the file.
         about: what it is a recording of, e.g. `{"scene": "lwr_udp"}`.
         overwrite: write over a file that exists; else that is an error.
-        queue_bytes: how much may wait to be written.
         signals_rate: of how many packets per second and source the decoded values are kept as well,
             for other programs; 0 for none. All packets are kept as they came.
-
-    Attributes:
-        path: the file.
 
     Raises:
         RecordingError: the file exists already, or cannot be written.
@@ -179,7 +172,6 @@ class Recorder(PacketWorker):
             )
 
     def _next(self) -> list[Batch] | None:
-        """The next batch, as soon as there is one."""
         with self._writing:
             due = self._writer.flush_if_old()
         with self._changed:

@@ -53,9 +53,7 @@ class RecordedSource(SourceDeclaration):
     """A source in a recording.
 
     Attributes:
-        count: its packets.
         first: when its first packet arrived, s since the recording began; NaN without packets.
-        last: when its last packet arrived, likewise.
     """
 
     count: int
@@ -72,11 +70,7 @@ class PacketFile(ABC):
     """A file with the packets of sources. Times are s since it begins.
 
     Attributes:
-        path: the file.
-        about: description of the recorded scene.
-        start: when it began, UTC.
         duration: s from its beginning to its last packet.
-        sources: name to source.
         lost: source to the number of its lost packets.
         faults: its errors, a sentence each; some are found when they are read.
         malformed: why the last message that contradicts itself makes no packet; empty where packets
@@ -98,15 +92,12 @@ class PacketFile(ABC):
     _why_unreadable: ClassVar[str] = "its index is wrong"  # where no fault says it
 
     def choose_source(self, name: str = "", default: str = "", by: str = "") -> str:
-        """Returns the name of one of its sources.
+        """Returns the name of one of its sources; raises UsageError.
 
         Args:
             name: which; empty for `default`, or the only one.
             default: used if there is a source of this name and no other is requested.
             by: how the user chooses one called NAME, by an option say; for the error.
-
-        Raises:
-            UsageError: there is no such source, or there are several.
         """
         names = list(self.sources)
         chosen = name or (default if default in names or len(names) != 1 else names[0])
@@ -135,7 +126,6 @@ class PacketFile(ABC):
         """Iterates over a source's packets in file order; reads only the required chunks.
 
         Args:
-            name: the source.
             start: first time, s since the recording began.
             stop: end time, exclusive, likewise; None for the end.
 
@@ -152,7 +142,6 @@ class PacketFile(ABC):
         """Returns a source's newest packet at or before a time, or None; used by seeking.
 
         Args:
-            name: the source.
             t: s since the recording began.
 
         Returns:
@@ -189,7 +178,6 @@ class PacketFile(ABC):
         """Returns the table of a source that plays one of its sources instead of a scene's own.
 
         Args:
-            name: of the source, in both.
             source: what the scene reads of messages; see `Source.of_messages`.
         """
         return {"kind": "replay", "file": str(self.path), "source": name}
@@ -209,16 +197,11 @@ class PacketFile(ABC):
     def scenes(
         self, choose: str, source: str | None = None, wanted: Collection[str] = ()
     ) -> Iterator[str]:
-        """Yields scenes of the robot that messages name.
+        """Yields scenes of the robot that messages name; raises RecordingError or UsageError.
 
         Args:
-            choose: how the user chooses the robot called NAME, for the error.
             source: of the recording, that moves the robot; any when None.
             wanted: names of robots, one of which it is; any when empty.
-
-        Raises:
-            RecordingError: it has no source.
-            UsageError: there is no such source, or several robots fit.
         """
         return iter(())
 
@@ -246,9 +229,6 @@ class Recording(PacketFile):
 
     Damaged chunks, which are detected when they are read, are left out and reported in `faults`,
     like all other tolerable errors.
-
-    Args:
-        path: the file.
 
     Raises:
         RecordingError: it cannot be read, or is not a recording.
@@ -306,7 +286,6 @@ class Recording(PacketFile):
         self.duration = max(ends, default=0.0)
 
     def _declarations(self, index: FileIndex) -> dict[int, SourceDeclaration]:
-        """Raw channel to the declaration of its source."""
         found = {}
         for number, channel in index.channels.items():
             text = channel.metadata.get(SOURCE_KEY)
@@ -354,7 +333,6 @@ class Recording(PacketFile):
         return counts
 
     def _ends(self, channel: int) -> tuple[float, float]:
-        """Arrival of the first and the last packet in the file."""
         first = next((found[0][0] for _, found in self._of(channel, self._chunks)), None)
         backwards = reversed(self._chunks)
         last = next((found[-1][0] for _, found in self._of(channel, backwards)), None)
@@ -365,7 +343,6 @@ class Recording(PacketFile):
     def packets(
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
-        """Iterates over a source's packets; see `PacketFile.packets`."""
         channel = self._find(name)
         begin, end = self._log_time(start), self._log_time(math.inf if stop is None else stop)
         # After the last chunk entirely before the start, and before the first one entirely after
@@ -381,7 +358,6 @@ class Recording(PacketFile):
                     yield self._seconds(log_time), data
 
     def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
-        """A source's newest packet at or before a time; see `PacketFile.last_before`."""
         channel, at = self._find(name), self._log_time(t)
         best: tuple[int, bytes] | None = None
         for i in range(bisect_right(self._earliest, at) - 1, -1, -1):
@@ -395,11 +371,9 @@ class Recording(PacketFile):
 
     @property
     def attachments(self) -> tuple[str, ...]:
-        """Names of the files in the recording."""
         return tuple(self._index.attachments)
 
     def read_attachment(self, name: str) -> bytes:
-        """Returns a file that is in the recording; raises RecordingError and UnknownName."""
         if name not in self._index.attachments:
             raise UnknownName("file in the recording", name, self._index.attachments)
         offset, length = self._index.attachments[name]
@@ -418,7 +392,6 @@ class Recording(PacketFile):
             raise self._unreadable(error) from error
 
     def close(self) -> None:
-        """Closes the file."""
         self._file.close()
 
     def _find(self, name: str) -> int:
@@ -437,7 +410,6 @@ class Recording(PacketFile):
     def _of(
         self, channel: int, chunks: Iterator[ChunkPlace] | list[ChunkPlace]
     ) -> Iterator[tuple[ChunkPlace, list[tuple[int, bytes]]]]:
-        """The chunks with messages of a channel, and the messages."""
         for chunk in chunks:
             if chunk.channels is None or channel in chunk.channels:
                 found = self._messages(chunk, channel)
@@ -445,7 +417,6 @@ class Recording(PacketFile):
                     yield chunk, found
 
     def _messages(self, chunk: ChunkPlace, channel: int) -> list[tuple[int, bytes]]:
-        """A chunk's messages of a channel: log time in ns, and data; empty if it is damaged."""
         with self._lock:
             if self._cached[:2] == (chunk.offset, channel):
                 return self._cached[2]

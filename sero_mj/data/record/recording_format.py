@@ -41,7 +41,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import __version__
-from ...base.errors import Problem
+from ...base.errors import (
+    mismatch,
+)
 from .joint_state_messages import CDR_HEAD, RULE, JointStates
 
 FORMAT = 2
@@ -85,7 +87,7 @@ class RecordingClock:
             ValueError: the time is out of the file's range.
         """
         if not math.isfinite(arrival):
-            raise Problem("arrival", found=arrival, expected="seconds on time.monotonic").error()
+            raise mismatch(arrival, "seconds on time.monotonic", key="arrival")
         log_time = round(arrival * 1e9) - self.monotonic_ns + self.epoch_ns
         if not 0 <= log_time <= _MAX_NS:
             raise ValueError(f"arrival: found {arrival}, which is before 1970 or after 2554")
@@ -116,7 +118,6 @@ class SourceDeclaration:
         name: the source's name in routes.
         kind: its kind, e.g. `udp`.
         declared: its fields in the scene, of JSON's types.
-        events: event name to its shape.
         size: bytes of a packet.
     """
 
@@ -190,7 +191,6 @@ class Signals:
         shapes: event, or routed input, to its shape: (n,), (n, 3) or (n, 4, 4).
         names: one of these to the names of its numbers, n; the others are arrays.
         origins: such a name to the origin of its number: `values1[0]`.
-        joint_states: robot to which of these are the states of its joints.
     """
 
     shapes: Mapping[str, tuple[int, ...]]

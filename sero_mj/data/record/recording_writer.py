@@ -71,11 +71,9 @@ class McapStream:
     """A stream for `mcap.writer.Writer`: buffers records until `flush` writes them with an ending.
 
     Args:
-        path: the file.
         overwrite: write over a file that exists; else that is an error.
 
     Attributes:
-        path: the file.
         size: bytes of the file.
         kept: description of the data up to the last `flush`, for the error; empty for none.
         error: why nothing more can be written, or None.
@@ -101,16 +99,13 @@ class McapStream:
 
     @property
     def closed(self) -> bool:
-        """Whether it is finished, or has failed."""
         return self._file.closed
 
     def write(self, data: bytes) -> int:
-        """Accepts complete records."""
         self._records += data
         return len(data)
 
     def tell(self) -> int:
-        """Offset of the next record."""
         return self._end + len(self._records)
 
     def flush(self) -> None:
@@ -169,8 +164,6 @@ def _why(error: Exception) -> str:
 
 @dataclass
 class _Channels:
-    """The numbers of a source's channels, what the decoded ones hold, and the next packet's."""
-
     raw: int
     decoded: int
     signals: Signals
@@ -187,14 +180,9 @@ class RecordingWriter:
     7 MB in an hour of chunks that are flushed every 0.4 s.
 
     Args:
-        path: the file.
         about: what it is a recording of, e.g. `{"scene": "lwr_udp"}`.
         overwrite: write over a file that exists; else that is an error.
-        chunk_bytes: a chunk is written when its messages are larger than this.
         flush_after: s until an incomplete chunk is written.
-
-    Attributes:
-        clock: start of the recording.
 
     Raises:
         RecordingError: the file exists already, or cannot be written.
@@ -227,12 +215,10 @@ class RecordingWriter:
 
     @property
     def path(self) -> Path:
-        """The file."""
         return self._file.path
 
     @property
     def size(self) -> int:
-        """Bytes of the file so far."""
         return self._file.size
 
     def add_source(
@@ -307,7 +293,6 @@ class RecordingWriter:
         Args:
             name: the file's name, with folders where that matters.
             media_type: e.g. `application/toml`.
-            data: its contents.
         """
         self._writer.add_attachment(0, self.clock.epoch_ns, name, media_type, data)
         self._file.flush()
@@ -316,7 +301,6 @@ class RecordingWriter:
         """Writes a raw packet, numbered from 0.
 
         Args:
-            name: its source.
             packet: its bytes, well-formed or not.
             arrival: when it arrived, s on the clock of `time.monotonic`.
 
@@ -338,7 +322,6 @@ class RecordingWriter:
         """Writes packets of one length; raises as `write_raw` does.
 
         Args:
-            name: their source.
             rows: (n, bytes of a packet).
             arrivals: when each arrived, (n,), s on the clock of `time.monotonic`.
         """
@@ -353,7 +336,6 @@ class RecordingWriter:
         Raises as `write_raw` does.
 
         Args:
-            name: its source.
             values: key of `Signals.shapes` to its array; events by default.
             arrival: when the packet arrived, s on the clock of `time.monotonic`.
         """
@@ -371,7 +353,6 @@ class RecordingWriter:
         """Writes the decoded values of many packets; raises as `write_raw` does.
 
         Args:
-            name: their source.
             table: (n, k), the numbers of all its signals in their order; matrices row by row.
             arrivals: when each packet arrived, (n,), s on the clock of `time.monotonic`.
             sequences: the packets' numbers, n, counted from 0.
@@ -392,7 +373,6 @@ class RecordingWriter:
         return channels
 
     def _add(self, channel: int, data: bytes, log_time: int, number: int) -> None:
-        """Adds a message to the chunk, and writes the chunk when it is full."""
         if self._file.error is not None:
             raise self._file.error
         if not self._waiting:
@@ -412,13 +392,10 @@ class RecordingWriter:
         self._file.kept = f"{self._count} packets over {seconds:.3f} s" if self._count else ""
 
     def flush_if_old(self) -> float:
-        """Flushes if the oldest message is older than `flush_after`.
+        """Flushes if the oldest message is older than `flush_after`; raises RecordingError.
 
         Returns:
             The s until it is due; infinite without buffered data.
-
-        Raises:
-            RecordingError: there is no room.
         """
         remaining = self._oldest + self._flush_after - time.monotonic()
         if self._waiting and remaining > 0.0:
@@ -427,13 +404,10 @@ class RecordingWriter:
         return float("inf")
 
     def close(self, *, lost: Mapping[str, int] | None = None) -> None:
-        """Finishes the file; harmless when it is finished.
+        """Finishes the file; harmless when it is finished; raises RecordingError.
 
         Args:
             lost: source to the number of its lost packets, to be reported by readers.
-
-        Raises:
-            RecordingError: there is no room for the rest. What was written before is kept.
         """
         if self._file.closed:
             return

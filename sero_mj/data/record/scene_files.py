@@ -22,12 +22,7 @@ _MOST_BYTES = 50_000_000  # of meshes
 
 
 def attached_files(scene: Scene, tables: Iterable[Path]) -> dict[str, Path]:
-    """Returns what a recording is given, by the name there.
-
-    Args:
-        scene: that is recorded.
-        tables: its file, and those of its scenario and robots.
-    """
+    """Returns what a recording is given, by the name there."""
     own = [file.absolute() for file in tables]
     found = {f"{file.parent.name}/{file.name}": file for file in own}
     if scene.file is None:

@@ -19,7 +19,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...base.errors import CsvError, Problem, did_you_mean
+from ...base.errors import (
+    CsvError,
+    did_you_mean,
+    mismatch,
+)
 from ...base.frames import Array
 from ...base.paths import open_file
 from .csv_files import TIME
@@ -69,7 +73,6 @@ class Table:
     """The numbers of a table.
 
     Attributes:
-        path: the file.
         time: name of the column with the times; empty where a rate was given.
         times: of the rows, s, (T,), non-decreasing; those since 1970 count from there.
         columns: name to values, (T,), of the other columns; NaN and infinity are read as such,
@@ -131,7 +134,6 @@ def read_table(
     ms.
 
     Args:
-        path: the file.
         rate: rows per s, instead of a column of times, which is then left out.
         time: name of the column of the times; found as above when empty.
         instead: how a rate can be given, for the message about missing times.
@@ -141,7 +143,7 @@ def read_table(
         ValueError: a rate that is not above 0.
     """
     if rate is not None and not 0.0 < rate < math.inf:
-        raise Problem("rate", found=rate, expected="rows per s, above 0").error()
+        raise mismatch(rate, "rows per s, above 0", key="rate")
     path = Path(path)
     encoding = "utf-8-sig"
     while True:
@@ -157,14 +159,7 @@ def read_table(
 
 
 class _Rows:
-    """Reads the rows of one table.
-
-    Args:
-        path: for messages.
-        rate: see `read_table`.
-        time: likewise.
-        instead: likewise.
-    """
+    """Reads the rows of one table; see `read_table`."""
 
     def __init__(self, path: Path, rate: float | None, time: str, instead: str) -> None:
         self._path, self._rate, self._wanted, self._instead = path, rate, time, instead
@@ -201,7 +196,6 @@ class _Rows:
         return Table(self._path, self._time, times, columns, self._wrong)
 
     def _filled_rows(self, reader: Reader) -> Iterator[tuple[int, list[str], list[str]]]:
-        """Line and cells of every non-empty row, and cells of the comment above the first."""
         comment: list[str] = []
         try:
             for cells in reader:
@@ -216,7 +210,6 @@ class _Rows:
     def _name_columns(
         self, line: int, cells: list[str], comment: list[str], number: _Number
     ) -> bool:
-        """Names the columns by the first row; whether that row only names them."""
         dates = [_date(cell) is not None for cell in cells]
         is_header = _is_count(cells) or any(
             number(cell) is None and not is_date for cell, is_date in zip(cells, dates, strict=True)
@@ -241,7 +234,6 @@ class _Rows:
         return is_header
 
     def _find_time(self) -> None:
-        """Finds the column of the times, and the factor to s where it is known."""
         names, wanted = self._names, self._wanted
         if wanted and wanted not in names:
             near = did_you_mean(wanted, names)
@@ -271,7 +263,6 @@ class _Rows:
         return value
 
     def _of_columns(self, line: int, cells: list[str]) -> list[str]:
-        """The cells of the columns, without an index, and without an empty one at the end."""
         wanted = len(self._names) + self._has_index
         if self._open_line and len(cells) == wanted + 1 and cells.pop().strip():
             reason = f"column {wanted + 1} has no name"
@@ -294,7 +285,6 @@ def time_column(names: Sequence[str]) -> str:
 
 
 def _time_unit(name: str) -> tuple[str, str | None]:
-    """A name without a unit of time, and that unit, "" for none; None where it has another one."""
     stem, unit = split_unit(name)
     if unit:
         return stem, unit if unit in _TIME_UNITS else None
@@ -363,7 +353,6 @@ def _is_count(cells: list[str]) -> bool:
 
 
 def _number(cell: str) -> float | None:
-    """The number in a cell, NaN if it is empty; None for anything else."""
     try:
         return float(cell) if cell.strip() else math.nan
     except ValueError:

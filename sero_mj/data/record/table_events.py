@@ -1,4 +1,4 @@
-"""The columns of a table as the numbers of packets, whose names `export-csv` writes."""
+"""The columns of a table as the numbers of packets, whose names `export` writes."""
 
 from __future__ import annotations
 
@@ -19,21 +19,14 @@ def has_numbers(table: Table, events: Mapping[str, tuple[int, ...]]) -> bool:
 
 
 def events_of(table: Table, structure: Structure) -> dict[str, Array]:
-    """Returns the events of packets that are in a table.
+    """Returns the events of packets that are in a table; raises CsvError.
 
-    Columns are called like the numbers of the packet, as `export-csv` writes them: `joints[0]`. A
+    Columns are called like the numbers of the packet, as `export` writes them: `joints[0]`. A
     table without names, or with others, has all numbers of the packet, in order. Events may be left
     out as a whole.
 
-    Args:
-        table: that was read.
-        structure: of the packets.
-
     Returns:
         event to its values, (T, ...) in the event's shape.
-
-    Raises:
-        CsvError: the columns do not fit the structure, or have text.
     """
     names, columns = column_names(structure.events), [*table.columns]
     places = dict(zip(columns, columns, strict=True))

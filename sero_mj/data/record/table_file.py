@@ -26,10 +26,8 @@ class TableFile(PacketFile):
     """The rows of a table as packets. Times are s since its first row.
 
     Args:
-        table: that was read.
         events: the numbers of its rows by event, (T, ...) in the events' shapes; they may be fewer
             than those of the structure.
-        structure: of the packets.
         declared: how packets are decoded, as fields of a source of kind `udp`.
     """
 
@@ -57,7 +55,6 @@ class TableFile(PacketFile):
     def packets(
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
-        """Iterates over the rows as packets; see `PacketFile.packets`."""
         self._check(name)
         first = int(np.searchsorted(self._times, start))
         last = None if stop is None else int(np.searchsorted(self._times, stop))
@@ -65,7 +62,6 @@ class TableFile(PacketFile):
             yield float(self._times[k]), self._packet(k)
 
     def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
-        """Returns the newest row at or before a time; see `PacketFile.last_before`."""
         self._check(name)
         k = int(np.searchsorted(self._times, t, side="right")) - 1
         return None if k < 0 else (float(self._times[k]), self._packet(k))
@@ -85,11 +81,9 @@ class TableFile(PacketFile):
 
     @property
     def attachments(self) -> tuple[str, ...]:
-        """No names: a table has no files in it."""
         return ()
 
     def read_attachment(self, name: str) -> bytes:
-        """Raises UnknownName: a table has no files in it."""
         raise UnknownName("file", name, [])
 
     def close(self) -> None:
@@ -102,10 +96,7 @@ def cached_table(
     """Reads a table, or returns it as it was read before if the file has not changed.
 
     Args:
-        path: the file.
         rate: see `read_table`.
-        time: likewise.
-        instead: likewise.
 
     Raises:
         CsvError: it cannot be read.

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
-from ...base.errors import CsvError, Problem
+from ...base.errors import (
+    CsvError,
+    Problem,
+    mismatch,
+)
 from ...base.frames import Array
-from ..receive.source import LedJoint, LedLinks, Source
+from ..receive.led_robot import LedJoint
+from ..receive.source import Source
 from ..receive.udp import UdpReceiver
 from .csv_files import TIME
+from .file_source import FileSource
 from .recording import PacketFile, RecordedSource
-from .replay import Replay
 from .table import Table
 from .table_events import events_of
 from .table_file import SOURCE, TableFile, cached_table
@@ -24,7 +28,7 @@ from .table_signals import signals_of, wrong_columns
 _PACKETS = ("structure", "is_double", "column_major", "alignment", "scale")
 
 
-class TableReplay(Replay):
+class TableReplay(FileSource):
     """Plays a table of numbers: text whose cells are separated by commas, semicolons, tabs, blanks.
 
     Its events are the signals of a robot's joints (`joint_angles`, `torques`, ...), whose columns
@@ -35,11 +39,9 @@ class TableReplay(Replay):
         columns: signal to its columns: `"q_*"`, a list of names, or `time = "stamp"`. A unit in
             brackets behind the signal, `"joint_angles [deg]"`, is that of the numbers.
         robot: name that the columns' names may begin with.
-        structure: packets with the numbers that columns are called like, as `export-csv` writes
+        structure: packets with the numbers that columns are called like, as `export` writes
             them.
         rate: rows per s, for a table without times.
-        topics: not for tables.
-        source: not for tables.
     """
 
     name: str = "table"
@@ -49,35 +51,6 @@ class TableReplay(Replay):
 
     _structure_is: ClassVar[str] = ""
     _joints: list[str] = PrivateAttr(default_factory=list)  # of the robot that it leads
-
-    @field_validator("file")
-    @classmethod
-    def _file_is_a_recording(cls, file: Path) -> Path:
-        return file  # whether it is a table is known with its columns
-
-    @field_validator("topics")
-    @classmethod
-    def _are_of_messages(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-        if topics:
-            raise ValueError("are for recordings of ROS; leave them out")
-        return topics
-
-    @field_validator("source")
-    @classmethod
-    def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
-        if source not in ("", SOURCE):
-            raise ValueError("is for recordings; leave it out")
-        return SOURCE
-
-    @field_validator("start")
-    @classmethod
-    def _begins_in_the_recording(cls, start: float | None, info: ValidationInfo) -> float | None:
-        return start  # checked with the table
-
-    @field_validator("stop")
-    @classmethod
-    def _ends_after_it_begins(cls, stop: float | None, info: ValidationInfo) -> float | None:
-        return stop  # likewise
 
     @field_validator("structure")
     @classmethod
@@ -94,9 +67,9 @@ class TableReplay(Replay):
             raise ValueError("structure and columns: expected one of them")
         begin, end = self.start or 0.0, float(table.times[-1] - table.times[0])
         if begin > end:
-            raise Problem("start", found=begin, expected=f"at most {end:g}, where it ends").error()
+            raise mismatch(begin, f"at most {end:g}, where it ends", key="start")
         if self.stop is not None and not begin < self.stop:
-            raise Problem("stop", found=self.stop, expected=f"more than {begin:g}, in s").error()
+            raise mismatch(self.stop, f"more than {begin:g}, in s", key="stop")
         return self
 
     @property
@@ -107,13 +80,10 @@ class TableReplay(Replay):
         )
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:
-        """Takes the names of the joints that routes lead to, which columns may be called like."""
         self._joints = [joint.name for joint in joints]
         self.__dict__.pop("_events_of_rows", None)
-        self._forget_original()
-
-    def led_to_links(self, links: LedLinks) -> None:
-        """Does nothing: tables have no frames of links."""
+        for key in ("recorded", "original", "layout"):
+            self.__dict__.pop(key, None)
 
     @cached_property
     def _events_of_rows(self) -> dict[str, Array]:
@@ -131,7 +101,6 @@ class TableReplay(Replay):
 
     @cached_property
     def original(self) -> Source:
-        """A receiver of the packets that rows become; never opened, it only decodes."""
         packets, rows = self._packets, self._events_of_rows
         if not self.structure:
             counts = {event: each.shape[1] for event, each in rows.items()}
@@ -142,7 +111,6 @@ class TableReplay(Replay):
 
     @cached_property
     def recorded(self) -> RecordedSource:
-        """The rows as a source that was recorded."""
         return self.open_recording().sources[SOURCE]
 
     @cached_property
@@ -150,10 +118,6 @@ class TableReplay(Replay):
         return self.start or 0.0
 
     def open_recording(self) -> PacketFile:
-        """Opens the table as if it were a recording of its rows.
-
-        Raises:
-            CsvError: it cannot be read, or its columns do not fit.
-        """
+        """Opens the table as if it were a recording of its rows; raises CsvError."""
         declared = self.original.decoding_fields()
         return TableFile(self._table, self._events_of_rows, self.layout, declared)

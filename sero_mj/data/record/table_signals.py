@@ -10,38 +10,40 @@ import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from ...base.errors import CsvError, Problem, did_you_mean
+from ...base.errors import (
+    CsvError,
+    Problem,
+    did_you_mean,
+    mismatch,
+)
 from ...base.frames import Array
+from ...base.plugins import COLUMNS, load_all
 from .csv_files import TIME
 from .table import Table, split_unit
 
 # Names of columns, in lower case and without number, joint and unit, by the signal that they are,
-# first those that are preferred. In `actual_...` and `target_...`: RTDE of Universal Robots, whose
-# example record.py writes such tables. `tau_J`, `dq`: libfranka (`franka::logToCSV`); its `tau_J_d`
-# is without gravity, and therefore not the commanded torque. `position`, `effort`: ROS.
+# first those that are preferred. `position`, `effort`: ROS.
 _NAMES: Mapping[str, tuple[str, ...]] = {
     "joint_angles": (
-        "joint_angles", "joint_angle", "angles", "angle", "q", "actual_q", "joint_positions",
-        "joint_position", "measured_joint_positions", "positions", "position", "joints", "joint",
+        "joint_angles", "joint_angle", "angles", "angle", "q", "joint_positions", "joint_position",
+        "measured_joint_positions", "positions", "position", "joints", "joint",
     ),
     "joint_velocities": (
-        "joint_velocities", "joint_velocity", "velocities", "velocity", "dq", "qd", "actual_qd",
+        "joint_velocities", "joint_velocity", "velocities", "velocity", "dq", "qd",
     ),
     "torques": (
-        "torques", "torque", "joint_torques", "joint_torque", "measured_torques", "tau_j", "tau",
-        "actual_current_as_torque", "efforts", "effort",
+        "torques", "torque", "joint_torques", "joint_torque", "measured_torques", "tau", "efforts",
+        "effort",
     ),
-    "commanded_torques": ("commanded_torques", "commanded_torque", "target_moment"),
-    "commanded_angles": ("commanded_angles", "commanded_angle", "target_angles", "q_d", "target_q"),
-    "external_torques": ("external_torques", "external_torque", "tau_ext_hat_filtered", "tau_ext"),
+    "commanded_torques": ("commanded_torques", "commanded_torque"),
+    "commanded_angles": ("commanded_angles", "commanded_angle", "target_angles"),
+    "external_torques": ("external_torques", "external_torque", "tau_ext"),
 }  # fmt: skip
-# libfranka's external torques are what the robot exerts; docs/conventions.md has the sources.
-_OPPOSITE = ("tau_ext_hat_filtered",)
 _FACTORS = {
     "rad": 1.0, "deg": np.pi / 180.0, "°": np.pi / 180.0, "degree": np.pi / 180.0,
     "degrees": np.pi / 180.0, "mrad": 1e-3, "m": 1.0, "mm": 1e-3, "rad/s": 1.0,
@@ -57,7 +59,6 @@ _BY_UNIT = {
 _NUMBER = re.compile(r"\d+(?!.*\d)")
 _SUFFIX = re.compile(r"_(rad|deg|nm)$", re.IGNORECASE)
 _BETWEEN = "[]()._/ "  # characters between the number and the rest of a name
-_BEFORE = ("state.",)  # libfranka since 2024
 _SIGNAL = re.compile(r"([A-Za-z_]\w*)(?:\s*\[\s*(.+?)\s*\])?")
 _MANY = 8  # columns in a message
 
@@ -67,11 +68,36 @@ Columns = Mapping[str, str | Sequence[str]]
 
 
 @dataclass(frozen=True)
+class ColumnNames:
+    """Names of columns in tables of a program; an entry point in the group `sero_mj.columns`.
+
+    Attributes:
+        names: signal to names of columns, in lower case and without number, joint and unit.
+        opposite: names whose numbers have the opposite sign of ours.
+        prefixes: what names may begin with.
+    """
+
+    names: Mapping[str, tuple[str, ...]]
+    opposite: tuple[str, ...] = ()
+    prefixes: tuple[str, ...] = ()
+
+
+@cache
+def _known_names() -> ColumnNames:
+    found = load_all(COLUMNS).values()
+    names = {
+        signal: sum((each.names.get(signal, ()) for each in found), own)
+        for signal, own in _NAMES.items()
+    }
+    opposite = sum((each.opposite for each in found), ())
+    return ColumnNames(names, opposite, sum((each.prefixes for each in found), ()))
+
+
+@dataclass(frozen=True)
 class Selection:
     """The columns of a signal.
 
     Attributes:
-        names: of the columns, in the order of the joints.
         factor: from their numbers to SI units and our signs.
     """
 
@@ -81,14 +107,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns that differ by a number, or by the name of a joint.
-
-    Attributes:
-        stem: what is left of their names, in lower case.
-        unit: of them; empty for none.
-        pattern: their name with `*` for what differs.
-        names: of the columns, in order.
-    """
+    """Columns that differ by a number or by the name of a joint, `*` in their pattern."""
 
     stem: str
     unit: str
@@ -97,13 +116,10 @@ class _Group:
 
 
 def parse_columns(texts: Sequence[str]) -> dict[str, str | list[str]]:
-    """Reads `SIGNAL=COLUMNS`, as an option has them.
+    """Reads `SIGNAL=COLUMNS`, as an option has them; raises ValueError if one has no `=`.
 
     Args:
         texts: for example `joint_angles=A*`, `joint_angles [deg]=A1,A2` and `time=Zeit [s]`.
-
-    Raises:
-        ValueError: one has no `=`.
     """
     found: dict[str, str | list[str]] = {}
     for text in texts:
@@ -124,7 +140,7 @@ def signals_of(
     robot: str = "",
     counts: Sequence[int] = (),
 ) -> dict[str, Array]:
-    """Returns the signals of a robot's joints in a table.
+    """Returns the signals of a robot's joints in a table; raises CsvError or DeclarationError.
 
     Args:
         table: of one robot, or of several with their names in those of the columns.
@@ -132,16 +148,11 @@ def signals_of(
         columns: signal, with a unit in brackets where columns have none, to its columns: their
             names, or one with `*` for a number or name of a joint. Signals that are not in it are
             recognised.
-        robot: its name, which the names of columns may begin with.
         counts: numbers of columns that a signal can have; any when empty.
 
     Returns:
         `joint_angles`, `torques`, ... to values, (T, number of columns), SI units and our signs. If
         torques were not measured, those commanded are `torques` as well.
-
-    Raises:
-        CsvError: a column is missing or has text.
-        DeclarationError: `columns` has something else than names.
     """
     names = [*table.columns]
     chosen = _recognised(names, joints, robot, counts) | _declared(table, columns or {})
@@ -164,7 +175,6 @@ def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
     """The error for a table without columns of joint angles, or with another number of them.
 
     Args:
-        table: that was read.
         count: joints of the robot; 0 where it is not known.
         how: how columns are declared, with SIGNAL=COLUMNS or the like for what.
     """
@@ -184,7 +194,6 @@ def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
 
 
 def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
-    """The columns that are declared."""
     found = {}
     for key, wanted in columns.items():
         if key == TIME:
@@ -192,11 +201,11 @@ def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
         match = _SIGNAL.fullmatch(key)
         if match is None:
             expected = "a signal, with or without a unit: joint_angles [deg]"
-            raise Problem("columns", found=key, expected=expected).error()
+            raise mismatch(key, expected, key="columns")
         signal, unit = match[1], match[2] or ""
         if signal == TIME:
             expected = "time without a unit, which the name of its column has: time = 'Zeit [ms]'"
-            raise Problem("columns", found=key, expected=expected).error()
+            raise mismatch(key, expected, key="columns")
         if unit and unit not in _FACTORS:
             of = f"in {key}"
             raise Problem("columns", "no unit", found=unit, of=of, available=_FACTORS).error()
@@ -209,7 +218,6 @@ def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
 
 
 def _matching(table: Table, pattern: str) -> list[str]:
-    """The columns of a name, or those that are called so with something for its `*`, in order."""
     if pattern in table.columns or pattern in table.wrong or "*" not in pattern:
         table.column(pattern)
         return [pattern]
@@ -225,15 +233,15 @@ def _matching(table: Table, pattern: str) -> list[str]:
 def _recognised(
     names: Sequence[str], joints: Sequence[str], robot: str, counts: Sequence[int]
 ) -> dict[str, Selection]:
-    """The columns that are recognised, by signal."""
     groups = [
         group for group in _groups(names, joints, robot) if not counts or len(group.names) in counts
     ]
     found: dict[str, Selection] = {}
-    for signal, known in _NAMES.items():
+    all_names = _known_names()
+    for signal, known in all_names.names.items():
         ranked = [group for name in known for group in groups if group.stem == name]
         if ranked:
-            sign = -1.0 if ranked[0].stem in _OPPOSITE else 1.0
+            sign = -1.0 if ranked[0].stem in all_names.opposite else 1.0
             found[signal] = Selection(ranked[0].names, sign * _FACTORS.get(ranked[0].unit, 1.0))
     of_joints = [group for group in groups if not group.stem]
     if "joint_angles" not in found and of_joints:
@@ -283,7 +291,7 @@ def _of_joint(name: str, joints: Sequence[str]) -> tuple[int, str]:
 
 def _stem(pattern: str, robot: str) -> str:
     """What the name of a column says beside robot, joint and number, in lower case."""
-    for before in (*_BEFORE, *(f"{robot}{each}" for each in "._/" if robot)):
+    for before in (*_known_names().prefixes, *(f"{robot}{each}" for each in "._/" if robot)):
         pattern = pattern.removeprefix(before)
     before, _, behind = pattern.partition("*")
     return (behind.strip(_BETWEEN) or before.strip(_BETWEEN)).lower()

@@ -39,10 +39,8 @@ class RecordedEvent:
         number: from 1.
         time: when it began, s on the clock of arrivals.
         what: what fulfilled the condition: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`.
-        path: the recording.
         began: when the recording begins, s on the clock of arrivals.
         ended: when it ends, likewise; NaN while it goes on.
-        packets: how many it has.
         again: how often the condition was fulfilled anew meanwhile, after it was not.
     """
 
@@ -58,8 +56,6 @@ class RecordedEvent:
 
 @dataclass(eq=False)
 class _Block:
-    """Packets of one source, up to as many as it has room for."""
-
     name: str
     rows: Rows
     lengths: Ints
@@ -76,8 +72,6 @@ class _Block:
 
 
 class _Ring:
-    """The packets of the last seconds."""
-
     def __init__(self, seconds: float, most_bytes: int) -> None:
         self.size = 0
         self.forgotten = 0  # packets that were not old enough, but too many
@@ -86,7 +80,6 @@ class _Ring:
         self._open: dict[str, _Block] = {}
 
     def add(self, name: str, rows: Rows, lengths: Ints, arrivals: Array) -> None:
-        """Keeps packets, which are copied, and forgets those that are too old."""
         while len(rows):
             block = self._open.get(name)
             is_full = block is not None and block.count == len(block.rows)
@@ -122,7 +115,6 @@ class _Ring:
             self._blocks.popleft()
 
     def since(self, begin: float) -> list[tuple[float, str, bytes]]:
-        """Arrival, source and bytes of the packets from a time on, in the order of arrival."""
         found = []
         for block in self._blocks:
             for k in np.flatnonzero(block.arrivals[: block.count] >= begin).tolist():
@@ -137,13 +129,7 @@ class TriggerStatistics:
     """What was seen so far.
 
     Attributes:
-        packets: that were looked at.
-        events: how many there were.
-        seconds: since it began.
-        kept_bytes: memory of the last seconds.
-        forgotten: packets of the last seconds for which there was no room.
         not_seen: source to the packets that came faster than they could be looked at.
-        is_recording: whether an event is being recorded.
     """
 
     packets: int
@@ -163,7 +149,6 @@ class TriggeredRecorder(PacketWorker):
     Args:
         path_of: the file of an event, by its number from 1 and its time.
         find: where packets fulfil the condition; called on the recorder's thread.
-        about: what these are recordings of.
         before: s that are kept of before an event.
         after: s that are recorded after the condition was last fulfilled.
         overwrite: write over files that exist; else that ends it.
@@ -174,7 +159,6 @@ class TriggeredRecorder(PacketWorker):
         now: the clock of arrivals; None where that does not go on by itself.
 
     Attributes:
-        events: that were recorded.
         on_event: called when an event begins, and again when its recording is complete.
     """
 
@@ -210,7 +194,6 @@ class TriggeredRecorder(PacketWorker):
         super().__init__("triggered recorder")
 
     def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
-        """Adds a source; see `Recorder.add_source`."""
         with self._changed:
             self._sources[name] = decode, declaration
             self._lost[name] = 0
@@ -220,18 +203,13 @@ class TriggeredRecorder(PacketWorker):
         self._files.append((name, media_type, data))
 
     def record_now(self, what: str) -> None:
-        """Records this moment as an event, whatever the condition; returns at once.
-
-        Args:
-            what: it is, for the recording.
-        """
+        """Records this moment as an event, whatever the condition; returns at once."""
         with self._changed:
             self._asked.append(what)
             self._changed.notify_all()
 
     @property
     def statistics(self) -> TriggerStatistics:
-        """What was seen so far."""
         with self._changed:
             return TriggerStatistics(
                 self._packets,
@@ -244,7 +222,6 @@ class TriggeredRecorder(PacketWorker):
             )
 
     def _next(self) -> list[Batch] | None:
-        """What has come, soon after the first packet of it."""
         with self._changed:
             if not (self._queue or self._asked or self._closing):
                 self._changed.wait(_POLL if self._writer is not None else None)
@@ -375,7 +352,6 @@ def _part(batch: Batch, rows: slice) -> Batch:
 
 
 def _joined(batches: list[Batch]) -> list[Batch]:
-    """Joins batches of one source that follow each other."""
     found: list[Batch] = []
     for _, group in groupby(batches, key=lambda each: (each.name, each.rows.shape[1])):
         parts = list(group)

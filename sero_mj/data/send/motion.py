@@ -35,7 +35,6 @@ class SineMotion:
     A robot whose `joint_angles` are declared swings about these, else about a bent pose.
 
     Args:
-        robot: whose limits to keep.
         amplitude: scales the swing; 0 for none.
     """
 
@@ -77,10 +76,6 @@ class InverseDynamics:
 
     Masses are those of the robot's file; where it has none, they follow from the volume of the
     links at the density of water, so the torques are then an estimate.
-
-    Attributes:
-        world: of the robots alone.
-        data: its state, as the last motion left it.
     """
 
     def __init__(self, *robots: SerialRobot) -> None:
@@ -113,10 +108,6 @@ def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[st
 
     What touches as declared, or whatever the amplitudes are, is left as it is. The others' swings,
     and those of what carries them, are reduced where links meet in poses from all over the motion.
-
-    Args:
-        robots: that move about the same time.
-        amplitude: of each of them, where nothing meets.
 
     Returns:
         by name.
@@ -160,7 +151,6 @@ class CommonMotion:
     """The motion of robots together, with the torques that it takes; they stay clear of each other.
 
     Args:
-        robots: that move.
         amplitude: of the motion, 0 stands still, to 1.
     """
 
@@ -176,7 +166,6 @@ class CommonMotion:
         """Position, velocity, acceleration, torques and target position of a robot, (5, n).
 
         Args:
-            robot: its name.
             t: s.
             lead: s by which the target is ahead.
         """
@@ -188,12 +177,7 @@ class CommonMotion:
 
 
 class RobotSignals:
-    """The measured signals of one robot during a motion.
-
-    Args:
-        robot: that moves.
-        motion: of it, and of what moves with it.
-    """
+    """The measured signals of one robot during a motion."""
 
     def __init__(self, robot: SerialRobot, motion: CommonMotion) -> None:
         self._robot, self._motion = robot, motion

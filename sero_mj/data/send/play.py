@@ -30,11 +30,7 @@ _MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity
 
 
 def choose_source(wiring: Wiring, name: str | None = None) -> Source:
-    """The source of this name, or the only one.
-
-    Raises:
-        UsageError: there is none, or there are several.
-    """
+    """The source of this name, or the only one; raises UsageError."""
     sources = wiring.sources
     if name is None and len(sources) == 1:
         name = next(iter(sources))
@@ -67,15 +63,9 @@ class MotionPackets:
     """Packets of a scene's source, with the signals routed to the robots.
 
     Args:
-        scene: robots and routes.
         source: of the packets; the scene's only one when None.
         structure: instead of the source's.
         amplitude: of the motion, 0 to 1.
-        players: robot name to what says its signals, instead of a motion.
-
-    Attributes:
-        structure: of the packets.
-        source: the receiver they are meant for.
 
     Raises:
         DeclarationError: the scene's sources or routes are wrong.
@@ -127,7 +117,6 @@ class MotionPackets:
         self._model = ModelTorques(scene.robots)
 
     def _check_size(self, route: Route) -> None:
-        """Whether the structure has all the numbers that a route takes."""
         for term in route.value.terms:
             if term.origin.name != self.source.name or not term.origin.is_event:
                 continue
@@ -141,7 +130,6 @@ class MotionPackets:
                 )
 
     def _asked(self, routes: Sequence[Route]) -> list[Input]:
-        """The inputs of routes, and those that they read of robots, doubles and arrows."""
         todo = [route.to.target for route in routes]
         todo += [each for route in routes for each in self._origins(route)]
         seen: dict[str, Input] = {}
@@ -153,7 +141,6 @@ class MotionPackets:
         return list(seen.values())
 
     def _origins(self, route: Route) -> list[str]:
-        """The inputs that a route reads, also by the models of robots."""
         found = []
         for output in route.outputs:
             name, _, key = output.partition(".")
@@ -162,7 +149,6 @@ class MotionPackets:
         return [each for each in found if each in self._inputs]
 
     def _robot_of(self, item: Input) -> str | None:
-        """The robot whose motion determines an input."""
         if item.kind in ("angles", "values") or item.key == "flange_check":
             double = self._scene.doubles.get(item.name)
             return item.name if double is None else double.of
@@ -198,7 +184,6 @@ class MotionPackets:
         return self.structure.encode(values)
 
     def _output(self, target: str, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
-        """An output of a robot, a double or an arrow at time t."""
         if target not in self._inputs:
             name, _, key = target.partition(".")
 
@@ -223,7 +208,6 @@ class MotionPackets:
         return np.zeros(item.count) if value is None else np.asarray(value, np.float64)
 
     def _value(self, item: Input, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
-        """The value of an input at time t."""
         scene, robot = self._scene, self._robot_of(item)
         if robot is not None:
             # A double gets the command that its robot will follow.
@@ -242,7 +226,6 @@ class MotionPackets:
         return self._frame(item, t)
 
     def _frame(self, item: Input, t: float) -> Array:
-        """The declared frame of a base, an object or a camera; received frames move in a circle."""
         scene = self._scene
         if item.name in scene.robots:
             return scene.robots[item.name].base_frame
@@ -257,10 +240,7 @@ class MotionPackets:
 
 
 def _connected(routes: Sequence[Route], source: str, events: Collection[str]) -> list[Route]:
-    """Routes that take something from a source, or from what shares a route with it.
-
-    Those that take from the source an event that is not among `events` are left out.
-    """
+    """Returns routes that take events from a source or from what shares a route with it."""
     taking = [
         route
         for route in routes
@@ -281,7 +261,6 @@ def _connected(routes: Sequence[Route], source: str, events: Collection[str]) ->
 
 
 def _nothing_to_send(routes: Sequence[Route], source: str, structure: Structure) -> str:
-    """Why: no route leads from the source, or none takes what the structure has."""
     taken = {
         o.key: None for r in routes for o in r.value.origins if o.is_event and o.name == source
     }
@@ -336,7 +315,6 @@ class RouteInverse:
         return [origin for origin in self._columns if origin.is_event]
 
     def _rows(self, route: Route, width: int) -> Array:
-        """What each number of a route takes of each number of the events, (n, width)."""
         rows = np.zeros((len(route.value.offset), width))
         for term in route.value.terms:
             if term.origin.is_event:
@@ -351,11 +329,10 @@ class RouteInverse:
 
         Args:
             wanted: desired value of each route's input, (n,), by `name.key`.
-            output: the numbers of an output that routes read beside events.
 
         Returns:
-            a function that gives the numbers of an event, of which there are so many, (n,);
-            zero where nothing is asked for.
+            a function that gives the numbers of an event, of which there are so many, (n,); zero
+            where nothing is asked for.
         """
 
         def known(origin: Origin) -> Array:

@@ -29,13 +29,10 @@ class Playback(ABC):
     """Packets to be sent.
 
     Attributes:
-        structure: of the packets.
-        about: what is played and how, in a few words, for people.
         count: maximum number of packets.
         duration: from the first to the last, s.
         skipped: how many could not be sent so far: malformed ones, and such whose numbers the
             structure cannot hold.
-        notes: sentences about it: damage of a recording found so far.
     """
 
     structure: Structure
@@ -57,7 +54,6 @@ class Playback(ABC):
             return None
 
     def _note_absent(self, events: Collection[str]) -> None:
-        """Notes the values sent for events of the structure that are missing here."""
         blank = self.structure.decode(self.structure.encode({}))  # constants are not zero
         absent = [
             event
@@ -78,7 +74,6 @@ class RecordedPackets(Playback):
     """One source of a recording: bit for bit, or in another structure.
 
     Args:
-        file: the recording.
         source: which of its sources; may be empty where it has one only.
         structure: to send in; events keep their names, and those that the recording has not are
             zero, frames the identity. None for what was recorded.
@@ -117,7 +112,6 @@ class RecordedPackets(Playback):
             self._note_absent(self._events)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
-        """When each packet is due, s after the first, and its bytes; malformed ones too if raw."""
         recorded = self._replay.recorded
         with open_recording(self.file) as recording:
             for arrival, packet in recording.packets(recorded.name):
@@ -141,19 +135,14 @@ class RecordedPackets(Playback):
 
 
 class TablePackets(Playback):
-    """The rows of a table of comma-separated values.
+    """The rows of a table of comma-separated values; raises CsvError.
 
-    Columns are called like the numbers of the packet, as `export-csv` writes them: `joints[0]`. A
+    Columns are called like the numbers of the packet, as `export` writes them: `joints[0]`. A
     table without names, or with others, has all numbers of the packet, in order. Events may be left
     out as a whole.
 
     Args:
-        file: the table.
-        structure: of the packets.
         rate: rows per s, instead of a column `time`.
-
-    Raises:
-        CsvError: the table is wrong, or its columns do not fit the structure.
     """
 
     def __init__(self, file: Path, structure: Structure, rate: float | None = None) -> None:
@@ -165,7 +154,6 @@ class TablePackets(Playback):
         self._note_absent(self._columns)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
-        """When each row is due, s after the first, and its packet."""
         for k, time in enumerate((self._times - self._times[0]).tolist()):
             packet = self._encode({event: rows[k] for event, rows in self._columns.items()})
             if packet is not None:
@@ -176,8 +164,6 @@ class JointRows(Playback):
     """The rows of a table with the signals of robots' joints, packed by a scene's routes.
 
     Args:
-        table: that was read.
-        scene: robots and routes.
         columns: which columns are which signals; see `robots_in`.
         source: of the packets; the scene's only one when None.
         structure: instead of the source's.
@@ -205,7 +191,6 @@ class JointRows(Playback):
         super().__init__(self._packets.structure, f"{table.path}, {about}", count, duration)
 
     def packets(self) -> Iterator[tuple[float, bytes]]:
-        """When each row is due, s after the first, and its packet."""
         for time in self._times.tolist():
             try:
                 packet = self._packets.at(time)
@@ -216,12 +201,7 @@ class JointRows(Playback):
 
 
 class _RowPlayer:
-    """Gives the signals in the row of a time; of those that a table lacks zeros.
-
-    Args:
-        times: of the rows, s, (T,).
-        signals: by name, (T, n).
-    """
+    """Gives the signals (T, n) in the row of a time; zeros for missing ones."""
 
     def __init__(self, times: Array, signals: Mapping[str, Array]) -> None:
         angles = signals["joint_angles"]
@@ -241,9 +221,7 @@ def timed(
     Each repetition begins one average interval after the end of the previous one.
 
     Args:
-        playback: what to play.
         speed: 2 is twice as fast.
-        loop: without end, unless a duration is given.
         duration: s, after which nothing is due.
     """
     pause = playback.duration / max(playback.count - 1, 1) or 1e-3
@@ -263,13 +241,11 @@ def timed(
 
 
 def _identities(structure: Structure) -> dict[str, Array]:
-    """Identity frames for all matrices of a structure, because zeros would be invalid."""
     shapes = {event: structure.events[event] for event in structure.matrices}
     return {event: np.broadcast_to(np.eye(4), shape) for event, shape in shapes.items()}
 
 
 def _is_same(one: Structure, other: Structure) -> bool:
-    """Whether two structures mean the same by the same bytes."""
     return type(one) is type(other) and all(
         getattr(one, key) == getattr(other, key)
         for key in ("fields", "column_major", "alignment", "scale")
@@ -277,11 +253,6 @@ def _is_same(one: Structure, other: Structure) -> bool:
 
 
 def _common(to: Structure, events: Mapping[str, tuple[int, ...]], of: str) -> list[str]:
-    """The events that a structure shares with others.
-
-    Raises:
-        UsageError: there is none, or one has another shape.
-    """
     common = [event for event in to.events if event in events]
     if not common:
         has, wanted = ", ".join(events), ", ".join(to.events)

@@ -18,7 +18,11 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from ...base.errors import Problem, SourceError, reason_of
+from ...base.errors import (
+    SourceError,
+    mismatch,
+    reason_of,
+)
 from ..receive.shm_block import Block, block_path
 from ..receive.structure import Rows, Structure
 
@@ -37,19 +41,10 @@ class Sink(Protocol):
 
 
 class UdpSink:
-    """Sends packets to a UDP port.
+    """Sends packets to a UDP port; raises SourceError if the address cannot be resolved.
 
     Args:
-        host: where to.
-        port: where to.
         message_of: makes what is sent of a packet; the packet itself is sent when None.
-
-    Attributes:
-        place: kind, host and port in a few words, for people.
-        socket: that it sends through, and answers come to.
-
-    Raises:
-        SourceError: the address cannot be resolved.
     """
 
     def __init__(
@@ -72,7 +67,6 @@ class UdpSink:
         self.socket.sendto(message, self._address)
 
     def close(self) -> None:
-        """Closes the socket."""
         self.socket.close()
 
     def __enter__(self) -> Self:
@@ -90,14 +84,10 @@ class ShmWriter:
 
     Args:
         block: name of the shared memory, `robot` or `/robot`.
-        structure: of the packets.
         lock: event that is made odd before a packet is written and even when it is there (a
             seqlock); what the packets have there is not used. Empty for none: readers then have to
             guess whether a packet is whole.
         offset: where in the block the packet begins, bytes.
-
-    Attributes:
-        place: kind and name in a few words, for people.
 
     Raises:
         SourceError: no block can have this name, or it may not be made or written.
@@ -130,14 +120,9 @@ class ShmWriter:
         return int(number) if np.isfinite(number) and 0 <= number < _modulus(field.dtype) else 0
 
     def put(self, packet: bytes) -> None:
-        """Writes a packet over the one before.
-
-        Raises:
-            OSError: the system refuses, because there is no memory left, say.
-            ValueError: the packet is not as long as the structure says.
-        """
+        """Writes a packet over the one before; raises OSError or ValueError."""
         if len(packet) != self._size:
-            raise Problem(found=len(packet), of="bytes", expected=self._size).error()
+            raise mismatch(len(packet), self._size, of="bytes")
         block, offset, field = self._block, self._offset, self._lock
         if field is None:
             block.write(packet, offset)
@@ -176,8 +161,6 @@ class PacketBuffer:
 
     Args:
         packet_at: makes the packet of a time (s).
-        structure: of the packets.
-        rate: packets per second.
         sequence: event that numbers the packets, from 1; empty for none.
         time: event that says when a packet leaves; empty for none.
         time_scale: s per unit of `time`.
@@ -224,7 +207,6 @@ class PacketBuffer:
         return True
 
     def _make(self) -> None:
-        """Computes one packet and interpolates those up to the next."""
         start = time.perf_counter()
         step, made = self._step, self._made
         here = self._compute(made) if self._last is None else self._last
@@ -264,8 +246,6 @@ class SendReport:
     """Statistics of a sender.
 
     Attributes:
-        packets: how many were sent.
-        seconds: how long it took.
         refused: number of packets that the system refused to send.
         jitter_p50: median of how late packets left, s.
         jitter_p99: 99th percentile of the same.
@@ -279,7 +259,6 @@ class SendReport:
 
     @property
     def rate(self) -> float:
-        """Packets per second."""
         return self.packets / self.seconds if self.seconds > 0 else 0.0
 
     def __str__(self) -> str:
@@ -296,7 +275,6 @@ def paced(
 
     Args:
         packet_at: makes the packet of a time (s).
-        rate: packets per second.
         duration: s; None goes on for ever.
 
     Returns:
@@ -318,7 +296,6 @@ def send(
 
     Args:
         packets: when each one is due, s from now on, never decreasing, and its bytes.
-        to: where to.
         idle: called with the time that is left (s) until a packet leaves, again and again while it
             returns that it has done something; for what can be done ahead.
     """

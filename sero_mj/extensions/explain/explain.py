@@ -51,15 +51,9 @@ _FINE, _MIN_NOISE = 2e-4, 1.5e-3  # of the torque limit
 
 
 def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -> list[Explanation]:
-    """Diagnoses a robot in a run, see `explain`.
+    """Diagnoses a robot in a run, see `explain`; raises UsageError for too little data.
 
-    Args:
-        log: a run.
-        robot: its name.
-        found: residuals of the run; computed when None.
-
-    Raises:
-        UsageError: there is too little data, or no torques.
+    `found` are its residuals, if they are known.
     """
     found = found or torque_residuals(log, robot)
     # A run aborted by a runaway joint ends too early for the low-pass filter.
@@ -161,11 +155,7 @@ def _explain_first(
 ) -> list[Explanation]:
     """Explains the difference of two runs by faults of the first, where that makes a difference.
 
-    Args:
-        a: of the first run.
-        b: of the second one.
-        mine: what is found in `a` by itself, outside of fits.
-        theirs: likewise in `b`.
+    `mine` and `theirs` are found in `a` and `b` by themselves, outside of fits.
     """
     known = {(each.joint, each.part) for each in theirs}
     told = [each for each in mine if (each.joint, each.part) not in known]
@@ -181,21 +171,14 @@ def _explain_first(
 def explain_runs(
     a: RunLog, b: RunLog, robots: tuple[str, str], offset: float = 0.0
 ) -> list[Explanation]:
-    """Explains the difference of two runs, see `explain_pair`.
-
-    Args:
-        a: a run.
-        b: another one.
-        robots: the robot's names in both.
-        offset: s, added to the times of `b`.
+    """Explains the difference of two runs, see `explain_pair`; `offset` (s) is added to `b`.
 
     Raises:
         UsageError: one of them has too little data, or no torques.
     """
     first = torque_residuals(a, robots[0])
     second = torque_residuals(b, robots[1], times=first.times - offset)
-    held = tuple((begin + offset, end + offset, value) for begin, end, value in second.held)
-    moved = replace(second, times=first.times, rough_times=second.rough_times + offset, held=held)
+    moved = replace(second, times=first.times, noise=second.noise.later(offset))
     return explain_pair(first, moved)
 
 
@@ -236,11 +219,7 @@ def _with_drives_that_run_off(
 ) -> list[Explanation]:
     """Explanations, with those of runaway joints, which have little data, from the run's end.
 
-    Args:
-        told: of a run.
-        last: of its last moments.
-        found: of the run.
-        ending: of its last moments.
+    `last` and `ending` are of its last moments.
     """
     names = found.robot.names
     left = np.nanmax(np.abs(ending.motor), axis=0, initial=0.0)
@@ -280,14 +259,14 @@ def _wrong_drives(found: TorqueResiduals, least: float) -> list[Explanation]:
     # While a joint reverses, its inertia is not subtracted, and at rest only its stop may hold it,
     # unless its links are known.
     has_links = np.isfinite(link).any()
-    is_judged = np.isfinite(found.motor) | np.isnan(link) & (found.slow | has_links)
+    is_judged = np.isfinite(found.motor) | np.isnan(link) & (found.motion.slow | has_links)
     for joint, name in enumerate(found.robot.names):
         held, scale = 2.0 * float(found.coulomb[joint]), float(found.scale[joint])
-        asked, error = 2.0 * found.commanded[:, joint], left[:, joint]
+        asked, error = 2.0 * found.torques.commanded[:, joint], left[:, joint]
         known, least_asked = is_judged[:, joint], max(5.0 * held, 0.04 * scale)
         if found.torque_control:
-            asked = 2.0 * found.asked[:, joint]
-            error = asked / 2.0 - found.given[:, joint]
+            asked = 2.0 * found.torques.requested[:, joint]
+            error = asked / 2.0 - found.torques.delivered[:, joint]
             known, least_asked = np.isfinite(error), scale
         with np.errstate(invalid="ignore"):
             is_much = np.abs(asked) > least_asked
@@ -311,11 +290,10 @@ def _wrong_drives(found: TorqueResiduals, least: float) -> list[Explanation]:
 
 
 def _still_joints(found: TorqueResiduals) -> list[Explanation]:
-    """Joints at rest under more torque than their friction can hold."""
     told = []
     for joint, name in enumerate(found.robot.names):
         least = max(0.025 * float(found.scale[joint]), 3.0 * float(found.coulomb[joint]))
-        first, last = _longest(found.slow[:, joint] & np.isfinite(found.lag[:, joint]))
+        first, last = _longest(found.motion.slow[:, joint] & np.isfinite(found.lag[:, joint]))
         if (last - first) * found.step < _STANDS:
             continue
         lag, sensed = found.lag[first:last, joint], found.link[first:last, joint]
@@ -336,13 +314,12 @@ def _still_joints(found: TorqueResiduals) -> list[Explanation]:
 
 
 def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
-    """Torque sensors with a constant value although changes are expected."""
     told = []
     for joint, (name, (begin, end, value)) in enumerate(
-        zip(found.robot.names, found.held, strict=True)
+        zip(found.robot.names, found.noise.held, strict=True)
     ):
         rows = (found.times >= begin) & (found.times <= end)
-        expected, least = found.model[rows, joint], 0.001 * found.scale[joint]
+        expected, least = found.torques.model[rows, joint], 0.001 * found.scale[joint]
         if end - begin < _STANDS or not len(expected) or np.ptp(expected) < least:
             continue
         told.append(Explanation(
@@ -353,9 +330,8 @@ def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
 
 
 def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
-    """Joints with noisy measured torque: from some time on, or compared with others."""
     told = []
-    rough = np.maximum(a.roughness, _FINE * a.scale)
+    rough = np.maximum(a.noise.roughness, _FINE * a.scale)
     for joint, name in enumerate(a.robot.names):
         scale, values = float(a.scale[joint]), rough[:, joint]
         least = _MIN_NOISE * scale
@@ -364,7 +340,7 @@ def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
         if found is not None and np.median(values[found:]) > least:
             begin, size = found, float(np.median(values[found:]))
         elif b is not None:
-            other = max(float(np.median(b.roughness[:, joint])), _FINE * scale)
+            other = max(float(np.median(b.noise.roughness[:, joint])), _FINE * scale)
             size = float(np.median(values))
             begin = 0 if size > max(_NOISE_RATIO * other, least) else None
         elif a.robot.n > 2:
@@ -376,7 +352,7 @@ def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
             continue
         told.append(Explanation(
             name, "noise", "torque sensor", size, _unit(a, joint), np.nan, MOST_SURE,
-            float(a.rough_times[begin]) if begin else float(a.times[0]), None, begin == 0, {},
+            float(a.noise.times[begin]) if begin else float(a.times[0]), None, begin == 0, {},
             (name,),
         ))  # fmt: skip
     return told

@@ -36,7 +36,6 @@ class TorqueExplainer(Explainer):
 
 
 def _about_model(found: TorqueResiduals) -> list[str]:
-    """Returns lines about the model behind the explanation."""
     lines = ["model: inverse dynamics on the measured motion, both through a low pass of "
              f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
     if found.torque_control:

@@ -57,8 +57,6 @@ class _Common:
     Attributes:
         place: `FLANGE`, `LINKS`, or the joint whose encoder it is.
         torques: at the links per unit of each parameter, (K, n, p).
-        priors: (p,).
-        is_constant: whether it is so during the whole run.
     """
 
     kind: Kind
@@ -89,7 +87,6 @@ class _Fit:
 
     @property
     def is_on_link(self) -> bool:
-        """Whether the unexplained torque acts on the links."""
         return self.part == "joint"
 
 
@@ -97,11 +94,7 @@ class _Edges:
     """Begin and end times of an effect, in half rows, after the low-pass filter.
 
     Edge 0 is the start, edge 2 K - 1 the end; edge e between is at e / 2 rows. After the filter a
-    step is the integral of a Gaussian.
-
-    Args:
-        rows: K.
-        sharpness: rows per standard deviation of the low-pass filter.
+    step is the integral of a Gaussian. `sharpness` is in rows per standard deviation of the filter.
     """
 
     def __init__(self, rows: int, sharpness: float) -> None:
@@ -115,12 +108,7 @@ class _Edges:
         return np.asarray(self._on[first] - self._on[last])
 
     def sums(self, X: Array, y: Array) -> _Sums:
-        """Normal equations between any two edges.
-
-        Args:
-            X: columns, (c, K, p).
-            y: (c, K).
-        """
+        """Normal equations between any two edges, of columns X (c, K, p) and y (c, K)."""
         K, p = X.shape[1:]
         squares = np.einsum("ckp,ckq->kpq", X, X).reshape(K, p * p)
         products = np.einsum("ckp,ck->kp", X, y)
@@ -132,11 +120,7 @@ class _Edges:
         )
 
     def best(self, scores: Any) -> tuple[int, int, float]:
-        """The edges with the best score, and the score.
-
-        Args:
-            scores: of arrays of first and last edges.
-        """
+        """The edges with the best score, and the score; `scores` takes arrays of edges."""
         # A temporary effect is not explained by its begin alone, so pairs are tried first.
         grid = np.unique(np.linspace(0, self.end, _GRID).astype(int))
         pairs = np.array([(i, j) for i in grid for j in grid if i < j]).T
@@ -166,7 +150,6 @@ class _Sums:
     known: Array
 
     def between(self, first: Any, last: Any) -> tuple[Array, Array, Array]:
-        """Normal equations, and the number of rows."""
         return (
             self.begun[first] - self.ended[last],
             self.products[first] - self.products[last],
@@ -189,14 +172,10 @@ class _Candidate:
 def _delayed(
     part: Part, late: Array, sides: tuple[float, float], priors: Array, delay: float
 ) -> _Candidate:
-    """The candidate of a delay.
+    """The candidate of a delay (s) of a part.
 
-    Args:
-        part: that is late.
-        late: (D, K, n), change of the torque by each of `DELAYS`.
-        sides: its factors in the residuals of link and motor.
-        priors: (n, 1).
-        delay: s.
+    `late` is the change of the torque by each of `DELAYS`, (D, K, n); `sides` are its factors in
+    the residuals of link and motor.
     """
     delay = float(np.clip(delay, DELAYS[0], DELAYS[-1]))
     k = min(int(np.searchsorted(DELAYS, delay, side="right")) - 1, len(DELAYS) - 2)
@@ -227,7 +206,7 @@ class Search:
             sides = slice(None) if each.part == "torque sensor" else 1
             residuals[sides, rows, joint] = np.nan
         still = np.maximum(_spread(residuals), _FLOOR * found.scale)
-        moving = np.hypot(_FLOOR_SHARE * found.model, _FLOOR_TIME * found.rates)
+        moving = np.hypot(_FLOOR_SHARE * found.torques.model, _FLOOR_TIME * found.torques.rates)
         self.sigma = np.hypot(still[:, None], np.nan_to_num(moving))  # (2, K, n)
         for each in noisy:  # the effect of noise on residuals is not evidence of anything else
             joint, rows = found.robot.names.index(each.joint), found.times >= each.begin
@@ -252,7 +231,7 @@ class Search:
         found, zero = self.found, np.zeros_like(self.found.link)
         one = np.ones_like(zero)
         has_link = bool(self.known[0].any())
-        true, late = found.model, found.late_model
+        true, late = found.torques.model, found.torques.late_model
         for fit in self.fits:  # sensors also measure a payload, say, or at other angles
             if fit.common is not None:
                 seen = self.edges.share(*fit.edges)[:, None]
@@ -260,7 +239,7 @@ class Search:
                 slope = np.gradient(extra, found.step, axis=0)
                 true, late = true + extra, late - DELAYS[:, None, None] * slope
         if not has_link:
-            true = found.commanded - found.lag + np.nan_to_num(found.motor)
+            true = found.torques.commanded - found.lag + np.nan_to_num(found.motor)
         # Joint torque control regulates the measured torque, whatever the sensor's error.
         seen_by_drive = 0.0 if found.torque_control else 1.0
         sensor: Part = "torque sensor" if has_link else "sensor or drive"
@@ -278,11 +257,11 @@ class Search:
             ]
         if self.known[1].any():
             if not found.torque_control:
-                friction = [(zero, found.signs), (zero, found.velocities)]
+                friction = [(zero, found.motion.signs), (zero, found.motion.velocities)]
                 told.append(_Candidate("friction", "joint", friction, torque.repeat(2, axis=1)))
-            told.append(_Candidate("gain", "drive", [(zero, -found.commanded)], gain))
+            told.append(_Candidate("gain", "drive", [(zero, -found.torques.commanded)], gain))
             told += [
-                _delayed("drive", found.late_commanded, (0.0, -1.0), factor, delay)
+                _delayed("drive", found.torques.late_commanded, (0.0, -1.0), factor, delay)
                 for delay in _TRIED_DELAYS
             ]
             if has_link:
@@ -330,7 +309,6 @@ class Search:
         return None if unfit else common.gain + sum(fit.gain for fit in others)
 
     def _singles(self) -> list[_Fit]:
-        """The best separate explanation of every joint, if there is one."""
         candidates = self._candidates()
         found = [self._best_of(joint, candidates) for joint in range(self.n)]
         return [fit for fit in found if fit is not None]
@@ -372,7 +350,6 @@ class Search:
     def _fitted(
         self, joint: int, candidate: _Candidate, edges: tuple[int, int] | None = None
     ) -> _Fit | None:
-        """A kind in the interval in which it explains most, or in a given one."""
         columns = np.stack([np.stack([side[:, joint] for side in column])
                             for column in candidate.columns], axis=-1)  # fmt: skip
         scaled = columns / self.sigma[:, :, joint, None]
@@ -430,11 +407,10 @@ class Search:
                     np.ones(1), np.array([np.nan]))  # fmt: skip
 
     def _commons(self) -> list[_Common]:
-        """What all joints may show together and is not explained yet."""
         found, names = self.found, self.found.robot.names
-        masses = found.model[..., None]
+        masses = found.torques.model[..., None]
         commons = [
-            _Common("payload", "flange", FLANGE, found.payload, _PAYLOAD),
+            _Common("payload", "flange", FLANGE, found.torques.payload, _PAYLOAD),
             _Common("masses", "links", LINKS, masses, _MASSES, is_constant=True),
         ]
         # To try all encoders with all times would take long: those that explain most all along.
@@ -450,7 +426,6 @@ class Search:
         return [each for each in commons if (each.kind, each.place) not in told]
 
     def _sums_of(self, common: _Common) -> tuple[Array, list[_Sums]]:
-        """Its torques by the residuals' deviations, and normal equations joint by joint."""
         link = common.torques / self.sigma[0, :, :, None]
         link = np.where(self.known[0][..., None] & np.isfinite(link), link, 0.0)
         sums = [self.edges.sums(link[None, :, j], self.left[:1, :, j]) for j in range(self.n)]
@@ -511,7 +486,6 @@ class Search:
         return np.asarray(np.sqrt((effect[:, seen] ** 2).sum(axis=1) / known).max(axis=0))
 
     def _matters(self, fit: _Fit) -> bool:
-        """Whether it is above zero, and not a small part of the other explanations."""
         effects = self._effects(fit)
         if fit.joint < 0:
             return bool((effects > LEAST_EFFECT * self.found.scale).any())
@@ -520,7 +494,6 @@ class Search:
         return bool(effects[fit.joint] > max([least, *(_MIN_SHARE * each for each in others)]))
 
     def _refit(self) -> None:
-        """Refits all explanations, each to the residuals of the others, and subtracts them."""
         for _ in range(4 if len(self.fits) > 1 else 1):
             for fit in self.fits:
                 if fit.kind == "unexplained":
@@ -559,9 +532,6 @@ class Search:
         """Whether another explanation fits better than a drive with a wrong sign.
 
         That is so where it fits far better, or acts before or after as well.
-
-        Args:
-            sign: the apparent wrong sign, with its interval.
         """
         found, joint = self.found, self.found.robot.names.index(sign.joint)
         end = np.inf if sign.end is None else sign.end
@@ -569,7 +539,7 @@ class Search:
         known = self.known[1, :, joint]
         rows = known & during
         before, after = ((each[1, rows, joint] ** 2).sum() for each in (self.y, self.left))
-        asked = 2.0 * found.commanded[rows, joint] / self.sigma[1, rows, joint]
+        asked = 2.0 * found.torques.commanded[rows, joint] / self.sigma[1, rows, joint]
         by_sign = ((self.y[1, rows, joint] - asked) ** 2).sum()
         # Joint torque control commands no motors.
         is_far_better = not found.torque_control and after < _RESIDUAL_RATIO * by_sign
@@ -589,7 +559,6 @@ class Search:
         return False
 
     def _is_large(self, fit: _Fit) -> bool:
-        """Whether it is not a small part of later explanations."""
         if fit.joint < 0:
             return True
         effects = [float(self._effects(each)[fit.joint]) for each in self.fits]
@@ -665,7 +634,6 @@ def _evidence(before: Any, after: Any, count: Any, facts: Any) -> Any:
 
 
 def _solved(H: Array, g: Array, inverse: Array, total: float, count: int) -> tuple[Array, Array]:
-    """Parameters of normal equations, and their standard errors."""
     covariance = np.linalg.inv(H + inverse)
     parameters = covariance @ g
     rest = total - float(2.0 * g @ parameters - parameters @ H @ parameters)

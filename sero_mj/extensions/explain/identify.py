@@ -137,16 +137,12 @@ class Identified:
 def identify(log: RunLog, name: str) -> Identified:
     """Estimates a robot's friction, payload and torque sensors' offsets.
 
-    Args:
-        log: a run in which it moves, with measured torques; for friction with commanded ones.
-        name: of the robot in it.
-
     Raises:
-        UsageError: no such robot, no measured torques, the run is too short, or no joint moves.
+        UsageError: no such robot, no measured torques, the run is too short, or it hardly moves.
     """
     found = torque_residuals(log, name, most_rows=_MAX_ROWS)
     n = found.robot.n
-    if bool(found.slow.all()):
+    if bool(found.motion.slow.all()):
         reason = f"no joint of '{name}' moves"
         raise UsageError(Problem(log.name, reason, expected="a run that moves it"))
     motors = [_motor_side(found, log.has(name, "commanded_torques"), k) for k in range(n)]
@@ -179,7 +175,12 @@ def _motor_side(
         reason = f"the run moves {name} too little to tell"
     if reason is not None:
         return [Estimate(None, None, reason)] * 3, np.inf, nothing
-    columns = [found.signs, found.velocities, found.accelerations, np.ones_like(found.signs)]
+    columns = [
+        found.motion.signs,
+        found.motion.velocities,
+        found.motion.accelerations,
+        np.ones_like(found.motion.signs),
+    ]
     X = np.stack([column[:, k] for column in columns], axis=1)
     y = found.lag[:, k]
     X, y = np.where(rows[:, None], X, 0.0), np.where(rows, y, 0.0)
@@ -210,7 +211,7 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
         unknown = Estimate(None, None, "the run has no torques at links that are free to move")
         return [unknown] * 4, [unknown] * n, np.inf, np.full((K, n), np.nan)
     X = np.concatenate(
-        [found.payload, np.broadcast_to(np.eye(n), (K, n, n))], axis=2
+        [found.torques.payload, np.broadcast_to(np.eye(n), (K, n, n))], axis=2
     )  # (K, n, 10 + n)
     X, y = np.where(known[..., None], X, 0.0), np.where(known, found.link, 0.0)
     priors = np.concatenate([np.zeros(4), np.full(6, _INERTIA**-2), np.zeros(n)])
@@ -300,7 +301,6 @@ def _estimates(
 
 
 def _is_negative(mass: Estimate) -> bool:
-    """Whether a mass or an inertia is less than 0 beyond doubt."""
     return mass.value is not None and mass.value < -_MIN_SIGNIFICANCE * (mass.error or 0.0)
 
 
@@ -441,13 +441,9 @@ def _brief(estimate: Estimate) -> str:
 def plot_identified(found: Identified, path: Path | str) -> None:
     """Draws measurements and fits: a row for each joint, motor and link side.
 
-    Args:
-        found: the estimates.
-        path: where to: .png (300 dpi), .pdf or .svg.
-
     Raises:
         RenderError: the file cannot be written.
-        UsageError: another suffix.
+        UsageError: another suffix than .png (300 dpi), .pdf or .svg.
     """
     path = check_suffix(path)
     from matplotlib.lines import Line2D

@@ -19,12 +19,10 @@ if TYPE_CHECKING:
 
     from ...cli.each_recording import Rows
 
-_EPILOG = """\
+_HELP = """\
 examples:
   sero-mj identify run.mcap --robot lwr
-  sero-mj identify run.mcap --plot fit.pdf -o found.toml   the fit, and lines of a robot's file
-  sero-mj identify run.mcap --from 2 --to 12 --json
-  sero-mj identify run.csv --scene lwr                     of simulate --csv, or export-csv
+  sero-mj identify run.mcap --plot fit.pdf -o found.toml   the fit, and lines of a robot file
   sero-mj identify runs/*.mcap --table found.csv           how far many recordings agree
 
 Linear regression on both sides of the torque sensors: friction and motor inertia by commanded less
@@ -34,7 +32,7 @@ to and fro, slowly and faster, and the wrist far enough that gravity changes. Of
 it is said how far they agree (median, extremes, and the median of the standard errors); they are
 examined by all cores, or by workers of a Dask cluster, which are sent the recordings.
 """
-ORDER = 46  # in the help of `sero-mj`
+GROUP, ORDER = "analyse", 44
 _OF_MANY = ("recordings", "jobs", "engine", "scheduler", "ship", "table")
 
 
@@ -134,7 +132,6 @@ def _identify_many(options: IdentifyOptions) -> int:
 
 
 def _table_of(rows: Rows) -> Table:
-    """A row for each figure: how many recordings tell it, and how far they agree."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
@@ -157,4 +154,4 @@ def _table_of(rows: Rows) -> Table:
     return table
 
 
-add_to = command("identify", run, IdentifyOptions, _EPILOG)
+add_to = command("identify", run, IdentifyOptions, _HELP)

@@ -61,44 +61,88 @@ PARAMETERS = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz"
 
 
 @dataclass(frozen=True, eq=False)
+class Torques:
+    """Low-pass filtered torques of the joints, (K, n), Nm or N.
+
+    Attributes:
+        model: torques at the links according to the model.
+        rates: rates of the measured or commanded torque, whichever changes faster, Nm/s.
+        requested: torques requested by joint torque control, within the limits of the drives,
+            without friction compensation.
+        delivered: torques of the drives, from measured torque and the motion of the motors.
+        late_model: change of the model's torques by each of `DELAYS`, (D, K, n).
+        late_commanded: change of the commanded torques by each of `DELAYS`, (D, K, n).
+        payload: torques by mass, first moments and inertia (about the flange, in its axes) of a
+            body that is fixed to the flange, (K, n, 10): `PARAMETERS`, SI units.
+    """
+
+    measured: Array
+    commanded: Array
+    model: Array
+    rates: Array
+    requested: Array
+    delivered: Array
+    late_model: Array
+    late_commanded: Array
+    payload: Array
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """The low-pass filtered motion of the joints, (K, n), rad or m.
+
+    Attributes:
+        velocities: velocities of the joints.
+        signs: signs of the velocities, between -1 and 1 where joints reverse.
+        accelerations: accelerations of the motors.
+        slow: whether joints hardly move.
+        links: angles, velocities and accelerations of the links, (3, K, n).
+    """
+
+    velocities: Array
+    signs: Array
+    accelerations: Array
+    slow: Bools
+    links: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SensorNoise:
+    """Noise of the measured torques, and intervals without any change.
+
+    Attributes:
+        roughness: standard deviation of equivalent white noise in windows, (W, n), Nm.
+        times: begin of these windows, (W,), s.
+        held: begin (s), end (s) and value of the longest interval with constant measured torque
+            of each joint.
+    """
+
+    roughness: Array
+    times: Array
+    held: tuple[tuple[float, float, float], ...]
+
+    def later(self, offset: float) -> SensorNoise:
+        """Returns the same, `offset` s later."""
+        held = tuple((begin + offset, end + offset, value) for begin, end, value in self.held)
+        return SensorNoise(self.roughness, self.times + offset, held)
+
+
+@dataclass(frozen=True, eq=False)
 class TorqueResiduals:
     """Residuals of a robot's torques, and their possible components; NaN where unknown.
 
     Attributes:
-        robot: its declaration.
         times: (K,), s, equidistant.
         link: measured minus the model's torques at the links, (K, n), Nm or N; NaN at joints that
             are coupled, of whose torques each may be a share.
         motor: commanded minus measured torque, minus motor inertia and declared friction torques,
             (K, n); also NaN where the joint is slow or reverses.
         lag: commanded minus measured torque, uncorrected, (K, n).
-        asked: torque requested by joint torque control, within the limits of the drives, without
-            friction compensation, (K, n).
-        given: torque of the drives, from measured torque and the motors' motion, (K, n).
-        measured: (K, n).
-        rates: of the torque that changes faster, measured or commanded, (K, n), Nm/s.
-        model: the model's torques at the links, (K, n).
-        commanded: (K, n).
-        late_model: change of the model's torques by each of `DELAYS`, (D, K, n).
-        late_commanded: likewise of the commanded ones.
-        velocities: (K, n), rad/s or m/s.
-        signs: of the velocities, (K, n).
-        accelerations: (K, n).
-        slow: (K, n), where joints hardly move.
-        motion: (3, K, n), angles, velocities and accelerations of the links.
-        payload: (K, n, 10), torques by mass, first moments and inertia (about the flange, in its
-            axes) of a body that is fixed to the flange: `PARAMETERS`, SI units.
-        roughness: (W, n), of the measured torque in windows, Nm: the standard deviation of
-            equivalent white noise.
-        rough_times: (W,), s, begin of these windows.
-        held: of every joint begin (s), end (s) and value of the longest interval with constant
-            measured torque.
         width: standard deviation of the low-pass filter, s.
         scale: (n,), torque limits, or the largest torque without a limit.
         coulomb: (n,), declared friction, Nm.
-        viscous: (n,), Nm s/rad.
         torque_control: whether joint torque control is on.
-        no_model: why `link` says nothing, as where masses are not declared; empty where it does.
+        no_model: reason why `link` is unknown, such as undeclared masses; empty if it is known.
     """
 
     robot: SerialRobot
@@ -106,27 +150,12 @@ class TorqueResiduals:
     link: Array
     motor: Array
     lag: Array
-    asked: Array
-    given: Array
-    measured: Array
-    rates: Array
-    model: Array
-    commanded: Array
-    late_model: Array
-    late_commanded: Array
-    velocities: Array
-    signs: Array
-    accelerations: Array
-    slow: Bools
-    motion: Array
-    payload: Array
-    roughness: Array
-    rough_times: Array
-    held: tuple[tuple[float, float, float], ...]
+    torques: Torques
+    motion: JointMotion
+    noise: SensorNoise
     width: float
     scale: Array
     coulomb: Array
-    viscous: Array
     torque_control: bool
     no_model: str
 
@@ -141,7 +170,7 @@ class TorqueResiduals:
 
         In Nm and N by rad and m: what an encoder's offset makes the model err by.
         """
-        return _torques_by_angle(self.robot, *self.motion)
+        return _torques_by_angle(self.robot, *self.motion.links)
 
     @property
     def step(self) -> float:
@@ -226,33 +255,31 @@ def torque_residuals(
     if torque_control is None:
         torque_control = _is_smaller(looped / scale, plain / scale)
     rough, windows = _roughness(measured, commanded, step)
+    torques = Torques(
+        measured=low_pass(measured),
+        commanded=low_pass(commanded),
+        model=low_pass(model),
+        rates=np.fmax(*(np.abs(low_pass.first(each)) for each in (measured, commanded))),
+        requested=low_pass(np.clip(asked, -most, most)),
+        delivered=low_pass(measured) + inertial,
+        late_model=np.stack([low_pass(_later(model, step, each)) for each in DELAYS]),
+        late_commanded=np.stack([low_pass(_later(commanded, step, each)) for each in DELAYS]),
+        payload=low_pass(_payload_torques(robot, q, v, a)),
+    )
+    links = np.stack([low_pass(each) for each in (q, v, a)])
+    held = tuple(_held(at, each) for each in measured.T)
     return TorqueResiduals(
         robot=robot,
         times=low_pass.times,
-        link=low_pass(free) - low_pass(model),
+        link=low_pass(free) - torques.model,
         motor=looped if torque_control else plain,
         lag=low_pass(lag),
-        asked=low_pass(np.clip(asked, -most, most)),
-        given=low_pass(measured) + inertial,
-        measured=low_pass(measured),
-        rates=np.fmax(*(np.abs(low_pass.first(each)) for each in (measured, commanded))),
-        model=low_pass(model),
-        commanded=low_pass(commanded),
-        late_model=np.stack([low_pass(_later(model, step, each)) for each in DELAYS]),
-        late_commanded=np.stack([low_pass(_later(commanded, step, each)) for each in DELAYS]),
-        velocities=smooth,
-        signs=signs,
-        accelerations=acceleration,
-        slow=slow,
-        motion=np.stack([low_pass(each) for each in (q, v, a)]),
-        payload=low_pass(_payload_torques(robot, q, v, a)),
-        roughness=rough,
-        rough_times=at[1] + windows,
-        held=tuple(_held(at, each) for each in measured.T),
+        torques=torques,
+        motion=JointMotion(smooth, signs, acceleration, slow, links),
+        noise=SensorNoise(rough, at[1] + windows, held),
         width=low_pass.width,
         scale=scale,
         coulomb=dynamics.coulomb_friction,
-        viscous=dynamics.viscous_friction,
         torque_control=torque_control,
         no_model=_why_no_model(robot, log, dynamics.estimated),
     )
@@ -263,17 +290,13 @@ def pair_with_model(log: RunLog, found: TorqueResiduals) -> Pair:
 
     The model follows the robot's motion, and its torques result from inverse dynamics: driven by
     the commanded torques it would diverge within a second in any case. Both are low-pass filtered.
-
-    Args:
-        log: a run.
-        found: its residuals.
     """
     name = found.robot.name
     angles = at_times(log.times, log.of(name, "joint_angles"), found.times)
-    a, b = {"joint_angles": angles, "torques": found.measured}, {"joint_angles": angles}
-    b["torques"] = found.measured - found.link
+    a, b = {"joint_angles": angles, "torques": found.torques.measured}, {"joint_angles": angles}
+    b["torques"] = found.torques.measured - found.link
     if log.has(name, "commanded_torques"):
-        a["commanded_torques"] = found.commanded
+        a["commanded_torques"] = found.torques.commanded
         b["commanded_torques"] = b["torques"] + found.lag - found.motor
     return Pair(found.robot, found.times, a, b, 0.0, None, (log.name, "its model"))
 
@@ -312,16 +335,9 @@ class _LowPass:
     """A Gaussian low-pass filter with its derivatives, evaluated at few times only.
 
     Args:
-        at: (T,), s, times of the rows.
-        step: between them, s.
-        wanted: (K,), s, evaluation times; equidistant when None.
-        most: maximum number of these.
+        at: (T,), s, times of the rows, `step` apart.
+        wanted: (K,), s, evaluation times; at most `most` equidistant ones when None.
         window: its standard deviation, s, one row at least.
-
-    Attributes:
-        width: its standard deviation, s.
-        times: (K,), at which it is evaluated.
-        step: between these, s.
     """
 
     def __init__(
@@ -352,11 +368,9 @@ class _LowPass:
         return self._at_rows(values, self._kernel)
 
     def first(self, values: Array) -> Array:
-        """The derivative by time."""
         return self._at_rows(values, self._first)
 
     def second(self, values: Array) -> Array:
-        """The second derivative by time."""
         return self._at_rows(values, self._second)
 
     def _at_rows(self, values: Array, kernel: Array) -> Array:
@@ -515,7 +529,6 @@ def _scale(robot: SerialRobot, measured: Array) -> Array:
 
 
 def _why_no_model(robot: SerialRobot, log: RunLog, estimated: Sequence[str]) -> str:
-    """Why torques at a robot's links cannot be known; empty where they can."""
     if "masses" in estimated:
         return f"the masses of {robot.name} are not declared, but estimated"
     if robot.mount is not None or robot.free_base:
@@ -529,7 +542,6 @@ def _why_no_model(robot: SerialRobot, log: RunLog, estimated: Sequence[str]) -> 
 
 
 def _at_stops(robot: SerialRobot, angles: Array) -> Bools:
-    """Where joints are at their end stops, (K, n), which hold them."""
     low, high = robot.plausible_limits.T
     near = _STOP * np.ptp(robot.display_ranges, axis=1)
     with np.errstate(invalid="ignore"):
@@ -537,7 +549,6 @@ def _at_stops(robot: SerialRobot, angles: Array) -> Bools:
 
 
 def _is_smaller(a: Array, b: Array) -> bool:
-    """Whether residuals (K, n) are smaller than others at most joints."""
     known = np.isfinite(a) & np.isfinite(b)
     joints = known.sum(axis=0) > _MIN_ROWS
     if not joints.any():

@@ -18,12 +18,7 @@ _ENDIANNESS, _GL_RGB, _R11F_G11F_B10F = 0x04030201, 0x1907, 0x8C3A
 
 @lru_cache(maxsize=4)
 def environment(look: str, palette: Palette) -> bytes:
-    """Returns a cube map, a file of KTX, of the light around a scene.
-
-    Args:
-        look: of the palette, whose name it is.
-        palette: colours, and how bright the sky, the ground and the lamp are.
-    """
+    """Returns a cube map, a file of KTX, of the light around a scene."""
     light = SkyLight(palette)
     header = struct.pack(
         "<13I", _ENDIANNESS, _R11F_G11F_B10F, 1, _GL_RGB, _R11F_G11F_B10F, _R11F_G11F_B10F,
@@ -48,7 +43,6 @@ def _harmonics(light: SkyLight) -> bytes:
 
 
 def _level(light: SkyLight, level: int) -> bytes:
-    """Returns a level of the cube map: all faces, blurred as surfaces of a roughness reflect it."""
     side = _SIDE >> level
     centres = (np.arange(side) + 0.5) / side * 2.0 - 1.0
     right, down = np.meshgrid(centres, centres)

@@ -17,12 +17,7 @@ _LAID_OUT = 2.0  # times the near plane; see `viewer.decor.panels`
 
 
 def is_flat(rows: np.ndarray, eye: mujoco.MjvGLCamera) -> Bools:
-    """Returns which geoms of a scene are triangles just behind the near plane, (k,).
-
-    Args:
-        rows: (k,) of `GEOM`.
-        eye: camera of the scene.
-    """
+    """Returns which geoms of a scene are triangles just behind the near plane, (k,)."""
     forward = np.array(eye.forward, float)
     depth = (rows["pos"].astype(float) - np.array(eye.pos, float)) @ forward
     near = (depth > 0) & (depth < _LAID_OUT * eye.frustum_near)
@@ -30,14 +25,7 @@ def is_flat(rows: np.ndarray, eye: mujoco.MjvGLCamera) -> Bools:
 
 
 def corners_of(rows: np.ndarray, eye: mujoco.MjvGLCamera, width: int, height: int) -> Array:
-    """Returns the corners of triangles in a picture, (k, 3, 2), pixels, y down.
-
-    Args:
-        rows: (k,) of `GEOM`, of triangles.
-        eye: camera of the scene.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-    """
+    """Returns the corners of triangles in a picture, (k, 3, 2), pixels, y down."""
     first = rows["pos"].astype(float)
     edges = rows["mat"].astype(float)[:, :, :2] * rows["size"].astype(float)[:, None, :2]
     world = np.stack([first, first + edges[:, :, 0], first + edges[:, :, 1]], axis=1)
@@ -55,7 +43,6 @@ def blend(picture: Pixels, corners: Array, rgba: Array) -> None:
     """Draws triangles into a picture, in place, each pixel by the share of it that they cover.
 
     Args:
-        picture: (height, width, 3), top row first.
         corners: (k, 3, 2), pixels, y down.
         rgba: (k, 4), colours as they are shown.
     """

@@ -47,13 +47,7 @@ _FAINTEST = 0.01  # opacity
 
 
 class ModelGeoms:
-    """The geoms of a model that light falls on, and its meshes and textures.
-
-    Args:
-        context: of the scene.
-        scene: of Filament.
-        model: compiled.
-    """
+    """The geoms of a model that light falls on, and its meshes and textures."""
 
     def __init__(self, context: Any, scene: Any, model: mujoco.MjModel) -> None:
         module = filament()
@@ -72,7 +66,6 @@ class ModelGeoms:
         self._meshes: dict[int, Any] = {}
 
     def follow(self, data: mujoco.MjData) -> None:
-        """Computes the meshes of skins and flexes, which are others in every frame."""
         if self.model.nflex or self.model.nskin:
             self._objects.update(data)
 
@@ -88,13 +81,11 @@ class ModelGeoms:
         return material
 
     def mesh(self, index: int) -> Any:
-        """Returns a mesh of the model for objects that cast no shadow."""
         if index not in self._meshes:
             self._meshes[index] = upload_mesh(self._context, self.model, index)
         return self._meshes[index]
 
     def close(self) -> None:
-        """Frees the objects."""
         self.geoms.clear()
         del self._objects
         self._meshes.clear()
@@ -106,9 +97,6 @@ class GeomPool:
     """Objects of a Filament scene for the geoms of an `MjvScene`.
 
     Args:
-        context: of the scene.
-        scene: of Filament.
-        models: the shown model, and that of added surroundings if any.
         doubles: geoms of the shown model that are those of doubles, (ngeom,).
         is_dark: whether what is behind transparent geoms is mostly dark.
     """
@@ -135,7 +123,6 @@ class GeomPool:
 
     @property
     def skybox(self) -> Any | None:
-        """The texture of the sky, of the first model that has one."""
         for geoms in self._models:
             for kind, texture in zip(geoms.model.tex_type, geoms.textures, strict=True):
                 if kind == SKYBOX and texture is not None:
@@ -143,15 +130,10 @@ class GeomPool:
         return None
 
     def follow(self, data: mujoco.MjData) -> None:
-        """Takes the shapes of skins and flexes from a state, which a scene's geoms do not tell."""
         self._models[0].follow(data)
 
     def update(self, rows: np.ndarray) -> None:
-        """Shows the geoms of a scene, and nothing else.
-
-        Args:
-            rows: (k,) of `GEOM`.
-        """
+        """Shows the geoms of a scene, and nothing else."""
         shown: set[Any] = set()
         used: Counter[tuple[int, int, bool]] = Counter()
         model = self._models[0].model
@@ -215,14 +197,6 @@ class GeomPool:
         return pool[number]
 
     def _material(self, row: Any, geoms: ModelGeoms | None, geom: int, lit: float) -> Any:
-        """Returns the material of an object.
-
-        Args:
-            row: of the scene.
-            geoms: the model that it belongs to; None for a primitive of the pool.
-            geom: its number in the model.
-            lit: share of light in its colour; the rest glows.
-        """
         if lit < 1.0:
             return self._glowing(row["rgba"], max(lit, _DARK))
         if geoms is not None:
@@ -240,7 +214,6 @@ class GeomPool:
         )  # fmt: skip
 
     def close(self) -> None:
-        """Frees the objects."""
         for item in self._shown:
             self._scene.remove_renderable(item)
         self._shown.clear()

@@ -23,7 +23,6 @@ class Filament(Renderer):
     packages: ClassVar[str] = PACKAGES
 
     def problem(self, width: int, height: int) -> str | None:
-        """Tries it, see `probe`."""
         return filament_problem(width, height)
 
     def make(
@@ -40,7 +39,6 @@ class Filament(Renderer):
 
 
 def _doubles(world: WorldView) -> Bools:
-    """Returns the geoms of the model that belong to doubles, (ngeom,)."""
     bodies = [double.bodies.ravel() for double in world.doubles.values()]
     found = np.concatenate(bodies) if bodies else np.zeros(0, np.intp)
     return np.asarray(np.isin(world.model.geom_bodyid, found))

@@ -83,8 +83,6 @@ def options_model(
     same, reads it as well.
 
     Args:
-        model: the shown model.
-        quality: of the picture.
         has_occlusion: whether corners are darker, whatever the model says.
     """
     spec = mujoco.MjSpec()
@@ -108,7 +106,6 @@ def options_model(
 
 
 def _own_options(model: mujoco.MjModel) -> dict[str, Any]:
-    """Returns the options of a model that Filament takes; logs those that it does not know."""
     found: dict[str, Any] = {}
     for index in range(model.nnumeric):
         start, size = int(model.numeric_adr[index]), int(model.numeric_size[index])
@@ -135,15 +132,7 @@ def _own_options(model: mujoco.MjModel) -> dict[str, Any]:
 
 
 class SceneLights:
-    """The lights of a Filament scene: the sky, and those that MuJoCo has put into an `MjvScene`.
-
-    Args:
-        context: of the scene.
-        scene: of Filament.
-        model: the shown one, whose centre lights are aimed at.
-        look: name of the palette.
-        palette: of the surroundings.
-    """
+    """The lights of a Filament scene: the sky, and those that MuJoCo has put into an `MjvScene`."""
 
     def __init__(
         self, context: Any, scene: Any, model: mujoco.MjModel, look: str, palette: Palette
@@ -168,7 +157,6 @@ class SceneLights:
         scene.add_light(self._sky)
 
     def update(self, scene: mujoco.MjvScene) -> None:
-        """Sets the lights to those of a scene that MuJoCo has filled."""
         lights = [each for each in scene.lights[: scene.nlight] if each.type != _IMAGE]
         # The sky is the fill that the headlight is in the classic renderer.
         lights = [each for each in lights if not each.headlight] or lights
@@ -216,7 +204,6 @@ class SceneLights:
         return self._context.create_light(params)
 
     def close(self) -> None:
-        """Takes all lights out of the scene."""
         for key in self._on:
             self._scene.remove_light(self._lights[key])
         self._scene.remove_light(self._sky)

@@ -41,10 +41,6 @@ def filament_problem(width: int = _TRIAL_SIDE, height: int = _TRIAL_SIDE) -> str
 
     The first answer takes seconds, later ones are read from the user's cache folder, until MuJoCo,
     the loader or a driver changes.
-
-    Args:
-        width: pixels.
-        height: pixels.
     """
     if max(width, height) <= ALWAYS:
         width = height = _TRIAL_SIDE
@@ -64,7 +60,6 @@ def _problem(digest: str, width: int, height: int) -> str | None:
 
 
 def _digest(width: int, height: int) -> str:
-    """Names what an answer depends on: versions, the loader, drivers and the size."""
     files = [Path(path) for path in library_files("libvulkan")]
     listed = [file for folder in _DRIVERS if folder.is_dir() for file in sorted(folder.iterdir())]
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
@@ -77,7 +72,6 @@ def _digest(width: int, height: int) -> str:
 
 
 def _library_of(driver: Path) -> list[Path]:
-    """Returns the library that a driver's file names, in a list; empty where it names none."""
     try:
         return [Path(json.loads(driver.read_bytes())["ICD"]["library_path"])]
     except (OSError, ValueError, KeyError, TypeError):
@@ -85,7 +79,6 @@ def _library_of(driver: Path) -> list[Path]:
 
 
 def _try(width: int, height: int) -> str | None:
-    """Draws a picture of a size in another process; returns why it could not."""
     code = f"from {__name__} import draw_trial; draw_trial({width}, {height})"
     try:
         done = subprocess.run(
@@ -100,12 +93,7 @@ def _try(width: int, height: int) -> str | None:
 
 
 def reason_of(stderr: str, status: int) -> str:
-    """Returns in a line why a process that tried Filament has ended.
-
-    Args:
-        stderr: what it said.
-        status: its exit status, negative for a signal.
-    """
+    """Returns in a line why a process that tried Filament has ended."""
     lines = [line.strip() for line in stderr.splitlines() if line.strip()]
     said = [line.partition("reason:")[2].strip() for line in lines if "reason:" in line]
     said = said or [line for line in lines if re.match(r"[\w.]*(Error|Exception)\b", line)]
@@ -119,10 +107,6 @@ def reason_of(stderr: str, status: int) -> str:
 
 def draw_trial(width: int, height: int) -> None:
     """Draws a red sphere; ends this process where that is not possible.
-
-    Args:
-        width: of the picture, pixels.
-        height: of the picture, pixels.
 
     Raises:
         RenderError: this MuJoCo has no Filament, or the picture is empty.

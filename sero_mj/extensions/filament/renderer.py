@@ -39,10 +39,6 @@ class FilamentRenderer:
     """Draws a scene of MuJoCo into arrays.
 
     Args:
-        model: what is shown.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        look: name of the palette of the surroundings, which has their light.
         doubles: geoms of doubles, (ngeom,), which glow; None for none.
         surroundings: a model of a floor and a sky, for a model without.
         quality: `draft` is without occlusion, `fine` has the softest shadows.
@@ -52,7 +48,6 @@ class FilamentRenderer:
 
     Attributes:
         driver: name of Vulkan's device.
-        scene: to be filled by `mujoco.mjv_updateScene` before a picture is drawn.
 
     Raises:
         RenderError: this MuJoCo has no Filament.
@@ -114,18 +109,10 @@ class FilamentRenderer:
         self._scene.configure_from_model(options)
 
     def follow(self, data: mujoco.MjData) -> None:
-        """Takes what a scene's geoms do not tell from a state: the shapes of skins and flexes."""
         self._geoms.follow(data)
 
     def render(self, out: Pixels | None = None) -> Pixels:
-        """Draws the scene.
-
-        Args:
-            out: output array, (height, width, 3), uint8; None for a new one.
-
-        Returns:
-            picture (height, width, 3), uint8, top row first.
-        """
+        """Draws the scene."""
         rows, scene = self._scene_rows(), self.scene
         eye = mujoco.mjv_averageCamera(scene.camera[0], scene.camera[1])
         flat = is_flat(rows, eye)
@@ -155,7 +142,6 @@ class FilamentRenderer:
         self._context.wait_for_frame(self._context.render([request], [self._read]))
 
     def _request(self) -> object:
-        """What to draw: the middle between the scene's cameras, with the scene's flags."""
         request, scene, module = self._module.RenderRequest(), self.scene, self._module
         request.scene, request.target = self._scene, self._target
         request.viewport.width, request.viewport.height = self._size
@@ -187,7 +173,6 @@ class FilamentRenderer:
         return rows
 
     def close(self) -> None:
-        """Frees the context; it must be the last of its parts to go."""
         if not hasattr(self, "_context"):
             return
         self._geoms.close()
@@ -197,7 +182,6 @@ class FilamentRenderer:
 
 @contextmanager
 def _quiet() -> Iterator[list[str]]:
-    """Keeps what Filament writes to standard output as it starts; it is in the list afterwards."""
     said: list[str] = []
     sys.stdout.flush()
     try:

@@ -19,9 +19,9 @@ import numpy as np
 from ...base.child_process import add_leftover, remove_leftover
 from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
-from ...base.trust import Action
+from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
-from ...simulate.control.controller import ControllerDeclaration, Sensed, Target
+from ...simulate.control.controller import Controller, ControllerDeclaration, Sensed, Target
 from ...simulate.control.robot_model import RobotModel
 from ...simulate.external_control.exchange import VALUES, State
 
@@ -61,12 +61,10 @@ class Fmu(ControllerDeclaration):
         """None: there is no unit."""
         return None
 
-    def actions(self, key: str = "") -> list[Action]:
-        """See `ControllerDeclaration`."""
-        return [Action(key, f"load the FMU {self.file}", (self.file,))]
+    def actions(self, key: str = "") -> list[RequestedAction]:
+        return [RequestedAction(key, f"load the FMU {self.file}", (self.file,))]
 
     def check_files(self) -> None:
-        """See `ControllerDeclaration`."""
         if not self.file.is_file():
             raise Problem("file", f"no file {self.file}").error()
 
@@ -90,13 +88,10 @@ class Fmu(ControllerDeclaration):
         return FmuController(self, description, model, timestep)
 
 
-class FmuController:
+class FmuController(Controller):
     """Steps a unit in every step of the simulation.
 
     Args:
-        declared: the unit.
-        description: what FMPy has read of it.
-        model: of the robot, for itself.
         timestep: s between two steps.
 
     Raises:
@@ -156,7 +151,6 @@ class FmuController:
         self._unit = None
 
     def _begin(self, sensed: Sensed) -> None:
-        """Loads and initialises the unit."""
         import fmpy
         from fmpy.fmi2 import FMU2Slave
         from fmpy.fmi3 import FMU3Slave
@@ -200,7 +194,6 @@ class FmuController:
         self._arrays = self._given.ctypes.data_as(double), self._taken.ctypes.data_as(double)
 
     def _exchange(self, time: float, out: Array) -> None:
-        """Sets inputs, makes a step, and reads outputs."""
         unit, (inputs, outputs), (given, taken) = self._unit, self._references, self._arrays
         self._given[: len(self._places)] = self._numbers[self._places]
         if self._is_3:
@@ -265,7 +258,6 @@ def _number(found: re.Match[str]) -> int:
 
 
 def _first(name: str, names: Sequence[str]) -> int:
-    """The number of the first element of a vector, 0 or 1, as its names have it."""
     numbers = [
         _number(found)
         for each in names

@@ -7,11 +7,14 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from ...base.errors import Problem
+from ...base.errors import (
+    Problem,
+    mismatch,
+)
 from ...simulate.control.controller import PerJoint, Ratio, within
 from ...simulate.control.joint_control import MAX_STIFFNESS
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.datagrams import Reachable
+from ...simulate.external_control.program_controller import Reachable
 from .motion import CYCLE, JOINTS
 from .receiver import NEWEST, OLDEST, PORT
 from .robot import FrankaRobot
@@ -55,7 +58,6 @@ class FrankaClient(Reachable):
     damping: Ratio = np.array([1.0])
 
     def make(self, model: RobotModel, timestep: float) -> FrankaRobot:
-        """The controller; the robot listens, and the program is started, with its first step."""
         if model.n != JOINTS:
             reason = f"FCI is for {JOINTS} joints; {model.name} has {model.n}"
             raise Problem("kind", reason).error()
@@ -63,6 +65,6 @@ class FrankaClient(Reachable):
         if steps < 1 or abs(steps * timestep - CYCLE) > 1e-9:
             reason = "FCI has cycles of 1 ms; the time step is"
             expected = "1 ms divided by a whole number"
-            raise Problem("kind", reason, found=1e3 * timestep, of="ms", expected=expected).error()
+            raise mismatch(1e3 * timestep, expected, reason, key="kind", of="ms")
         gains = [self.per_joint(key, JOINTS) for key in ("stiffness", "damping")]
         return FrankaRobot(self, model, timestep, steps, self.version, *gains)

@@ -11,15 +11,20 @@ import weakref
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from ...simulate.external_control.datagrams import DONT_WAIT, RECEIVE_BUFFER, Link, Reachable
+from ...base.once import Once
 from ...simulate.external_control.program import PORT, Program
+from ...simulate.external_control.program_controller import (
+    DONT_WAIT,
+    RECEIVE_BUFFER,
+    Link,
+    Reachable,
+)
 from .messages import HEAD, INCOMPATIBLE, MOST_BYTES, SUCCESS, Messages
 
 log = logging.getLogger(__name__)
 
 _SLICE = 0.02  # s, in which the end of the program is seen
 _MOST_AT_ONCE = 256  # datagrams, so that a flood of strays does not keep the simulation
-_MOST_TOLD = 50
 _KEEPALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}  # as libfranka has them
 _MUTE = 1.0  # s, after which a connection that asks for nothing gives way to another
 
@@ -40,15 +45,8 @@ class Host(Protocol):
 class FciLink(Link):
     """Serves one client at a time, as the robot does.
 
-    Args:
-        declared: the address, and the program that is started, if any.
-        robot: its name, for messages.
-        messages: of the version that is served.
-        host: is told of requests.
-
     Attributes:
         clients: number of those that have connected so far.
-        foreign: datagrams that came from others.
     """
 
     def __init__(self, declared: Reachable, robot: str, messages: Messages, host: Host) -> None:
@@ -59,24 +57,20 @@ class FciLink(Link):
         self._since = 0.0  # when it has come
         self._peer: tuple[str, int] | None = None  # where states go to
         self._received = bytearray()
-        self._told = set[str]()
+        self._is_new = Once()
         self.port = declared.port
         self.clients = self.foreign = 0
 
     @property
     def name(self) -> str:
-        """The address that clients connect to, for messages."""
         return f"{self._declared.host}:{self.port}"
 
     @property
     def is_connected(self) -> bool:
-        """Whether a client is."""
         return self._peer is not None
 
     def tell(self, text: str) -> None:
-        """Warns of something once."""
-        if text not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(text)
+        if self._is_new(text):
             log.warning("%s: %s", self._robot, text)
 
     def open(self, time: float) -> None:
@@ -129,7 +123,6 @@ class FciLink(Link):
         return self.clients > 0
 
     def close(self) -> None:
-        """Ends the program and all connections; harmless when that is done."""
         for opened in (self._client, self._listener):
             if opened is not None:
                 opened.close()
@@ -137,14 +130,12 @@ class FciLink(Link):
         super().close()
 
     def check(self, time: float) -> None:
-        """Raises SimulationError where the program has failed; `time` is s since the start."""
         if self._program is not None and self._program.has_failed:
             raise self.error(time, self._program.why())
 
     # ---- states and commands
 
     def send(self, packet: bytes | bytearray) -> bool:
-        """Sends a state; whether there is a client."""
         if self._peer is None or self._socket is None:
             return False
         try:
@@ -154,7 +145,6 @@ class FciLink(Link):
         return True
 
     def receive(self, take: Callable[[int], object]) -> None:
-        """Passes on the sizes of all commands that have come, which are in `buffer`."""
         if self._socket is None:
             return
         for _ in range(_MOST_AT_ONCE):
@@ -170,7 +160,6 @@ class FciLink(Link):
                 self.foreign += 1
 
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
-        """Likewise until it is a time, s since the start, or a step has been answered."""
         due = self._due(time, step)
         while self.is_connected and self.answered != step:
             left = due - clock.monotonic()
@@ -197,7 +186,6 @@ class FciLink(Link):
             self._accept()
 
     def answer(self, request: str, number: int, status: int, more: bytes = b"") -> None:
-        """Answers a request, see `Messages.answer`."""
         if self._client is None:
             return
         try:
@@ -278,7 +266,6 @@ class FciLink(Link):
             self._host.connected()
 
     def _drop(self, why: str) -> None:
-        """Ends the connection to the client."""
         if self._client is not None:
             self._client.close()
         was_connected = self._peer is not None

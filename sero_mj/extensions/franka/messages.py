@@ -62,11 +62,9 @@ class RobotCommand:
     """What a client commands in one cycle.
 
     Attributes:
-        message_id: of the state that it answers.
         angles: (7,), rad.
         velocities: (7,), rad/s.
         torques: (7,), Nm, without gravity.
-        is_last: whether the motion is finished.
     """
 
     message_id: int
@@ -106,14 +104,6 @@ class Messages:
         return {name: number for number, (name, _) in self.requests.items()}
 
     def answer(self, request: str, number: int, status: int, more: bytes = b"") -> bytes:
-        """An answer.
-
-        Args:
-            request: its name.
-            number: its id.
-            status: of the answer.
-            more: what follows the status.
-        """
         size = HEAD.size + 1 + len(more)
         return HEAD.pack(self.numbers[request], number, size) + bytes([status]) + more
 
@@ -129,11 +119,9 @@ class Messages:
 
     @cached_property
     def command(self) -> struct.Struct:
-        """Structure of a command."""
         return struct.Struct(_COMMAND + "?" * (self.version >= _FINISHED_SINCE))
 
     def read_command(self, packet: bytes | bytearray | memoryview) -> RobotCommand | None:
-        """Reads a command; None where it is none."""
         if len(packet) != self.command.size:
             return None
         found = self.command.unpack(packet)

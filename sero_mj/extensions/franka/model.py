@@ -78,7 +78,6 @@ def _add_link(robot: ElementTree.Element, name: str, skeleton: mujoco.MjModel, b
 
 
 def _add_origin(element: ElementTree.Element, at: Array) -> None:
-    """Adds a pose: xyz, and angles about the fixed axes x, y and z."""
     rpy = rpy_from_rotation(at[:3, :3])
     ElementTree.SubElement(element, "origin", xyz=_text(at[:3, 3]), rpy=_text(rpy))
 

@@ -34,8 +34,6 @@ class Violation(Exception):
 
     Args:
         error: as `sero_mj.extensions.franka.receiver.ERRORS` names it.
-        why: in words.
-        is_input: whether it is no number, and so no input.
     """
 
     def __init__(self, error: str, why: str, *, is_input: bool = False) -> None:
@@ -48,12 +46,7 @@ class Motion:
     """A motion in progress.
 
     Attributes:
-        number: id of the request that asked for it.
-        controller: as requests number it.
-        generator: likewise.
         since: s, when it began on the clock's time.
-        is_commanded: whether a first command has come.
-        lost: commands in a row that have not come.
         at: s, time of the last command that has.
     """
 
@@ -79,9 +72,6 @@ class Motion:
 
 class Desired:
     """What is desired of the joints, and what commands may make of it.
-
-    Args:
-        model: of the robot, for its limits and names.
 
     Attributes:
         angles: (7,), rad.
@@ -111,11 +101,7 @@ class Desired:
         self.angles += self.velocities * CYCLE
 
     def command(self, motion: Motion, command: RobotCommand, gravity: Array) -> None:
-        """Takes a command; gravity, (7,), Nm, comes on top of its torques.
-
-        Raises:
-            Violation: it is beyond the limits; nothing is taken then.
-        """
+        """Takes a command; gravity, (7,), Nm, comes on top of its torques; raises Violation."""
         generator = motion.generator
         if motion.is_external:
             self._check_torques(command.torques, gravity)
@@ -137,7 +123,6 @@ class Desired:
                     "commanded torque with gravity is", "Nm")  # fmt: skip
 
     def _move(self, angles: Array, velocities: Array, motion: Motion) -> None:
-        """Takes angles, (7,), rad, reached at velocities, (7,), rad/s."""
         before, model = "joint_motion_generator", self._model
         self._check_finite(np.concatenate([angles, velocities]), "motion",
                            f"{before}_velocity_discontinuity")  # fmt: skip

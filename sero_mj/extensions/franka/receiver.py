@@ -21,7 +21,7 @@ from pydantic import Field, PrivateAttr
 
 from ...base.frames import Array, Ints
 from ...data.receive import connecting
-from ...data.receive.connecting import ConnectingSource, Connection, Nonsense
+from ...data.receive.connecting import ConnectingSource, Connection, ProtocolError
 from ...data.receive.structure import Rows, Structure, TorqueSign
 from ...data.receive.udp_socket import (
     DEFAULT_BUFFER,
@@ -148,7 +148,6 @@ def state_size(version: int) -> int:
 
 
 def _picker(version: int) -> struct.Struct:
-    """What reads the fields of `EVENTS` from a state, and skips the others."""
     kinds = (
         kind.replace("?", "s") if name in EVENTS else f"{struct.calcsize(f'<{kind}')}x"
         for name, (_, kind) in state_fields(version).items()
@@ -191,31 +190,26 @@ class FrankaReceiver(ConnectingSource):
 
     @cached_property
     def layout(self) -> Structure:
-        """The decoder."""
         return FrankaLayout(self.torque_sign)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot, in words."""
         said = [f"robot {_mode(float(values['robot_mode'][0]))}", *_errors(values["errors"])]
         if not values["errors"].any():
             said += [f"last: {name}" for name in _errors(values["reflex_reasons"])]
         return ", ".join(said)
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """A packet's `robot_mode`, and which of `ERRORS` is the first, counted from 1; 0: none."""
         errors = values["errors"] != 0
         first = 1 + int(np.argmax(errors)) if errors.any() else 0
         return float(values["robot_mode"][0]), float(first)
 
     def link_faults(self, state: float, quality: float) -> list[str]:
-        """What keeps the robot from moving, one per line."""
         if state in _GOOD and quality <= 0:
             return []
         error = f": {ERRORS[int(quality) - 1]}" if 1 <= quality <= len(ERRORS) else ""
         return [f"robot {_mode(state)}{error}"]
 
     def _converse(self, wake: socket.socket) -> None:
-        """Connects and receives; see `ConnectingSource`."""
         asked = set[int]()
         while True:
             with Connection(self.host, self.port, wake) as connection:
@@ -224,9 +218,11 @@ class FrankaReceiver(ConnectingSource):
             # A server that does not know our version tells its own.
             if not OLDEST <= version <= NEWEST:
                 known = f"{OLDEST} to {NEWEST} are known"
-                raise Nonsense(f"has version {version} of the server; {known}")
+                raise ProtocolError(f"has version {version} of the server; {known}")
             if version in asked:
-                raise Nonsense(f"refuses version {self._version}, and says that it has {version}")
+                raise ProtocolError(
+                    f"refuses version {self._version}, and says that it has {version}"
+                )
             self._version = version
 
     def _talk(self, connection: Connection) -> int:
@@ -244,14 +240,13 @@ class FrankaReceiver(ConnectingSource):
             if status == _INCOMPATIBLE:
                 return version
             if status != _SUCCESS:
-                raise Nonsense(f"refuses to connect, by status {status}")
+                raise ProtocolError(f"refuses to connect, by status {status}")
             if not OLDEST <= version <= NEWEST:
                 return version
             peer = connection.socket.getpeername()[0]
             self._receive_states(connection, states, peer, version)
 
     def _ask(self, connection: Connection, port: int) -> tuple[int, int]:
-        """Asks for states; returns the status and the server's version."""
         number = 1
         size = _HEAD.size + _QUESTION.size
         question = _HEAD.pack(CONNECT, number, size) + _QUESTION.pack(self._version, port)
@@ -272,18 +267,17 @@ class FrankaReceiver(ConnectingSource):
             command, found, size = _HEAD.unpack_from(answer)
             least = _HEAD.size + _ANSWER.size
             if (command, found) != (CONNECT, number) or not least <= size <= _MOST_BYTES:
-                raise Nonsense("answers by what is no message of FCI", answer)
+                raise ProtocolError("answers by what is no message of FCI", answer)
             if len(answer) < size:
                 continue
             if len(answer) > size:
-                raise Nonsense("says more than it was asked", answer)
+                raise ProtocolError("says more than it was asked", answer)
             status, version = _ANSWER.unpack_from(answer, _HEAD.size)
             return status, version
 
     def _receive_states(
         self, connection: Connection, states: socket.socket, peer: str, version: int
     ) -> NoReturn:
-        """Receives states until the connection ends."""
         expected = canonical_address(pack_address(peer, 0))[0]
         datagrams = Datagrams(states, _LONGEST_STATE + 1)
         connection.watch(states)
@@ -302,10 +296,9 @@ class FrankaReceiver(ConnectingSource):
                 elif clock.monotonic() > deadline:  # others keep the socket ready
                     raise TimeoutError(silent)
             if connection.socket in ready:
-                raise Nonsense("says what it was not asked", connection.read())
+                raise ProtocolError("says what it was not asked", connection.read())
 
     def _take_in(self, batch: Batch, expected: bytes) -> bool:
-        """Accepts what the robot has sent; returns whether there was any."""
         rows, lengths, arrivals = batch.rows, batch.lengths, batch.arrivals
         known = np.array([canonical_address(s.tobytes())[0] == expected for s in batch.senders])
         if not known.all():
@@ -319,11 +312,7 @@ class FrankaReceiver(ConnectingSource):
 
 
 class FrankaLayout(Structure):
-    """The packets of `FrankaReceiver`, made of states of all versions.
-
-    Args:
-        torque_sign: factor of measured and commanded torques.
-    """
+    """The packets of `FrankaReceiver`, made of states of all versions."""
 
     message = "state"
 
@@ -333,7 +322,6 @@ class FrankaLayout(Structure):
         super().__init__(STRUCTURE, signs={**own, **external})
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
-        """Turns states into packets; see `Structure.unpack`."""
         packets = np.zeros((len(rows), self.size), np.uint8)
         sizes = np.full(len(rows), -1)
         for i, length in enumerate(lengths.tolist()):
@@ -344,17 +332,14 @@ class FrankaLayout(Structure):
         return packets, sizes
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        """Describes why a packet is none; see `Structure.describe_wrong_size`."""
         sizes = ", ".join(map(str, sorted(_PICKERS)))
         return f"{length} bytes; a {self.message} of the robot has {sizes}"
 
 
 def _mode(state: float) -> str:
-    """The robot's mode in words."""
     known = 0 <= state < len(ROBOT_MODES)
     return ROBOT_MODES[int(state)] if known else f"in mode {state:.0f}"
 
 
 def _errors(flags: Array) -> list[str]:
-    """Names of the errors that are set."""
     return [ERRORS[i] for i in np.flatnonzero(flags)]

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array
-from ...simulate.control.controller import Sensed, Target
+from ...simulate.control.controller import Controller, Sensed, Target
 from ...simulate.control.joint_control import JointImpedance
 from ...simulate.control.observer import MomentumObserver
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.datagrams import Reachable
+from ...simulate.external_control.program_controller import Reachable
 from .link import FciLink
 from .messages import (
     CARTESIAN_IMPEDANCE,
@@ -46,28 +46,21 @@ _STIFFEST = 5000.0  # Nm/rad, of the robot's own control
 _NO_MODEL = bytes(24 + 128 + 1)  # of the answer to GetCartesianLimit, which refuses
 
 
-class FrankaRobot:
+class FrankaRobot(Controller):
     """Sends a state in each cycle, takes the command that answers it, and acts on it.
 
     Between motions, and for motions of joint positions and velocities, springs and dampers about
     the desired angles hold the robot; commanded torques act on top of gravity.
 
     Args:
-        declared: where it is reached, and by which clock.
-        model: of the robot, for itself.
         timestep: s between two steps.
-        steps: of the simulation in a cycle.
-        version: of the server.
         stiffness: (7,), Nm/rad, of its own control.
         damping: (7,), ratio, likewise.
 
     Attributes:
         logged: (4,), mode as FCI numbers it, success rate of commands, age of the command in use
             and how late this step began, s.
-        mode: as FCI numbers it.
         wrong: datagrams that were no commands, or commands to states that were not sent.
-        late: commands that came after their cycle.
-        missed: cycles of motions without a command.
     """
 
     def __init__(
@@ -102,12 +95,7 @@ class FrankaRobot:
         self._torques: Array = np.zeros(JOINTS)  # of the last step, without gravity
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (7,).
-
-        Raises:
-            SimulationError: the address cannot be listened at, the program has failed, or no
-                client has come in lockstep.
-        """
+        """Writes the torques of this step, (7,); raises SimulationError."""
         self._step += 1
         self._observer.update(sensed)
         if self._step == 1:
@@ -159,7 +147,6 @@ class FrankaRobot:
             log.warning("%s: no client %s; the robot waits", self._model.name, patience)
 
     def _cycle(self, sensed: Sensed) -> None:
-        """Sends a state, takes the command that answers it, and moves on what is desired."""
         link, time, desired = self._link, sensed.time, self._desired
         self._time = time
         self._motor_state[0], self._motor_state[1] = sensed.motor_angles, sensed.motor_velocities
@@ -181,7 +168,6 @@ class FrankaRobot:
         self.logged[2] = time - motion.at if motion is not None and motion.is_commanded else 0.0
 
     def _keep_pace(self, time: float) -> None:
-        """Sends a state in real time, and waits for its command until the next one is due."""
         link = self._link
         self._send()
         self._first = self._number
@@ -217,7 +203,6 @@ class FrankaRobot:
             link.check(time)
 
     def _is_answered(self, motion: Motion, time: float) -> bool:
-        """Waits for the command to this state; false where the motion has ended before."""
         link, declared = self._link, self._declared
         patience = declared.patience if motion.is_commanded else declared.first_patience
         now = clock.monotonic()
@@ -243,7 +228,6 @@ class FrankaRobot:
         return False
 
     def _take(self, size: int) -> None:
-        """Takes what is in the buffer if it is the command to the state of this cycle."""
         command = self._messages.read_command(memoryview(self._link.buffer)[:size])
         if command is None or command.message_id > self._number:
             self.wrong += 1
@@ -271,7 +255,6 @@ class FrankaRobot:
             self._end("success", IDLE)
 
     def _miss(self, motion: Motion) -> None:
-        """Goes on without a command."""
         if not motion.is_commanded:  # libfranka reads states before it commands
             if clock.monotonic() > motion.since + self._declared.first_patience:
                 self._reflex(_LOST, f"no command within {self._declared.first_patience:g} s")
@@ -297,7 +280,6 @@ class FrankaRobot:
         self._link.answer("Move", motion.number, self._messages.move_status(status))
 
     def _reflex(self, error: str, why: str, status: str = "reflex") -> None:
-        """Ends the motion by an error, which holds until the client asks for recovery."""
         name = self._model.name
         log.warning("%s: motion ends at %.3f s, %s: %s", name, self._time, error, why)
         number = ERRORS.index(error)
@@ -307,7 +289,6 @@ class FrankaRobot:
         self._end(status, REFLEX)
 
     def _rest(self, patience: float | None = None) -> None:
-        """Lets time stand still in lockstep until the next motion."""
         patience = self._declared.patience if patience is None else patience
         self._rests_until, self._is_free = clock.monotonic() + patience, False
 
@@ -318,7 +299,6 @@ class FrankaRobot:
     # ---- the client
 
     def connected(self) -> None:
-        """A client has connected."""
         log.info("%s: a client has connected at %.3f s", self._model.name, self._time)
         self._rest(self._declared.first_patience)
 
@@ -330,7 +310,6 @@ class FrankaRobot:
             log.info("%s: the client %s at %.3f s", self._model.name, why, self._time)
 
     def request(self, name: str, number: int, values: tuple[Any, ...]) -> None:
-        """Does what a client asks for, and answers."""
         self._rests_until = max(self._rests_until, clock.monotonic() + self._declared.patience)
         if name == "Move":
             self._begin_motion(number, values)
@@ -414,7 +393,6 @@ class FrankaRobot:
     # ---- states
 
     def _send(self) -> None:
-        """Sends the state, numbered anew."""
         state, motion, desired = self._state, self._motion, self._desired
         self._number += 1
         state["message_id"] = self._number
@@ -437,7 +415,6 @@ class FrankaRobot:
 
 
 def _is_wrong(name: str, values: Array) -> bool:
-    """Whether a request to set something has values that cannot be."""
     if not (np.abs(values) < MOST_NUMBER).all():  # nor is NaN
         return True
     if name in ("SetEEToK", "SetNEToEE"):

@@ -20,8 +20,6 @@ class FrankaState:
     """The packet of a state, written in place; columns of matrices stand one after the other.
 
     Args:
-        version: of the server.
-        model: of the robot.
         cycle: s between two states.
 
     Attributes:
@@ -42,13 +40,11 @@ class FrankaState:
             self.set_frame(name, np.eye(4))
 
     def __setitem__(self, field: str, values: Array | Sequence[float] | float) -> None:
-        """Writes a field, where this version has it."""
         view = self.views.get(field)
         if view is not None:
             view[:] = values
 
     def __getitem__(self, field: str) -> Any:
-        """The numbers of a field."""
         return self.views[field]
 
     def set_frame(self, name: str, pose: Array) -> None:
@@ -60,7 +56,6 @@ class FrankaState:
         """Writes what is measured, and what follows from it.
 
         Args:
-            sensed: by the sensors.
             external: (7,), Nm, torques by which the robot is pushed.
         """
         self._model.update(sensed.angles, sensed.velocities)

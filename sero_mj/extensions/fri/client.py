@@ -6,7 +6,10 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ...base.errors import Problem
+from ...base.errors import (
+    Problem,
+    mismatch,
+)
 from ...simulate.control.robot_model import RobotModel
 from . import iiwa as fri_iiwa
 from . import receiver as fri
@@ -39,18 +42,17 @@ class FriClient(FriSession):
     def _fields_fit_each_other(self) -> Self:
         low, high = fri.CYCLES  # also those of an iiwa
         if self.cycle and not low <= self.cycle <= high:
-            raise Problem("cycle", found=self.cycle, expected=f"{low} to {high} s").error()
+            raise mismatch(self.cycle, f"{low} to {high} s", key="cycle")
         needs = _NEEDS.get(self.command_mode)
         if self.version == "1" and needs:
             expected = "position with FRI 1.0, whose commands have flags instead"
-            raise Problem("command_mode", found=self.command_mode, expected=expected).error()
+            raise mismatch(self.command_mode, expected, key="command_mode")
         if needs and needs != self.control:
             expected = f"{needs} with command_mode = '{self.command_mode}'"
-            raise Problem("control", found=self.control, expected=expected).error()
+            raise mismatch(self.control, expected, key="control")
         return self
 
     def make(self, model: RobotModel, timestep: float) -> FriRobot:
-        """The controller; the program is started with its first step."""
         if model.n != JOINTS:
             reason = f"FRI is for {JOINTS} joints; {model.name} has {model.n}"
             raise Problem("kind", reason).error()
@@ -58,12 +60,12 @@ class FriClient(FriSession):
         steps = round(cycle / timestep)
         if steps < 1 or abs(steps * timestep - cycle) > 1e-9:
             expected = f"a multiple of the time step, {timestep:g} s"
-            raise Problem("cycle", found=self.cycle, expected=expected).error()
+            raise mismatch(self.cycle, expected, key="cycle")
         if cycle < fri.CYCLES[0] - 1e-9:
             expected = f"{fri.CYCLES[0]} s or more: the time step is {timestep:g} s"
-            raise Problem("cycle", found=self.cycle, expected=expected).error()
+            raise mismatch(self.cycle, expected, key="cycle")
         if self.version == "1":
             return LwrFri(self, model, timestep, steps)
         if abs(cycle - round(cycle, 3)) > 1e-9:
-            raise Problem("cycle", found=cycle, expected="whole milliseconds").error()
+            raise mismatch(cycle, "whole milliseconds", key="cycle")
         return IiwaFri(self, model, timestep, steps)

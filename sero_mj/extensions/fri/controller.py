@@ -34,32 +34,22 @@ _REACHED_FROM = {3: 0.95, 2: 0.8, 1: 0.5, 0: 0.0}
 
 
 class FriController:
-    """The controller's side of FRI 1.0: measurements out, answers in.
+    """The controller's side of FRI 1.0: measurements out, answers in; raises UsageError.
 
     Counters wrap at 16 bits; statistics are over the last 100 packets; the quality follows the
     answer rate, and with an unacceptable one the interface falls back from command to monitor.
     Commands are counted but have no effect: the robot continues its motion.
 
     Args:
-        robot: seven joints.
         cycle: s between packets, 0.001 to 0.1.
         quality: name of a quality to report regardless of the answers; None to follow them.
-        commands: whether its program has requested the command state.
-        counter: send counter of the first packet.
         amplitude: of the motion, 0 to 1.
         faults: of the network that `run` sends through; None for a good one.
         layout: of the packets, with a sign of torques; FRI's own when None.
 
     Attributes:
         cycle: s between packets.
-        faults: of the network.
-        sent: packets created so far.
-        answers: good answers so far.
-        wrong_answers: received packets that are not command packets.
         command_flags: all flags set in answers; 0 when nothing was commanded.
-
-    Raises:
-        UsageError: invalid cycle or quality, or a robot without seven joints.
     """
 
     def __init__(
@@ -162,7 +152,6 @@ class FriController:
     def _packets(
         self, sock: socket.socket, duration: float | None
     ) -> Iterator[tuple[float, bytes]]:
-        """Time and bytes of each packet passed on by the network."""
         start = time.perf_counter()
         total = None if duration is None else max(round(duration / self.cycle), 1)
         count = 0
@@ -179,7 +168,6 @@ class FriController:
             pass
 
     def _listen(self, sock: socket.socket, until: float) -> bool:
-        """Waits for an answer until a time of `time.perf_counter`, s; whether one came."""
         left = until - time.perf_counter()
         if not select.select([sock], [], [], max(left, 0.0))[0]:
             return False
@@ -193,19 +181,13 @@ class FriController:
 
 @dataclass
 class _Sent:
-    """A packet: its counter, send time, and answer latency, s."""
-
     counter: int
     time: float
     latency: float | None = None
 
 
 class AnswerStatistics:
-    """Tracks which packets were answered.
-
-    Attributes:
-        miss_counter: packets that were not answered in time, so far.
-    """
+    """Tracks which packets were answered."""
 
     def __init__(self) -> None:
         self.miss_counter = 0
@@ -227,7 +209,6 @@ class AnswerStatistics:
                 packet.latency = max(time - packet.time, 0.0)
 
     def _latencies(self) -> list[float]:
-        """Latencies of answers to the last 100 packets that may have been answered."""
         judged = list(self._sent)[:-_MAX_UNANSWERED]
         return [packet.latency for packet in judged if packet.latency is not None]
 
@@ -256,12 +237,6 @@ class NetworkFaults:
 
     Attributes:
         loss: share of the packets that are withheld, 0 to 1.
-        duplicates: share that is sent twice.
-        swaps: share that is sent after the one that follows.
-        seed: of the random numbers.
-        withheld: how many were withheld so far.
-        doubled: how many were sent twice.
-        swapped: how many were sent after the one that follows.
     """
 
     loss: float = 0.0

@@ -74,11 +74,7 @@ Fields = dict[int, list[int | bytes]]  # number of a field to all of its values
 
 
 def read_fields(message: bytes) -> Fields:
-    """The fields of a message: whole numbers, and the bytes of all others.
-
-    Raises:
-        ValueError: it is truncated, or not encoded by Protocol Buffers.
-    """
+    """The fields of a message: whole numbers, and the bytes of all others; raises ValueError."""
     fields: Fields = {}
     at, end = 0, len(message)
     while at < end:
@@ -102,7 +98,6 @@ def read_fields(message: bytes) -> Fields:
 
 
 def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """A whole number and where it ends."""
     value = shift = 0
     while at < len(message) and shift < 70:
         byte = message[at]
@@ -169,11 +164,7 @@ def unframed(packet: bytes) -> tuple[bytes, bool]:
 
 
 def pack(packet: bytes, version: str) -> bytes:
-    """Turns a monitoring message into a packet of `STRUCTURES[version]`.
-
-    Raises:
-        ValueError: it is no message, or has another number of joints.
-    """
+    """Turns a monitoring message into a packet of `STRUCTURES[version]`; raises ValueError."""
     message, is_framed = unframed(packet)
     if is_framed and version == "iiwa-1":
         raise ValueError("it is framed as in FRI 2.7; choose version = 'iiwa-2'")
@@ -230,7 +221,6 @@ class IiwaLayout(Structure):
 
     Args:
         version: of FRI: `iiwa-1` or `iiwa-2`.
-        torque_sign: factor of measured and commanded torques.
     """
 
     message = "FRI message"
@@ -241,7 +231,6 @@ class IiwaLayout(Structure):
         self.version = version
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
-        """Turns messages into packets; see `Structure.unpack`."""
         packets = np.zeros((len(rows), self.size), np.uint8)
         sizes = np.zeros(len(rows), np.intp)
         for k, (row, length) in enumerate(zip(rows, lengths.tolist(), strict=True)):
@@ -254,7 +243,6 @@ class IiwaLayout(Structure):
         return packets, sizes
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        """Describes why a packet is no message; see `Structure.describe_wrong_size`."""
         if length > len(packet):
             return f"{length} bytes that are no {self.message}: it is too long"
         try:
@@ -264,15 +252,9 @@ class IiwaLayout(Structure):
         return f"{length} bytes that are no {self.message}"
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """A packet's `state` and `quality`, see `STATES` and `QUALITIES`.
-
-        Args:
-            values: event name to its array, of one packet.
-        """
         return float(values["state"][0]), float(values["quality"][0])
 
     def link_words(self, state: float, quality: float) -> tuple[str, str]:
-        """Returns a state and a quality in words."""
         return word(STATES, state), word(QUALITIES, quality)
 
     def is_good(self, state: float, quality: float) -> bool:
@@ -312,12 +294,7 @@ class Monitor:
         self._unanswered = 0
 
     def answer(self, packet: bytes, counter: int) -> bytes | None:
-        """The answer to a message, or None if none is due.
-
-        Args:
-            packet: of the controller.
-            counter: of the answers so far.
-        """
+        """The answer to a message, or None if none is due."""
         try:
             message, is_framed = unframed(packet)
             fields = read_fields(message)
@@ -377,7 +354,6 @@ def per_joint(number: int, values: Array) -> bytes:
 
 @lru_cache(maxsize=1024)
 def _encoded(value: int) -> bytes:
-    """A whole number in groups of 7 bits, the lowest first."""
     groups = []
     while value > 0x7F:
         groups.append(value & 0x7F | 0x80)

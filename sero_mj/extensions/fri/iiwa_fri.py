@@ -69,7 +69,6 @@ class IiwaFri(FriRobot):
         self._asked: fri_iiwa.Fields = {}  # what a command has besides its header
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, see `FriRobot`."""
         self._observer.update(sensed)
         super().torques(sensed, target, out)
         self._torques[:] = out
@@ -184,7 +183,6 @@ class IiwaFri(FriRobot):
             self._own.wrench[:] = turn @ added[_ABOUT_XYZ]
 
     def _numbers(self, what: str, field: int, count: int) -> Array:
-        """What a command asks for; raises ValueError where it is not there, or not finite."""
         if field not in self._asked:
             raise ValueError(f"a command has not {what}")
         numbers = np.array(read_numbers(self._asked, field, count))

@@ -9,6 +9,7 @@ little-endian and without gaps; their layouts are those of the interface, the na
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
 from typing import Any, ClassVar, Literal
@@ -18,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, PrivateAttr, model_validator
 
 from ...base.frames import Array
-from ...data.receive.scheduling import short_turns
 from ...data.receive.structure import Rows, Structure, TorqueSign, are_frames
 from ...data.receive.udp import UdpReceiver
 from ...data.receive.udp_socket import OnArrival
@@ -97,27 +97,19 @@ class FriLayout(Structure):
         self.events["commanded_angles"] = self.events[_COMMANDED[0]]
 
     def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
-        """Returns every event's array; see `Structure.decode`."""
         values = super().decode(packet)
         derived = self._derive({event: array[None] for event, array in values.items()})
         return {event: array[0] for event, array in derived.items()}
 
     def decode_rows(self, rows: Rows, events: Collection[str] | None = None) -> dict[str, Array]:
-        """Decodes many packets at once; see `Structure.decode_rows`."""
         if events is not None and "commanded_angles" in events:
             events = {*events, *_COMMANDED}
         return self._derive(super().decode_rows(rows, events))
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """A packet's `state` and `quality`, see `STATES` and `QUALITIES`.
-
-        Args:
-            values: event name to its array, of one packet.
-        """
         return float(values["state"][0]), float(values["quality"][0])
 
     def link_words(self, state: float, quality: float) -> tuple[str, str]:
-        """Returns a state and a quality in words."""
         state_word, quality_word = (
             words.get(int(number), f"{number:.0f}")
             for words, number in ((STATES, state), (QUALITIES, quality))
@@ -135,17 +127,14 @@ class FriLayout(Structure):
 
     @property
     def required_frames(self) -> tuple[str, ...]:
-        """Matrices that make a packet malformed unless they are frames or NaN."""
         return tuple(event for event in self.matrices if event not in self.missing)
 
     def find_not_finite(self, rows: Rows, but: Collection[str] = ()) -> NDArray[np.bool_]:
-        """Which packets have NaN or infinity outside the events `but`, (n,)."""
         if "commanded_angles" not in but:  # then both of its parts must be finite
             but = frozenset(but).difference(_COMMANDED)
         return super().find_not_finite(rows, but)
 
     def bounds(self, limits: Mapping[str, float]) -> list[Any]:
-        """Prepares `find_odd`; see `Structure.bounds`."""
         if "commanded_angles" in limits:  # the sum of two
             half = limits["commanded_angles"] / 2.0
             parts = {part: min(half, limits.get(part, half)) for part in _COMMANDED}
@@ -166,10 +155,6 @@ class FriLayout(Structure):
         return values
 
     def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
-        """Returns the packet that carries these events; see `Structure.encode`.
-
-        `commanded_angles` are written as the program's, minus the `commanded_offset` if given.
-        """
         packed: dict[str, Any] = {
             event: np.array(value) if event in ("tcp_moment", "jacobian") else value
             for event, value in values.items()
@@ -203,7 +188,6 @@ def counter_of(packet: memoryview, length: int) -> int | None:
 
     Args:
         packet: its bytes, at least eight.
-        length: their number.
     """
     if length != _SIZE:
         return None
@@ -222,6 +206,17 @@ def no_command(counter: int, reflected: int) -> bytes:
 
 
 _STRUCTURES = {"1": MEASUREMENT, **fri_iiwa.STRUCTURES}
+
+
+# An answering thread waits until the interpreter switches to it: up to 5 ms by default. The cycle
+# of a controller is 1 ms.
+_SWITCH_INTERVAL = 5e-4  # s
+_USUAL_INTERVAL = sys.getswitchinterval()
+_ANSWERING: set[int] = set()  # ids of the receivers that answer
+
+
+def _set_switch_interval() -> None:
+    sys.setswitchinterval(_SWITCH_INTERVAL if _ANSWERING else _USUAL_INTERVAL)
 
 
 class FriReceiver(UdpReceiver):
@@ -285,13 +280,11 @@ class FriReceiver(UdpReceiver):
 
     @cached_property
     def layout(self) -> FriLayout | fri_iiwa.IiwaLayout:
-        """The decoder."""
         if self.is_iiwa:
             return fri_iiwa.IiwaLayout(self.version, self.torque_sign or fri_iiwa.TORQUE_SIGN)
         return FriLayout(self._nan_allowed, self.torque_sign or TORQUE_SIGN)
 
     def decoding_fields(self) -> dict[str, Any]:
-        """The fields that determine the meaning of packets; for recordings."""
         if not self.is_iiwa:
             return super().decoding_fields()
         kept = {"version", "torque_sign"}  # which determine the structure and the signs
@@ -299,27 +292,22 @@ class FriReceiver(UdpReceiver):
 
     @property
     def is_iiwa(self) -> bool:
-        """Whether it receives messages of an iiwa."""
         return self.version != "1"
 
     @property
     def can_be_played(self) -> bool:
-        """Whether `sero-mj send` can send what it receives."""
         return not self.is_iiwa
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         does = "answers, commands nothing" if self.answer else "listens only"
         name = f"FRI {self.version[-1]}.x of an iiwa" if self.is_iiwa else "FRI 1.0"
         return f"KUKA {name} on {super().about}, {does}"
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot's controller, in words."""
         return self.layout.describe(values)
 
     def link_faults(self, state: float, quality: float) -> list[str]:
-        """What is wrong with the robot's controller or the link to it, one per line."""
         if self.layout.is_good(state, quality):
             return []
         state_word, quality_word = self.layout.link_words(state, quality)
@@ -344,23 +332,22 @@ class FriReceiver(UdpReceiver):
             self.layout.missing = FRAMES & self._nan_allowed
 
     def open(self) -> None:
-        """Binds the socket and starts the thread; raises SourceError as `UdpReceiver.open` does."""
         super().open()
         if self.answer:
-            short_turns.begin(self)
+            _ANSWERING.add(id(self))
+            _set_switch_interval()
 
     def close(self) -> None:
-        """Stops the thread and closes the socket; harmless when it is not open."""
-        short_turns.end(self)
+        if id(self) in _ANSWERING:
+            _ANSWERING.discard(id(self))
+            _set_switch_interval()
         super().close()
 
     def reset(self) -> None:
-        """Forgets all packets and counters, and takes a changed declaration into account."""
         super().reset()
         self._answers = 0
 
     def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
-        """Answers before anything else, because the controller measures the latency."""
         if not self.answer:
             return None
         reply = self._reply_of_lwr if not self.is_iiwa else self._reply_of_iiwa(fri_iiwa.Monitor())

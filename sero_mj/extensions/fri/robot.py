@@ -13,11 +13,12 @@ import numpy as np
 from pydantic import Field
 
 from ...base.frames import Array
+from ...base.once import Once
 from ...simulate.control.cartesian_control import CartesianImpedance
-from ...simulate.control.controller import PerJoint, Ratio, Sensed, Target, within
+from ...simulate.control.controller import Controller, PerJoint, Ratio, Sensed, Target, within
 from ...simulate.control.joint_control import JointPosition, design_damping
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.datagrams import Link, Reachable
+from ...simulate.external_control.program_controller import Link, Reachable
 from .controller import AnswerStatistics
 
 log = logging.getLogger(__name__)
@@ -54,22 +55,16 @@ class FriSession(Reachable):
     damping: Ratio = np.array([0.7])
 
 
-class FriRobot(ABC):
+class FriRobot(Controller, ABC):
     """Sends a packet in each cycle, takes the command that answers it, and acts on it.
 
     Args:
-        declared: how.
-        model: of the robot, for itself.
         timestep: s between two steps.
-        steps: of the simulation in a cycle.
         largest: bytes of a command.
 
     Attributes:
         logged: (3,), state and quality as FRI numbers them, and how late this step began, s.
-        state: as FRI numbers it.
         quality: of the link, 0 to 3.
-        error: whether a command has ended the command state.
-        wrong: received packets that are no commands.
     """
 
     def __init__(
@@ -83,7 +78,7 @@ class FriRobot(ABC):
         self.logged: Array = np.zeros(3)
         self.state = self.quality = self.wrong = 0
         self.error = False
-        self._told: set[str] = set()
+        self._is_new = Once()
         self._base: Array = np.zeros(JOINTS)  # commanded by the robot's program
         self._offset: Array = np.zeros(JOINTS)  # by the client
         self._extra: Array = np.zeros(JOINTS)
@@ -97,11 +92,7 @@ class FriRobot(ABC):
         self._base_frame: Array = np.eye(4)
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,).
-
-        Raises:
-            SimulationError: the program has ended, or no client has ever answered.
-        """
+        """Writes the torques of this step, (n,); raises SimulationError."""
         self._step += 1
         self._model.update(sensed.motor_angles, sensed.motor_velocities)
         if self._step == 1:
@@ -112,7 +103,6 @@ class FriRobot(ABC):
         self._act(sensed, out)
 
     def close(self) -> None:
-        """Ends the program; harmless when it has ended."""
         self._link.close()
         if self.wrong:
             log.warning("%s: %d packets were no commands", self._link.name, self.wrong)
@@ -155,7 +145,6 @@ class FriRobot(ABC):
         self._make_holder()
 
     def _exchange(self, sensed: Sensed) -> None:
-        """Sends a packet, and takes the command that answers it."""
         link, time, declared = self._link, sensed.time, self._declared
         self._time = time
         self.quality = self._statistics.quality
@@ -187,7 +176,6 @@ class FriRobot(ABC):
         link.check(time)
 
     def _take(self, size: int) -> bool:
-        """Takes what is in the buffer if it is a command; whether it answers the last packet."""
         reflected = self._read(memoryview(self._link.buffer)[:size])
         if reflected is None:
             self.wrong += 1
@@ -200,7 +188,6 @@ class FriRobot(ABC):
         return is_last
 
     def _hold_again(self, why: str) -> None:
-        """Ends the command state; the robot stays where it is commanded to."""
         log.warning("%s: command ends at %.3f s: %s", self._model.name, self._time, why)
         self._base += self._offset
         self._offset[:] = self._extra[:] = 0.0
@@ -212,12 +199,10 @@ class FriRobot(ABC):
         self._hold_again(why)
 
     def _tell(self, text: str) -> None:
-        if text not in self._told:
-            self._told.add(text)
+        if self._is_new(text):
             log.warning("%s: %s", self._model.name, text)
 
     def _command_angles(self, angles: Array, most: Array) -> bool:
-        """Takes commanded angles, (n,), rad, unless they are faster than `most`, (n,), rad/s."""
         offset = angles - self._base
         speeds = np.abs(offset - self._offset) / self._cycle
         if (speeds > most).any():
@@ -243,7 +228,6 @@ class FriRobot(ABC):
             self._holder = self._cartesian.make(self._model, self._timestep)
 
     def _act(self, sensed: Sensed, out: Array) -> None:
-        """Writes the torques of the robot's own control, (n,)."""
         wanted = self._base + self._offset
         if self._declared.control != "joint_impedance":
             self._own.angles[:] = self._own.posture[:] = wanted

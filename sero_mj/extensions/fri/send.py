@@ -55,7 +55,6 @@ def send(options: SendOptions, scene: Scene, source: FriReceiver) -> int:
 
 
 def _robot_of(scene: Scene, source: str) -> str:
-    """The robot that a source moves, or has something to say of."""
     fed = {
         target.partition(".")[::2]: origin
         for target, origin in scene.routes.items()

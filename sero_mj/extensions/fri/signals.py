@@ -28,7 +28,6 @@ class FriSignals:
     the task frame of the controller's stiffness; here that is the flange's frame.
 
     Args:
-        robot: seven joints.
         amplitude: of the motion, 0 stands still, to 1.
     """
 
@@ -73,6 +72,5 @@ class FriSignals:
         }
 
     def _temperatures(self, t: float) -> Array:
-        """Drives warm up within minutes, those near the base more."""
         warmth = 1.0 - 0.6 * float(np.exp(-t / 300.0))
         return np.asarray(_ROOM_TEMPERATURE + _WARM_UP * warmth * np.linspace(1.0, 0.6, 7))

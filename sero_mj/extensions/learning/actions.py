@@ -12,7 +12,7 @@ from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
 from ...robots.declared.joint_speeds import joint_speeds
 from ...robots.declared.robot import SerialRobot
-from ...simulate.control.controller import Sensed, Target
+from ...simulate.control.controller import Controller, Sensed, Target
 from ...simulate.control.joint_control import JointImpedance, Torque
 from ...simulate.control.make_controller import make_controller
 from ...simulate.control.robot_model import RobotModel
@@ -34,7 +34,7 @@ class Action(ABC):
     controller: JointImpedance | Torque
 
     @abstractmethod
-    def begin(self, target: Target, angles: Array, which: Any = ...) -> None:
+    def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
         """Begins an episode.
 
         Args:
@@ -65,9 +65,6 @@ class TorqueAction(Action):
     As on the robot: its controller adds gravity to what it is asked for, and the drives cut off
     what is beyond their limits.
 
-    Args:
-        robot: with its torque limits.
-
     Attributes:
         spec: (n,), Nm or N, within the torque limits.
 
@@ -90,7 +87,7 @@ class TorqueAction(Action):
         self.controller = Torque()
         self.spec = specs.BoundedArray((robot.n,), np.float64, -high, high, name="torques")
 
-    def begin(self, target: Target, angles: Array, which: Any = ...) -> None:
+    def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
         """Begins an episode without torques."""
         self._target = target
         target.torques[which] = 0.0
@@ -107,11 +104,9 @@ class ImpedanceAction(Action):
     whose springs, dampers and gravity compensation run in the robot's own controller.
 
     Args:
-        robot: with its position and velocity limits.
         control_timestep: s between two actions.
         timestep: s between two steps of the simulation.
         stiffness: Nm/rad, one for all joints or (n,).
-        damping: ratio, likewise.
 
     Attributes:
         spec: (n,), rad or m, within what the velocity limits allow in a control step; robots
@@ -144,7 +139,7 @@ class ImpedanceAction(Action):
         self.controller: JointImpedance = JointImpedance(stiffness=stiffness, damping=damping)
         self.spec = specs.BoundedArray((robot.n,), np.float64, -most, most, name="target_offsets")
 
-    def begin(self, target: Target, angles: Array, which: Any = ...) -> None:
+    def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
         """Begins an episode: the target is where the robot stands."""
         self._target = target
         if self._goal.shape != target.angles.shape:
@@ -182,13 +177,10 @@ class ImpedanceAction(Action):
         }
 
 
-class AgentController:
+class AgentController(Controller):
     """The controller that carries out an agent's actions.
 
     Args:
-        action: what the agent commands.
-        robot: whose controller it is.
-        model: what it knows of the robot.
         timestep: s between two steps of the simulation.
 
     Raises:
@@ -199,9 +191,9 @@ class AgentController:
         self, action: Action, robot: SerialRobot, model: RobotModel, timestep: float
     ) -> None:
         self._action, self._robot, self.model, self._timestep = action, robot, model, timestep
-        self.begin(np.asarray(robot.home, np.float64))
+        self.begin_at(np.asarray(robot.home, np.float64))
 
-    def begin(self, angles: Array) -> None:
+    def begin_at(self, angles: Array) -> None:
         """Begins an episode: nothing that was remembered gets into it.
 
         Args:
@@ -214,7 +206,6 @@ class AgentController:
         self._action.begin(self._target, angles)
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,)."""
         self._action.advance()
         self._inner.torques(sensed, self._target, out)
 
@@ -234,10 +225,6 @@ def checked_action(
     """Returns an action as (n,) numbers within the bounds; what is beyond is cut off.
 
     Args:
-        action: what an agent gave.
-        spec: of it.
-        robot: for its joints' names.
-        unit: for messages.
         time: s, for messages.
         m: number of environments, where it is of many: then (m, n).
 

@@ -111,17 +111,14 @@ class _DrivenRun:
         self._environment = environment
 
     def findings(self) -> list[Finding]:
-        """What the monitor of the scenario finds until now."""
         return self._environment.simulation.findings()
 
     @property
     def about(self) -> str:
-        """What it is, for people."""
         return self._environment.simulation.about
 
     @property
     def structure(self) -> Structure:
-        """Of a row as a packet."""
         return self._environment.simulation.structure
 
     @property
@@ -136,7 +133,6 @@ class _DrivenRun:
 
     @property
     def step(self) -> int:
-        """The last row that is there."""
         return self._environment.simulation.step
 
     def advance(self, to_step: int) -> None:
@@ -203,7 +199,8 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         self.scenario.controllers = {**scenario.controllers, robot: self._agent}
         self.simulation = Simulation(self.scenario, settings.seed, self._compiler)
         if self.simulation.whole_body is not None:
-            model.follow(self.simulation.whole_body.mounting(robot), own.base_frame)
+            mounting = self.simulation.whole_body.mounting(robot)
+            model.follow((mounting, own.base_frame, own.n))
         self._robot = AgentRobot(self.simulation, robot)
         self.task: Episode = task.make(self._robot)
         self.seed, self.episode = settings.seed, -1
@@ -218,7 +215,6 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         self._open = ExitStack()
 
     def _find_columns(self, observed: tuple[str, ...]) -> None:
-        """Finds every observed signal in the log, and the bounds of joint angles."""
         columns = self.simulation.layout.columns
         self.columns: dict[str, slice] = {}
         self.bounds: dict[str, tuple[Array, Array]] = {}
@@ -288,7 +284,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         rng = np.random.default_rng([self.seed, self.episode])
         start, noise = self._draw_start(rng)
         self._restart(start, noise)
-        self._agent.begin(start)
+        self._agent.begin_at(start)
         self.task.begin(rng)
         self._observation = self._observe()
         return dm_env.restart(self._observation)
@@ -305,10 +301,6 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
 
         For those who simulate elsewhere: the own episode is over.
 
-        Args:
-            seed: of everything that is random.
-            episode: number of the episode.
-
         Returns:
             (n,), the joint angles, rad or m.
         """
@@ -324,7 +316,6 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
 
         Args:
             start: (n,), angles of the agent's robot, rad or m.
-            seed: of the noise.
         """
         if self.scenario.disturbances or self.scenario.faults:  # these change the model
             self.simulation = Simulation(self.scenario, seed, self._compiler)
@@ -359,14 +350,13 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             # Whoever got it before may have changed it.
             before = {name: value.copy() for name, value in self._observation.items()}
             return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, before)
-        self.plant.rows.look_ahead()  # `data` is as up to date as after MuJoCo's own step
+        self.plant.rows.physics.look_ahead()  # `data` is as up to date as after MuJoCo's own step
         self._is_over = simulation.is_done
         self._observation = self._observe()
         end = dm_env.truncation if self._is_over else dm_env.transition
         return end(self.reward(), self._observation)
 
     def _observe(self) -> dict[str, Array]:
-        """What is seen now, in arrays of its own."""
         row = self.simulation.rows[self.simulation.step]
         found = {name: row[columns].copy() for name, columns in self.columns.items()}
         for name, (low, high) in self.bounds.items():
@@ -426,9 +416,6 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
     def show(self, camera: str | None = None) -> bool:
         """Shows the state now in a window, with mouse and keys; at once, without waiting.
 
-        Args:
-            camera: at first, as for `render`.
-
         Returns:
             whether the window is open: its user has not closed it.
 
@@ -450,14 +437,12 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return self._window.is_open and self._window.frame(wait=False)
 
     def _open_mirror(self) -> Mirror:
-        """A mirror of the current episode, with what it shows."""
         source = RunSource(run=_DrivenRun(self))
         scene = with_routes(self.scenario, self.simulation.layout.columns, source)
         self._mirror = self._open.enter_context(Mirror(scene))
         return self._mirror
 
     def _show_now(self) -> Mirror:
-        """Brings the mirror to the state now."""
         assert self._mirror is not None
         for target, values in self.task.inputs().items():
             self._mirror.world.set_input(self._mirror.data, target, values)

@@ -38,10 +38,8 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
     `info["error"]`. Episode k after `reset(seed=s)` depends on s and k alone.
 
     Args:
-        environment: what is stepped.
         render_mode: `rgb_array`, `human` (a window, at real time) or None.
         width: of pictures, pixels.
-        height: likewise.
         camera: `azimuth,elevation,distance` (degrees, degrees, m), or a camera's name.
 
     Raises:
@@ -82,7 +80,6 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
         Args:
             seed: of this and the following ones; else these go on, from a random seed at first
                 where none was among the environment's options.
-            options: none are known.
         """
         super().reset(seed=seed)
         if seed is not None:
@@ -116,7 +113,6 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
         return observation, float(step.reward), terminated, step.last() and not terminated, info
 
     def _within(self, observation: Mapping[str, Array]) -> Observation:
-        """An observation within the bounds of its space, in arrays of its own."""
         return {name: np.clip(value, *self.bounds[name]) for name, value in observation.items()}
 
     def render(self) -> Any:
@@ -127,7 +123,6 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
         return self.environment.render(height, width, camera)
 
     def _show(self) -> None:
-        """Shows the state now, at real time."""
         left = self._shown + self.environment.control_timestep - time.monotonic()
         if left > 0:
             time.sleep(left)
@@ -153,9 +148,6 @@ def make_gymnasium_environment(
     Args:
         name: as for `make_environment`, or None with `robot` and `task`, or with `scenario`.
         render_mode: see `GymnasiumEnvironment`; so are the next three.
-        width: of pictures.
-        height: of pictures.
-        camera: of pictures.
         **options: of `make_environment`.
 
     Raises:
@@ -224,7 +216,6 @@ def observation_bounds(environment: Environment) -> dict[str, tuple[Array, Array
 
 
 def _bounds(robot: SerialRobot, signal: str, spec: specs.Array) -> tuple[Array, Array]:
-    """Low and high of a signal: as its spec has them, or what is far beyond the robot's limits."""
     if signal.endswith("velocities"):
         most = _BEYOND * joint_speeds(robot, "agent")
     elif signal.endswith("torques"):

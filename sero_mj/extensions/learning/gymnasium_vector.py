@@ -31,7 +31,6 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
     (`AutoresetMode.NEXT_STEP`).
 
     Args:
-        many: the environments.
         is_seeded: whether the first `reset` is to begin with the seeds that they have.
 
     Attributes:
@@ -66,7 +65,6 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
         Args:
             seed: of the first environment, the others have those after it; or one for each. None
                 goes on with the next episodes, at first of random seeds.
-            options: none are known.
         """
         is_first = bool(self.many.episodes[0] < 0) and not self._is_seeded
         seeds: Any = None
@@ -116,11 +114,9 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
         return self._within(self.many.begin_next())
 
     def _episodes(self, which: Bools) -> dict[str, Any]:
-        """Numbers of the episodes that some have begun, as gymnasium hands information on."""
         return {"episode": np.where(which, self.many.episodes, 0), "_episode": which.copy()}
 
     def _within(self, seen: Observation) -> Observation:
-        """Observations within the bounds of their space, in arrays of their own."""
         return {name: np.clip(seen[name], *bounds) for name, bounds in self._bounds.items()}
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -139,8 +135,6 @@ def make_gymnasium_vector(
     """What `gymnasium.make_vec` calls for robots with a task.
 
     Args:
-        num_envs: how many.
-        name: as for `make_gymnasium_environment`.
         threads: on how many cores; all when None.
         render_mode: None: these draw nothing.
         **options: of `make_environment`.

@@ -100,7 +100,6 @@ class RobotSettings(Settings):
         )
 
     def _home(self, robot: SerialRobot) -> Array:
-        """Where the robot stands before the first episode."""
         limits = robot.position_limits
         if isinstance(self.start, str):
             home = np.asarray(robot.home, np.float64)
@@ -170,7 +169,6 @@ def make_environment(name: str, **options: Any) -> Environment:
 
 
 def _known(options: dict[str, Any], *kinds: type[Declaration]) -> dict[str, Any]:
-    """The options, if all of them are fields of one of these."""
     fields = [field for kind in kinds for field in kind.model_fields]
     problems = [
         Problem(key, "unknown option", available=fields) for key in options if key not in fields

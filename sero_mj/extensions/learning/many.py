@@ -17,18 +17,14 @@ import numpy as np
 from ...base.errors import Problem
 from ...base.frames import Array, Bools
 from ...robots.declared.mounts import base_frames, unmounted
-from ...simulate.control.joint_control import JointImpedanceController
-from ...simulate.control.make_controller import make_controller
-from ...simulate.control.model_rows import ModelRows
+from ...simulate.control.make_controller import LimitedController, make_controller
+from ...simulate.control.robot_models import RobotModels
 from ...simulate.control.torque_loop import HangingLinks
-from ...simulate.controlled_robot import RobotControl
 from ...simulate.drives import Drives
-from ...simulate.due_actions import DueActions
-from ...simulate.fault_schedule import FaultSchedule
-from ...simulate.plant_rows import PlantRows
-from ...simulate.rows import ManyRows
+from ...simulate.event_schedule import DueActions, FaultSchedule
+from ...simulate.plant import PlantRows
+from ...simulate.robot_control import RobotControl
 from ...simulate.runs.run_log import MEASURED
-from ...simulate.sensors import Sensors
 from .actions import checked_action
 from .environment import Environment
 from .tasks import ManyEpisodes, ManyStates
@@ -150,7 +146,7 @@ class ManyEnvironments:
     @property
     def _time(self) -> Array:
         """Since the start of the episode, (m,), s."""
-        return np.concatenate([lane.batch.bind("time") for lane in self.lanes])
+        return np.concatenate([lane.plant.physics.bind("time") for lane in self.lanes])
 
     def _simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
         """Simulates a control step of some environments; returns where it has become unstable."""
@@ -165,7 +161,6 @@ class ManyEnvironments:
         return np.concatenate([simulate(first), *(each.result() for each in waited)])
 
     def _states_now(self) -> ManyStates:
-        """Where the robots are."""
         angles, measured = (
             np.concatenate([getattr(lane.plant, key)[:, 0] for lane in self.lanes])
             for key in ("actual", "measured")
@@ -194,15 +189,9 @@ class ManyEnvironments:
 class Lane:
     """The robots that one thread simulates.
 
-    Args:
-        environment: one of them.
-        rows: which of all robots they are, one after the other.
-        task: what is done.
-
     Attributes:
         rows: as given.
         plant: the robots, with their sensors.
-        batch: MuJoCo's simulations of them.
         action: what agents command.
     """
 
@@ -210,10 +199,10 @@ class Lane:
         m, n = rows.stop - rows.start, environment.robot.n
         self.rows, self._environment, self._has_pushes = rows, environment, task.pushes
         world, scenario = environment.world, environment.scenario
-        self._worlds = ManyRows(world.physics_model(), m, is_pushed=task.pushes)
-        self.batch = self._worlds.batch
-        sensors = Sensors.joined([scenario.make_sensors(0) for _ in range(m)])
-        self.plant = plant = PlantRows(world, self._worlds, sensors)
+        sensors = [scenario.make_sensors(0) for _ in range(m)]
+        self.plant = plant = PlantRows(world, sensors, is_pushed=task.pushes)
+        for row in range(m):
+            plant.reset(row)
         self._drives = None
         if environment.simulation.drives is not None:
             self._drives = Drives(plant, environment.simulation.robots, scenario.run)
@@ -222,13 +211,15 @@ class Lane:
         self._faults = [DueActions(scenario.run.timestep) for _ in range(m)]
         self._k = np.zeros(m, np.intp)  # steps since the beginning of the episode
         self.action = environment.settings.make_action(environment.robot, scenario.run.timestep)
-        robot, drives = environment.robot, self._drives
-        simulation = environment.simulation
+        robot, drives, simulation = environment.robot, self._drives, environment.simulation
         standing = unmounted(robot, base_frames(simulation.robots)[robot.name])
-        models = ModelRows(simulation.robot_model(standing), m)
-        self._control = RobotControl(standing, plant, self._drive)
+        models = RobotModels([simulation.robot_model(standing)], m)
         declared, timestep = self.action.controller, scenario.run.timestep
-        self._control.use_limited(make_controller(declared, models, timestep, robot.torque_limits))
+        one = make_controller(
+            declared, simulation.robot_model(standing), timestep, robot.torque_limits
+        )
+        self._control = RobotControl([standing], plant, self._drive)
+        self._control.use(LimitedController.joined([one] * m, 1, models))
         if plant.joints.elastic and drives is not None and drives.loop is not None:
             stiffness, home = drives.gains[robot.name].stiffness, np.tile(robot.home, (m, 1))
             self._control.hanging = HangingLinks(stiffness, None, models, home)
@@ -236,21 +227,23 @@ class Lane:
             self._find_flange()
 
     def _find_flange(self) -> None:
-        """Finds where pushes act."""
-        world = self._environment.world
+        world, physics = self._environment.world, self.plant.physics
         frame = world.frames.names.index(f"{self._environment.robot.name}/flange")
         self._site = int(world.frames.site[frame])
         self._body = int(world.model.site_bodyid[self._site])
-        self._points: Array = self.batch.bind("site_xpos")
-        self._centers: Array = self.batch.bind("xipos")
-        self._pushes: Array = self.batch.bind("xfrc_applied")
+        self._points: Array = physics.bind("site_xpos")
+        self._centers: Array = physics.bind("xipos")
+        self._pushes: Array = physics.bind("xfrc_applied")
 
     def place(self, k: int) -> None:
         """Puts robot k where that of the environment is."""
-        self.plant.place(k, self._environment.plant)
+        seed, angles = self._environment.plant.sensors.seed, self._environment.plant.actual[0]
+        plant = self.plant.row(k)
+        plant.sensors.seed = seed
+        self.plant.reset(k, angles)
         self._k[k], self._gains[k] = 0, 1.0
         self._faults[k] = due = DueActions(self._environment.scenario.run.timestep)
-        FaultSchedule(self._environment.scenario, self.plant.row(k), due, self._gains[k])
+        FaultSchedule(self._environment.scenario, plant, due, self._gains[k])
 
     def begin(self, which: Bools) -> None:
         """Begins an episode of some of the robots, which have been placed, (m,)."""
@@ -259,9 +252,7 @@ class Lane:
         if self._drives is not None:
             self._drives.reset(which)
         self.action.begin(self._control.target, self.plant.actual[which, 0], which)
-        law = self._control.controller.controller
-        if isinstance(law, JointImpedanceController):
-            law.begin(which)
+        self._control.controller.controller.begin(which)
         if self._control.hanging is not None:
             home = np.asarray(self._environment.robot.home)
             self._control.hanging.begin(which, home, self.plant.motor_angles)
@@ -282,7 +273,7 @@ class Lane:
         if self._has_pushes:
             self._begin_pushes(forces)
         action.take(actions)
-        self._worlds.begin(which)
+        plant.physics.begin(which)
         substeps = self._environment.substeps
         is_plain = self._drives is None and plant.sensors.is_perfect
         is_plain &= not self._environment.scenario.faults
@@ -295,10 +286,10 @@ class Lane:
             if self._has_pushes:
                 self._push()
             move(control.commanded * self._gains)
-        return self._worlds.unstable.copy()
+        plant.failed.clear()
+        return plant.physics.unstable.copy()
 
     def _begin_faults(self, which: Bools) -> None:
-        """Lets faults begin and end that are due now in some of the robots."""
         if self._environment.scenario.faults:
             for row in np.flatnonzero(which).tolist():
                 self._faults[row].act(int(self._k[row]))
@@ -308,7 +299,7 @@ class Lane:
         """Lets forces at the flanges, (m, 3), act in the next control step.
 
         All robots are pushed at the same point all the time, so that one sum does for all of them;
-        pushes of single rows (`PlantRow.push`) would take as long as the rest of a step.
+        pushes of single rows (`Plant.push`) would take as long as the rest of a step.
         """
         self._pushes[:, self._body, :3] = forces
         x, y, z = forces.T
@@ -318,7 +309,6 @@ class Lane:
         self._turning = np.moveaxis(np.array(rows), 2, 0).copy()
 
     def _push(self) -> None:
-        """Lets the forces act at where the flanges are now."""
         arms = self._points[:, self._site] - self._centers[:, self._body]
         self._pushes[:, self._body, 3:] = np.matmul(self._turning, arms[..., None])[..., 0]
 

@@ -34,10 +34,6 @@ _FROM_LIMITS = 0.05  # share of a joint's range that sampled poses keep from eit
 class AgentRobot:
     """The simulated robot that an agent drives, as tasks see it.
 
-    Args:
-        simulation: that it is in.
-        name: of the robot.
-
     Attributes:
         simulation: of the current episode.
         name: as given.
@@ -54,7 +50,7 @@ class AgentRobot:
 
     def base(self) -> Array:
         """T_world_base now, (4, 4), m; of a mounted robot it moves with what carries it."""
-        self.plant.rows.look_ahead()
+        self.plant.rows.physics.look_ahead()
         data, body = self.plant.data, self.plant.world.robots[self.name].bodies[0]
         return frame(data.xmat[body].reshape(3, 3), data.xpos[body])
 
@@ -104,7 +100,6 @@ class AgentRobot:
         raise SimulationError(0.0, robot.name, f"{reason}; expected other limits, or a start")
 
     def _touches(self, data: mujoco.MjData) -> bool:
-        """Whether it touches what it should not in a pose."""
         if not data.ncon or not self.declared.free_base:
             return bool(data.ncon)
         model = self.plant.model
@@ -117,7 +112,6 @@ class ManyStates:
 
     Args:
         angles: (m, n), true, rad or m.
-        measured_angles: likewise, as they are measured.
         flanges_at: T_world_flange, (m, 4, 4), m, of joint angles.
 
     Attributes:
@@ -218,7 +212,6 @@ def closeness(distance: Any, within: float, margin: float) -> Any:
 
     Args:
         distance: from 0; a number or an array.
-        within: up to which it is as good as none, in the same unit.
         margin: that far beyond the reward is 0.1.
 
     Source: Tunyasuvunakool et al. 2020, dm_control: Software and Tasks for Continuous Control,

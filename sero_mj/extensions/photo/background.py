@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 from ...base.errors import UsageError
 from ...base.options import Options
-from ...cli.background import Background
 from ...cli.render import RenderOptions, film_with_progress
+from ...cli.shared_options import Background
 from ...cli.terminal import make_console
 from .camera_feed import CameraFeed, VideoFeed
 from .camera_file import read_camera
@@ -23,14 +23,13 @@ if TYPE_CHECKING:
     from ...cli.shared_options import OverOptions
     from ...data.drive.mirror import Mirror
     from ...robots.declared.scene import Scene
-    from ...viewer.window.host import Viewport
+    from ...viewer.window.viewport import Viewport
 
 
 class Photos(Background):
     """Photos and videos in files, and live cameras."""
 
     def render(self, options: Options, over: Path) -> list[str]:
-        """See `render_picture_over` and `render_film_over`."""
         assert isinstance(options, RenderOptions)
         assert options.camera_file is not None
         if is_photo(over):
@@ -66,7 +65,6 @@ class Photos(Background):
 
     @contextlib.contextmanager
     def viewport(self, mirror: Mirror, options: OverOptions) -> Iterator[Callable[..., Viewport]]:
-        """See `PhotoViewport`."""
         from .photo_viewport import PhotoViewport
 
         with contextlib.closing(open_feed(mirror, options)) as feed:
@@ -96,11 +94,7 @@ def offset_of_video(
     """Returns when a video begins in a recording or scenario, s: as given, else estimated.
 
     Args:
-        scene: with the recording.
-        video: the file.
-        camera_file: see `camera_file`.
         offset: as given; found by the motion in both when it is not.
-        quiet: nothing is said.
     """
     if isinstance(offset, float) or not scene.sources:
         return float(offset or 0.0)

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from .photo_camera import PhotoCamera
 
 _CAREFUL = 6.0  # pixels that clicks are off at most
-_EPILOG = """\
+_HELP = """\
 examples:
   sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 -o cell.toml
   sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 \\
       --points points.csv --camera-file intrinsics.yaml -o cell.toml
-  sero-mj render lwr_udp -o now.png --over photo.png --camera-file cell.toml
+  sero-mj calibrate photo.png --robot lwr_udp --replay run.mcap --start 2 -o cell.toml
 
 Without --points a window shows the photo beside a list of points and a sketch of the robot: click
 where the photo shows the one that is marked; from the fourth on it says how far off each is, and
@@ -49,7 +49,7 @@ frame or a joint (the middle of its axis), perhaps with an offset in m along the
 With intrinsics (--camera-file, OpenCV's or ROS's) 4 points do, 8 are better; without them the focal
 length is found from 6 or more, for a lens without distortion.
 """
-ORDER = 16  # in the help of `sero-mj`
+GROUP, ORDER = "see", 16
 
 
 class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
@@ -87,13 +87,7 @@ def run(options: CalibrateOptions) -> int:
                 "which pixel shows which point of the robot"
             )
         os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo takes its OpenGL from the window here
-    from .calibration import (
-        calibrate,
-        point_names,
-        point_of,
-        read_points,
-        write_points,
-    )
+    from .calibration import calibrate, point_names, point_of, read_points, write_points
     from .camera_file import ENDINGS, write_camera
     from .footage import read_photo
 
@@ -130,11 +124,10 @@ def run(options: CalibrateOptions) -> int:
     return 0
 
 
-add_to = command("calibrate", run, CalibrateOptions, _EPILOG)
+add_to = command("calibrate", run, CalibrateOptions, _HELP)
 
 
 def _scene_of_photo(options: CalibrateOptions) -> Scene:
-    """Returns the scene with the joint angles, or the recording, given in the options."""
     scene = read_scene(options.robot, options.settings, replay=options.replay)
     if options.joint_angles is not None:
         if len(scene.robots) != 1:
@@ -153,7 +146,6 @@ def _scene_of_photo(options: CalibrateOptions) -> Scene:
 
 
 def _lens(camera_file: Path | None, size: tuple[int, int]) -> PhotoCamera:
-    """Returns the lens from a file, else one whose focal length is to be estimated."""
     from .camera_file import read_intrinsics
     from .photo_camera import PhotoCamera
 
@@ -164,7 +156,6 @@ def _lens(camera_file: Path | None, size: tuple[int, int]) -> PhotoCamera:
 
 
 def _pose(scene: Scene, *, is_replayed: bool) -> tuple[World, Any]:
-    """Returns the world and its state: as declared, or as recorded."""
     from ...data.drive.mirror import Mirror
     from ...data.drive.place import Placer
     from ...robots.assemble.world import World
@@ -180,14 +171,12 @@ def _pose(scene: Scene, *, is_replayed: bool) -> tuple[World, Any]:
 
 
 def _points_beside(output: Path) -> Path:
-    """Returns the file of clicked points that belongs to a camera file."""
     return output.with_name(f"{output.stem}_points.csv")
 
 
 def _click(
     options: CalibrateOptions, world: Any, data: Any, pixels: Any, lens: PhotoCamera
 ) -> list[ClickedPoint]:
-    """Lets the user click points in a window."""
     from .calibration import ClickedPoint, point_of, points_apart
     from .point_board import PointBoard
     from .point_window import PointWindow

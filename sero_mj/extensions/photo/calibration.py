@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UsageError, problems_of, reason_of
+from ...base.errors import DeclarationError, Problem, UsageError, mismatch, problems_of, reason_of
 from ...base.frames import Array, Bools, frame, inverse
 from ...base.paths import open_file
 from ...base.toml_file import key_lines, located, read_toml
@@ -49,10 +49,8 @@ class ClickedPoint:
     """A point of the robot in a photo.
 
     Attributes:
-        name: of a frame or joint.
         pixel: (2,), to the right and down from the centre of the upper left pixel.
         offset: along the axes of the frame, (3,), m.
-        place: in its file, for messages.
     """
 
     name: str
@@ -66,7 +64,6 @@ class Calibration:
     """The result of a calibration.
 
     Attributes:
-        camera: the camera.
         errors: reprojection error of each point, (k, 2), pixels.
         used: whether each point was used, (k,); the others are outliers.
         position_error: standard error of its position, (3,), m.
@@ -91,7 +88,6 @@ def point_names(world: WorldView) -> list[str]:
 
 
 def _joints(world: WorldView) -> dict[str, int]:
-    """The joints of robots by `robot/joint`, and their indices."""
     found: dict[str, int] = {}
     for name, part in world.owners.items():
         if name in world.robots:
@@ -104,10 +100,6 @@ def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
     """Names of points to click, robot by robot from its base to its flange.
 
     Frames of links that coincide with a joint are left out.
-
-    Args:
-        world: the compiled scene.
-        data: its state, with frames up to date.
     """
     ends = [name for name in world.frames.names if not _LINK.fullmatch(name.partition("/")[2])]
     found: dict[str, Array] = {}
@@ -157,7 +149,7 @@ def full_name(world: WorldView, name: str) -> str:
     if len(ends) == 1:
         return ends[0]
     if ends:
-        raise Problem(found=name, expected=f"one of {', '.join(ends)}").error()
+        raise mismatch(name, f"one of {', '.join(ends)}")
     short = [each.partition("/")[2] for each in names] if "/" not in name else []
     raise Problem("", "no frame or joint", found=name, available=short or names).error()
 
@@ -166,9 +158,6 @@ def point_of(world: WorldView, data: mujoco.MjData, name: str, offset: Array) ->
     """Returns a point (3,) in the world, m.
 
     Args:
-        world: the compiled scene.
-        data: its state, with frames up to date.
-        name: of `point_names`.
         offset: along the frame's axes, (3,), m.
     """
     joints = _joints(world)
@@ -185,11 +174,6 @@ def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[Cli
 
     A .csv has columns `point,x,y` and, if wanted, `dx,dy,dz`; TOML has tables `[[points]]` with
     `point`, `pixel = [x, y]` and `offset = [dx, dy, dz]`.
-
-    Args:
-        path: the file.
-        world: whose frames and joints are named.
-        size: width and height of the photo, pixels.
 
     Raises:
         DeclarationError: with all errors.
@@ -282,9 +266,6 @@ def calibrate(
     """Computes the pose of a camera.
 
     Args:
-        names: of the points, for messages.
-        points: in the world, (k, 3), m.
-        pixels: (k, 2), as OpenCV counts them.
         camera: with its known lens parameters; its pose is not used.
         find_focal: whether to estimate its focal length as well, equal for x and y.
 
@@ -332,7 +313,6 @@ def _rms(errors: Array) -> float:
 
 
 def _check_ambiguity(found: PhotoCamera, points: Array, pixels: Array) -> None:
-    """Raises UsageError if another camera fits coplanar points nearly as well."""
     cv2 = opencv()
     rays = found.undistort(pixels)[:, None]
     _, turns, shifts, _ = cv2.solvePnPGeneric(
@@ -351,21 +331,17 @@ def _check_ambiguity(found: PhotoCamera, points: Array, pixels: Array) -> None:
 
 
 def _placed(camera: PhotoCamera, turn: Array, shift: Array) -> PhotoCamera:
-    """The camera at OpenCV's rvec and tvec."""
     rotation = opencv().Rodrigues(np.asarray(turn, float))[0]
     T_camera_world = frame(rotation, np.asarray(shift, float).ravel())
     return replace(camera, T_world_camera=inverse(T_camera_world))
 
 
 class _Solver:
-    """Finds one camera from points without outliers."""
-
     def __init__(self, camera: PhotoCamera, *, find_focal: bool) -> None:
         self._camera = camera
         self._find_focal = find_focal
 
     def solve(self, points: Array, pixels: Array) -> PhotoCamera:
-        """Returns the camera that sees points (k, 3) at pixels (k, 2) best."""
         if not self._find_focal:
             return self._pose(self._camera, points, pixels)
         low, high = np.log(np.array(_FOCAL) * max(self._camera.width, self._camera.height))
@@ -449,8 +425,6 @@ class _Solver:
     def standard_errors(
         self, found: PhotoCamera, points: Array, errors: Array
     ) -> tuple[Array, float]:
-        """Of the position (3,), m, and of the focal length, pixels, by linear regression."""
-
         def moved(step: Array) -> Array:
             turn = opencv().Rodrigues(step[:3])[0]
             T = found.T_world_camera @ frame(turn)

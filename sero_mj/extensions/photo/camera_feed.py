@@ -37,11 +37,6 @@ class CameraFeed:
             address that OpenCV opens, `rtsp://...` or `/dev/video0`.
         camera_file: of the camera, see `camera_file`.
 
-    Attributes:
-        what: likewise.
-        name: what it is called.
-        camera: as its file says.
-
     Raises:
         RenderError: it sends no picture.
         DeclarationError: the camera file is wrong, or of pictures of another size.
@@ -85,18 +80,13 @@ class CameraFeed:
         return bool(self._error)
 
     def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
-        """Returns the number of the newest picture, from 1, and its pixels (height, width, 3).
-
-        Args:
-            time: that is shown, s; has no meaning here.
-        """
+        """Returns the number of the newest picture, from 1, and its pixels (height, width, 3)."""
         with self._changed:
             assert self._pixels is not None  # there is one since it is opened
             return self._number, self._pixels
 
     @property
     def piece(self) -> Piece:
-        """Its piece of the status line."""
         with self._changed:
             age, interval = time.monotonic() - self._arrival, self._interval
             wrong, error = self._wrong_size, self._error
@@ -109,7 +99,6 @@ class CameraFeed:
         return f"{self.name}: {rate:.0f}/s", "good"
 
     def close(self) -> None:
-        """Ends reading; harmless when it is closed."""
         self._closing.set()
         self._thread.join(2.0)
 
@@ -155,7 +144,6 @@ class CameraFeed:
             self._changed.notify_all()
 
     def _play(self) -> None:
-        """Plays a file once."""
         with Video(Path(self.what)) as video:
             begin = time.monotonic()
             for at, pixels in video.frames():
@@ -165,7 +153,6 @@ class CameraFeed:
             self._closing.wait(1.0 / video.fps)
 
     def _film(self) -> None:
-        """Reads a camera until it stops sending."""
         cv2: Any = opencv()
         logging = cv2.utils.logging  # its messages are shown in the status line instead
         logging.setLogLevel(logging.LOG_LEVEL_SILENT)
@@ -191,12 +178,9 @@ class VideoFeed:
     Frames are decoded on a separate thread: while that seeks, the last one is kept.
 
     Args:
-        path: the video.
         camera_file: of the camera, see `camera_file`.
-        offset: time that is shown, s, at the first frame.
 
     Attributes:
-        name: what it is called.
         camera: as its file says.
 
     Raises:
@@ -228,11 +212,7 @@ class VideoFeed:
             )
 
     def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
-        """Returns the number and the pixels (height, width, 3) of the newest frame that is read.
-
-        Args:
-            time: that is shown, s; the frame of this time is read next.
-        """
+        """Returns the number and the pixels (height, width, 3) of the newest frame that is read."""
         with self._changed:
             self._wanted = time - self._offset
             self._changed.notify_all()
@@ -242,7 +222,6 @@ class VideoFeed:
 
     @property
     def piece(self) -> Piece:
-        """Its piece of the status line."""
         with self._changed:
             wanted, error = self._wanted, self._error
         if error:
@@ -254,7 +233,6 @@ class VideoFeed:
         return f"{self.name}: {wanted:.1f} s", "good"
 
     def close(self) -> None:
-        """Ends reading; harmless when it is closed."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -278,11 +256,9 @@ class VideoFeed:
 
     @property
     def _sought(self) -> float:
-        """The requested time, clipped to the video's duration, s."""
         return max(self._wanted, 0.0)
 
     def _read_on(self) -> None:
-        """Reads frames sequentially at their times, until another part is requested."""
         last: tuple[float, Pixels] | None = None
         for frame in self._video.frames(self._sought):
             if last is not None and frame[0] > self._sought:
@@ -310,7 +286,6 @@ class VideoFeed:
 
 
 def _size_in(camera_file: Path) -> tuple[int, int] | None:
-    """The size of pictures that a camera file is for."""
     from .camera_file import read_intrinsics
 
     camera = read_intrinsics(camera_file)

@@ -24,7 +24,15 @@ from typing import Any
 import numpy as np
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UsageError, did_you_mean, problems_of, shown
+from ...base.errors import (
+    DeclarationError,
+    Problem,
+    UsageError,
+    did_you_mean,
+    mismatch,
+    problems_of,
+    shown,
+)
 from ...base.frames import Array, frame_from, quat_from_rotation
 from ...base.paths import read_file
 from ...base.toml_file import read_toml
@@ -55,7 +63,6 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
     """Reads a camera with its pose in the world.
 
     Args:
-        path: the file.
         size: width and height of its picture, pixels; None for the file's.
 
     Raises:
@@ -101,8 +108,6 @@ def _checked(path: Path, camera: PhotoCamera, place: Array) -> PhotoCamera:
 
 
 def _table(path: Path) -> dict[str, Any]:
-    """The keys of a file, by our names."""
-
     def wrong(message: str, key: str = "", line: int | None = None) -> DeclarationError:
         return Problem(key, message, str(path), line).error()
 
@@ -165,16 +170,13 @@ def _yaml(path: Path) -> dict[str, Any]:
 
 
 def _numbers(value: Any) -> Array:
-    """An array of a list, or of `rows`, `cols` and `data`; raises ValueError."""
     if isinstance(value, Mapping):
         if "data" not in value:
             raise ValueError(f"found {', '.join(map(str, value))}; expected rows, cols and data")
         data = _numbers(value["data"])
         shape = [value[key] for key in ("rows", "cols") if isinstance(value.get(key), int)]
         if len(shape) == 2 and np.prod(shape) != data.size:
-            raise Problem(
-                found=data.size, of="numbers", expected=f"{shape[0]} x {shape[1]}"
-            ).error()
+            raise mismatch(data.size, f"{shape[0]} x {shape[1]}", of="numbers")
         return data
     if isinstance(value, list) and any(isinstance(each, str) for each in value):
         with contextlib.suppress(ValueError):  # YAML takes 1e-05, without a point, for a text
@@ -185,7 +187,6 @@ def _numbers(value: Any) -> Array:
 def _camera(
     path: Path, table: dict[str, Any], size: tuple[int, int] | None, problems: list[Problem]
 ) -> PhotoCamera | None:
-    """Its lens; what is wrong is added to `problems`."""
     matrix = _matrix(table, problems)
     model, distortion = _distortion(table, problems)
     sides: list[int] = []
@@ -306,16 +307,7 @@ def _place(table: dict[str, Any], problems: list[Problem]) -> Array | None:
 
 
 def write_camera(path: Path, camera: PhotoCamera, note: str = "") -> None:
-    """Writes a camera file, TOML or YAML in ROS's layout with our `frame`.
-
-    Args:
-        path: the file, which is replaced.
-        camera: what to write.
-        note: lines of a comment.
-
-    Raises:
-        UsageError: the file cannot be written, or has another ending.
-    """
+    """Writes a camera file, TOML or YAML in ROS's layout with our `frame`."""
     if path.suffix.lower() not in ENDINGS:
         raise UsageError(f"{path}: expected a name that ends in {', '.join(ENDINGS)}")
     text = "".join(f"# {line}\n" for line in note.splitlines())

@@ -48,11 +48,7 @@ def read_photo(path: Path) -> Pixels:
 class Video:
     """A video, read from its beginning; a context manager.
 
-    Args:
-        path: the file.
-
     Attributes:
-        path: the file.
         size: width and height of its frames as they are to be seen, pixels.
         fps: frames per second, on average.
         duration: s; 0 where the file does not say.
@@ -119,7 +115,6 @@ class Video:
                 raise RenderError(f"{self.path}: cannot be read: {reason_of(error)}") from error
 
     def close(self) -> None:
-        """Closes the file."""
         self._container.close()
 
     def __enter__(self) -> Video:

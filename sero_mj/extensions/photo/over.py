@@ -16,10 +16,9 @@ from ...robots.declared.scene import Scene
 from ...viewer.decor.font import line_height
 from ...viewer.decor.picture_view import PictureView
 from ...viewer.image.film import check_film, default_fps
-from ...viewer.image.film_kinds import FILMS
 from ...viewer.image.held_torques import HeldTorques
 from ...viewer.image.painter import Painter, perform_clicks
-from ...viewer.image.picture_options import PictureOptions, Quality
+from ...viewer.image.picture_options import FILMS, PictureOptions, Quality
 from ...viewer.image.render import (
     MAX_SIDE,
     QUALITIES,
@@ -29,12 +28,7 @@ from ...viewer.image.render import (
     render_picture,
     write_film,
 )
-from ...viewer.image.renderer import (
-    CLASSIC,
-    SceneRenderer,
-    choose_renderer,
-    renderers,
-)
+from ...viewer.image.renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
 from ...viewer.image.scene_decor import SceneDecor
 from ...viewer.image.typesetting import Typesetter, compose
 from .camera_file import read_camera
@@ -47,12 +41,6 @@ log = logging.getLogger(__name__)
 
 class PhotoRenderer(Painter):
     """Renders the decor of a world over photos of one camera; a context manager.
-
-    Args:
-        world: what is in the photos.
-        camera: of the photos.
-        quality: see `HeadlessRenderer`.
-        renderer: likewise.
 
     Attributes:
         renderer: which one draws.
@@ -89,7 +77,6 @@ class PhotoRenderer(Painter):
         """Returns a photo with decor over it.
 
         Args:
-            data: the world's state, with frames up to date.
             photo: (height, width, 3), uint8, of the camera's size; the one of this when None.
         """
         photo = self.photo if photo is None else photo
@@ -118,11 +105,7 @@ def render_picture_over(
     """Renders the current state of a scene over a photo, or over a frame of a video.
 
     Args:
-        scene: what to show.
-        path: of the picture; .png, or another format of Pillow.
-        options: of the picture, whose size, camera and eyes are those of the photo.
         over: the photo, or a video, of which the frame of that time is taken.
-        camera_file: see `camera_file`.
         at: time of recordings and simulations, s after their start; None for the start, or for the
             first frame of a video.
         offset: time of these at the first frame of a video.
@@ -164,11 +147,6 @@ def render_film_over(
     Frames of before it began or after it ended are left as they are.
 
     Args:
-        scene: what to show; its sources are recordings or simulated.
-        path: of the film; .mp4, .webm or .gif.
-        options: of the pictures. Clicks are performed before the first frame that shows data.
-        over: the video.
-        camera_file: see `camera_file`.
         offset: time of the recording, s since it began, at the first frame of the video; see
             `video_offset.find_offset`.
         duration: of the film, s; None for the video's.

@@ -33,13 +33,9 @@ class PhotoPainter:
     """Draws decor over photos of one camera.
 
     Args:
-        world: what is shown.
-        camera: of the photos.
         largest: width and height, pixels, that the host can draw.
-        scale: see `PlanePicture`.
 
     Attributes:
-        camera: the camera.
         size: width and height, pixels, that the host has to draw.
     """
 
@@ -60,13 +56,7 @@ class PhotoPainter:
         font: Font,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> PhotoView:
-        """Sets a scene's camera to that of the photos, and removes the floor.
-
-        Args:
-            scene: that `mjv_updateScene` has filled, before decor is added.
-            font: of the host's labels.
-            inset: see `PictureView`.
-        """
+        """Sets a scene's camera to that of the photos, and removes the floor."""
         self._plane.look(scene)
         for name in _FLAGS:
             scene.flags[int(getattr(mujoco.mjtRndFlag, name))] = 0
@@ -83,7 +73,6 @@ class PhotoPainter:
 
         Args:
             photo: (height, width, 3) of the camera's size.
-            scene: with decor.
             draw: draws the scene in `size`, top row first.
         """
         masked = self._masked(scene)
@@ -104,7 +93,6 @@ class PhotoPainter:
         return np.minimum(out, 255).astype(np.uint8)
 
     def _masked(self, scene: mujoco.MjvScene) -> list[mujoco.MjvGeom]:
-        """Returns the geoms that mask the photo: robots and objects, and an added background."""
         geoms = [
             geom
             for geom in scene.geoms[: scene.ngeom]
@@ -135,6 +123,5 @@ class PhotoPainter:
 
 
 def _colour(geoms: list[mujoco.MjvGeom], brightness: float) -> None:
-    """Makes geoms black (0) or white (1), independent of lighting."""
     for geom in geoms:
         geom.rgba, geom.emission = np.array([*[brightness] * 3, 1.0]), brightness

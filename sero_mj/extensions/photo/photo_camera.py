@@ -62,8 +62,6 @@ class PhotoCamera:
     """A calibrated camera.
 
     Attributes:
-        width: of its pictures, pixels.
-        height: likewise.
         matrix: OpenCV's camera matrix (3, 3): fx, fy, cx and cy, pixels.
         T_world_camera: where it is, (4, 4), m; x to the right, y down, z forward.
         distortion: coefficients in OpenCV's order; none for a lens without distortion.
@@ -79,7 +77,6 @@ class PhotoCamera:
 
     @property
     def is_distorted(self) -> bool:
-        """Whether its lens has distortion."""
         return bool(self.distortion.any()) or self.model == "equidistant"
 
     def resized(self, width: int, height: int) -> PhotoCamera:
@@ -93,9 +90,6 @@ class PhotoCamera:
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Projects points of the world.
-
-        Args:
-            points: (..., 3), m.
 
         Returns:
             pixels (..., 2), and depth along z (...), m; pixels of points behind the camera, and of
@@ -145,12 +139,10 @@ class PhotoCamera:
 
     @property
     def _fold(self) -> float:
-        """The minimum distance from the axis, at z = 1, at which the projection folds back."""
         return self._limits[0]
 
     @property
     def _largest_radius(self) -> float:
-        """Beyond which pixels are continued in a straight line."""
         return self._limits[1]
 
     @cached_property
@@ -191,7 +183,6 @@ class PhotoCamera:
 
     @cached_property
     def _some_rays(self) -> Array:
-        """Rays (k, k, 2) of pixels all over the picture; NaN where there is none."""
         return self.undistort(self._some_pixels)
 
     @property
@@ -248,14 +239,7 @@ class PhotoView(PictureView):
         font: Font = DEFAULT_FONT,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> PhotoView:
-        """Returns the view of a camera.
-
-        Args:
-            camera: of the photo.
-            near: distance of the near plane, m.
-            font: of the host's labels.
-            inset: see `PictureView`.
-        """
+        """Returns the view of a camera."""
         T = camera.T_world_camera
         return cls(
             position=T[:3, 3],
@@ -272,12 +256,10 @@ class PhotoView(PictureView):
         )
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """See `PictureView`."""
         pixels, depth = self.camera.project(points)
         return np.stack([pixels[..., 0] + 0.5, self._top - pixels[..., 1]], axis=-1), depth
 
     def at(self, pixels: Array, depth: Depth) -> Array:
-        """See `PictureView`."""
         flipped = np.stack([pixels[..., 0] - 0.5, self._top - pixels[..., 1]], axis=-1)
         rays = self.camera.undistort(flipped)
         K = self.camera.matrix
@@ -288,7 +270,6 @@ class PhotoView(PictureView):
 
     @property
     def _top(self) -> float:
-        """The centre of the upper row, from the lower edge."""
         return self.height - 0.5
 
 
@@ -299,7 +280,6 @@ class PlanePicture:
     drawn, which covers the photo, and the photo's pixels are looked up in it.
 
     Args:
-        camera: of the photo.
         largest: width and height that may be drawn, pixels.
         scale: drawn pixels per pixel of the photo, along a side.
 
@@ -354,7 +334,6 @@ class PlanePicture:
         )
 
     def look(self, scene: mujoco.MjvScene) -> None:
-        """Makes the camera of a scene, that `mjv_updateScene` has filled, this one."""
         T = self.camera.T_world_camera
         for camera in scene.camera:
             near = camera.frustum_near
@@ -369,7 +348,6 @@ class PlanePicture:
         """Returns the photo's pixels of a picture that was drawn.
 
         Args:
-            drawn: (height, width, 3) of `size`, top row first.
             outside: value of pixels that it does not have.
         """
         if self._maps is None:

@@ -9,10 +9,9 @@ from PIL import Image
 from ...robots.assemble.world_view import WorldView
 from ...viewer.decor.toggles import Toggles
 from ...viewer.image.film import Pixels
-from ...viewer.image.typesetting import Typesetter
 from ...viewer.session.status_line import Piece
 from ...viewer.window.glfw_window import GlWindow
-from ...viewer.window.host import Viewport
+from ...viewer.window.viewport import Pane, Viewport
 from .camera_feed import CameraFeed, VideoFeed
 from .over_photo import PhotoPainter
 
@@ -20,14 +19,7 @@ _BESIDE = (0.07, 0.08, 0.09, 1.0)  # of what is beside the picture
 
 
 class PhotoViewport(Viewport):
-    """The picture of a camera, as large as fits into a rectangle of a window.
-
-    Args:
-        world: the compiled scene.
-        toggles: what is shown.
-        context: of the window, current.
-        feed: the camera, or a video.
-    """
+    """The picture of a camera, as large as fits into a rectangle of a window."""
 
     def __init__(
         self,
@@ -45,23 +37,15 @@ class PhotoViewport(Viewport):
 
     @property
     def fixed(self) -> str:
-        """See `SceneDecor`."""
         return f"the view is that of {self._feed.name}"
 
     @property
     def pieces(self) -> list[Piece]:
-        """See `Viewport`."""
         return [self._feed.piece]
 
-    def update(
-        self,
-        data: mujoco.MjData,
-        camera: mujoco.MjvCamera,
-        rect: mujoco.MjrRect,
-        typesetter: Typesetter,
-        covered: float = 0.0,
-    ) -> None:
+    def update(self, data: mujoco.MjData, camera: mujoco.MjvCamera, pane: Pane) -> None:
         """See `Viewport`; the view is that of the feed's camera, and `camera` has no meaning."""
+        rect, typesetter, covered = pane
         of = self._feed.camera
         scale = min(rect.width / of.width, rect.height / of.height)
         size = max(round(of.width * scale), 1), max(round(of.height * scale), 1)
@@ -91,7 +75,6 @@ class PhotoViewport(Viewport):
         self.draw(data, painter.look(scene, typesetter.font, inset), scene)
 
     def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
-        """See `Viewport`; it is always drawn in full."""
         painter, photo, rect = self._painter, self._photo, self.rect
         if painter is None or photo is None:
             return

@@ -15,13 +15,7 @@ from PIL import Image, ImageDraw
 
 from ...base.errors import UsageError
 from ...base.frames import Array
-from ...viewer.image.typesetting import (
-    Placed,
-    Rgb,
-    Text,
-    Typesetter,
-    compose,
-)
+from ...viewer.image.typesetting import PlacedPanel, PlacedText, Rgb, Typesetter, compose
 from .calibration import Calibration, calibrate
 from .photo_camera import PhotoCamera
 
@@ -56,11 +50,8 @@ class PointBoard:
     """A list of points beside a photo.
 
     Args:
-        photo: (height, width, 3).
         names: of the points.
         points: in the world, (k, 3), m.
-        lens: of the camera.
-        find_focal: see `calibrate`.
         clicked: known pixels (2,) of points, by their index.
 
     Attributes:
@@ -95,11 +86,9 @@ class PointBoard:
 
     @property
     def panel_width(self) -> int:
-        """Of the list, pixels."""
         return round(_WIDTH * self._typesetter.font.height)
 
     def resize(self, width: int, height: int, line: int) -> None:
-        """Sets the size of the board, and the height of a line of its text, pixels."""
         self._size = (width, height)
         if line != self._typesetter.font.height:
             self._typesetter = Typesetter(line)
@@ -120,7 +109,6 @@ class PointBoard:
         self._solve()
 
     def press(self, key: str) -> None:
-        """Handles a key: `up`, `down`, `backspace`."""
         if key in ("up", "down"):
             self.chosen = (self.chosen + (1 if key == "down" else -1)) % len(self._names)
         elif key in ("backspace", "delete") and self.clicked:
@@ -130,7 +118,6 @@ class PointBoard:
             self._solve()
 
     def zoom(self, steps: float, x: float, y: float) -> None:
-        """Zooms the photo about a pixel of the board."""
         view, at = self._now(), np.array([x, y])
         if x < self.panel_width:
             return
@@ -141,7 +128,6 @@ class PointBoard:
         self._view = None if zoom <= least else _View(fixed - (at + 0.5 - middle) / zoom, zoom)
 
     def pan(self, right: float, down: float) -> None:
-        """Moves the photo with the pointer, pixels."""
         view = self._now()
         if self._view is not None:
             self._view = _View(view.centre - np.array([right, down]) / view.zoom, view.zoom)
@@ -166,7 +152,6 @@ class PointBoard:
         return np.asarray((pixels - view.centre) * view.zoom + middle - 0.5)
 
     def _choose_next(self) -> None:
-        """Chooses the next point that is not clicked, if there is one."""
         count = len(self._names)
         for k in range(count):
             if (self.chosen + k) % count not in self.clicked:
@@ -196,11 +181,9 @@ class PointBoard:
         return _LINE * self._typesetter.font.height
 
     def _first(self) -> float:
-        """Index of the first line of the list, below the title."""
         return 2.4 * self._row_height()
 
     def _shown(self) -> range:
-        """Which points the list shows: where there is no room for all, those about the chosen."""
         least = 5
         room = self._size[1] - self._first() - (len(_KEYS) + 4) * self._row_height()
         count = max(int((room - self.panel_width) / self._row_height()), least)
@@ -219,7 +202,6 @@ class PointBoard:
         return 0, round(top), self.panel_width, max(round(bottom - top), 1)
 
     def picture(self) -> Pixels:
-        """Returns the board, (height, width, 3)."""
         board = Image.new("RGB", self._size, _BESIDE)
         self._draw_photo(board)
         self._draw_marks(ImageDraw.Draw(board))
@@ -265,17 +247,17 @@ class PointBoard:
                 draw.line([x, y - _MARK, x, y + _MARK], ink, wide)
             draw.text((x + 7, y + 5), str(k + 1), colour, stroke_width=2, stroke_fill=(0, 0, 0))
 
-    def _panel(self) -> Placed:
+    def _panel(self) -> PlacedPanel:
         line, height = self._row_height(), self._size[1]
         pad = 0.6 * self._typesetter.font.height
         right = 0.70 * self.panel_width
-        texts: list[Text] = []
+        texts: list[PlacedText] = []
 
         def add(
             row: float, text: str, rgb: Rgb = _NAME, x: float = pad, *, strong: bool = False
         ) -> None:
             lower = height - row * line - self._typesetter.font.height
-            texts.append(Text(x, lower, text, rgb, is_strong=strong))
+            texts.append(PlacedText(x, lower, text, rgb, is_strong=strong))
 
         add(0.4, "where is it in the photo?", _DIM)
         add(1.3, self._names[self.chosen], _CHOSEN, strong=True)
@@ -310,10 +292,9 @@ class PointBoard:
         for k, key in enumerate(_KEYS):
             add(last + 0.2 + k, key, _DIM)
         pixels = self._typesetter.panel((self.panel_width, height), _PANEL, tuple(texts), False)
-        return Placed(0, 0, pixels)
+        return PlacedPanel(0, 0, pixels)
 
     def _wrapped(self, text: str, most: int) -> list[str]:
-        """A text in lines that fit the panel."""
         lines, room = [""], self.panel_width - 1.2 * self._typesetter.font.height
         for word in text.split():
             longer = f"{lines[-1]} {word}".strip()

@@ -22,11 +22,8 @@ class PointWindow:
     """Shows a board until its user is done; a context manager.
 
     Args:
-        world: the compiled scene, for a sketch of the robot.
         data: its state in the photo.
         points: of the board, in the world, (k, 3), m.
-        board: takes what the user does.
-        title: of the window.
         size: in screen coordinates.
 
     Attributes:
@@ -67,7 +64,6 @@ class PointWindow:
         return not self.gl.is_closing
 
     def run(self) -> bool:
-        """Shows it until it is closed; returns whether the user took what was found."""
         while self.frame():
             pass
         return self.is_done
@@ -117,7 +113,6 @@ class PointWindow:
         self.gl.swap()
 
     def close(self) -> None:
-        """Closes the window."""
         self.gl.close()
 
     def __enter__(self) -> PointWindow:

@@ -65,11 +65,6 @@ class FoundOffset:
 def find_offset(scene: Scene, path: Path, camera: PhotoCamera) -> FoundOffset:
     """Finds the start of a video of the robot.
 
-    Args:
-        scene: with recorded or simulated sources, which define the time.
-        path: the video.
-        camera: of the video.
-
     Raises:
         UsageError: one of them has no motion, they do not agree, or they agree at several offsets.
         SeroError: a problem of the scene, its sources or the video.
@@ -98,7 +93,6 @@ def _small(camera: PhotoCamera) -> PhotoCamera:
 
 
 def _swept(mirror: Mirror, camera: PhotoCamera, fps: float, end: float) -> Cells:
-    """The cells swept by the robots' outlines from frame to frame, (T, cells)."""
     cv2 = opencv()
     outlines = _Outlines(mirror.world)
     found: list[NDArray[np.float32]] = []
@@ -115,7 +109,6 @@ def _swept(mirror: Mirror, camera: PhotoCamera, fps: float, end: float) -> Cells
 
 
 def _changed(video: Video, camera: PhotoCamera, fps: float) -> Cells:
-    """The changes from frame to frame of a video, (T, cells)."""
     cv2 = opencv()
     found: list[NDArray[np.float32]] = []
     last: NDArray[np.float32] | None = None
@@ -150,7 +143,6 @@ class _Outlines:
         self._points = [_points_of(model, int(geom)) for geom in self._geoms]
 
     def draw(self, data: mujoco.MjData, camera: PhotoCamera) -> NDArray[np.uint8]:
-        """Returns a picture (height, width), 255 inside."""
         cv2 = opencv()
         picture = np.zeros((camera.height, camera.width), np.uint8)
         world = [
@@ -197,7 +189,6 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
     Args:
         swept: of the recording, (T, cells), from frame to frame.
         changed: of the video, (T', cells), likewise.
-        fps: frames per s of both.
 
     Raises:
         UsageError: no offset is clearly the best.
@@ -275,7 +266,6 @@ def correlate(swept: Cells, changed: Cells, least: int) -> tuple[NDArray[np.intp
 
 
 def _peak(scores: Array, best: int) -> float:
-    """The position of the peak between frames, by a parabola; -0.5 to 0.5."""
     if not 0 < best < len(scores) - 1:
         return 0.0
     left, middle, right = scores[best - 1 : best + 2]

@@ -19,7 +19,8 @@ from mcap.writer import MCAP0_MAGIC
 
 from ...base.errors import Problem, RecordingError, UnknownName
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
-from ...data.receive.source import LedJoint, Source
+from ...data.receive.led_robot import LedJoint
+from ...data.receive.source import Source
 from ...data.record.formats import mcap_header, open_recording
 from ...data.record.mcap_reader import NOT_CLOSED
 from ...data.record.recording import PacketFile, RecordedSource
@@ -73,7 +74,6 @@ def open_bag(
 
 
 def _why_no_bag(folder: Path) -> str:
-    """Describes why a folder without metadata is no recording."""
     found = sorted(each for each in folder.iterdir() if each.suffix.lower() in BAG_ENDINGS)
     if not found:
         return f"is a folder without {_METADATA} and without recordings, {_FILES}"
@@ -85,7 +85,6 @@ def _why_no_bag(folder: Path) -> str:
 
 
 def _reader_of_ros(path: Path) -> Any:
-    """Returns the class that reads recordings of ROS; raises RecordingError without `rosbags`."""
     try:
         from rosbags.highlevel import AnyReader
     except ImportError as error:
@@ -95,7 +94,6 @@ def _reader_of_ros(path: Path) -> Any:
 
 
 def _lacks_its_end(file: Path) -> bool:
-    """Whether a file is the begin of an MCAP file."""
     if file.suffix.lower() != ".mcap":
         return False
     with open_file(file) as opened:
@@ -105,7 +103,6 @@ def _lacks_its_end(file: Path) -> bool:
 
 
 def _why_unreadable(path: Path, error: Exception) -> str:
-    """Why a recording cannot be read, by the error of rosbags."""
     said = f"cannot be read: {error or type(error).__name__}"
     with suppress(OSError):
         file = (bag_file_in(path) if path.is_dir() else path) or path
@@ -141,8 +138,6 @@ class Bag(PacketFile):
             not have are left out. When None, each topic with the states of joints is a source of
             its name (`/arm/joint_states` is `arm_joint_states`), of the joints that its first
             message names.
-        tell: gets what a user should know of the messages, once or more.
-        is_json: whether it is MCAP with messages in JSON.
 
     Raises:
         RecordingError: it cannot be read, has no joint states, or a package is missing.
@@ -227,7 +222,6 @@ class Bag(PacketFile):
             self._tell_cut(cut)
 
     def _tell_cut(self, fault: str) -> None:
-        """Adds what is wrong with its end to the faults, with what there is of it."""
         count = self._reader.message_count
         seconds = max(self._reader.duration, 0) * 1e-9 if count else 0.0
         messages = f"{count} message{'' if count == 1 else 's'}"
@@ -245,7 +239,6 @@ class Bag(PacketFile):
         self.duration = max(ends, default=0.0)
 
     def _found(self, topics: Mapping[str, RosSource]) -> dict[str, RosSource]:
-        """Those of the declared sources whose topics there are."""
         there = {each.topic for each in self._reader.connections}
         found: dict[str, RosSource] = {}
         for name, declared in topics.items():
@@ -281,7 +274,6 @@ class Bag(PacketFile):
         return list(names or doubtful)
 
     def _named_by_topic(self) -> dict[str, RosSource]:
-        """A source for each topic with the states of joints, or one for what else moves a robot."""
         odometry = list(
             dict.fromkeys(e.topic for e in self._reader.connections if e.msgtype == ODOMETRY)
         )
@@ -329,10 +321,6 @@ class Bag(PacketFile):
     def packets(
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
-        """Iterates over a source's packets; see `PacketFile.packets`.
-
-        They begin with what messages up to half a second before `start` have told.
-        """
         source = self._source(name)
         joined, tells = source.joined(self._tell), dict(source.topics)
         if math.isfinite(start) and start > 0.0:
@@ -343,7 +331,6 @@ class Bag(PacketFile):
                 yield time, packet
 
     def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
-        """A source's newest packet at or before a time; see `PacketFile.last_before`."""
         self._source(name)
         end = (self._reader.end_time - self._begin) * 1e-9
         t, back = min(t, end), _BEFORE
@@ -354,7 +341,6 @@ class Bag(PacketFile):
             back *= _LONGER
 
     def why_no_source(self) -> str:
-        """Describes why no source is in it; see `PacketFile.why_no_source`."""
         if not self.nameless:
             return super().why_no_source()
         return (
@@ -363,7 +349,6 @@ class Bag(PacketFile):
         )
 
     def about_sources(self) -> str:
-        """Its sources in words: topics, numbers of messages, joints."""
         found = []
         for name, source in self.sources.items():
             topic = self._topics[name].topics[0][0]
@@ -373,11 +358,9 @@ class Bag(PacketFile):
 
     @property
     def attachments(self) -> tuple[str, ...]:
-        """The robot's description, if the bag has one."""
         return (DESCRIPTION,) if self._descriptions() else ()
 
     def read_attachment(self, name: str) -> bytes:
-        """Returns the robot's description; raises RecordingError and UnknownName."""
         topics = self._descriptions()
         if name != DESCRIPTION or not topics:
             raise UnknownName("file in the recording", name, self.attachments)
@@ -400,11 +383,9 @@ class Bag(PacketFile):
         return found
 
     def message_source(self, fields: Mapping[str, Any]) -> Ros2:
-        """Returns the receiver of topics with these fields."""
         return Ros2(**fields)
 
     def replay_table(self, name: str, source: Source | None) -> dict[str, Any]:
-        """Returns the table of a source that plays one of its sources, with its topics."""
         table = super().replay_table(name, source)
         if isinstance(source, RosSource):
             fields = source.model_dump(include=_FIELDS, exclude_unset=True)
@@ -412,7 +393,6 @@ class Bag(PacketFile):
         return table
 
     def lead(self, scene: Scene, source: str | None = None) -> Scene:
-        """Returns a scene with its only robot led by this recording; see `PacketFile.lead`."""
         return led_by(scene, self, self.nameless, self._read_parent_frames, source)
 
     def _read_parent_frames(self) -> dict[str, tuple[str, bool]]:
@@ -422,26 +402,21 @@ class Bag(PacketFile):
     def scenes(
         self, choose: str, source: str | None = None, wanted: Collection[str] = ()
     ) -> Iterator[str]:
-        """Yields scenes of the robot that messages name; see `PacketFile.scenes`."""
         return scenes_of_bag(self, choose, source, wanted)
 
     def described_scene(self) -> Path | None:
-        """Writes a scene of the robot that the recording describes; None if it describes none."""
         if DESCRIPTION not in self.attachments:
             return None
         return described_scene(self.read_attachment(DESCRIPTION).decode())
 
     def shipped_robots(self, source: str | None = None) -> list[str]:
-        """Returns the shipped robots with the joints of it or of one of its sources."""
         return shipped_robots_of(self, source)
 
     def close(self) -> None:
-        """Closes the file; harmless when it is not open."""
         if self._reader is not None and self._reader.stack is not None:
             self._reader.close()
 
     def _descriptions(self) -> list[str]:
-        """Topics with a robot's description."""
         return [
             each.topic
             for each in self._reader.connections
@@ -473,7 +448,6 @@ class Bag(PacketFile):
         return int(self._begin + round(seconds * 1e9))
 
     def _messages(self, topics: list[str]) -> Iterator[tuple[str, Any]]:
-        """Topics and messages that can be decoded."""
         for _, connection, raw in self._raw(topics):
             try:
                 yield connection.topic, self._decoded(connection, raw)
@@ -496,7 +470,6 @@ class Bag(PacketFile):
     def _joined_with(
         self, joined: JoinedPackets, tells: str, connection: Any, raw: bytes, time: float
     ) -> bytes | None:
-        """The packet that a message makes: its own bytes where it is malformed."""
         try:
             if connection.msgtype != TYPES[tells]:
                 raise MalformedMessage(f"{connection.topic} is of type {connection.msgtype}")

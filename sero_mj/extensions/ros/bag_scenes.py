@@ -32,7 +32,6 @@ def led_by(
 
     Args:
         scene: is not changed.
-        recording: of ROS.
         nameless: see `Bag`.
         parent_frames: see `Bag.parent_frames`.
         source: of the recording, that leads the robot; found by joint names when None.
@@ -67,12 +66,7 @@ def led_by(
 
 
 def _source_of(robot: SerialRobot, joints: Mapping[str, Sequence[str]]) -> str | None:
-    """The source whose joints are those of a robot, by their names; None where it is not clear.
-
-    Args:
-        robot: that is to be led.
-        joints: of each source, as its messages name them.
-    """
+    """Returns the source with a robot's joints, by their names; None if it is not clear."""
     if len(joints) == 1:
         return next(iter(joints))
     wanted = [robot.names[k] for k in robot.coupled.independent]
@@ -104,15 +98,7 @@ def _base_moves(
 
 
 def _first_pose(scene: Scene, source: str) -> dict[str, Any]:
-    """The pose of a robot at the beginning of what leads it, to which views are fitted.
-
-    Args:
-        scene: of one robot.
-        source: that leads it.
-
-    Returns:
-        its `joint_angles`, and its `base_frame` where the source moves that.
-    """
+    """Returns the first pose of a robot by the source that leads it; views are fitted to it."""
     ((name, robot),) = scene.robots.items()
     pose: dict[str, Any] = {"joint_angles": robot.home}
     with suppress(SeroError):
@@ -130,13 +116,7 @@ def _first_pose(scene: Scene, source: str) -> dict[str, Any]:
 
 
 def source_routes(robot: str, source: str, declared: Mapping[str, Any]) -> dict[str, str]:
-    """The routes from a source of ROS to a robot.
-
-    Args:
-        robot: its name.
-        source: its name.
-        declared: its table.
-    """
+    """The routes from a source of ROS to a robot. `declared`: its table."""
     states = declared.get("joint_states", "joint_states")
     events = ["joint_angles"] if states else []
     if states and not is_tf(states):

@@ -52,7 +52,6 @@ class Ros2(RosSource):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         topics = ", ".join(dict.fromkeys(topic for topic, _ in self.topics))
         return f"ROS 2 {topics}, domain {domain_number(self.domain)} of {self.host}"
 
@@ -63,7 +62,6 @@ class Ros2(RosSource):
         self.start_receiving(readers.receive, readers.participant.wake, f"ros2 {self.name}")
 
     def close(self) -> None:
-        """Leaves the domain; harmless when it is not open."""
         super().close()
         if self._readers is not None:
             self._readers.participant.close()
@@ -71,15 +69,7 @@ class Ros2(RosSource):
 
 
 class Readers:
-    """Reads a source's topics.
-
-    Args:
-        source: says what is read.
-        listener: gets the messages.
-
-    Attributes:
-        participant: of the domain.
-    """
+    """Reads a source's topics."""
 
     def __init__(self, source: Ros2, listener: Listener) -> None:
         self._source, self._listener = source, listener
@@ -111,7 +101,6 @@ class Readers:
             self._listener.hear(received)
 
     def _look(self) -> None:
-        """Finds out why nothing comes."""
         source = self._source
         if source.receiving:
             source.note_trouble("")
@@ -129,7 +118,6 @@ class Readers:
         source.note_trouble("; ".join(wrong) or "its publisher is silent")
 
     def _wrong_with(self, topic: str, kind: str, published: list[Publication]) -> list[str]:
-        """What is wrong with a topic, in words."""
         wrong = wrong_with(topic, kind, ((each.topic, each.kind) for each in published))
         if wrong:
             return [wrong]
@@ -149,8 +137,6 @@ class Publication:
 
     Attributes:
         topic: with a `/` before it.
-        kind: type of its messages, as ROS has it.
-        is_reliable: whether lost messages are sent again.
         is_kept: whether late readers get the last messages (transient local).
     """
 
@@ -179,12 +165,7 @@ class Reader:
 
 
 class Writer:
-    """A writer of a topic: raw messages.
-
-    Args:
-        writer: of Cyclone DDS.
-        kind: its type, that `raw_type` has made.
-    """
+    """A writer of a topic: raw messages. `kind`: its type, that `raw_type` has made."""
 
     def __init__(self, writer: Any, kind: Any) -> None:
         self.writer, self._raw = writer, b""
@@ -203,15 +184,11 @@ class Writer:
 
 
 class Participant:
-    """A participant of a domain, with readers and writers.
+    """A participant of a domain, with readers and writers; raises SourceError.
 
     Args:
         host: see `Ros2.host`.
         domain: see `Ros2.domain`.
-        owner: name of the source, for errors.
-
-    Raises:
-        SourceError: Cyclone DDS is not installed, or cannot join the domain.
     """
 
     def __init__(self, host: str, domain: int | None, owner: str) -> None:
@@ -238,7 +215,6 @@ class Participant:
 
         Args:
             topic: with a `/` before it.
-            kind: type of its messages, as ROS has it.
             reliability: see `Ros2.reliability`.
             is_kept: whether it reads what was published before (transient local).
         """
@@ -268,7 +244,6 @@ class Participant:
 
         Args:
             topic: with a `/` before it.
-            kind: type of its messages, as ROS has it.
         """
         _, qos = _cyclone("")
         from cyclonedds.pub import DataWriter
@@ -317,14 +292,11 @@ class Participant:
         self._end.set(True)
 
     def close(self) -> None:
-        """Leaves the domain."""
         self._kept.clear()
         del self._publications, self._waits, self._end, self._participant
 
 
 class _Raw:
-    """A message as it came."""
-
     def __init__(self, data: bytes) -> None:
         self.data = data
         self.sample_info: Any = None
@@ -340,7 +312,6 @@ def domain_number(domain: int | None) -> int:
 
 
 def _cyclone(owner: str) -> tuple[Any, Any]:
-    """Cyclone DDS's modules `core` and `qos`."""
     try:
         from cyclonedds import core, qos
     except ImportError as error:
@@ -356,7 +327,6 @@ _lock = threading.Lock()
 
 
 def _configure(number: int, host: str, owner: str) -> None:
-    """Configures a domain, which a process can do once for each."""
     from cyclonedds.domain import Domain, DomainParticipant
 
     with _lock:
@@ -371,7 +341,6 @@ def _configure(number: int, host: str, owner: str) -> None:
 
 
 def _configuration(host: str) -> str:
-    """The configuration of Cyclone DDS; what CYCLONEDDS_URI has goes over it."""
     multicast = "default" if host == SUBNET else "false"
     peer = "127.0.0.1" if host == LOCALHOST else host
     peers = "" if host == SUBNET else f"<Peers><Peer Address={quoteattr(peer)}/></Peers>"
@@ -390,11 +359,7 @@ def _configuration(host: str) -> str:
 
 @cache
 def raw_type(kind: str) -> Any:
-    """A type of Cyclone DDS whose messages stay as they are: in CDR.
-
-    Args:
-        kind: as ROS has it.
-    """
+    """A type of Cyclone DDS whose messages stay as they are: in CDR. `kind`: as ROS has it."""
     made = _idl_type(kind)
     made.deserialize = staticmethod(lambda data, **_: _Raw(data))
     made.deserialize_key = staticmethod(lambda data, **_: _Raw(b""))
@@ -415,7 +380,6 @@ def _idl_type(kind: str) -> Any:
 
 
 def _idl_field(what: Any) -> Any:
-    """The type of a field, from its node in a definition."""
     from cyclonedds.idl import types
     from rosbags.interfaces import Nodetype
 

@@ -40,7 +40,6 @@ def scene_of_network(text: str) -> Path:
 
 
 def _robot(address: Address, found: Found) -> str:
-    """The model of a robot that was found, or its description."""
     if address.robot:
         return address.robot
     if found.urdf:
@@ -92,8 +91,6 @@ def scenes_of_bag(
     """Yields scenes of the robot that a recording of ROS is of: described in it, else shipped.
 
     Args:
-        bag: is read only while it is asked for the next one.
-        choose: how the user chooses the robot called NAME, for the error.
         source: of the recording, that moves the robot; any when None.
         wanted: names of robots of which it is one; any when empty.
 
@@ -132,7 +129,6 @@ def _is_xml(text: str) -> bool:
 
 
 def _toml(name: str, table: Mapping[str, Any]) -> str:
-    """A table of numbers and texts in TOML, which writes these as JSON does."""
     head = f"[{name}]\n" if name else ""
     return head + "".join(
         f"{json.dumps(key)} = {json.dumps(value)}\n" for key, value in table.items()
@@ -140,7 +136,6 @@ def _toml(name: str, table: Mapping[str, Any]) -> str:
 
 
 def _name_in(urdf: str) -> str:
-    """The name of a robot in its description, as the scene can have it."""
     try:
         name = ElementTree.fromstring(urdf).get("name", "")
     except ElementTree.ParseError:  # which opening it reports

@@ -58,13 +58,11 @@ class Foxglove(RosSource):
 
     @property
     def url(self) -> str:
-        """Where the server is."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{'wss' if self.tls else 'ws'}://{host}:{self.port}"
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         topics = ", ".join(dict.fromkeys(topic for topic, _ in self.topics))
         return f"ROS 2 {topics}, Foxglove at {self.url}"
 
@@ -74,8 +72,6 @@ class Foxglove(RosSource):
 
 
 class _Channel(BaseModel):
-    """What a server tells of a topic."""
-
     id: int
     topic: str
     encoding: str
@@ -83,7 +79,6 @@ class _Channel(BaseModel):
 
     @property
     def kind(self) -> str:
-        """Type of its messages, as ROS 2 has it."""
         package, _, name = ros_type(self.schema_name).rpartition("/")
         return f"{package}/{name}" if package.endswith("/msg") else f"{package}/msg/{name}"
 
@@ -102,12 +97,7 @@ class _Said(BaseModel):
 
 
 class Client:
-    """Reads a source's topics.
-
-    Args:
-        source: says what is read.
-        listener: gets the messages.
-    """
+    """Reads a source's topics."""
 
     def __init__(self, source: Foxglove, listener: Listener) -> None:
         self._source, self._listener = source, listener
@@ -151,7 +141,6 @@ class Client:
         raise Disconnected(f"{url}: {reason}")
 
     def _connect(self, wake: socket.socket) -> None:
-        """Connects, and receives until the connection ends."""
         from websockets.exceptions import InvalidHandshake
         from websockets.sync.client import connect
         from websockets.typing import Subprotocol
@@ -207,7 +196,6 @@ class Client:
                 due = clock.monotonic() + _LOOKS
 
     def _take(self, received: bytes) -> None:
-        """Passes a message on."""
         self._acknowledge()
         if received and received[0] != _DATA:
             return
@@ -234,7 +222,6 @@ class Client:
             lever.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
 
     def _hear(self, text: str, connection: ClientConnection) -> None:
-        """Takes what the server tells."""
         try:
             operation = json.loads(text).get("op")
             if operation == "advertise":
@@ -251,7 +238,6 @@ class Client:
             )
 
     def _advertise(self, channels: list[_Channel], connection: ClientConnection) -> None:
-        """Subscribes to the topics that are wanted."""
         self._source.note_trouble("")
         wanted = []
         for channel in channels:
@@ -278,7 +264,6 @@ class Client:
         }
 
     def _look(self) -> None:
-        """Finds out why nothing comes."""
         if self._source.receiving:
             self._source.note_trouble("")
             return
@@ -289,7 +274,6 @@ class Client:
             self._source.note_trouble("; ".join(filter(None, wrong)) or "its publisher is silent")
 
     def _wrong_with(self, topic: str, kind: str) -> str:
-        """What is wrong with a topic, in words."""
         channels = self._channels.values()
         if wrong := wrong_with(topic, kind, ((each.topic, each.kind) for each in channels)):
             return wrong

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array, frame, inverse, rotation_from_quat
-from ...data.receive.source import LedJoint, LedLinks
+from ...data.receive.led_robot import LedJoint, LedLinks
 from ...data.receive.structure import Structure
 from ...data.record.csv_files import JOINT_EVENTS, prefix_before
 from .link_transforms import LinkTransforms
@@ -36,23 +36,11 @@ class JoinedPackets:
     stay as the robot declares them.
 
     Args:
-        joints: whose values are wanted, n.
-        names: joint to its name in messages, where that is another.
-        has_commands: whether torques are commanded on a topic.
-        has_forces: whether there is a topic of a wrench.
-        frames: names of frames that are wanted, k.
-        root: the frame in which they are wanted.
         odometry: whether there is the pose of the base: `ODOMETRY` by its topic, `TF` by
             transforms, empty for none.
-        has_pose: whether there is a topic of a pose.
         joints_by: `TF` where transforms of links tell the angles; else empty.
         links: of the robot, for transforms and odometry; None where it is unknown.
         torque_constants: torque per unit of effort, one for all, or (n,).
-        tell: gets what a user should know, once.
-
-    Attributes:
-        structure: of the packets.
-        leads: the topic whose messages make packets.
     """
 
     def __init__(
@@ -123,7 +111,6 @@ class JoinedPackets:
         self._parents: dict[str, tuple[str, Array]] = {}
 
     def _linked(self, links: LedLinks | None, wanted: Sequence[str]) -> LinkTransforms | None:
-        """What solves joints and base; None where the robot's links are unknown."""
         if links is None or len(links.joints) != len(self._joints or links.joints):
             return None
         if wanted and not links.poses:
@@ -135,19 +122,15 @@ class JoinedPackets:
 
     @cached_property
     def layout(self) -> MessageLayout:
-        """The decoder of its packets."""
         return MessageLayout(self.structure)
 
     def take(self, topic: str, message: Any, arrival: float) -> bytes | None:
-        """Takes a message; returns the packet that it makes, or None.
+        """Takes a message; returns the packet that it makes, or None; raises MalformedMessage.
 
         Args:
             topic: what it tells: `JOINT_STATES` and so on.
             message: as `messages.decode` returns it.
             arrival: s since the epoch, in the place of stamps that are not set.
-
-        Raises:
-            MalformedMessage: it contradicts itself.
         """
         values = self._values.copy()
         makes = topic == self.leads
@@ -202,7 +185,6 @@ class JoinedPackets:
         return int(self._mine[0]) == self._first
 
     def _match(self, names: list[str], count: int) -> None:
-        """Finds the joints in the names of a message."""
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
             raise MalformedMessage(f"joint {twice} is named twice")
@@ -236,7 +218,6 @@ class JoinedPackets:
             self._tell(f"the robot has no {_listed(others)}: not used")
 
     def _tell_awaited(self, arrival: float) -> None:
-        """Tells, once, of joints that no message has had, where others have been there for long."""
         if not self._awaited or len(self._awaited) == len(self._wanted):
             return
         self._told_at = min(self._told_at, arrival + _PATIENCE)
@@ -249,7 +230,6 @@ class JoinedPackets:
             self._awaited.clear()
 
     def _check_torques(self, torques: Array) -> None:
-        """Tells, once, of torques that the robot's joints cannot have."""
         if self._has_doubts:
             return
         with np.errstate(invalid="ignore"):
@@ -289,7 +269,6 @@ class JoinedPackets:
         values[self._places["base_frame"]] = pose[:3].T.ravel()
 
     def _take_frames(self, values: Array, message: Any) -> bool:
-        """Takes transforms; whether the first of all bodies is moved, the base last."""
         bodies: list[float] = []
         for transform in message.transforms:
             parent, child = transform.header.frame_id, transform.child_frame_id
@@ -311,14 +290,12 @@ class JoinedPackets:
         return self.leads == FRAMES and self._first_body in bodies
 
     def _solve(self, values: Array, links: LinkTransforms) -> None:
-        """Takes what the transforms of links tell of joints and base."""
         if self._joints_by == TF:
             values[self._places["joint_angles"]] = links.solve()
         if self._odometry == TF and (base := links.base(self._root)) is not None:
             values[self._places["base_frame"]] = base[:3].T.ravel()
 
     def _in_root(self, name: str) -> Array | None:
-        """The pose of a frame in the root; None while it is unknown."""
         pose, at = np.eye(4), name
         for _ in range(len(self._parents)):
             if at == self._root or at not in self._parents:
@@ -334,7 +311,6 @@ class MessageLayout(Structure):
     message = "message"
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        """Describes why a message makes no packet; see `Structure.describe_wrong_size`."""
         return self.fault or f"{length} bytes that are no {self.message}"
 
     def never(self, message: bytes) -> bytes:

@@ -24,7 +24,6 @@ class JointTrajectory:
     last point is held.
 
     Args:
-        message: decoded.
         names: of the robot's joints, in its order; the message's order is its own.
         now: s, on the clock of its stamp; a stamp of 0 means now. Points before it are left out.
         entry: (2, n), angles and velocities from where it is entered, now.
@@ -80,15 +79,7 @@ class JointTrajectory:
 
 
 def _segments(times: Array, derivatives: Array) -> Array:
-    """Polynomials between points that have the points' derivatives at both ends.
-
-    Args:
-        times: (m + 1,), s.
-        derivatives: (d, m + 1, n), positions and their derivatives.
-
-    Returns:
-        (m, 2 d, n), coefficients in the part of the segment's duration that has passed.
-    """
+    """Returns polynomials (m, 2 d, n) with the derivatives of the points, (d, m + 1, n)."""
     d = len(derivatives)
     durations = np.diff(times)
     ends = np.zeros((2 * d, 2 * d))  # derivatives of the powers at 0 and at 1
@@ -117,7 +108,6 @@ def _order(found: list[str], names: list[str]) -> list[int]:
 
 
 def _rows(points: list[Any], key: str, order: list[int]) -> Array:
-    """The numbers of all points, (points, n), in the robot's order."""
     rows = [getattr(point, key) for point in points]
     for number, row in enumerate(rows):
         if len(row) != len(order):

@@ -45,8 +45,6 @@ class JsonTopic:
     """A channel of messages in JSON.
 
     Attributes:
-        channel: its number.
-        topic: its name.
         msgtype: the type of ROS that its messages are, or what they are instead.
         msgcount: number of its messages.
     """
@@ -60,12 +58,7 @@ class JsonTopic:
 class JsonMcap:
     """Reads the messages; has what `Bag` needs of `rosbags.highlevel.AnyReader`.
 
-    Args:
-        path: the file.
-
     Attributes:
-        connections: its channels of messages in JSON.
-        faults: errors of the file.
         start_time: log time of the first message, ns since the epoch.
         end_time: log time after the last message, ns since the epoch.
 
@@ -114,7 +107,6 @@ class JsonMcap:
         """Yields topic, log time, ns since the epoch, and data of messages in order of time.
 
         Args:
-            connections: the topics.
             start: first time, ns since the epoch; None for the beginning.
             stop: end time, exclusive, likewise; None for the end.
         """
@@ -157,7 +149,6 @@ class JsonMcap:
 
 
 def _index_of(file: BinaryIO) -> FileIndex:
-    """Returns the index of a file; without its end, channels are found in its chunks."""
     index = read_index(file)
     for chunk in [] if index.channels else index.chunks:
         with suppress(*BROKEN):
@@ -171,7 +162,6 @@ def _index_of(file: BinaryIO) -> FileIndex:
 
 
 def _kind_of(raw: bytes, topic: str) -> str:
-    """Returns the type of ROS that a message is, or a description of what it is instead."""
     try:
         joint_state_of(raw)
     except MalformedMessage as error:

@@ -31,15 +31,12 @@ _SHOWN, _SHOWN_BYTES = 40, 8  # characters, or bytes, of a message in an error
 
 
 def joint_state_of(raw: bytes) -> Any:
-    """Decodes a message to the attributes of `sensor_msgs/JointState`.
+    """Decodes a message to the attributes of `sensor_msgs/JointState`; raises MalformedMessage.
 
     A value that is missing or null is NaN. A quantity that no joint has is empty.
 
     Args:
         raw: JSON in UTF-8.
-
-    Raises:
-        MalformedMessage: it is not JSON, or not the state of joints.
     """
     if len(raw) > MOST_BYTES:
         raise MalformedMessage(f"found {len(raw)} bytes; expected at most {MOST_BYTES}")
@@ -87,7 +84,6 @@ def message_of(
     """Encodes the state of joints, as `sensor_msgs/JointState`.
 
     Args:
-        names: of the n joints.
         stamp: s; 0 where it is unknown.
         angles: (n,), rad or m. What is NaN is null, and a quantity that no joint has is empty.
         velocities: (n,), rad/s or m/s.
@@ -115,7 +111,6 @@ def _numbers(key: str, values: Any) -> Array:
 
 
 def _stamp(found: Any) -> Any:
-    """The time of a message; zero, which means unknown, where it has none."""
     parts = [0, 0]
     if isinstance(found, Mapping):
         nanoseconds = next((found[key] for key in _NANOSECONDS if key in found), 0)

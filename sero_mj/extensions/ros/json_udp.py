@@ -46,16 +46,10 @@ class JsonUdp(UdpReceiver, RosSource):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         return f"JSON, {super().about}"
 
     def open(self) -> None:
-        """Binds the socket and starts the thread.
-
-        Raises:
-            SourceError: the port is in use, the address is not one of this machine, or it is not
-                known which joints are wanted.
-        """
+        """Binds the socket and starts the thread; raises SourceError."""
         if not self.joint_names:
             problem = Problem("joints", "no route says which", expected="the names of joints")
             raise SourceError(self.name, problem)
@@ -64,7 +58,6 @@ class JsonUdp(UdpReceiver, RosSource):
 
     @property
     def of_messages(self) -> RosSource:
-        """What reads the same joints from a recording of ROS."""
         fields = RosSource.model_fields.keys() & type(self).model_fields.keys()
         source = Ros2(**{key: getattr(self, key) for key in fields & self.model_fields_set})
         source.led_to(self._led)
@@ -72,7 +65,6 @@ class JsonUdp(UdpReceiver, RosSource):
         return source
 
     def message_of(self, packet: bytes) -> bytes:
-        """The message in JSON that makes a packet."""
         values = self.layout.decode(packet)
         constants = 1.0 if self.torque_constants is None else self.torque_constants
         efforts = values["torques"] / (self.torque_sign * np.asarray(constants, float))
@@ -88,7 +80,6 @@ class JsonUdp(UdpReceiver, RosSource):
     def _accept(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
     ) -> None:
-        """Accepts messages in rows, as the packets that they make."""
         assert self._joined is not None
         packets, kept = [], []
         for k, (row, length) in enumerate(zip(rows, lengths.tolist(), strict=True)):

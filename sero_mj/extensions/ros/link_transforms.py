@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable
 import numpy as np
 
 from ...base.frames import Array, Ints, inverse, rotation_about, rotation_angles
-from ...data.receive.source import LedLinks
+from ...data.receive.led_robot import LedLinks
 
 _ANGLE, _DISTANCE = 0.02, 0.01  # rad and m by which transforms and robot may differ
 _TURN = 2 * np.pi
@@ -23,10 +23,6 @@ class LinkTransforms:
 
     Links that are fixed to each other are one node, so static transforms inside a robot may be
     missing. Names may have a prefix that ends with a slash (`left/base_link`).
-
-    Args:
-        links: of the robot.
-        tell: gets what a user should know, once.
     """
 
     def __init__(self, links: LedLinks, tell: Callable[[str], None]) -> None:
@@ -55,7 +51,6 @@ class LinkTransforms:
         return below if isinstance(below, int) else None
 
     def _node(self, name: str) -> tuple[Hashable, Array, Array]:
-        """The body or frame that a name refers to, T_node_name, and its inverse."""
         if name in self._nodes:
             return self._nodes[name]
         poses, known = self._links.poses, name
@@ -68,7 +63,6 @@ class LinkTransforms:
         return self._nodes[name]
 
     def _is_joint(self, above: Hashable, below: Hashable) -> bool:
-        """Whether a joint connects two nodes."""
         if not isinstance(below, int) or below == 0:
             return False
         return bool(self._parents[below - 1] == above)
@@ -97,7 +91,6 @@ class LinkTransforms:
         return self._angles
 
     def _values(self, known: Ints, transforms: Array) -> Array:
-        """The values of joints by the transforms of the links that they move in their parents."""
         joints = self._links.joints[known]
         moved = self._before[joints] @ transforms @ self._axes[joints]
         turns = self._links.tree.revolute[joints]
@@ -111,7 +104,6 @@ class LinkTransforms:
         return np.where(turns, angles, moved[:, 2, 3])
 
     def _check(self, joints: Ints, rest: Array, rotations: Array) -> None:
-        """Tells, once, of transforms that the robot's links cannot have."""
         if self._told:
             return
         far, angles = np.linalg.norm(rest, axis=1), rotation_angles(rotations)
@@ -144,7 +136,6 @@ class LinkTransforms:
     def _in_root(
         self, node: Hashable, known: dict[Hashable, tuple[Hashable, Array]], root: str = ""
     ) -> tuple[Hashable, Array]:
-        """The topmost node above another one, and the pose of this one in it."""
         if node in known:
             return known[node]
         at, T, passed = node, np.eye(4), set[Hashable]()
@@ -159,7 +150,6 @@ class LinkTransforms:
         """Returns T_base_link (4, 4), m; identity for an unknown link.
 
         Args:
-            link: its name.
             angles: of the independent joints, (k,), rad or m; the last ones when None.
         """
         node, T, _ = self._node(link)

@@ -36,18 +36,7 @@ _INDEX_HEAD, _INDEX_ENTRY = 15, 16  # bytes of the index of a channel's messages
 
 
 class MendedMcap:
-    """A path in the sense of rosbags (`RPath`).
-
-    Args:
-        path: of the file, whose end is missing.
-
-    Attributes:
-        faults: what is left out, a sentence each.
-        has_topics: whether anything can be read.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """A path in the sense of rosbags (`RPath`); raises OSError if it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self._path, self.suffix, self.stem = path, ".mcap", path.stem
@@ -60,21 +49,16 @@ class MendedMcap:
         return str(self._path)
 
     def exists(self) -> bool:
-        """Whether it is there."""
         return self._path.exists()
 
     def is_dir(self) -> bool:
-        """False: it is a file."""
         return False
 
     def open(self, *_: Any, **__: Any) -> BinaryIO:
-        """Opens it for reading."""
         return io.BufferedReader(_Joined(open_file(self._path), self._end, self._behind))
 
 
 class _Joined(io.RawIOBase):
-    """The first bytes of a file, and others behind them."""
-
     def __init__(self, file: BinaryIO, end: int, behind: bytes) -> None:
         super().__init__()
         self._file, self._end, self._behind, self._at = file, end, behind, 0
@@ -108,8 +92,6 @@ class _Joined(io.RawIOBase):
 
 @dataclass
 class _WholePart:
-    """What is whole of a file: up to which byte, and what has to stand behind that."""
-
     end: int = len(MCAP0_MAGIC)
     behind: bytes = b""
     faults: list[str] = field(default_factory=list)
@@ -119,13 +101,11 @@ class _WholePart:
     counts: dict[int, int] = field(default_factory=dict)  # of messages in chunks, by channel
 
     def note(self, opcode: int, record: bytes) -> None:
-        """Keeps a schema or a channel; the record has its head."""
         kept = {Opcode.SCHEMA: self.schemas, Opcode.CHANNEL: self.channels}.get(Opcode(opcode))
         if kept is not None:
             kept.setdefault(record[RECORD_HEAD.size : RECORD_HEAD.size + _NUMBER], record)
 
     def add_chunk(self, file: BinaryIO, offset: int, length: int) -> None:
-        """Takes the chunk of a record; one that is damaged is left out."""
         try:
             self._index_chunk(read_record(file, offset, length).getvalue(), offset, length)
         except BROKEN as error:
@@ -163,7 +143,6 @@ class _WholePart:
         )
 
     def make_end(self) -> bytes:
-        """The end of the file; without chunks it has no index, and rosbags looks for messages."""
         built = RecordBuilder()
         for record in (*self.schemas.values(), *self.channels.values()) if self.chunks else ():
             built.write(record)
@@ -190,7 +169,6 @@ class _WholePart:
 
 @lru_cache(_REMEMBERED)
 def _whole_part(path: Path, size: int, changed: int) -> _WholePart:
-    """Looks through a file of a size, bytes, which was changed at a time."""
     found, is_whole = _WholePart(), False
     with open_file(path) as file:
         try:

@@ -39,7 +39,6 @@ def with_log(file: Path, log: Path) -> Path:
 
 @lru_cache(_REMEMBERED)
 def _copied(file: Path, log: Path, changed: tuple[tuple[int, int], ...]) -> Path:
-    """Copies files which were changed at these times, ns, and had these sizes, bytes."""
     folder = make_temporary_folder()
     for each in (file, log):
         shutil.copyfile(each, folder / each.name)

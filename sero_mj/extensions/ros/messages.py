@@ -26,11 +26,7 @@ class MalformedMessage(ValueError):
 
 @cache
 def type_store() -> Any:
-    """The definitions of ROS 2's types.
-
-    Raises:
-        SourceError: `rosbags` is not installed.
-    """
+    """The definitions of ROS 2's types; raises SourceError."""
     try:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
@@ -41,15 +37,12 @@ def type_store() -> Any:
 
 
 def decode(raw: bytes, kind: str, most: int = MOST_BYTES) -> Any:
-    """Decodes a message.
+    """Decodes a message; raises MalformedMessage if it is no such message.
 
     Args:
         raw: in CDR, with its header of 4 bytes.
         kind: its type, e.g. `sensor_msgs/msg/JointState`.
         most: bytes that it may have.
-
-    Raises:
-        MalformedMessage: it is no such message.
     """
     from rosbags.serde import SerdeError
 

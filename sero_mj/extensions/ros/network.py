@@ -82,7 +82,6 @@ class Address:
 
     @property
     def source(self) -> dict[str, Any]:
-        """The table of a source that reads it."""
         place: dict[str, Any] = {"kind": "ros2", "host": self.host}
         if self.domain is not None:
             place["domain"] = self.domain
@@ -97,7 +96,6 @@ class Topic:
 
     Attributes:
         name: with a `/` before it.
-        kind: type of its messages, as ROS has it.
         publishers: number of them.
         rate: messages per second; None where it was not measured.
         joints: names in its messages, of `sensor_msgs/JointState`.
@@ -116,15 +114,11 @@ class Topic:
 
 
 def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
-    """Listens for some time, and returns all topics by name.
+    """Listens for some time, and returns all topics by name; raises SourceError.
 
     Args:
         host: see `Ros2.host`.
         domain: see `Ros2.domain`.
-        seconds: to listen.
-
-    Raises:
-        SourceError: a package is missing, or the domain cannot be joined.
     """
     participant = Participant(host, domain, "ros2")
     try:
@@ -159,7 +153,6 @@ def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
 
 
 def _rate(times: Sequence[float]) -> float:
-    """Messages per second, from when they came; 0 for none, or a single one."""
     span = times[-1] - times[0] if len(times) > 1 else 0.0
     return (len(times) - 1) / span if span > 0.0 else 0.0
 
@@ -174,7 +167,6 @@ class Found:
 
     Attributes:
         urdf: its description; empty where there is none.
-        robots: shipped robots with its joints, where there is none.
         joint_states: topic of its joints; empty for none.
     """
 
@@ -184,15 +176,10 @@ class Found:
 
 
 def find_robot(address: Address, seconds: float) -> Found:
-    """Waits until a network tells of a robot.
+    """Waits until a network tells of a robot; raises SourceError or UsageError.
 
     Args:
-        address: where it is.
         seconds: to wait at most.
-
-    Raises:
-        SourceError: a package is missing, or the domain cannot be joined.
-        UsageError: there is no robot, or there are several; says what there is.
     """
     participant = Participant(address.host, address.domain, "ros2")
     try:
@@ -206,13 +193,6 @@ def find_robot(address: Address, seconds: float) -> Found:
 
 
 class _Heard:
-    """What a network has told of its robots.
-
-    Args:
-        participant: of its domain.
-        address: where they are.
-    """
-
     def __init__(self, participant: Participant, address: Address) -> None:
         self._participant, self._address = participant, address
         self._before = f"/{address.namespace}" if address.namespace else ""
@@ -225,7 +205,6 @@ class _Heard:
         return bool(self._joints and (self._described or self._address.robot))
 
     def look(self, seconds: float) -> None:
-        """Subscribes to what is published by now, and waits for messages."""
         for each in self._participant.published():
             if each.topic not in self._readers and self._tells_of_robot(each):
                 is_kept = each.kind == TEXT and each.is_kept
@@ -248,7 +227,6 @@ class _Heard:
         return is_description or each.kind == JOINT_STATE
 
     def robot(self, seconds: float) -> Found:
-        """The robot, after so many seconds; raises UsageError."""
         if not (self._described or self._joints):
             raise UsageError(f"{self._place} {self._why_none(seconds)}")
         wanted = self._before + _DESCRIPTION

@@ -22,9 +22,9 @@ from ...base.frames import Array
 from ...data.record.joint_state_messages import JointStateMessages, JointStates
 from ...simulate.control.controller import MaybePerJoint, Sensed, Target
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.datagrams import Answering, Link, ProgramController
 from ...simulate.external_control.exchange import Answer, modulus_of
 from ...simulate.external_control.program import Program
+from ...simulate.external_control.program_controller import Answering, Link, ProgramController
 from . import messages
 from .dds import LOCALHOST, MOST_DOMAIN, Participant, domain_number
 from .joint_trajectory import JointTrajectory
@@ -92,7 +92,6 @@ class Ros2Node(Answering):
         return f"the nodes of ROS 2 domain{domain}"
 
     def make(self, model: RobotModel, timestep: float) -> ProgramController:
-        """The controller; it joins the domain with its first step."""
         n = model.n
         names = self.joint_names or list(model.joint_names)
         if len(names) != n:
@@ -116,7 +115,6 @@ class Ros2Node(Answering):
         return ProgramController(self, state, answer, model, timestep, link)
 
     def full(self, topic: str) -> str:
-        """A topic's full name."""
         before = self.namespace.strip("/")
         return topic if topic.startswith("/") else f"/{before}/{topic}" if before else f"/{topic}"
 
@@ -124,14 +122,8 @@ class Ros2Node(Answering):
 class JointStatePacket:
     """The state of a robot as a message of ROS.
 
-    Args:
-        names: of its joints.
-
     Attributes:
-        names: of its joints.
-        packet: the message, in CDR.
         time: s since the start.
-        modulus: of a counter, which it has not.
     """
 
     modulus = modulus_of(None)
@@ -144,24 +136,17 @@ class JointStatePacket:
         self.packet = b""
 
     def fill(self, step: int, sensed: Sensed, target: Target) -> None:
-        """Writes the state of a step."""
         self._table[0] = sensed.values.ravel()
         self.time = sensed.time
         (self.packet,) = self._messages.encode(self._table, [round(sensed.time * 1e9)])
 
     @property
     def angles(self) -> Array:
-        """Of the joints, (n,), rad or m."""
         return self._table[0, : len(self.names)]
 
 
 class RosLink(Link):
-    """Topics to a node and from it, which is started where that is declared.
-
-    Args:
-        declared: the topics.
-        model: of the robot.
-    """
+    """Topics to a node and from it, which is started where that is declared."""
 
     commands: ClassVar[str] = messages.NUMBERS  # type of messages that command
 
@@ -172,17 +157,14 @@ class RosLink(Link):
 
     @property
     def name(self) -> str:
-        """Of the topic, for messages."""
         declared = self._topics
         return declared.full(declared.commands or _TOPICS[declared.interface])
 
     @property
     def is_open(self) -> bool:
-        """Whether it is."""
         return self._participant is not None
 
     def open(self, time: float) -> None:
-        """Joins the domain, and starts the program, if it is to be."""
         declared = self._topics
         try:
             self._participant = participant = Participant(
@@ -203,7 +185,6 @@ class RosLink(Link):
         self._began = clock.monotonic() - time
 
     def close(self) -> None:
-        """Leaves the domain, and ends the program; harmless when that is done."""
         if self._participant is not None:
             self._participant.close()
         self._participant = None
@@ -217,7 +198,6 @@ class RosLink(Link):
         take: Callable[[int], bool],
         patience: float | None = None,
     ) -> bool:
-        """Publishes a state, and waits for the command that follows; see `Link.ask`."""
         assert self._participant is not None
         if patience is None:
             patience = self._declared.patience if self.answered else self._declared.first_patience
@@ -245,11 +225,9 @@ class RosLink(Link):
         return f": {wrong}" if wrong else ""
 
     def _take_any(self, take: Callable[[int], object]) -> bool:
-        """Passes on what has come, until something is taken."""
         return any([take(self._numbers(raw)) for raw, _ in self._reader.take()])
 
     def _numbers(self, raw: bytes) -> int:
-        """Writes the numbers of a command into the buffer; returns their bytes, 0 for none."""
         try:
             message = messages.decode(raw, messages.NUMBERS)
         except MalformedMessage as error:
@@ -263,22 +241,18 @@ class RosLink(Link):
         return len(numbers)
 
     def send(self, packet: bytes | bytearray) -> bool:
-        """Publishes a state, and the time in it."""
         if self._topics.publishes_clock:
             self._clock.write(_CLOCK.pack(_HEAD, *struct.unpack_from("<iI", packet, 4)))
         self._states.write(bytes(packet))
         return True
 
     def drain(self) -> int:
-        """Discards commands that came before; returns how many."""
         return len([*self._reader.take()])
 
     def receive(self, take: Callable[[int], object]) -> None:
-        """Passes on all commands that have come."""
         self._take_any(take)
 
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
-        """Likewise until it is a time, s since the start, or a step has been answered."""
         assert self._participant is not None
         due = self._due(time, step)
         while self.answered != step and (left := due - clock.monotonic()) > 0.0:
@@ -296,9 +270,6 @@ class TrajectoryLink(RosLink):
     together with the robot's own dampers.
 
     Args:
-        declared: the topics.
-        model: of the robot.
-        state: what is sent.
         damping: (n,), Nm s/rad, of the robot's dampers.
     """
 
@@ -319,7 +290,6 @@ class TrajectoryLink(RosLink):
         take: Callable[[int], bool],
         patience: float | None = None,
     ) -> bool:
-        """Publishes a state, and waits for the first motion; see `Link.ask`."""
         if self._motion is None:
             return super().ask(packet, step, time, take, patience)
         self.send(packet)
@@ -329,7 +299,6 @@ class TrajectoryLink(RosLink):
         return True
 
     def _take_any(self, take: Callable[[int], object]) -> bool:
-        """Takes motions that have come; passes on the answer to the state that was sent last."""
         for raw, _ in self._reader.take():
             self._begin(raw, take)
         if self._motion is None:
@@ -355,15 +324,12 @@ class TrajectoryLink(RosLink):
             take(0)
 
     def drain(self) -> int:
-        """Discards nothing: a motion is for all steps that follow."""
         return 0
 
     def receive(self, take: Callable[[int], object]) -> None:
-        """Passes on the first answer; those that follow are due with their states."""
         if not self.answered:
             self._take_any(take)
 
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
-        """Passes on the answer of the motion in use, or waits for one until a time."""
         if self.answered != step and not self._take_any(take):
             super().receive_until(time, step, take)

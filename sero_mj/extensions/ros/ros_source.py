@@ -12,7 +12,8 @@ import numpy as np
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from ...base.errors import Problem, SourceError
-from ...data.receive.source import LedJoint, LedLinks, Source
+from ...data.receive.led_robot import LedJoint, LedLinks
+from ...data.receive.source import Source
 from ...data.receive.structure import TorqueSign
 from ...data.record.csv_files import JOINT_EVENTS
 from . import messages
@@ -144,17 +145,14 @@ class RosSource(Source):
         return self
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:
-        """Takes the joints that routes lead to; those of `joints` stay if they are a list."""
         self._led = list(joints)
         self.__dict__.pop("layout", None)
 
     def led_to_links(self, links: LedLinks) -> None:
-        """Takes the links of the robot that routes lead to."""
         self._links = links
         self.__dict__.pop("layout", None)
 
     def needs_joints(self, event: str) -> bool:
-        """Whether an event is not there because it is not known which joints are wanted."""
         return not self.joint_names and event in JOINT_EVENTS
 
     @property
@@ -195,17 +193,14 @@ class RosSource(Source):
 
     @cached_property
     def layout(self) -> MessageLayout:
-        """The decoder."""
         return self.joined().layout
 
     def decoding_fields(self) -> dict[str, Any]:
-        """The fields that determine the meaning of packets; for recordings."""
         kept = {"joint_states", "commands", "wrench", "odometry", "pose", "frames", "root"}
         fields = self.model_dump(mode="json", include=kept, exclude_defaults=True)
         return {**fields, **self._place_fields(), "joints": self.joint_names}
 
     def _place_fields(self) -> Mapping[str, Any]:
-        """The required fields that say where messages come from; for recordings."""
         required = {key for key, field in type(self).model_fields.items() if field.is_required()}
         return dict(self.model_dump(mode="json", include=required))
 
@@ -230,7 +225,6 @@ class RosSource(Source):
 
     @property
     def reads_transforms(self) -> bool:
-        """Whether it reads `tf` and `tf_static`."""
         return bool(self.frames) or is_tf(self.joint_states) or is_tf(self.odometry)
 
     def _full(self, topic: str) -> str:
@@ -244,7 +238,6 @@ class RosSource(Source):
         return bool(getattr(self, field) == type(self).model_fields[field].default)
 
     def with_fields(self, **fields: Any) -> RosSource:
-        """Another one that differs in some fields."""
         own = {key: self.__dict__[key] for key in type(self).model_fields}
         other = type(self)(**{**own, **fields})
         other.led_to(self._led)
@@ -253,24 +246,17 @@ class RosSource(Source):
 
     @property
     def of_messages(self) -> RosSource:
-        """What reads the same from a recording of ROS."""
         return self
 
     @property
     def trouble(self) -> str:
-        """Why no packets arrive, as shown to the user; empty when unknown."""
         return "" if self.receiving else self._trouble
 
     def note_trouble(self, trouble: str) -> None:
-        """Sets `trouble`; for what reads the messages."""
         self._trouble = trouble
 
     def open(self) -> None:
-        """Starts to receive; publishers need not be there.
-
-        Raises:
-            SourceError: a package is missing, or it is not known which joints are wanted.
-        """
+        """Starts to receive; publishers need not be there; raises SourceError."""
         self.close()
         if self.joint_states and not self.joint_names:
             problem = Problem("joints", "no route says which", expected="the names of joints")
@@ -280,7 +266,6 @@ class RosSource(Source):
         self._subscribe(Listener(self))
 
     def close(self) -> None:
-        """Stops receiving; harmless when it is not open."""
         self.stop_receiving()
 
     @abstractmethod
@@ -327,8 +312,6 @@ def wrong_with(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> s
 
     Args:
         topic: with a `/` before it.
-        kind: type of its messages, as ROS has it.
-        published: topics that are there, and their types.
     """
     published = list(published)
     kinds = [other for each, other in published if each == topic]

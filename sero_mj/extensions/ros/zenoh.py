@@ -60,7 +60,6 @@ class Zenoh(RosSource):
 
     @property
     def about(self) -> str:
-        """Kind and address, as shown to the user."""
         topics = ", ".join(dict.fromkeys(topic for topic, _ in self.topics))
         domain = domain_number(self.domain)
         return f"ROS 2 {topics}, domain {domain}, zenoh at {self.place_of_router}"
@@ -71,23 +70,13 @@ class Zenoh(RosSource):
 
 
 class _Message(NamedTuple):
-    """A message, what it tells, and its publisher's number, if known."""
-
     tells: str
     raw: bytes
     publisher: bytes
 
 
 class Session:
-    """Reads a source's topics.
-
-    Args:
-        source: says what is read.
-        listener: gets the messages.
-
-    Raises:
-        SourceError: zenoh is not installed.
-    """
+    """Reads a source's topics; raises SourceError."""
 
     def __init__(self, source: Zenoh, listener: Listener) -> None:
         _zenoh(source.name)
@@ -156,7 +145,6 @@ class Session:
         return configuration
 
     def _read(self, session: Any, topic: str, tells: str) -> Any:
-        """Subscribes to a topic; what is published waits for the thread."""
         zenoh = _zenoh(self._source.name)
 
         def take(sample: Any) -> None:
@@ -175,7 +163,6 @@ class Session:
         return ext.declare_advanced_subscriber(session, key, take, history=history)
 
     def _receive(self, session: Any) -> None:
-        """Passes messages on, until it is closed."""
         due = clock.monotonic() + _LOOKS
         while not self._source.closing.is_set():
             received: list[_Message] = []
@@ -192,7 +179,6 @@ class Session:
                 due = clock.monotonic() + _LOOKS
 
     def _look(self, session: Any) -> None:
-        """Finds out why nothing comes."""
         source = self._source
         if source.receiving:
             source.note_trouble("")
@@ -210,7 +196,6 @@ class Session:
             source.note_trouble("; ".join(filter(None, wrong)) or "its publisher is silent")
 
     def _published(self, session: Any) -> list[tuple[str, str]]:
-        """Topics that are published in the domain, and their types as ROS has them."""
         found = []
         for reply in session.liveliness().get(_TOKEN.format(self._domain), timeout=_PATIENCE):
             parts = str(reply.ok.key_expr).split("/") if reply.ok is not None else []
@@ -220,7 +205,6 @@ class Session:
 
 
 def _zenoh(owner: str) -> Any:
-    """The package of zenoh."""
     try:
         import zenoh
     except ImportError as error:
@@ -236,7 +220,6 @@ def _endpoint(address: tuple[Any, ...]) -> str:
 
 
 def _publisher(attachment: Any) -> bytes:
-    """The number of a message's publisher, 8 bytes; empty where it is not told."""
     attached = b"" if attachment is None else attachment.to_bytes()
     return bytes(attached[-8:]) if _GID in attached else b""
 

@@ -6,7 +6,10 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ...base.errors import Problem
+from ...base.errors import (
+    Problem,
+    mismatch,
+)
 from ...simulate.control.robot_model import RobotModel
 from . import receiver as rtde
 from .robot import RtdeRobot, RtdeSession
@@ -31,16 +34,15 @@ class RtdeClient(RtdeSession):
         constants = self.torque_constants
         if constants is not None and not (constants > 0.0).all():
             worst = float(constants.min())
-            raise Problem("torque_constants", found=worst, expected="positive ones, Nm/A").error()
+            raise mismatch(worst, "positive ones, Nm/A", key="torque_constants")
         return self
 
     def make(self, model: RobotModel, timestep: float) -> RtdeRobot:
-        """The controller; it listens from its first step on."""
         if model.n != JOINTS:
             reason = f"RTDE is for {JOINTS} joints; {model.name} has {model.n}"
             raise Problem("kind", reason).error()
         steps = round(self.cycle / timestep)
         if steps < 1 or abs(steps * timestep - self.cycle) > 1e-9:
             expected = f"a multiple of the time step, {timestep:g} s"
-            raise Problem("cycle", found=self.cycle, expected=expected).error()
+            raise mismatch(self.cycle, expected, key="cycle")
         return RtdeRobot(self, model, timestep, steps)

@@ -21,7 +21,7 @@ from pydantic import Field, PrivateAttr
 
 from ...base.frames import Array
 from ...data.receive import connecting
-from ...data.receive.connecting import ConnectingSource, Connection, Nonsense
+from ...data.receive.connecting import ConnectingSource, Connection, ProtocolError
 from ...data.receive.structure import Structure, TorqueSign
 
 PORT = 30004
@@ -107,27 +107,22 @@ class RtdeReceiver(ConnectingSource):
 
     @cached_property
     def layout(self) -> Structure:
-        """The decoder."""
         return RtdeLayout(self.torque_sign)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot's controller, in words."""
         said = _modes(*self.link_state(values))
         if values["torques_are_commanded"][0]:
             said.append("torques are commanded, not measured")
         return ", ".join(said)
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """A packet's `robot_mode` and `safety_mode`; the latter is -1 where it is unknown."""
         return float(values["robot_mode"][0]), max(float(values["safety_mode"][0]), -1.0)
 
     def link_faults(self, state: float, quality: float) -> list[str]:
-        """What keeps the robot from moving, one per line."""
         good = state in (_RUNNING, UNKNOWN) and (quality < 0 or quality in _SAFE)
         return [] if good else [", ".join(_modes(state, quality))]
 
     def _converse(self, wake: socket.socket) -> None:
-        """Connects and receives; see `ConnectingSource`."""
         left_out = frozenset[str]()
         while True:  # once more without what the controller lacks, as UR's own client does it
             with _Connection(self.host, self.port, wake) as connection:
@@ -139,10 +134,10 @@ class RtdeReceiver(ConnectingSource):
         Returns at once the variables that the controller lacks, if there are any.
         """
         if connection.ask(ASK_VERSION, struct.pack(">H", VERSION), self._hear) != b"\1":
-            raise Nonsense("does not accept version 2 of RTDE")
+            raise ProtocolError("does not accept version 2 of RTDE")
         answer = connection.ask(ASK_CONTROLLER, b"", self._hear)
         if len(answer) != 16:
-            raise Nonsense("does not tell its version", answer)
+            raise ProtocolError("does not tell its version", answer)
         version = struct.unpack(">4I", answer)
         fastest = 500.0 if version[0] >= 5 else 125.0
         rate = min(self.frequency or fastest, fastest)
@@ -151,14 +146,14 @@ class RtdeReceiver(ConnectingSource):
         answer = connection.ask(SET_UP, struct.pack(">d", rate) + names, self._hear)
         found = answer[1:].decode("ascii", "replace").split(",")
         if len(found) != len(recipe):
-            raise Nonsense(f"told {len(found)} types of {len(recipe)} variables", answer)
+            raise ProtocolError(f"told {len(found)} types of {len(recipe)} variables", answer)
         lacking = self._check_types(recipe, found)
         if lacking:
             if len(lacking) == len(recipe):
-                raise Nonsense("has none of the variables that are needed")
+                raise ProtocolError("has none of the variables that are needed")
             return lacking
         if connection.ask(START, b"", self._hear) != b"\1":
-            raise Nonsense("does not start to send")
+            raise ProtocolError("does not start to send")
         self._begin(f"{rate:g} Hz")
         if MEASURED in left_out and COMMANDED not in left_out:
             self._state += ", torques are commanded, not measured"
@@ -176,7 +171,6 @@ class RtdeReceiver(ConnectingSource):
                 self.accept([packages.packet(body, self.size) for body in bodies])
 
     def _check_types(self, recipe: list[tuple[str, str]], found: list[str]) -> frozenset[str]:
-        """The variables that cannot be had as they are needed."""
         lacking = set()
         for (name, kind), other in zip(recipe, found, strict=True):
             if other == kind:
@@ -195,22 +189,17 @@ class RtdeReceiver(ConnectingSource):
         if kind == TEXT:
             self._hear(payload)
         elif kind != DATA:
-            raise Nonsense(f"sent message {chr(kind)} among data packages", payload)
+            raise ProtocolError(f"sent message {chr(kind)} among data packages", payload)
         return kind == DATA
 
     def _hear(self, payload: bytes) -> None:
-        """Passes on what a controller has to say: length, text, length, source, level."""
         is_whole = bool(payload) and 1 + payload[0] <= len(payload)
         text = payload[1 : 1 + payload[0]] if is_whole else payload
         self.tell_once(f"the controller says: {text.decode('utf-8', 'replace').strip()}")
 
 
 class RtdeLayout(Structure):
-    """The packets of `RtdeReceiver`, which are data packages with `_ADDED`.
-
-    Args:
-        torque_sign: factor of measured and commanded torques.
-    """
+    """The packets of `RtdeReceiver`, which are data packages with `_ADDED`."""
 
     message = "data package"
 
@@ -219,32 +208,17 @@ class RtdeLayout(Structure):
         super().__init__(STRUCTURE, signs=signs)
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        """Describes why a packet is none; see `Structure.describe_wrong_size`."""
         return f"{length} bytes that are no {self.message} as agreed"
 
 
 class _Connection(Connection):
-    """A connection to a controller.
-
-    Raises:
-        OSError: it cannot be made, or is lost, in any method.
-        ClosedHere: likewise.
-        Nonsense: what comes is no message.
-    """
-
     def __init__(self, host: str, port: int, wake: socket.socket) -> None:
         super().__init__(host, port, wake)
         self._received = b""
         self._messages: deque[tuple[int, bytes]] = deque()
 
     def ask(self, kind: int, question: bytes, hear: Callable[[bytes], None]) -> bytes:
-        """Sends a question, and returns the payload of its answer.
-
-        Args:
-            kind: of both.
-            question: its payload.
-            hear: called with texts that come before the answer.
-        """
+        """Sends a question, and returns the payload of its answer; `hear` gets texts before it."""
         self.socket.sendall(HEAD.pack(HEAD.size + len(question), kind) + question)
         deadline = clock.monotonic() + connecting.PATIENCE
         while True:
@@ -254,13 +228,14 @@ class _Connection(Connection):
             if found == kind:
                 return payload
             if found != TEXT:
-                raise Nonsense(f"answers question {chr(kind)} by message {chr(found)}", payload)
+                raise ProtocolError(
+                    f"answers question {chr(kind)} by message {chr(found)}", payload
+                )
             hear(payload)
             if clock.monotonic() > deadline:
                 raise TimeoutError(f"does not answer question {chr(kind)}")
 
     def receive(self) -> list[tuple[int, bytes]]:
-        """Waits for messages; returns their types and payloads, at least one."""
         deadline = clock.monotonic() + connecting.PATIENCE
         while not self._messages:
             self._read(deadline, f"sends nothing for {connecting.PATIENCE:g} s")
@@ -269,14 +244,13 @@ class _Connection(Connection):
         return messages
 
     def _read(self, deadline: float, else_what: str) -> None:
-        """Reads what has come, and splits it into messages."""
         self.wait(deadline, else_what)
         received, at = self._received + self.read(), 0
         while len(received) - at >= HEAD.size:
             size, kind = HEAD.unpack_from(received, at)
             if not HEAD.size <= size <= _MOST_BYTES or kind not in _TYPES:
                 text = f"sends what is no message of RTDE: {size} bytes of type {kind}"
-                raise Nonsense(text, received[at:])
+                raise ProtocolError(text, received[at:])
             if len(received) - at < size:
                 break
             self._messages.append((kind, received[at + HEAD.size : at + size]))
@@ -285,14 +259,7 @@ class _Connection(Connection):
 
 
 class _Packages:
-    """Turns payloads of data packages into packets.
-
-    Args:
-        recipe: number of the recipe.
-        left_out: variables that are not in it.
-        rate: of the packages, Hz.
-        fastest: rate of the controller's cycle, Hz.
-    """
+    """Turns payloads of data packages into packets."""
 
     def __init__(self, recipe: int, left_out: frozenset[str], rate: float, fastest: float) -> None:
         self._recipe = recipe
@@ -312,7 +279,6 @@ class _Packages:
         self._number, self._stamp = 0, math.nan
 
     def packet(self, payload: bytes, size: int) -> bytes:
-        """Returns the packet of a payload; other payloads as they are, and not `size` bytes."""
         if len(payload) != self._length or payload[0] != self._recipe:
             return payload + b"\0" * (len(payload) == size)
         step = 1
@@ -330,7 +296,6 @@ class _Packages:
 
 
 def _modes(state: float, quality: float) -> list[str]:
-    """The robot's mode and that of its safety, in words, as far as they are known."""
     said = []
     if state != UNKNOWN:
         said.append(f"robot {ROBOT_MODES.get(int(state), f'in mode {state:.0f}')}")

@@ -20,7 +20,16 @@ from pydantic import Field
 
 from ...base.errors import SimulationError
 from ...base.frames import Array
-from ...simulate.control.controller import MaybePerJoint, PerJoint, Ratio, Sensed, Target, within
+from ...base.once import Once
+from ...simulate.control.controller import (
+    Controller,
+    MaybePerJoint,
+    PerJoint,
+    Ratio,
+    Sensed,
+    Target,
+    within,
+)
 from ...simulate.control.joint_control import JointPosition
 from ...simulate.control.robot_model import RobotModel
 from ...simulate.external_control.commanded_motion import (
@@ -30,8 +39,8 @@ from ...simulate.external_control.commanded_motion import (
     TORQUES,
     CommandedMotion,
 )
-from ...simulate.external_control.datagrams import Reachable
 from ...simulate.external_control.program import PORT, Program
+from ...simulate.external_control.program_controller import Reachable
 from .server import RtdePeer, RtdeServer
 from .state import JOINTS, RtdeState
 from .variables import INPUT_DOUBLE, INPUT_INT, OUTPUT_INT, REGISTERS
@@ -49,7 +58,6 @@ _STOPS = 15, 16, 34  # speedStop, servoStop, stopJ
 _OFFSETS = 0, 24  # of registers: the lower and the upper range
 _SLICE = 0.02  # s, in which an interrupt and the end of the program are seen
 _DECELERATION = 4.0  # rad/s^2, of a robot whose client is silent
-_MOST_TOLD = 100
 _NUMBER = re.compile(r"[-+]?\d[\d.e:+-]*")
 
 
@@ -84,20 +92,15 @@ class RtdeSession(Reachable):
     torque_constants: MaybePerJoint = None
 
 
-class RtdeRobot:
+class RtdeRobot(Controller):
     """Serves clients in each cycle, takes their commands, and acts on them.
 
     Args:
-        declared: how.
-        model: of the robot, for itself.
         timestep: s between two steps.
-        steps: of the simulation in a cycle.
 
     Attributes:
         logged: (3,), the state (`NOBODY` to `SILENT`), the age of the last command, s, and how late
             this step began, s.
-        wrong: messages and commands that were not taken.
-        silent: cycles in which a client that commands was silent.
     """
 
     def __init__(
@@ -126,7 +129,7 @@ class RtdeRobot:
         self._given: set[str] = set()  # of these, by the client that commands
         self.logged: Array = np.zeros(3)
         self.wrong = self.silent = 0
-        self._told: set[str] = set()
+        self._is_new = Once()
         self._commander: RtdePeer | None = None  # whose command was taken last
         self._commanded_at = 0.0
         self._is_silent = self._has_answered = False
@@ -137,12 +140,7 @@ class RtdeRobot:
         self._state.is_running = not has_script
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,).
-
-        Raises:
-            SimulationError: a port is in use, the program has failed, or no client ever answers in
-                lockstep.
-        """
+        """Writes the torques of this step, (n,); raises SimulationError."""
         self._step += 1
         self._time = sensed.time
         if self._step == 1:
@@ -187,7 +185,6 @@ class RtdeRobot:
 
     @property
     def is_running(self) -> bool:
-        """Whether the robot's program is."""
         return self._state.is_running
 
     def value(self, name: str) -> Any:
@@ -198,8 +195,7 @@ class RtdeRobot:
         """Counts what was not taken, and tells it, but for its numbers once."""
         self.wrong += 1
         kind = _NUMBER.sub("#", why)
-        if kind not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(kind)
+        if self._is_new(kind):
             log.warning("%s: not taken at %.3f s: %s", self._model.name, self._time, why)
 
     def take_script(self, text: bytes) -> None:
@@ -238,13 +234,11 @@ class RtdeRobot:
         return True
 
     def _commands(self, peer: RtdePeer) -> bool:
-        """Whether a client has the registers of commands."""
         if self._declared.interface == "ur_rtde":
             return any(f"{INPUT_INT}{offset}" in peer.claimed for offset in _OFFSETS)
         return not peer.claimed.isdisjoint(self._plain)
 
     def _take_command(self, peer: RtdePeer, values: dict[str, Any]) -> bool:
-        """Does what a command of ur_rtde asks for; whether it was one."""
         offset = next((k for k in _OFFSETS if f"{INPUT_INT}{k}" in values), None)
         if offset is None:
             return False
@@ -285,7 +279,6 @@ class RtdeRobot:
         numbers: Callable[[int, int], Array],
         flag: int | None,
     ) -> None:
-        """Does what a command asks for of which ur_rtde waits for the end."""
         motion = self._motion
         self._state.registers[state] = DONE
         if command == _MOVE_J:
@@ -352,7 +345,6 @@ class RtdeRobot:
         self._began = clock.monotonic() - time
 
     def _exchange(self, sensed: Sensed) -> None:
-        """Takes what clients have sent, and sends them what they are to get in this cycle."""
         time, server = sensed.time, self._server
         if self._declared.clock == "real_time":
             due = self._began + time
@@ -370,7 +362,6 @@ class RtdeRobot:
         self.logged[0] = self._state_number()
 
     def _wait_for_answers(self, cycle: int, time: float) -> None:
-        """Waits until all clients that command have answered this cycle's package."""
         server, declared = self._server, self._declared
         if self._program is not None and self._has_answered and declared.same_core:
             self._program.come_beside()
@@ -438,7 +429,6 @@ class RtdeRobot:
             self._come_to_rest()
 
     def _come_to_rest(self) -> None:
-        """Ends motion; where torques act, at the angles of now."""
         if self._motion.mode == TORQUES:
             self._motion.hold()  # they are carried along
         elif self._motion.mode != HOLDS:
@@ -455,7 +445,6 @@ class RtdeRobot:
         return CONNECTED if peers else NOBODY
 
     def _check(self, time: float) -> None:
-        """Raises SimulationError where the program has failed."""
         program = self._program
         if program is None or not program.has_ended:
             return
@@ -472,7 +461,6 @@ class RtdeRobot:
     # ---- control
 
     def _act(self, sensed: Sensed, out: Array) -> None:
-        """Writes the torques of the robot's own control, (n,)."""
         motion = self._motion
         if motion.mode == TORQUES:
             motion.angles[:] = sensed.motor_angles

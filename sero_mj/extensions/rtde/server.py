@@ -19,7 +19,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol
 
-from ...data.receive.connecting import Nonsense
+from ...base.once import Once
+from ...data.receive.connecting import ProtocolError
 from .receiver import (
     ASK_CONTROLLER,
     ASK_VERSION,
@@ -40,7 +41,7 @@ CONTROLLER_VERSION = 5, 23, 0, 0  # the first that has actual_current_as_torque
 _KINDS = {ASK_VERSION, ASK_CONTROLLER, SET_UP, SET_UP_INPUTS, START, PAUSE, DATA, TEXT}
 # Bytes of a message from a client. UR takes 2048 of names.
 _MOST_BYTES = 4096
-_MOST_PEERS, _MOST_RECIPES, _MOST_TOLD = 16, 255, 100
+_MOST_PEERS, _MOST_RECIPES = 16, 255
 _MOST_UNSENT = 1 << 18  # bytes, that a client may leave unread
 # s, from the start to the first package. UR's own client does not see one that comes together with
 # the answer to its start before another one comes, which in lockstep there is not.
@@ -74,13 +75,7 @@ class Desk(Protocol):
 
 
 class Peer(ABC):
-    """A connection from a client.
-
-    Args:
-        server: that it is of.
-        connection: accepted.
-        name: of the other end, for messages.
-    """
+    """A connection from a client."""
 
     def __init__(self, server: RtdeServer, connection: socket.socket, name: str) -> None:
         self.server, self.name = server, name
@@ -90,15 +85,10 @@ class Peer(ABC):
 
     @abstractmethod
     def hear(self, received: bytes) -> bytes:
-        """Acts on what has come, and returns what is incomplete; raises Nonsense."""
+        """Acts on what has come, and returns what is incomplete; raises ProtocolError."""
 
     def read(self) -> None:
-        """Takes what has come.
-
-        Raises:
-            OSError: the connection has ended.
-            Nonsense: what came is not of its protocol.
-        """
+        """Takes what has come; raises OSError or ProtocolError."""
         more = self.socket.recv(65536)
         if not more:
             raise ConnectionError("it closed the connection")
@@ -112,7 +102,6 @@ class Peer(ABC):
         self.flush()
 
     def flush(self) -> bool:
-        """Sends what is left; whether nothing is."""
         with suppress(BlockingIOError):
             while self._unsent:
                 del self._unsent[: self.socket.send(self._unsent)]
@@ -123,11 +112,7 @@ class RtdePeer(Peer):
     """A client of RTDE.
 
     Attributes:
-        is_started: whether it gets packages.
-        is_awaited: whether the last one has not been answered.
         inputs: recipes, of which the first has number 1.
-        claimed: names of inputs that are its own.
-        skipped: packages that were left out because it does not read.
     """
 
     def __init__(self, server: RtdeServer, connection: socket.socket, name: str) -> None:
@@ -142,12 +127,11 @@ class RtdePeer(Peer):
         self._has_version = False
 
     def hear(self, received: bytes) -> bytes:
-        """See `Peer`."""
         at = 0
         while len(received) - at >= HEAD.size:
             size, kind = HEAD.unpack_from(received, at)
             if not HEAD.size <= size <= _MOST_BYTES or kind not in _KINDS:
-                raise Nonsense(f"sent what is no message of RTDE: {size} bytes of type {kind}")
+                raise ProtocolError(f"sent what is no message of RTDE: {size} bytes of type {kind}")
             if len(received) - at < size:
                 break
             self._obey(kind, received[at + HEAD.size : at + size])
@@ -155,14 +139,12 @@ class RtdePeer(Peer):
         return received[at:]
 
     def say(self, text: str) -> None:
-        """Sends a text message."""
         said = text.encode()[:255]
         payload = bytes([len(said)]) + said + bytes([len(_SOURCE)]) + _SOURCE + bytes([_WARNING])
         self._answer(TEXT, payload)
 
     @property
     def is_ready(self) -> bool:
-        """Whether packages may be sent to it."""
         return self.is_started and clock.monotonic() >= self._begins
 
     def is_due(self, cycle: int) -> bool:
@@ -195,7 +177,7 @@ class RtdePeer(Peer):
             said = payload[1 : 1 + payload[0]] if payload else b""
             self.server.tell(f"client {self.name} says: {said.decode('utf-8', 'replace')}")
         elif not self._has_version:
-            raise Nonsense(f"sent {chr(kind)} before it asked for version {VERSION} of RTDE")
+            raise ProtocolError(f"sent {chr(kind)} before it asked for version {VERSION} of RTDE")
         elif kind == SET_UP:
             self._set_up_outputs(payload)
         elif kind == SET_UP_INPUTS:
@@ -214,7 +196,7 @@ class RtdePeer(Peer):
 
     def _set_up_outputs(self, payload: bytes) -> None:
         if len(payload) < 8:
-            raise Nonsense(f"set up outputs in {len(payload)} bytes")
+            raise ProtocolError(f"set up outputs in {len(payload)} bytes")
         (rate,) = struct.unpack_from(">d", payload)
         recipe = Recipe(payload[8:], OUTPUTS, frozenset())
         self.is_started = self.is_awaited = False
@@ -257,14 +239,12 @@ class DashboardPeer(Peer):
     """A client of the dashboard server, as far as clients of RTDE use it."""
 
     def greet(self) -> None:
-        """What is said first."""
         self.send(b"Connected: Universal Robots Dashboard Server\n")
 
     def hear(self, received: bytes) -> bytes:
-        """See `Peer`."""
         *lines, rest = received.split(b"\n")
         if len(rest) > _MOST_BYTES:
-            raise Nonsense("sent no line")
+            raise ProtocolError("sent no line")
         for line in lines:
             self.send(self._answer_to(line.decode("utf-8", "replace").strip()).encode() + b"\n")
         return rest
@@ -297,7 +277,6 @@ class ScriptPeer(Peer):
     """A client that sends URScript, of which no more than the end is seen."""
 
     def hear(self, received: bytes) -> bytes:
-        """See `Peer`."""
         if received.rstrip().endswith((b"\nend", b"\r\nend")):  # others in it are indented
             self.server.desk.take_script(received)
             return b""
@@ -305,18 +284,7 @@ class ScriptPeer(Peer):
 
 
 class RtdeServer:
-    """Listens, and serves all clients.
-
-    Args:
-        desk: what they get and give.
-        cycle: s between packages at most.
-
-    Attributes:
-        port: of RTDE, where it is open.
-        peers: clients of RTDE.
-        desk: as given.
-        cycle: as given.
-    """
+    """Listens, and serves all clients. `cycle`: s between packages at most."""
 
     def __init__(self, desk: Desk, cycle: float, name: str) -> None:
         self.desk, self.cycle = desk, cycle
@@ -325,24 +293,19 @@ class RtdeServer:
         self._selector: selectors.BaseSelector | None = None
         self._peers: dict[socket.socket, Peer] = {}
         self._makes: dict[socket.socket, Callable[[socket.socket, str], Peer]] = {}
-        self._told: set[str] = set()
+        self._is_new = Once()
 
     @property
     def peers(self) -> list[RtdePeer]:
-        """The clients of RTDE."""
         return [peer for peer in self._peers.values() if isinstance(peer, RtdePeer)]
 
     def open(self, host: str, port: int, dashboard: int = 0, script: int = 0) -> None:
-        """Listens.
+        """Listens; raises OSError.
 
         Args:
-            host: address.
             port: of RTDE; 0 for a free one.
             dashboard: port of the dashboard server; 0 for none.
             script: port that takes URScript; 0 for none.
-
-        Raises:
-            OSError: there is no such address, or a port is in use; says which one.
         """
         self._selector = selectors.DefaultSelector()
         for number, make in ((port, RtdePeer), (dashboard, DashboardPeer), (script, ScriptPeer)):
@@ -376,11 +339,7 @@ class RtdeServer:
         self._selector = None
 
     def serve(self, seconds: float = 0.0) -> bool:
-        """Takes what has come; whether anything had.
-
-        Args:
-            seconds: to wait for something.
-        """
+        """Takes what has come; whether anything had. `seconds`: to wait for something."""
         if self._selector is None:
             return False
         ready = self._selector.select(max(seconds, 0.0))
@@ -400,7 +359,6 @@ class RtdeServer:
                 self._do(peer, peer.send_package)
 
     def send_to(self, peer: RtdePeer) -> None:
-        """Sends a package to one client."""
         self._do(peer, peer.send_package)
 
     def claimed_by_others(self, but: RtdePeer) -> frozenset[str]:
@@ -408,9 +366,7 @@ class RtdeServer:
         return frozenset().union(*(peer.claimed for peer in self.peers if peer is not but))
 
     def tell(self, text: str) -> None:
-        """Logs something once."""
-        if text not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(text)
+        if self._is_new(text):
             log.warning("%s: %s", self._name, text)
 
     def _accept(self, listening: socket.socket) -> None:
@@ -435,12 +391,11 @@ class RtdeServer:
             self._do(peer, peer.greet)
 
     def _do(self, peer: Peer, act: Callable[[], None]) -> None:
-        """Lets a client act, and drops it where that fails."""
         try:
             act()
         except BlockingIOError:
             pass
-        except Nonsense as error:
+        except ProtocolError as error:
             self.desk.count_wrong(f"client {peer.name} {error}")
             self._drop(peer, "")
         except OSError as error:

@@ -33,12 +33,10 @@ class RtdeState:
 
     Args:
         model: of the robot, shared with the control, which updates it before.
-        motion: where it is commanded to.
         timestep: s.
         constants: (n,), Nm/A; None where currents are 0.
 
     Attributes:
-        registers: outputs, and inputs as clients have set them, by name.
         is_running: whether the robot's program is.
     """
 
@@ -90,12 +88,7 @@ class RtdeState:
         }
 
     def observe(self, sensed: Sensed, commanded: Array) -> None:
-        """Takes a step.
-
-        Args:
-            sensed: what is measured.
-            commanded: (n,), Nm, torques of the last step.
-        """
+        """Takes a step. `commanded`: (n,), Nm, torques of the last step."""
         self._observer.update(sensed)
         self._sensed = sensed
         self._commanded[:] = commanded
@@ -108,7 +101,6 @@ class RtdeState:
         self._last[:] = self._motion.angles
 
     def value(self, name: str) -> Any:
-        """A number, or those of a vector."""
         value = self.registers.get(name)
         if value is None and name in CONSTANT:
             value = CONSTANT[name][1]
@@ -124,7 +116,6 @@ class RtdeState:
         return value
 
     def take(self, inputs: Mapping[str, Any]) -> None:
-        """Takes what a client has set."""
         self.registers.update({name: inputs[name] for name in inputs if "_register" in name})
         for name, first, bits in (("standard", 0, 8), ("configurable", 8, 8), ("tool", 16, 2)):
             mask = inputs.get(f"{name}_digital_output_mask", 0) & ((1 << bits) - 1)
@@ -152,7 +143,6 @@ class RtdeState:
         return pose
 
     def _jacobian(self) -> Array:
-        """(6, n), in the directions of the base."""
         back = self._model.base()[:3, :3].T
         return np.kron(np.eye(2), back) @ self._model.jacobian()
 

@@ -91,15 +91,7 @@ OUTPUTS = {
 class Recipe:
     """Names that a client has asked for, and the bytes of their values.
 
-    Args:
-        names: as they came, perhaps with a comma at the end.
-        known: name to type.
-        in_use: names that another client has.
-
     Attributes:
-        names: of the variables.
-        types: of these, or why they cannot be had.
-        is_valid: whether all can be had, and there is one.
         size: bytes of all values.
     """
 
@@ -127,11 +119,7 @@ class Recipe:
         return self._struct.pack(*numbers)
 
     def unpack(self, data: bytes) -> dict[str, Any]:
-        """Name to value of `size` bytes.
-
-        Raises:
-            ValueError: a number is not finite.
-        """
+        """Name to value of `size` bytes; raises ValueError if a number is not finite."""
         numbers = self._struct.unpack(data)
         if not np.isfinite(numbers).all():
             raise ValueError("not finite")

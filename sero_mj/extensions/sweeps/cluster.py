@@ -47,7 +47,6 @@ class Cluster:
     Args:
         scheduler: an address `tcp://HOST:PORT`, a scheduler's file `.json`, or a file `.toml` with
             a table of `dask-jobqueue`: `[slurm]`, `[pbs]`, `[lsf]` or `[sge]`.
-        shipped: further files and folders that the workers are given.
 
     Attributes:
         workers: how many are used at the moment.
@@ -100,7 +99,6 @@ class Cluster:
 
     @contextmanager
     def _client(self) -> Iterator[Any]:
-        """A client of the scheduler, and the cluster itself where it is a batch system's."""
         from distributed import Client
 
         if self._scheduler.endswith(".toml"):
@@ -125,10 +123,7 @@ class _Run:
     """One work on the workers of a client.
 
     Args:
-        client: of a scheduler.
         address: the scheduler's, for errors.
-        work: what is done.
-        files: those of the job.
     """
 
     def __init__(self, client: Any, address: str, work: Work, files: JobFiles) -> None:
@@ -144,11 +139,9 @@ class _Run:
 
     @property
     def workers(self) -> int:
-        """How many are used."""
         return len(self._of)
 
     def results(self) -> Generator[list[Result]]:
-        """Yields what has come, at least every second."""
         with self._scheduler():
             installed = self._client.get_versions(check=False, packages=["sero_mj"])["workers"]
             self._refuse_without(installed)
@@ -226,7 +219,6 @@ class _Run:
             log.warning("worker %s differs and is not used: %s", worker, text)
 
     def _hand_out(self) -> None:
-        """Gives every worker something to run and something to follow."""
         from .cluster_worker import run_tasks
 
         job = self._work.job
@@ -257,7 +249,6 @@ class _Run:
         return [self._todo.popleft() for _ in range(size)]
 
     def _take(self, key: str) -> list[Result]:
-        """The results of a batch that is ready."""
         if key not in self._batches:  # it was given up
             return []
         worker, batch, future = self._batches[key]
@@ -300,7 +291,6 @@ class _Run:
         return given_up
 
     def end(self) -> None:
-        """Cancels what is still to be run, and removes the files from the workers."""
         if self._client.status != "running":
             return
         with suppress(Exception):
@@ -320,7 +310,6 @@ def _closed(client: Any) -> Iterator[Any]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What Dask says of lost connections is told by our own errors, also after these."""
     import distributed  # noqa: F401  # which gives its loggers levels of their own
 
     known = [name for name in logging.root.manager.loggerDict if name.startswith("distributed.")]
@@ -336,7 +325,6 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _job_queue(file: Path) -> Iterator[Any]:
-    """A cluster whose workers are jobs of a batch system."""
     try:
         import dask_jobqueue
     except ImportError as error:

@@ -31,14 +31,7 @@ def versions() -> dict[str, str]:
 
 
 class JobFiles(WorkerPlugin):  # type: ignore[misc]
-    """A job and its files on a worker, in a folder of their own until it has ended.
-
-    Args:
-        name: of this work, unlike all others.
-        archive: the files, see `scenario_inputs.pack`.
-        job: as it is where the work was begun.
-        models: shipped files that it reads, see `digest_of_models`.
-    """
+    """A job and its files on a worker, in a folder of their own until it has ended."""
 
     def __init__(self, name: str, archive: bytes, job: Job, models: Mapping[str, str]) -> None:
         self.name, self._archive = name, archive

@@ -30,7 +30,6 @@ class Mutations:
     """A variant as the scenario is, and one for each mutation; a `Design` of a sweep.
 
     Args:
-        file: where they stand.
         tables: what each sets, dotted keys to their values, by its name.
     """
 
@@ -137,7 +136,6 @@ def judge(row: Mapping[str, Any], without: Mapping[str, Any]) -> Judged:
     """Judges a mutation.
 
     Args:
-        row: of its variant in the table of the sweep.
         without: that of the scenario as it is; empty if it is not known.
     """
     columns = value_columns([*row])

@@ -74,7 +74,6 @@ class _OfSamples:
         print(f"{summary.held} held, {failed} did not, {len(summary.errors)} stopped with an error")
 
     def _values(self, number: int) -> str:
-        """The values of a variant, in short: the last part of each key."""
         if number < 0:
             return ""
         parts = []

@@ -125,11 +125,6 @@ def latin_hypercube(varied: Sequence[Vary], samples: int, seed: int) -> list[dic
     The range of a key is cut into as many parts as there are samples; each part has one sample,
     somewhere in it, and the orders of the keys are shuffled against each other.
 
-    Args:
-        varied: the keys and their ranges.
-        samples: how many.
-        seed: of all that is random.
-
     Source: McKay, Beckman, Conover 1979, A Comparison of Three Methods for Selecting Values of
     Input Variables in the Analysis of Output from a Computer Code, Technometrics 21.
     """
@@ -165,7 +160,6 @@ def _named(varied: Sequence[Vary], rows: Any) -> list[dict[str, Any]]:
 
 
 def _list(text: str) -> list[Any]:
-    """Values with commas between them: TOML, or words."""
     try:
         found = tomllib.loads(f"value = [{text}]")["value"]
         return list(found) if found else [text]
@@ -185,7 +179,6 @@ class Samples:
     """Variants in which keys take values of their ranges and lists; a `Design` of a sweep.
 
     Args:
-        varied: the keys, and the values that they take.
         count: how many variants at most; of a grid, how many values of every range.
         is_grid: whether all values are combined with all others; else a Latin hypercube, in which
             no variant is twice. Where that many samples have room for all, as with short lists,

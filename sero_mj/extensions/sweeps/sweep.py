@@ -49,7 +49,6 @@ class Design(Protocol):
         """Raises SeroError where variants cannot be.
 
         Args:
-            read: reads the scenario with the values of a variant.
             fixed: dotted keys that are set in all variants.
         """
 
@@ -60,7 +59,6 @@ class Sweep:
 
     Args:
         file: the scenario's.
-        design: which variants.
         fixed: dotted keys that are set in all of them.
 
     Raises:
@@ -137,7 +135,6 @@ class Sweep:
 
 
 def _plain(value: Any) -> Any:
-    """The same as JSON gives it back."""
     if isinstance(value, Mapping):
         return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

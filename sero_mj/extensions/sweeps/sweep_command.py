@@ -28,17 +28,11 @@ if TYPE_CHECKING:
     from .sweep import Design, Sweep
     from .sweep_results import SweepTable
 
-_EPILOG = """\
+_HELP = """\
 examples:
   sero-mj sweep impedance_push --vary controllers.lwr.stiffness=100:2000 --samples 50
-  sero-mj sweep my.toml --vary controllers.lwr.stiffness=log:50:5000 \\
-      --vary controllers.lwr.damping=0.3:1 --samples 1000 -o sweep.csv --plot sweep.png
-  sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 -o noise.csv --resume
-  sero-mj sweep my.toml --vary run.elastic=true,false --vary 'run.timestep=0.001,0.0005' --grid
+  sero-mj sweep my.toml --vary run.elastic=true,false --vary run.seed=0:9 --grid -o sweep.csv
   sero-mj sweep my.toml --mutations faults.toml -o noticed.csv
-  sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 --print-sbatch 40 > noise.sbatch
-  sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 -o noise.csv \\
-      --engine dask --scheduler tcp://head:8786
 
 KEY is anything that `simulate --set` takes. VALUES is a range LOW:HIGH, evenly in orders of
 magnitude with log:LOW:HIGH, whole numbers with int:LOW:HIGH, or a list A,B,C. Samples are a Latin
@@ -51,11 +45,10 @@ table of its own; --merge joins these. Workers of a Dask cluster take variants w
 it needs `pip install 'sero-mj[dask]'`. Exits with 1 when not every variant held, or not every
 mutation was noticed.
 """
-ORDER = 25  # in the help of `sero-mj`
+GROUP, ORDER = "simulate", 32
 
 
 def _shard(value: Any) -> Any:
-    """Reads `2/8`, which is the second of eight."""
     if not isinstance(value, str):
         return value
     number, _, of = value.partition("/")
@@ -192,11 +185,10 @@ def run(options: SweepOptions) -> int:
     return 0 if report.is_good else 1
 
 
-add_to = command("sweep", run, SweepOptions, _EPILOG)
+add_to = command("sweep", run, SweepOptions, _HELP)
 
 
 def _parts(options: SweepOptions) -> list[Path]:
-    """The tables to join: files, and what patterns stand for."""
     found = []
     for path in options.merge:
         matches = sorted(path.parent.glob(path.name))
@@ -207,7 +199,6 @@ def _parts(options: SweepOptions) -> list[Path]:
 
 
 def _sbatch(count: int, options: SweepOptions) -> str:
-    """A job of SLURM with one task for each shard, which goes on where it is started again."""
     words = ["sero-mj", "sweep", options.scenario]
     for option, values in (("--vary", options.vary), ("--set", options.settings)):
         words += [word for value in values for word in (option, str(value))]

@@ -42,7 +42,6 @@ class SweepTable:
     Use it as a context manager.
 
     Args:
-        sweep: whose results.
         path: where to; None keeps them in memory only.
         resume: go on with a file that is there.
         overwrite: write over it.
@@ -103,7 +102,6 @@ class SweepTable:
             raise UsageError(Problem(option, message))
 
     def _read(self, path: Path) -> None:
-        """Takes over complete rows, and drops a partial row of a killed process."""
         contents = path.read_bytes()
         whole = contents[: contents.rfind(b"\n") + 1]
         if len(whole) < len(contents):
@@ -134,7 +132,6 @@ class SweepTable:
                 raise UsageError(Problem(f"--merge {part}", message))
 
     def _rows_of(self, path: Path, whole: bytes) -> dict[int, dict[str, Any]]:
-        """The rows in the text of a table, by their variants."""
         rows = {}
         lines = list(csv.reader(io.StringIO(whole.decode("utf-8"), newline="")))
         if not lines:
@@ -223,7 +220,6 @@ def _value(cell: str) -> Any:
 
 
 def _differences(found: Any, wanted: Any, key: str = "") -> list[str]:
-    """What two settings do not have in common, by key."""
     if isinstance(found, dict) and isinstance(wanted, dict):
         keys = dict.fromkeys([*found, *wanted])
         return [
@@ -299,7 +295,6 @@ def summarise_sweep(rows: Rows, columns: list[str]) -> SweepSummary:
 
     Args:
         rows: by number of the variant.
-        columns: of the table.
     """
     outcomes = []
     for name, column in value_columns(columns).items():
@@ -408,7 +403,6 @@ def _with_unit(text: str, unit: str) -> str:
 
 
 def _legend(sweep: Sweep, shown: list[str], rows: Mapping[int, Mapping[str, Any]]) -> list[Any]:
-    """Returns the entries of the legend: of what the figure has."""
     from matplotlib.lines import Line2D
 
     columns = value_columns(sweep.columns)
@@ -424,7 +418,6 @@ def _legend(sweep: Sweep, shown: list[str], rows: Mapping[int, Mapping[str, Any]
 
 
 def _places(vary: Vary, rows: list[Mapping[str, Any]]) -> Any:
-    """Positions of variants on the axis: their value, or its index in the list."""
     values = [row[vary.key] for row in rows]
     if vary.values and not _are_numbers(vary.values):
         values = [vary.values.index(value) for value in values]

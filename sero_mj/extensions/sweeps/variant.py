@@ -78,7 +78,6 @@ class VariantRunner:
         return found
 
     def _run_batch(self, batch: list[tuple[Scenario, dict[str, Any]]]) -> None:
-        """Runs scenarios together and fills their results."""
         runs: list[Simulation] = []
         try:
             made = Simulation.together([scenario for scenario, _ in batch], self._compiler)
@@ -105,7 +104,6 @@ class VariantRunner:
 
 @contextmanager
 def _error_in(found: dict[str, Any]) -> Iterator[None]:
-    """Catches all errors in its context, for the variant's row."""
     try:
         yield
     except DeclarationError as error:
@@ -121,7 +119,6 @@ def _error_in(found: dict[str, Any]) -> Iterator[None]:
 
 
 def _judge(simulation: Simulation, scenario: Scenario, found: dict[str, Any]) -> None:
-    """Fills in the results of a run, which may have ended early."""
     found["error"] = str(simulation.error or "")
     found["ended"] = simulation.time
     log, findings = simulation.log, simulation.findings()

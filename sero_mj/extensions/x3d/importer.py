@@ -24,7 +24,6 @@ class X3d(Importer):
         packages: Mapping[str, Path | str] | None = None,
         arguments: Mapping[str, Any] | None = None,
     ) -> ImportedTables:
-        """See `Importer`."""
         from .reader import read_x3d
 
         return read_x3d(path)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import Problem, raise_any
 from ...base.frames import Array, frame, rotation_about, rotation_from_quat
 from ...robots.assemble.link_geometry import drawn_geoms
 from .writer import face_set, shape_lines
@@ -23,13 +23,11 @@ Geom = mujoco.mjtGeom
 def link_files(robot: SerialRobot) -> dict[str, str]:
     """Returns the text of each file of base and links by name, in the order of `filenames`.
 
-    Raises:
-        DeclarationError: a mesh cannot be read.
+    Raises DeclarationError if a mesh cannot be read.
     """
     root, problems = mujoco.MjSpec(), list[Problem]()
     links = drawn_geoms(root, robot, problems)
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     owners = [i for i, geoms in enumerate(links) for _ in geoms]
     for geom in (geom for geoms in links for geom in geoms):
         root.worldbody.add_geom(contype=0, conaffinity=0, mass=0, **geom)
@@ -44,7 +42,6 @@ def link_files(robot: SerialRobot) -> dict[str, str]:
 
 
 def _shapes(model: Any, k: int) -> list[str]:
-    """Returns the Shape nodes of a geom, in the frame of its link."""
     kind, size = Geom(model.geom_type[k]), model.geom_size[k]
     T = frame(rotation_from_quat(model.geom_quat[k]), model.geom_pos[k])
     rgba = model.geom_rgba[k].round(6).tolist()

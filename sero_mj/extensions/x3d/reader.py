@@ -35,7 +35,7 @@ from .protos import (
 )
 from .surroundings import camera_table, light_table, object_table, rounded, view_axes
 from .vrml import read_document
-from .vrml_nodes import Document, Node, Problems, Route, Value, get, read_field
+from .vrml_nodes import Document, FieldValue, Node, Problems, RouteStatement, get, read_field
 from .wrl import VisitedNode, kind_of, matrix, transform_of, visit
 
 _MAX_DEBUG_LEVEL = 3
@@ -48,24 +48,15 @@ _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
 
 
 def read_x3d(path: Path) -> ImportedTables:
-    """Reads a scene of robots, sources, routes, shapes, viewpoints and lights.
+    """Reads a scene in X3D's classic encoding, or in VRML97.
 
     Other nodes are listed in one warning; so are missing geometry files of robots, whose links are
-    generated from the DH table.
-
-    Args:
-        path: of a file in X3D's classic encoding, or VRML97.
-
-    Raises:
-        DeclarationError: all X3D errors, with lines. Errors in a robot or a source are reported
-            when it is built from the tables.
+    generated from the DH table. Raises DeclarationError with all X3D errors, with lines.
     """
-    return _Reader(read_document(path)).described()
+    return _X3dReader(read_document(path)).described()
 
 
-class _Reader:
-    """Reads one document."""
-
+class _X3dReader:
     def __init__(self, document: Document) -> None:
         self.document, self.path = document, document.path
         self.problems = Problems(document.path)
@@ -131,7 +122,6 @@ class _Reader:
         return bool(own_kind(node)) or id(node) in self.moved
 
     def _name(self, node: Node, text: str = "") -> str:
-        """Our unique name of a node: that of its DEF if it is valid."""
         if id(node) in self.names:
             return self.names[id(node)]
         wanted = node.name or text or node.kind.lower()
@@ -234,7 +224,6 @@ class _Reader:
             table["children"] = table_children
 
     def _child(self, seen: VisitedNode, robot: str) -> list[dict[str, Any]]:
-        """Objects fixed to a robot's flange; a robot there is mounted on it."""
         if own_kind(seen.node) == "SerialRobot":
             self._robot(seen, f"{robot}/flange")
         elif own_kind(seen.node) or seen.node.kind in (
@@ -251,7 +240,6 @@ class _Reader:
         return []
 
     def _with_files(self, found: dict[str, Any], node: Node, name: str) -> dict[str, Any]:
-        """Fields of a robot, without files if one is missing; the folder has slashes."""
         directory = found.get("directory", "")
         if "://" in directory:
             value = node.value("directory")
@@ -308,7 +296,6 @@ class _Reader:
         others: Collection[str],
         events: Collection[str],
     ) -> dict[str, Any]:
-        """The fields set by a node or its PROTO, by our names."""
         found: dict[str, Any] = {}
         declared = {} if node.proto is None else node.proto.fields
         for name, value in _values(node).items():
@@ -330,7 +317,6 @@ class _Reader:
         return found
 
     def _frame(self, node: Node, name: str) -> Array:
-        """A matrix as a frame (4, 4); identity, and reported, if it is invalid."""
         value = node.value(name)
         if value is None:
             return np.eye(4)
@@ -355,7 +341,6 @@ class _Reader:
     # Surroundings.
 
     def _shapes(self, seen: VisitedNode) -> list[tuple[str, dict[str, Any]]]:
-        """Name and table of the object of a Shape; empty for an invisible one."""
         shape = seen.node
         table, text, count = object_table(seen, self.problems.of(seen.path), self.not_shown)
         self.triangles += count
@@ -420,7 +405,6 @@ class _Reader:
             self._take(VisitedNode(each.node, T @ each.T, each.path))
 
     def _carries(self, robot: Node, event: str, T: Array) -> bool:
-        """Whether a group at T with this event is at the flange of a robot with a fixed base."""
         is_flange = event.removesuffix("_changed") == FLANGE
         table = self.robots.get(self.names.get(id(robot), ""))
         if not is_flange or own_kind(robot) != "SerialRobot" or table is None:
@@ -428,7 +412,7 @@ class _Reader:
         base = np.array(table.get("base_frame", np.eye(4)))
         return "mount" not in table and np.allclose(base, T, rtol=0, atol=1e-9)
 
-    def _meant(self, route: Route) -> tuple[str, str, str] | None:
+    def _meant(self, route: RouteStatement) -> tuple[str, str, str] | None:
         """The source of a ROUTE, its target robot, and its text for messages.
 
         None for one that is invalid, left out, or already handled.
@@ -460,8 +444,9 @@ class _Reader:
             self.problems.add(f"ROUTE {text}", message, line)
         return None
 
-    def _route(self, route: Route, origin: str, robot: str, text: str, *, is_turned: bool) -> None:
-        """Adds a ROUTE to a robot."""
+    def _route(
+        self, route: RouteStatement, origin: str, robot: str, text: str, *, is_turned: bool
+    ) -> None:
         field, line = route.input.removeprefix("set_"), route.line
         target = self.document.names[route.target]
         if field in ("flangeFrame", "axesTransparency", "enableTouchSensor", "children"):
@@ -502,7 +487,6 @@ class _Reader:
 
 
 def _why_not(file: Path) -> str:
-    """Why a file of geometry cannot be drawn; empty where it can."""
     if "\0" in str(file) or not file.is_file():
         return _MISSING
     try:
@@ -512,15 +496,13 @@ def _why_not(file: Path) -> str:
     return ""
 
 
-def _values(node: Node) -> dict[str, Value]:
-    """Values of a node's fields, with its PROTO's defaults."""
+def _values(node: Node) -> dict[str, FieldValue]:
     declared = {} if node.proto is None else node.proto.fields
     given = {name: each.value for name, each in declared.items() if each.value is not None}
     return {**given, **node.fields}
 
 
 def _rigid(T: Array) -> Array:
-    """The same frame; raises ValueError where it scales or shears."""
     try:
         return frame_from(T, np.asarray)
     except ValueError:

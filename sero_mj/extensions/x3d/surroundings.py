@@ -20,15 +20,10 @@ _ANY_ROLL = np.deg2rad(1.0)
 def object_table(
     seen: VisitedNode, problems: Problems, left_out: dict[str, int]
 ) -> tuple[dict[str, Any] | None, str, int]:
-    """The table of a Shape: a primitive, or triangles as MJCF.
+    """Returns the table of a Shape, a primitive or MJCF, a name for it, and its triangles.
 
-    Args:
-        seen: the Shape.
-        problems: receives its errors.
-        left_out: receives the kind and line of an unknown geometry.
-
-    Returns:
-        the table, None for an invisible Shape; a name for it; its triangles.
+    The table is None for an invisible Shape. `left_out` receives the kind and line of an unknown
+    geometry.
     """
     geometry: Node | None = get(seen.node, "geometry", "SFNode", None, problems)
     geometry = geometry and (instance(geometry) or geometry)
@@ -47,7 +42,6 @@ def object_table(
 
 
 def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] | None:
-    """The table of a box, a sphere, an ellipsoid or a cylinder; None for other shapes."""
     scales = np.linalg.norm(T[:3, :3], axis=0)
     if not (scales > 0).all():
         return None

@@ -23,12 +23,12 @@ from .vrml_nodes import (
     TYPES,
     Document,
     Field,
+    FieldValue,
     Is,
     Node,
     Problems,
     Proto,
-    Route,
-    Value,
+    RouteStatement,
     first,
     is_text,
     read_field,
@@ -68,8 +68,7 @@ _WITH_VALUE = ("initializeOnly", "inputOutput")
 def read_document(path: Path) -> Document:
     """Reads a file of VRML97, or of X3D in the classic encoding; it may be gzip-compressed.
 
-    Raises:
-        DeclarationError: all that is wrong with it, with lines.
+    Raises DeclarationError with all that is wrong with it, with lines.
     """
     return parse_document(_read_text(path), path)
 
@@ -106,7 +105,6 @@ def _read_text(path: Path) -> str:
 
 
 def _what_else(start: str) -> str:
-    """The format of a file that has neither header."""
     expected = "expected a first line #X3D V3.0 utf8 or #VRML V2.0 utf8"
     if re.match(r"<\?xml|<!DOCTYPE X3D|<X3D", start):
         return f"is X3D in the XML encoding; {expected} (X3D's classic encoding)"
@@ -120,10 +118,9 @@ def _what_else(start: str) -> str:
 def parse_document(text: str, path: Path) -> Document:
     """Parses text; the header is optional.
 
-    Raises:
-        DeclarationError: all that is wrong with it, with lines of `path`.
+    Raises DeclarationError with all that is wrong with it, with lines of `path`.
     """
-    parser = _Parser(text, path)
+    parser = _VrmlParser(text, path)
     document = parser.document()
     parser.problems.raise_all()
     return document
@@ -140,19 +137,15 @@ class _TooMuch(Exception):
     """The file exceeds a limit, which has been reported."""
 
 
-class _Scope:
-    """A scope of names: the document, or the body of a PROTO."""
-
+class _NameScope:
     def __init__(self, protos: dict[str, Proto]) -> None:
         self.names: dict[str, Node] = {}
         self.open: list[Node] = []  # named nodes that enclose the current one
         self.protos = protos
-        self.routes: list[Route] = []
+        self.routes: list[RouteStatement] = []
 
 
-class _Parser:
-    """Parses tokens into nodes, and continues after errors."""
-
+class _VrmlParser:
     def __init__(self, text: str, path: Path) -> None:
         self.problems = Problems(path)
         self._tokens = self._scan(text)
@@ -160,7 +153,7 @@ class _Parser:
         # After an error nothing more is reported until something parses again.
         self._is_lost = False
         self._mistakes = 0  # reported or not
-        self._scope = _Scope({})
+        self._scope = _NameScope({})
         self._token = _Token("mark", "", 1)
         self._next()
 
@@ -202,13 +195,11 @@ class _Parser:
             yield _Token("end", "the end of the file", line)
 
     def _next(self) -> _Token:
-        """Advances, and returns the previous token."""
         token = self._token
         self._token = next(self._tokens)
         return token
 
     def _wrong(self, expected: str, token: _Token | None = None, key: str = "") -> None:
-        """Reports an unexpected token."""
         token = token or self._token
         shown = token.text if token.kind == "end" else reprlib.repr(token.text)
         if token.kind == "text":
@@ -226,14 +217,12 @@ class _Parser:
         self._mistakes += 1
 
     def _takes(self, mark: str) -> bool:
-        """Whether the next token is this mark; if so, advances."""
         is_it = self._token.kind == "mark" and self._token.text == mark
         if is_it:
             self._next()
         return is_it
 
     def _name(self, what: str) -> str | None:
-        """A name; None, and reported, if there is none."""
         if self._token.kind == "name":
             return self._next().text
         self._wrong(what)
@@ -253,7 +242,6 @@ class _Parser:
     # Statements.
 
     def _statement(self, nodes: list[Node]) -> None:
-        """Reads one statement at the top level of a file or of a PROTO's body."""
         token = self._token
         if token.kind == "name" and token.text in ("PROTO", "EXTERNPROTO", "ROUTE"):
             self._declaration()
@@ -272,7 +260,6 @@ class _Parser:
             self._skip()
 
     def _skip(self) -> None:
-        """Skips unknown text; in brackets, the whole group."""
         opened = 0
         while self._token.kind != "end":
             token = self._next()
@@ -307,7 +294,7 @@ class _Parser:
                 if name is None:
                     return
                 ends.append(name)
-        self._scope.routes.append(Route(ends[0], ends[1], ends[2], ends[3], line))
+        self._scope.routes.append(RouteStatement(ends[0], ends[1], ends[2], ends[3], line))
         self._is_lost = False
 
     def _proto(self) -> None:
@@ -316,7 +303,7 @@ class _Parser:
         name = self._name("the name of a PROTO")
         proto = Proto(name or "", line)
         proto.fields = self._interface()
-        outside, self._scope = self._scope, _Scope(dict(self._scope.protos))
+        outside, self._scope = self._scope, _NameScope(dict(self._scope.protos))
         if not self._takes("{"):
             self._wrong(f"{{ and the body of PROTO {proto.name}")
         else:
@@ -369,7 +356,6 @@ class _Parser:
         return self._token.kind == "name" and (text in _ACCESS or text in _ACCESS.values())
 
     def _field(self, fields: dict[str, Field], *, has_values: bool) -> str | None:
-        """Reads the declaration of a field, and stores its value in `fields`."""
         token = self._next()
         access = _ACCESS.get(token.text, token.text)
         kind, line = self._token.text, self._token.line
@@ -394,7 +380,6 @@ class _Parser:
     # Nodes and values.
 
     def _node(self) -> Node | None:
-        """Reads `DEF name Type { ... }`, `USE name` or `NULL`; None if there is no node."""
         token = self._next()
         name = ""
         if token.text == "NULL":
@@ -463,17 +448,16 @@ class _Parser:
                     node.fields[token.text] = value
                     self._is_lost &= self._mistakes > before
 
-    def _value(self, key: str) -> Value | None:
-        """Reads the value of a field; None, and reported, if there is none."""
+    def _value(self, key: str) -> FieldValue | None:
         token = self._token
         if token.kind == "numbers":
             self._next()
             assert token.numbers is not None
-            return Value(token.numbers, token.line)
+            return FieldValue(token.numbers, token.line)
         if token.text == "IS" and token.kind == "name":
             self._next()
             name = self._name("the name of a field behind IS")
-            return None if name is None else Value((Is(name),), token.line)
+            return None if name is None else FieldValue((Is(name),), token.line)
         items: list[Any] = []
         if self._takes("["):
             while not self._takes("]"):
@@ -485,7 +469,7 @@ class _Parser:
                 if not self._item(items):
                     self._wrong("a value", key=key)
                     self._skip()
-            return Value(items, token.line)
+            return FieldValue(items, token.line)
         if not self._item(items):
             self._wrong("its value", key=key)
             return None
@@ -493,10 +477,9 @@ class _Parser:
             # Several numbers or strings without brackets end at the next name.
             while self._token.kind in ("number", "text") and self._item(items):
                 pass
-        return Value(items, token.line)
+        return FieldValue(items, token.line)
 
     def _item(self, items: list[Any]) -> bool:
-        """Reads one value, and returns whether there was one."""
         token = self._token
         if token.kind == "number":
             self._next()
@@ -523,7 +506,6 @@ _SKIPPED = {"PROFILE": 1, "COMPONENT": 1, "META": 2, "UNIT": 3, "EXPORT": 1, "IM
 
 
 def _numbers(text: str, begin: int) -> tuple[int, Array | None]:
-    """The end of a list of numbers only, and the numbers; None for other lists."""
     found = _NUMBERS.match(text, begin)
     end = begin if found is None else found.end()
     if not text.startswith("]", end):

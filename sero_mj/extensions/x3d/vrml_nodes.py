@@ -37,13 +37,12 @@ class Is(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Value:
+class FieldValue:
     """The untyped value of a field.
 
     Attributes:
         items: numbers (floats, or all in an array), strings, booleans, nodes, None for NULL, or one
             `Is`.
-        line: of its first token.
     """
 
     items: Sequence[Any] | Array
@@ -52,18 +51,11 @@ class Value:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A field that a PROTO, an EXTERNPROTO or a Script declares.
-
-    Attributes:
-        access: `initializeOnly`, `inputOnly`, `outputOnly` or `inputOutput`.
-        type: `SFFloat`, ...
-        value: its default; None where it has none.
-        line: of its declaration.
-    """
+    """A field that a PROTO, an EXTERNPROTO or a Script declares."""
 
     access: str
     type: str
-    value: Value | None
+    value: FieldValue | None
     line: int
 
 
@@ -72,11 +64,7 @@ class Proto:
     """A PROTO or an EXTERNPROTO.
 
     Attributes:
-        name: of its instances.
-        line: of its declaration.
-        fields: by name.
         body: the nodes of its instances; empty for an EXTERNPROTO.
-        urls: of an EXTERNPROTO's PROTO.
     """
 
     name: str
@@ -88,28 +76,19 @@ class Proto:
 
 @dataclass(eq=False)
 class Node:
-    """A node.
-
-    Attributes:
-        kind: its type, `Transform`.
-        line: of its type.
-        name: given by DEF; empty for none.
-        fields: values by name.
-        proto: that declares its kind; None for X3D's own kinds.
-    """
+    """A node."""
 
     kind: str
     line: int
     name: str = ""
-    fields: dict[str, Value] = field(default_factory=dict)
+    fields: dict[str, FieldValue] = field(default_factory=dict)
     proto: Proto | None = None
 
     @property
     def label(self) -> str:
-        """Its name in messages."""
         return self.name or self.kind
 
-    def value(self, name: str) -> Value | None:
+    def value(self, name: str) -> FieldValue | None:
         """The value of a field, or its PROTO's default; None without either."""
         if name in self.fields:
             return self.fields[name]
@@ -118,7 +97,7 @@ class Node:
 
 
 @dataclass(frozen=True)
-class Route:
+class RouteStatement:
     """`ROUTE node.event TO node.event`."""
 
     origin: str
@@ -130,19 +109,11 @@ class Route:
 
 @dataclass(eq=False)
 class Document:
-    """The contents of a file.
-
-    Attributes:
-        path: of the file.
-        nodes: at the top level.
-        routes: all except those inside PROTOs.
-        names: nodes by the names that DEF gives them.
-        protos: PROTOs and EXTERNPROTOs by name.
-    """
+    """The contents of a file."""
 
     path: Path
     nodes: list[Node] = field(default_factory=list)
-    routes: list[Route] = field(default_factory=list)
+    routes: list[RouteStatement] = field(default_factory=list)
     names: dict[str, Node] = field(default_factory=dict)
     protos: dict[str, Proto] = field(default_factory=dict)
 
@@ -159,7 +130,6 @@ class Problems:
         return Problems(path, self.found)
 
     def add(self, key: str, message: str, line: int | None) -> None:
-        """Adds one."""
         self.found.append(Problem(key, message, str(self.path), line))
 
     @contextmanager
@@ -200,16 +170,16 @@ def instance(node: Node) -> Node | None:
                 new.fields[name] = bound if bound is not value else copied(value)
         return new
 
-    def copied(value: Value) -> Value:
+    def copied(value: FieldValue) -> FieldValue:
         if isinstance(value.items, np.ndarray):
             return value
         items = [copy(item) if isinstance(item, Node) else item for item in value.items]
-        return Value(items, value.line)
+        return FieldValue(items, value.line)
 
     return copy(node.proto.body[0])
 
 
-def first(value: Value) -> Any:
+def first(value: FieldValue) -> Any:
     """The first item of a value; None if it is empty."""
     return value.items[0] if len(value.items) else None
 
@@ -219,11 +189,10 @@ def is_text(item: Any) -> bool:
     return isinstance(item, str)
 
 
-def read_field(value: Value, kind: str) -> Any:
+def read_field(value: FieldValue, kind: str) -> Any:
     """Converts a value to a type, with or without brackets.
 
     Args:
-        value: untyped.
         kind: `SFFloat`, `MFVec3f`, ...
 
     Returns:
@@ -283,7 +252,6 @@ def _counted(numbers: Array) -> str:
 
 
 def _shown(items: Sequence[Any] | Array) -> str:
-    """A value for messages."""
     words = []
     for item in items[:4]:
         if isinstance(item, Node):
@@ -301,7 +269,6 @@ def walk(nodes: Sequence[Node], most: int = 200_000) -> Iterator[Node]:
     """Yields every node once, before its children; without the bodies of PROTOs.
 
     Args:
-        nodes: the roots.
         most: maximum number of nodes.
     """
     todo, seen = list(reversed(nodes)), set[int]()
@@ -322,15 +289,7 @@ def walk(nodes: Sequence[Node], most: int = 200_000) -> Iterator[Node]:
 
 
 def get(node: Node, name: str, kind: str, default: Any, problems: Problems) -> Any:
-    """The value of a field, converted by `read_field`.
-
-    Args:
-        node: that may have it.
-        name: of the field.
-        kind: its type.
-        default: if the field is missing or invalid.
-        problems: receives errors.
-    """
+    """The value of a field, converted by `read_field`."""
     value = node.value(name)
     if value is None:
         return default

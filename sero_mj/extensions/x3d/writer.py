@@ -37,22 +37,16 @@ _IDENTITY = np.eye(4)
 
 
 def x3d_text(tables: Mapping[str, Any]) -> tuple[str, list[str]]:
-    """Writes a scene that `read_x3d` reads again.
+    """Writes a scene that `read_x3d` reads again; returns the text, and the keys left out of it.
 
-    Args:
-        tables: of a scene file, with the fields of robots in them instead of `model`; defaults may
-            be omitted.
-
-    Returns:
-        the text, and the dotted keys left out of it, some with a reason.
+    The tables are those of a scene file, with the fields of robots instead of `model`; defaults may
+    be omitted.
     """
     writer = _Writer(tables)
     return writer.text(), writer.left_out
 
 
 class _Writer:
-    """Writes one scene."""
-
     def __init__(self, tables: Mapping[str, Any]) -> None:
         self.tables = tables
         self.left_out: list[str] = []
@@ -185,7 +179,6 @@ class _Writer:
         ]
 
     def _object(self, place: str, name: str, table: Mapping[str, Any]) -> list[str]:
-        """A Shape in a Transform; empty, and reported, for other objects."""
         rest = dict(table)
         T = np.array(rest.pop("frame", _IDENTITY), np.float64)
         rgba, shape = rest.pop("rgba", None), rest.pop("shape", None)
@@ -276,7 +269,6 @@ class _Writer:
 
 
 def _unsayable(robot: Mapping[str, Any]) -> str:
-    """Why the paper's proto cannot draw a robot; empty if it can."""
     if "prismatic" in (robot.get("joint_types") or []):
         return "joints that slide"
     if robot.get("mirrored"):
@@ -288,14 +280,12 @@ def _unsayable(robot: Mapping[str, Any]) -> str:
 
 
 def _all_on(name: str, carried: Mapping[str, list[str]]) -> Iterator[str]:
-    """Names of the robots carried by a robot, directly or indirectly."""
     for each in carried.get(name, []):
         yield each
         yield from _all_on(each, carried)
 
 
 def _field(name: str, kind: str, value: Any) -> list[str]:
-    """A field and its value; long values take several lines."""
     if kind == "SFBool":
         return [f"{name} {'TRUE' if value else 'FALSE'}"]
     if kind == "SFString":
@@ -327,7 +317,6 @@ def _numbers(values: Any) -> str:
 
 
 def _rotation(R: Array) -> str:
-    """Axis and angle of a rotation (3, 3)."""
     angle = rotation_angle(R)
     twice = R - R.T
     axis = np.array([twice[2, 1], twice[0, 2], twice[1, 0]])
@@ -340,7 +329,6 @@ def _rotation(R: Array) -> str:
 
 
 def _transform(T: Array, scale: Array) -> str:
-    """Fields of a Transform; empty for identity."""
     parts = []
     if T[:3, 3].any():
         parts.append(f"translation {_numbers(T[:3, 3])}")
@@ -352,7 +340,6 @@ def _transform(T: Array, scale: Array) -> str:
 
 
 def _view_axes(ahead: Array) -> Array:
-    """Rotation (3, 3) of a camera that looks along -z, with the world's z up."""
     back = -ahead / np.linalg.norm(ahead)
     up = np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(np.cross(up, back)) < 1e-9:
@@ -369,15 +356,7 @@ def shape_lines(
     scale: Array | None = None,
     name: str = "",
 ) -> list[str]:
-    """A Shape, in a Transform unless it is at the origin.
-
-    Args:
-        geometry: its node, as text.
-        rgba: of its material, 0 to 1; None for none.
-        T: its pose, (4, 4), rigid.
-        scale: of it, (3,).
-        name: of its DEF; empty for none.
-    """
+    """A Shape, in a Transform unless it is at the origin."""
     lines = [f"{f'DEF {name} ' if name else ''}Shape {{ geometry {geometry}"]
     if rgba is not None:
         look = f"diffuseColor {_numbers(rgba[:3])}"
@@ -390,7 +369,6 @@ def shape_lines(
 
 
 def _face_sets(mjcf: str) -> Iterator[tuple[str, list[float] | None]]:
-    """The meshes of MJCF written by `mesh_text`, with their colours; else empty."""
     try:
         root = ElementTree.fromstring(mjcf)
     except ElementTree.ParseError:

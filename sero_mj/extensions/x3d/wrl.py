@@ -46,9 +46,7 @@ class VisitedNode(NamedTuple):
     """A node visited in a scene.
 
     Attributes:
-        node: a Shape, a light, a robot, ...
         T: from its coordinates to those of the root, (4, 4), affine.
-        path: of the file that it stands in.
     """
 
     node: Node
@@ -119,14 +117,8 @@ def visit(
 ) -> list[VisitedNode]:
     """Traverses groups, transforms, PROTOs and inlined files, and returns all other nodes in order.
 
-    Args:
-        nodes: to begin with.
-        path: of their file; inlined files are searched for in its folder.
-        problems: receives errors of the visited nodes.
-        is_kept: whether to return a node instead of its children.
-
-    Raises:
-        DeclarationError: there are too many nodes.
+    With `is_kept` a node is returned instead of its children. Inlined files are searched for in the
+    folder of `path`. Raises DeclarationError if there are too many nodes.
     """
     found: list[VisitedNode] = []
     inlined: dict[Path, list[Node]] = {}
@@ -184,12 +176,7 @@ def _children(node: Node, problems: Problems) -> list[Node]:
 def inlined_file(node: Node, path: Path) -> Path | None:
     """The file of an Inline: the first of its addresses found in the folder of its file.
 
-    Args:
-        node: the Inline.
-        path: of the file that it stands in.
-
-    Raises:
-        ValueError: its addresses are not strings.
+    Raises ValueError if its addresses are not strings.
     """
     value = node.value("url")
     for url in [] if value is None else read_field(value, "MFString"):
@@ -223,8 +210,7 @@ def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:
 def transform_of(node: Node) -> Array:
     """T_parent_node (4, 4) of a grouping node, affine; identity for nodes without a transform.
 
-    Raises:
-        ValueError: a field is wrong.
+    Raises ValueError if a field is wrong.
     """
     if node.kind == "MatrixTransform":
         value = node.value("matrix")
@@ -259,8 +245,7 @@ def matrix(numbers: Array) -> Array:
 def rotation(axis_angle: Array) -> Array:
     """Rotation (3, 3) of an SFRotation: an axis of any length and an angle in rad.
 
-    Raises:
-        ValueError: the axis is zero.
+    Raises ValueError if the axis is zero.
     """
     axis, angle = axis_angle[:3], float(axis_angle[3])
     length = np.linalg.norm(axis)
@@ -279,8 +264,6 @@ def triangles_of(
     """The triangles of a Shape by colour, in the coordinates of the root.
 
     Args:
-        seen: the Shape.
-        problems: receives its errors.
         left_out: receives the kind and line of an unknown geometry.
     """
     shape = seen.node

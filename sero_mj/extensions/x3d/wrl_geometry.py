@@ -65,7 +65,6 @@ def _cone(node: Node, problems: Problems) -> list[Triangles]:
 
 
 def _profiles(node: Node, problems: Problems, parts: dict[str, Any]) -> list[Triangles]:
-    """The visible parts of a round body."""
     return [
         _revolved(np.array(profile, dtype=np.float64))
         for name, profile in parts.items()
@@ -74,7 +73,6 @@ def _profiles(node: Node, problems: Problems, parts: dict[str, Any]) -> list[Tri
 
 
 def _revolved(profile: Array) -> Triangles:
-    """Revolves a profile (k, 2) of radius and height, from top to bottom, about y."""
     k = len(profile)
     turns = rotation_about(1, np.arange(_SIDES) * 2 * np.pi / _SIDES)
     points = np.column_stack([profile[:, 0], profile[:, 1], np.zeros(k)])
@@ -131,17 +129,10 @@ def _check_index(name: str, index: Ints, count: int, least: int = -1) -> None:
 
 
 def _cut(points: Array, index: Ints) -> Ints:
-    """Triangulates polygons.
+    """Triangulates polygons of points (n, 3) with indices that end with -1 each.
 
-    Args:
-        points: (n, 3).
-        index: of their corners, with -1 after each polygon.
-
-    Returns:
-        positions in `index` of the corners of triangles, (f, 3).
-
-    Raises:
-        ValueError: there are too many concave polygons, or they are too long.
+    Returns positions in `index` of the corners of triangles, (f, 3). Raises ValueError for too many
+    concave polygons, or too long ones.
     """
     ends = np.flatnonzero(np.append(index, -1) < 0)
     starts = np.append(0, ends[:-1] + 1)
@@ -178,18 +169,9 @@ def _cut(points: Array, index: Ints) -> Ints:
 
 
 def clip_ears(outline: Array, normal: Array) -> Ints:
-    """Triangulates a planar, possibly concave polygon by clipping ears.
+    """Returns triangles (n - 2, 3) of a planar, possibly concave outline (n, 3) by clipping ears.
 
-    Args:
-        outline: its corners (n, 3), counter-clockwise seen along -normal.
-        normal: (3,), of any length.
-
-    Returns:
-        corners of the triangles, (n - 2, 3).
-
-    Raises:
-        ValueError: it has too many corners.
-
+    Its corners are counter-clockwise seen along -normal. Raises ValueError if it has too many.
     Source: Meisters, Polygons Have Ears, 1975.
     """
     if len(outline) > _MAX_CORNERS:
@@ -224,7 +206,6 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _is_empty(a: Array, b: Array, c: Array, points: Array) -> bool:
-    """Whether a triangle contains none of the points (k, 2) except its corners."""
     inside = (_cross(b - a, points - a) >= 0) & (_cross(c - b, points - b) >= 0)
     inside &= _cross(a - c, points - c) >= 0
     for corner in (a, b, c):
@@ -235,7 +216,6 @@ def _is_empty(a: Array, b: Array, c: Array, points: Array) -> bool:
 def _of_corners(
     node: Node, problems: Problems, points: Array, index: Ints, corners: Ints
 ) -> list[Triangles]:
-    """Builds triangles from corners, with sharp edges, grouped by colour."""
     faces = index[corners]
     sides = points[faces]
     normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
@@ -287,7 +267,6 @@ def _has_ends(faces: Ints) -> bool:
 def _smoothing(
     node: Node, problems: Problems, normals: Array, faces: Ints, corners: Ints, polygon: Ints
 ) -> Ints:
-    """A number for every corner of triangles (f, 3), equal across smooth edges."""
     normal: Node | None = get(node, "normal", "SFNode", None, problems)
     if normal is not None:
         if not get(node, "normalPerVertex", "SFBool", True, problems):
@@ -309,15 +288,9 @@ def _smoothing(
 
 
 def smoothed(normals: Array, faces: Ints, least_cosine: float) -> Ints:
-    """Numbers corners of triangles so that those that meet at smooth edges share a number.
+    """Numbers corners of triangles (f, 3) so that those that meet at smooth edges share a number.
 
-    Args:
-        normals: of the triangles (f, 3), of any non-zero length.
-        faces: (f, 3).
-        least_cosine: of the angle between two triangles at a smooth edge.
-
-    Returns:
-        (f, 3).
+    At these the normals of two triangles, of any non-zero length, have `least_cosine` or more.
     """
     units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     count = len(faces)
@@ -347,7 +320,6 @@ def smoothed(normals: Array, faces: Ints, least_cosine: float) -> Ints:
 def _by_colour(
     node: Node, problems: Problems, index: Ints, corners: Ints, polygon: Ints
 ) -> list[tuple[Any, Array | None]]:
-    """The triangles of each own colour, (3,) or (4,); None for the material's colour."""
     everything: list[tuple[Any, Array | None]] = [(slice(None), None)]
     color: Node | None = get(node, "color", "SFNode", None, problems)
     if color is None or not len(corners):

@@ -27,15 +27,11 @@ def lack_of_friction(robot: SerialRobot) -> str:
 
 
 def friction_of(robot: SerialRobot, velocities: Array) -> Array:
-    """Returns the torques that overcome the declared friction, (..., n), Nm or N; estimates none.
+    """Returns the torques (..., n), Nm or N, that overcome the declared friction.
 
     Viscous friction in proportion to the velocity, plus Coulomb friction in its direction. At rest
     the latter can be anything between its two values; below `SLOW` it goes over from one to the
     other, through zero, so that noise of the velocity does not make it jump.
-
-    Args:
-        robot: its declaration.
-        velocities: of its joints, (..., n), rad/s or m/s.
     """
     viscous, coulomb = robot.dynamics.viscous_friction, robot.dynamics.coulomb_friction
     torques: Array = np.zeros_like(velocities, float)
@@ -51,10 +47,6 @@ def joint_velocities(world: WorldView, data: Any) -> Array:
 
     Those received by an input `joint_velocities`, where a robot has it, else those of the state,
     which a mirror derives from angles; NaN for doubles.
-
-    Args:
-        world: with robots.
-        data: its state.
     """
     state, joints = world.state(data), world.joints
     found = np.full(len(joints.names), np.nan)
@@ -75,10 +67,6 @@ def friction_torques(world: WorldView, data: Any) -> Array:
     """Returns the torques that overcome the friction of joints, (N,), Nm or N.
 
     Those of doubles are NaN, and those of robots that declare no friction, which is logged once.
-
-    Args:
-        world: with robots.
-        data: its state.
     """
     velocities = joint_velocities(world, data)
     found = np.full(len(velocities), np.nan)

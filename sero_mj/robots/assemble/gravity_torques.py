@@ -24,13 +24,8 @@ log = logging.getLogger(__name__)
 class GravityTorques:
     """Computes the gravity torques of robots, including everything that they carry.
 
-    Mounted robots load their carriers. Bases are at their declared frames.
-
-    Args:
-        robots: by name.
-
-    Raises:
-        DeclarationError: MuJoCo cannot compile the robots, or one of them floats.
+    Bases are at their declared frames. Raises DeclarationError if MuJoCo cannot compile the robots,
+    or one of them floats.
     """
 
     def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
@@ -51,11 +46,7 @@ class GravityTorques:
         self._torques: Array = np.zeros(self._world.model.nv)
 
     def of(self, angles: Mapping[str, Array]) -> dict[str, Array]:
-        """Returns the torques of every robot, (n,), Nm or N.
-
-        Args:
-            angles: of every robot, (n,), rad or m.
-        """
+        """Returns the torques of every robot, (n,), Nm or N."""
         model, data, parts = self._world.model, self._data, self._world.robots
         for name, part in parts.items():
             data.qpos[part.qpos] = angles[name]
@@ -66,9 +57,8 @@ class GravityTorques:
     def over_time(self, angles: Mapping[str, Array]) -> dict[str, Array]:
         """Returns the torques of every robot at several times, (T, n), Nm or N.
 
-        Args:
-            angles: of every robot, (T, n), or (n,) if they are the same at all times; NaN where
-                they are unknown, which its torques and those of all others then are.
+        Angles are (T, n), or (n,) if they are the same at all times. Where they are NaN, unknown,
+        the torques of all robots are.
         """
         count = max((len(each) for each in angles.values() if each.ndim > 1), default=1)
         rows = {name: np.broadcast_to(q, (count, q.shape[-1])) for name, q in angles.items()}
@@ -101,10 +91,6 @@ def gravity_torques(world: WorldView, data: Any) -> Array:
 
     Those of doubles are NaN, and all are where the robots have no model of it, which is logged
     once. The first call for a world compiles that model.
-
-    Args:
-        world: with robots.
-        data: its state.
     """
     found = np.full(len(world.joints.names), np.nan)
     if world in _WITHOUT:

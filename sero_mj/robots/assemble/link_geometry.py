@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem, collect
+from ...base.errors import Problem, collect, raise_any
 from ...base.frames import MIRROR, Array
 from ..declared.robot import SerialRobot
 from ..declared.robot_parts import LinkGeometry
@@ -43,12 +43,7 @@ def drawn_geoms(
 ) -> list[list[Geom]]:
     """Returns the attributes of the visible geoms of the base and every link, in their frames.
 
-    Args:
-        root: receives the meshes; existing ones are reused.
-        robot: declared or generated shapes.
-        problems: receives those of unreadable files.
-        shrink: factor of all sizes, about each link's origin.
-        hull: of meshes, see `mesh_assets`.
+    Sizes are scaled by `shrink` about each link's origin. Errors are added to `problems`.
     """
     scope = "" if shrink == 1.0 else f"double-{robot.name}-"
     if robot.mjcf is not None:
@@ -75,8 +70,7 @@ def trim_geoms(robot: SerialRobot) -> list[list[Geom]]:
 def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
     """Returns the geoms of the declared `collisions`, or of MJCF.
 
-    Raises:
-        DeclarationError: a file cannot be read.
+    Raises DeclarationError if a file cannot be read.
     """
     if robot.mjcf is not None:
         return touching_links(root, robot)
@@ -85,8 +79,7 @@ def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
     for geom in (geom for link in geoms for geom in link):
         del geom["rgba"]
         geom.pop("material", None)
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     return geoms
 
 
@@ -127,16 +120,7 @@ def part_geoms(
 ) -> list[Geom]:
     """Returns the attributes of the geoms of a mesh file, one for each colour, or of a shape.
 
-    Args:
-        root: gets the meshes.
-        part: with the scale of its mesh.
-        name: of its mesh.
-        folder: of its file.
-        rgba: its colour; None for the file's own.
-        hull: of its mesh, see `mesh_assets`.
-
-    Raises:
-        DeclarationError: the file cannot be read.
+    Raises DeclarationError if the file cannot be read.
     """
     at = pose(part.frame) | finish_material(root, part.finish)
     if part.shape is not None:
@@ -153,7 +137,6 @@ def part_geoms(
 
 
 def _faded(rgba: Any, part: LinkGeometry) -> Any:
-    """Returns a colour with the opacity of a part."""
     return rgba if part.opacity == 1.0 else [*rgba[:3], rgba[3] * part.opacity]
 
 
@@ -164,7 +147,6 @@ def mesh_scale(robot: SerialRobot, part: LinkGeometry) -> Array:
 
 
 def _placed(robot: SerialRobot, T: Array, shrink: float) -> Array:
-    """Returns the frame of a part in its link."""
     T = MIRROR @ T @ MIRROR if robot.mirrored else T.copy()
     T[:3, 3] *= shrink
     return T

@@ -68,12 +68,8 @@ _SHRINK = 0.985
 def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None) -> mujoco.MjSpec:
     """Returns the scene as one `MjSpec`, names scoped by robot (`lwr/link1`).
 
-    Args:
-        scene: what to build.
-        dynamics: of every robot, for the simulated variant; None for the display variant.
-
-    Raises:
-        DeclarationError: an MJCF piece cannot be read, or a file is missing.
+    With the robots' dynamics it is the simulated variant, else for display. Raises DeclarationError
+    if an MJCF piece cannot be read, or a file is missing.
     """
     root = mujoco.MjSpec()
     root.modelname = scene.name
@@ -155,18 +151,16 @@ def _free_base(base: mujoco.MjsBody, robot: SerialRobot) -> None:
         base.add_freejoint(name=name)
         return
     kinds = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
-    for along, kind, axis in zip(("x", "y", "yaw"), kinds, robot.base_axes, strict=True):
+    for along, kind, axis in zip(("x", "y", "yaw"), kinds, robot.planar_base.axes, strict=True):
         base.add_joint(name=f"{name}_{along}", type=kind, axis=axis)
 
 
 def _standing_together(scene: Scene) -> list[list[str]]:
-    """Returns the robots placed in the world, for each group that is a model."""
     models = [scene.members(name) or [] for name, group in scene.groups.items() if group._declared]
     return [[name for name in robots if scene.robots[name].mount is None] for robots in models]
 
 
 def _mount_site(mount: str) -> str:
-    """Returns the site of a frame that a robot is mounted on."""
     name, _, label = mount.partition("/")
     sites = {"base": "base", "flange": "flange_frame"}
     if label.startswith("link") and label[4:].isdigit():
@@ -177,7 +171,6 @@ def _mount_site(mount: str) -> str:
 def _attach(
     root: mujoco.MjSpec, parent: Any, piece: mujoco.MjSpec, name: str, T: Array
 ) -> mujoco.MjsBody:
-    """Attaches a piece by a body `NAME/`, the parent of the piece's top-level bodies."""
     prefix = f"{name}/"
     piece.compiler.boundmass = max(piece.compiler.boundmass, root.compiler.boundmass)
     piece.compiler.boundinertia = max(piece.compiler.boundinertia, root.compiler.boundinertia)
@@ -196,7 +189,6 @@ def _moved_body(root: mujoco.MjSpec, name: str, T: Array) -> mujoco.MjsBody:
 
 
 def _clashes(scene: Scene) -> list[Problem]:
-    """Returns problems of names that two elements of the model would share."""
     problems = []
     taken = {"floor": "the floor has this name"} if scene.floor else {}
     pieces = {name: "a robot has this name" for name in scene.robots}
@@ -210,7 +202,6 @@ def _clashes(scene: Scene) -> list[Problem]:
 
 
 def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
-    """Returns one robot as an `MjSpec`; its world body is the robot's base."""
     root = mujoco.MjSpec()
     root.compiler.degree = False
     problems: list[Problem] = []
@@ -258,7 +249,6 @@ def add_links(base: mujoco.MjsBody, robot: SerialRobot) -> list[mujoco.MjsBody]:
 
 
 def _body_on(root: mujoco.MjSpec, label: str) -> mujoco.MjsBody:
-    """Returns the body of the children on a base or link, with their inertia only."""
     name = f"{ON}{label}"
     body = root.worldbody if label == "base" else root.body(label)
     return root.body(name) or body.add_body(name=name)
@@ -322,13 +312,7 @@ def build_surroundings(
 ) -> mujoco.MjSpec:
     """Returns surroundings like those of scenes, without robots.
 
-    Args:
-        look: colour theme.
-        floor: its height, m; None for no floor.
-        sky: whether there is a sky.
-        lights: whether there are lights.
-        middle: of the lit region, (3,), m.
-        size: of that, m.
+    The floor has a height, m, or is None. The lit region has a middle (3,) and a size, m.
     """
     root = mujoco.MjSpec()
     palette = PALETTES[look]
@@ -387,7 +371,6 @@ def _add_floor(
 
 
 def _look_axes(forward: Array) -> Array:
-    """Returns the x and y axes (6,) of a camera that looks along `forward`, world z up."""
     up = np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(np.cross(forward, up)) < 1e-9 * max(float(np.linalg.norm(forward)), 1.0):
         up = np.array([0.0, 1.0, 0.0])  # looking straight up or down
@@ -455,7 +438,6 @@ def limb_bodies(name: str) -> list[str]:
 
 
 def _add_limb(root: mujoco.MjSpec, item: Object) -> None:
-    """Adds both links of a limb along the z axes of bodies that `data.drive.limbs` places."""
     assert item.size is not None  # checked by Object
     for k, (body, length, radius) in enumerate(
         zip(limb_bodies(item.name), item.size[:2], item.size[2:], strict=True)
@@ -475,7 +457,6 @@ def _add_limb(root: mujoco.MjSpec, item: Object) -> None:
 
 
 def _mass_shares(path: Path, scale: Any) -> Array:
-    """Returns the mass fractions of the hulls of a mesh file's colours, (k,)."""
     root = mujoco.MjSpec()
     for mesh, _ in mesh_assets(root, "mesh", path, scale):
         root.worldbody.add_body().add_geom(type=MESH, meshname=mesh)

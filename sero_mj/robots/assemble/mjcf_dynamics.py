@@ -54,7 +54,6 @@ def set_up_dynamics(root: mujoco.MjSpec, *, has_free: bool = False) -> None:
     """Sets time step, integrator, solver and contact options; adds no artificial stabilization.
 
     Args:
-        root: of the scene.
         has_free: whether there are free objects, which may be grasped.
     """
     root.compiler.boundmass = root.compiler.boundinertia = 0.0
@@ -130,11 +129,6 @@ def weighed_model(
     """Returns a copy of a model to look at whose links have masses, and all else has none.
 
     In the model itself MuJoCo takes them from the volume of what is drawn.
-
-    Args:
-        model: of a scene.
-        robots: of the scene, by name.
-        dynamics: of the robots, by name.
     """
     weighed = copy.copy(model)
     weighed.body_mass[:], weighed.body_inertia[:] = 0.0, 0.0
@@ -160,10 +154,6 @@ def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
     stiff spring is unstable without damping (an LWR's wrist at 1 kHz). Damping of half the
     stiffness times the step makes it stable for all stiffnesses, links and steps: the spring then
     acts in the middle of the step. The declared damping is used if it is larger, else this.
-
-    Args:
-        dynamics: of n joints.
-        timestep: s.
 
     Source: the theta scheme of Hairer and Wanner, Solving Ordinary Differential Equations II,
         1996, IV.3, with theta = 1/2 for the spring and the velocity at the step's end.
@@ -208,7 +198,6 @@ def _add_deflection(
 
 
 def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | None]) -> None:
-    """Adds collision geoms to links: declared ones, else hulls of meshes, and shapes."""
     sunk = _links_near_base(robot)
     is_declared = robot.collisions is not None or robot.mjcf is not None
     declared = touching_geoms(piece, robot) if is_declared else None
@@ -272,12 +261,8 @@ def exclude_mounted(
     """Excludes collisions between links that mounts make neighbours.
 
     As within one robot these are links with up to two joints between them, here over a mount: of
-    the robot that carries and of the carried one, or of two that the same link carries.
-
-    Args:
-        root: receives the exclusions.
-        robots: by name.
-        together: names of robots in the world that are mounted together: fingers on a palm.
+    the robot that carries and of the carried one, or of two that the same link carries, such as
+    fingers on a palm (`together`).
     """
     # By carrying link: the robots on it, their links near it, and their distances in joints.
     ways: dict[tuple[str, int], list[tuple[str, list[tuple[int, int]]]]] = {}
@@ -304,13 +289,11 @@ def exclude_mounted(
 
 
 def _links_beside(robot: SerialRobot, link: int) -> list[tuple[int, int]]:
-    """Returns the links up to two joints away from a link, and their distances in joints."""
     between = (robot.kinematics.moves != robot.kinematics.moves[link]).sum(axis=1)
     return [(k, int(between[k])) for k in np.flatnonzero(between <= 2).tolist()]
 
 
 def _bodies_of(root: mujoco.MjSpec, robot: SerialRobot, link: int) -> list[str]:
-    """Returns the names of the bodies of a link and of objects fixed to it, its own first."""
     scope = f"{robot.name}/"
     names = [f"{scope}link{link}" if link else scope]
     fixed = [root.body(f"{scope}{ON}{f'link{link}' if link else 'base'}")]

@@ -38,7 +38,6 @@ def mesh_assets(
 
     Args:
         spec: receives it; an existing mesh of the same file and scale is reused.
-        name: of a new mesh.
         path: of the file, in any format supported by `read_mesh`.
         scale: m per unit, one number or along x, y and z; negative ones mirror it.
         hull: whether it gets a convex hull: for collisions or masses, where flat meshes are
@@ -80,7 +79,6 @@ def finish_material(spec: mujoco.MjSpec, finish: FinishName) -> dict[str, str]:
     """Returns the attribute of geoms with a finish; its material is added once.
 
     Args:
-        spec: receives the material.
         finish: plastic is what geoms without a material are of.
     """
     if finish == "plastic":

@@ -35,8 +35,7 @@ _MATERIAL = ("rgba", "emission", "specular", "shininess", "reflectance", "metall
 def mjcf_tree(robot: SerialRobot) -> MjcfTree:
     """Returns the robot in the model of its file.
 
-    Raises:
-        DeclarationError: it cannot be read, or has a different number of joints.
+    Raises DeclarationError if it cannot be read, or has a different number of joints.
     """
     from ..importers.mjcf_robot import kept_tree  # most robots are not read from MJCF
 
@@ -53,11 +52,7 @@ def drawn_links(
 ) -> list[list[dict[str, Any]]]:
     """Returns the attributes of the visible geoms of base and links, in their frames.
 
-    Args:
-        root: receives the meshes, materials and textures; existing ones are reused.
-        robot: from MJCF.
-        scope: prefix of their names.
-        shrink: factor of all sizes, about each link's origin.
+    Names begin with `scope`; sizes are scaled by `shrink` about each link's origin.
     """
     tree = mjcf_tree(robot)
     model, geoms = tree.model, tree.geoms
@@ -147,7 +142,6 @@ def _mesh(
     scope: str,
     shrink: float,
 ) -> str:
-    """Adds a mesh, unless it exists, and returns its name."""
     name = f"{scope}mesh{mesh}"
     if root.mesh(name) is not None:
         return name

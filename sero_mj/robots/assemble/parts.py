@@ -12,11 +12,11 @@ import numpy as np
 from ...base.frames import Array, Bools, Ints, frame, rotation_from_quat
 from ..declared.cartesian import WORLD, NamedFrame
 from ..declared.double import Double
-from ..declared.joint_tree import JointTree
 from ..declared.robot import SerialRobot
 from ..declared.robot_parts import ARROW_QUANTITIES, VALUE_INPUTS, BillboardLine
 from ..declared.scene import Scene
 from ..declared.torque_units import TorqueUnit, torque_units
+from ..kinematics.joint_tree import JointTree
 from .decor_sizes import Sizes
 
 Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
@@ -33,13 +33,10 @@ class RobotPart:
     """Indices of one robot in the compiled model.
 
     Attributes:
-        robot: its declaration.
-        kinematics: its Denavit-Hartenberg table, or the frames of its joints.
         qpos: index of every joint in `qpos`, (n,).
         dofs: index of every joint in `qvel`, (n,).
         mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 for a mounted or free base.
         bodies: ids of the base and every link, (n + 1,).
-        flange_body: id of the flange.
         joints: its rows in the world's `JointTable`.
         free: index in `qpos` of position and quaternion of a free base, (7,), or of x, y and yaw of
             a planar one, (3,); else empty.
@@ -59,13 +56,12 @@ class RobotPart:
 
     @property
     def arrow_radii(self) -> Array:
-        """Radius of every joint's arrow, (n,), m."""
         return self.robot.arrow_radii if self.sizes is None else self.sizes.arrow_radius
 
     @property
     def arrow_width_scales(self) -> Array:
         """`arrow_width_scale` of every joint's arrow, (n,); less for joints close to each other."""
-        scales = self.robot.arrow_width_scales
+        scales = np.full(self.robot.n, self.robot.arrow_width_scale)
         return scales if self.sizes is None else scales * self.sizes.full_width
 
     @property
@@ -75,48 +71,38 @@ class RobotPart:
         Infinite where `arrow_width_scale` sets the width.
         """
         if self.sizes is None or "arrow_width_scale" in self.robot.model_fields_set:
-            return self.robot.arrow_loads
+            return np.full(self.robot.n, np.inf)
         return self.sizes.load / self.sizes.full_width
 
     @property
     def declared(self) -> SerialRobot:
-        """Its declaration: name, toggles, values."""
         return self.robot
 
     @property
     def scope(self) -> str:
-        """Prefix of the names of its sites."""
         return f"{self.robot.name}/"
 
     @property
     def billboard_lines(self) -> list[BillboardLine] | None:
-        """Declared lines of its billboards."""
         return self.robot.billboard_lines
 
     def base_pose(self, qpos: Array) -> Array:
-        """Returns T_world_base (4, 4) of a free or planar base, translation in m.
-
-        Args:
-            qpos: of the world, (nq,).
-        """
+        """Returns T_world_base (4, 4) of a free or planar base, translation in m."""
         at = qpos[self.free]
         if self.robot.free_base != "planar":
             return frame(rotation_from_quat(at[3:]), at[:3])
-        return self.robot.planar_pose(at)
+        return self.robot.planar_base.pose(at)
 
     @property
     def base_name(self) -> str:
-        """Name of its base frame."""
         return f"{self.robot.name}/base"
 
     @property
     def flange_name(self) -> str:
-        """Name of its flange frame."""
         return f"{self.robot.name}/flange"
 
     @property
     def link_names(self) -> list[str]:
-        """Names of its base and links, n + 1."""
         name = self.robot.name
         return [self.base_name] + [f"{name}/link{i + 1}" for i in range(self.robot.n)]
 
@@ -143,8 +129,6 @@ class DoublePart:
     """Indices of one double in the compiled model.
 
     Attributes:
-        double: its declaration.
-        of: the robot it copies.
         mocap: index in `mocap_pos` of the base and every link, (rows, n + 1); a path has several
             rows.
         bodies: their ids, (rows, n + 1).
@@ -172,57 +156,46 @@ class DoublePart:
 
     @property
     def declared(self) -> Double:
-        """Its declaration: name, toggles, values."""
         return self.double
 
     @property
     def robot(self) -> SerialRobot:
-        """Declaration of the robot it copies."""
         return self.of.robot
 
     @property
     def kinematics(self) -> JointTree:
-        """That of the robot it copies."""
         return self.of.kinematics
 
     @property
     def arrow_radii(self) -> Array:
-        """Those of the robot it copies, (n,), m."""
         return self.of.arrow_radii
 
     @property
     def arrow_width_scales(self) -> Array:
-        """Those of the robot it copies, (n,)."""
         return self.of.arrow_width_scales
 
     @property
     def arrow_loads(self) -> Array:
-        """Those of the robot it copies, (n,), Nm or N."""
         return self.of.arrow_loads
 
     @property
     def scope(self) -> str:
-        """Prefix of the names of its sites."""
         return f"double-{self.double.name}-"
 
     @property
     def flange_name(self) -> str:
-        """Name of its flange frame."""
         return f"{self.double.name}/{self.of.flange_name.partition('/')[2]}"
 
     @property
     def chain(self) -> Ints:
-        """Indices of its joints that move the flange, in order from the base."""
         return self.of.chain
 
     @property
     def reach(self) -> float:
-        """Reach of the robot it copies, m."""
         return self.of.reach
 
     @property
     def billboard_lines(self) -> list[BillboardLine] | None:
-        """Declared lines of its billboards, its own or those of its robot."""
         return self.double.billboard_lines or self.robot.billboard_lines
 
 
@@ -248,11 +221,8 @@ class DrawnDouble:
     """A double drawn from another state of the same model.
 
     Attributes:
-        double: name of the double.
-        model: compiled.
         data: the other state, frames up to date.
         opacity: factor for every geom of the model, (ngeom,); 0 for those that are not drawn.
-        rgba: its colour, (4,).
     """
 
     double: str
@@ -271,7 +241,6 @@ class JointTable:
         owner: index in the world's `owners`.
         limb: number of its limb; each owner has its own.
         of_robot: number of joints of robots; the rest belong to doubles.
-        revolute: True for a revolute, False for a prismatic joint.
         centre_site: site at the centre of its arrow and billboard, z along the joint's axis; a
             row of `site_xpos` in what `World.state` returns.
         qpos: index in `qpos` of the robots' joints, (of_robot,).
@@ -285,15 +254,10 @@ class JointTable:
         torque_units: in which torques are displayed, N; one prefix for all joints of an owner.
         scaled_with: index of the joint whose largest torque counts, (N,): of doubles that of their
             robot.
-        acceleration_limit: rad/s2 or m/s2, inf for none.
         arrow_quantity: index in `ARROW_QUANTITIES` of the quantity that its arrow initially
             shows.
-        arrow_dead_band: fraction of the limit.
-        arrow_radius: m.
-        arrow_width_scale: m per Nm.
         arrow_load: Nm or N at which the arrow of a joint without limit is as wide as its radius;
             inf where `arrow_width_scale` sets the width.
-        arrow_alpha: opacity of its arrow.
     """
 
     names: list[str]
@@ -323,11 +287,9 @@ class JointTable:
         return np.concatenate([data.qpos[self.qpos], data.userdata[self.angle_slots]])
 
     def note_largest(self, torques: Array, most: float) -> None:
-        """Raises `torque_limit` to torques that are larger, where `is_largest`.
+        """Raises `torque_limit` to torques (N,) that are larger, where `is_largest`.
 
-        Args:
-            torques: (N,), Nm or N; NaN for no data.
-            most: multiple of the limit so far above which a torque counts as a fault.
+        A torque above `most` times the limit so far counts as a fault.
         """
         limit, size = self.torque_limit, np.abs(torques)
         with np.errstate(invalid="ignore"):
@@ -345,9 +307,6 @@ class FrameTable:
         names: e.g. `lwr/link3`, M.
         owner: index in the world's `owners` of the robot or double whose axes toggle applies; -1
             for a frame with its own toggle.
-        site: id of its site.
-        size: length of the axes, m.
-        alpha: 0 invisible to 1 opaque.
         shown: whether it is initially shown, for frames with their own toggle.
         has: index in `userdata` of the flag that its pose is known; -1 for always.
     """
@@ -366,18 +325,11 @@ class ArrowTable:
     """Arrays over all K smart arrows.
 
     Attributes:
-        names: K.
-        site: id of the site it acts at.
         components_site: site of the frame its components are in; -1 for the world.
         frames: rows in the `FrameTable` of the frame it acts at and of the frame of its
             components, (K, 2); -1 for a point and for the world.
         slots: indices in `userdata` of its components, (K, 3).
         has: index in `userdata` of the flag that data was received.
-        is_round: whether it is drawn as a round arrow about its direction.
-        scale: m per unit.
-        longest: m.
-        radius: of a round one, m.
-        rgba: (K, 4).
     """
 
     names: list[str]
@@ -402,12 +354,7 @@ def make_tables(
 ) -> tuple[JointTable, FrameTable, ArrowTable]:
     """Builds the tables of all joints, named frames and smart arrows of a compiled scene.
 
-    Args:
-        scene: the declaration.
-        owners: robots, then doubles that have joints, by name.
-        slots: slice of every input in `userdata`.
-        flags: index in `userdata` of the flag that an input was set, by its name.
-        sites: returns the ids of sites (k,) by their names.
+    Owners are robots, then doubles that have joints; `sites` returns the ids of sites by name.
     """
     return (
         _joint_table(owners, slots, flags, sites),
@@ -427,7 +374,6 @@ def _joint_table(
     counts = [robot.n for robot in robots]
 
     def gather(values: Iterable[Any], kind: Any = np.float64) -> Any:
-        """Returns one entry per joint, from one value or one array per owner."""
         spread = [np.broadcast_to(v, n) for v, n in zip(values, counts, strict=True)]
         return np.concatenate(spread or [np.empty(0)]).astype(kind)
 

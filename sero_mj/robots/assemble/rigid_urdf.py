@@ -19,8 +19,7 @@ log = logging.getLogger(__name__)
 def urdf_piece(path: Path) -> mujoco.MjSpec:
     """Returns the visual and collision geometry of a URDF file without joints.
 
-    Raises:
-        DeclarationError: the file cannot be read, or has joints.
+    Raises DeclarationError if the file cannot be read, or has joints.
     """
     from ..importers.urdf import read_rigid_urdf  # most scenes have none
 

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from ...base import frames
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import Problem, raise_any
 from ...base.frames import MIRROR, Array
 from ..declared.dynamics import link_name, rotate_tensors
 from ..declared.robot import SerialRobot
@@ -160,7 +160,6 @@ def about_large_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> list[st
 
 
 def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
-    """Returns the parameters of the mirror image of a robot."""
     S = MIRROR[:3, :3]
     return replace(
         dynamics,
@@ -224,8 +223,7 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
             root.worldbody.add_geom(type=MESH, meshname=geom["meshname"], contype=0, conaffinity=0)
             owners.append(i)
             places.append(frames.frame(frames.rotation_from_quat(geom["quat"]), geom["pos"]))
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     if not owners:
         return hulls
     model = root.compile()
@@ -240,7 +238,6 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
 
 
 def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInertia:
-    """Estimates inertias from the declared density and the visual hulls and shapes."""
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
     root.compiler.boundmass, root.compiler.boundinertia = _MIN_MASS, 1e-12

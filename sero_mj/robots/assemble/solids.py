@@ -29,8 +29,6 @@ def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> 
     """Returns the visible geoms of bodies, or all if none is visible, (k,).
 
     Args:
-        model: compiled.
-        bodies: ids.
         trunk: the world's geoms of a fused trunk.
     """
     mine = np.isin(model.geom_bodyid, bodies) & (model.geom_bodyid > 0)
@@ -52,8 +50,6 @@ def geom_corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: Bools | None
     """Returns the corners of the boxes about geoms that turn with them, (k, 8, 3), m.
 
     Args:
-        model: compiled.
-        data: its state, with frames up to date.
         geoms: which, (ngeom,); all when None.
     """
     which = slice(None) if geoms is None else geoms
@@ -82,7 +78,6 @@ class Solids:
     """The shown geoms and skins of a model, in one pose.
 
     Args:
-        model: compiled.
         data: the pose, after `mj_fwdPosition`.
     """
 
@@ -97,13 +92,10 @@ class Solids:
         self._skins = _posed_skins(model, data) if model.nskin else []
 
     def hidden_shares(self, centre: Array, axis: Array, radii: Array, height: float) -> Array:
-        """Returns the share of a ring about an axis that is inside geoms or skins, (k,).
+        """Returns the share of rings about an axis that is inside geoms or skins, (k,).
 
-        Args:
-            centre: of the ring, (3,), m.
-            axis: unit vector (3,).
-            radii: of the ring, ascending, (k,), m.
-            height: of the ring along the axis, m.
+        The rings have ascending radii (k,), m, and are at a height, m, along the axis from the
+        centre.
         """
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)
@@ -128,7 +120,6 @@ class Solids:
     def _crossings(
         self, start: Array, direction: Array, reach: float, skins: list[_Skin]
     ) -> Iterator[tuple[int, float, bool]]:
-        """Yields the surfaces along a ray: geom or skin, distance, whether the ray leaves it."""
         geom, normal, step = self._geom, self._normal, _STEP * reach
         at = 0.0
         for _ in range(_MAX_CROSSINGS):
@@ -175,7 +166,6 @@ def _posed_skins(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Skin]:
 
 
 def _near(skin: _Skin, centre: Array, reach: float) -> _Skin:
-    """Returns a skin reduced to its faces near a point."""
     faces, vertices, normals = skin
     corners = vertices[faces]
     near = corners.min(axis=1) <= centre + reach

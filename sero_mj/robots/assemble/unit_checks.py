@@ -16,12 +16,7 @@ _STROKES = 10.0  # times the reach without any; arms on rails have up to 6
 
 
 def about_units(robot: SerialRobot, dynamics: RobotDynamics) -> list[str]:
-    """Returns a sentence for everything that is probably in another unit.
-
-    Args:
-        robot: whose reach and strokes are compared with those of other robots.
-        dynamics: its masses, likewise.
-    """
+    """Returns a sentence for everything that is probably in another unit."""
     notes = []
     names, types = robot.names, robot.types
     limits = robot.plausible_limits

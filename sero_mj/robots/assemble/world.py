@@ -1,9 +1,7 @@
 """`World`: a compiled scene with index arrays of its robots, doubles, frames and inputs.
 
-Values that decor shows and `MjData` has no field for (received torques, billboard values, the
-state of sources) are stored in named slots of `MjData.userdata`. This is part of MuJoCo's
-integration state, so copies, history and recordings include it. `mj_resetData` zeroes it: apply
-the latest packet again afterwards.
+Values that decor shows and `MjData` has no field for are stored in named slots of
+`MjData.userdata`, which copies, history and recordings include. `mj_resetData` zeroes it.
 """
 
 from __future__ import annotations
@@ -44,13 +42,9 @@ class World(WorldView):
     """A compiled scene.
 
     Args:
-        scene: what to compile.
-        dynamic: whether to compile it for simulation: links have masses and collide, joints
-            have friction and may be elastic (see `robots.assemble.mjcf_dynamics`).
         dynamics: of its robots, if `dynamic`, instead of the declared ones.
 
     Attributes:
-        dynamic: whether it is compiled for simulation.
         free_objects: indices in `qpos` (7,) of the pose of every free object, by name: position,
             and quaternion with its scalar first; empty unless `dynamic`.
         dynamics: parameters of every robot's equations of motion, by name; empty unless
@@ -113,7 +107,6 @@ class World(WorldView):
                 self.placed[name] = int(self.model.body_mocapid[index])
 
     def make_data(self) -> mujoco.MjData:
-        """Returns a new `MjData` with every robot at its declared joint angles."""
         data = mujoco.MjData(self.model)
         self.reset(data)
         return data
@@ -144,19 +137,15 @@ class World(WorldView):
         return bare
 
     def state(self, data: mujoco.MjData) -> Any:
-        """Returns the state that decor reads: `data` itself."""
         return data
 
     def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
-        """Returns an empty list: doubles are compiled into the model."""
         return []
 
     def geoms_in_view(self) -> Bools:
-        """Returns all geoms except the floor, (ngeom,) bool."""
         return np.asarray(self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
 
     def reset(self, data: mujoco.MjData) -> None:
-        """Resets everything to its declared state: joint angles, values, frames."""
         mujoco.mj_resetData(self.model, data)
         for part in self.robots.values():
             data.qpos[part.qpos] = part.robot.home
@@ -179,7 +168,6 @@ class World(WorldView):
         """Sets an input; call `data.drive.place` afterwards to move the frames.
 
         Args:
-            data: what to change.
             target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`. The name may be that of a
                 group: its robots have their shares of the values, as of those of a route.
             values: (n,), (3,), a frame (4, 4), or one number, SI units; NaN means no data, and so
@@ -220,15 +208,10 @@ class World(WorldView):
         userdata[self.flags[target]] = SET_BY_PROGRAM
 
     def export(self, path: Path) -> list[Path]:
-        """Writes the scene as MJCF with its mesh files; key frame `home` is the declared pose.
+        """Writes the scene as MJCF, and its mesh files in `NAME_assets`; returns all files.
 
-        Masses are those of simulation; a comment says which ones are estimated.
-
-        Args:
-            path: the XML file; meshes go into a folder beside it, `NAME_assets`.
-
-        Returns:
-            the files written, the XML first.
+        Key frame `home` is the declared pose. Masses are those of simulation; a comment says which
+        ones are estimated.
         """
         spec, about = self._weighed()
         if self.model.nq and spec.key("home") is None:
@@ -236,7 +219,6 @@ class World(WorldView):
         return write_mjcf(spec, path, about)
 
     def _weighed(self) -> tuple[mujoco.MjSpec, str]:
-        """Returns its spec with the masses of simulation, and a comment about them."""
         known = self.dynamics or dynamics_of(self.scene)
         spec, lines = self._spec.copy(), []
         for name, of in known.items():
@@ -286,7 +268,6 @@ class World(WorldView):
         return parts
 
     def _lower_floor(self) -> None:
-        """Moves the floor to the lowest point of the declared scene, if that is lower."""
         data, seen = self._at_home(), np.flatnonzero(self.geoms_in_view())
         low = lowest_height(self.model, data, seen) if len(seen) else 0.0
         floor = self.model.geom("floor").id
@@ -296,7 +277,6 @@ class World(WorldView):
         self.model.geom_sameframe[floor] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 
     def _at_home(self) -> mujoco.MjData:
-        """Returns the model's state in the declared pose of all robots, after `mj_fwdPosition`."""
         data = mujoco.MjData(self.model)
         for part in self.robots.values():
             data.qpos[part.qpos] = part.robot.home
@@ -304,19 +284,17 @@ class World(WorldView):
         return data
 
     def _measure_arrows(self) -> None:
-        """Measures the arrows of robots with `fit_arrows`."""
         fitted = {n: part for n, part in self.robots.items() if part.robot.fit_arrows}
         data = self._at_home() if fitted else None
         for name, part in fitted.items():
             joints = self.model.dof_jntid[part.dofs].astype(np.intp)
-            bodies = np.unique([*part.bodies, part.flange_body])
+            bodies = np.array(sorted({*part.bodies.tolist(), part.flange_body}), np.intp)
             names = [f"{part.scope}centre{i + 1}" for i in range(part.robot.n)]
             centres = np.array([self.model.site(each).id for each in names], np.intp)
             seen = MeasuredBodies(bodies, joints, np.zeros(0, np.intp), centres)
             self.robots[name] = replace(part, sizes=measure(self.model, data, seen))
 
     def _free(self, base: int) -> Ints:
-        """Returns the indices in `qpos` of the joints of a body that is free; empty without one."""
         joint, count = self.model.body_jntadr[base], int(self.model.body_jntnum[base])
         if joint < 0:
             return np.zeros(0, np.intp)
@@ -364,7 +342,6 @@ class World(WorldView):
         return parts
 
     def _double_below(self, name: str) -> str | None:
-        """Returns the double below a double: of the same group, of its robot's carrier."""
         doubles = self.scene.doubles
         below = carrier(self.scene.robots[doubles[name].of])
         beside = next((g for g in self.scene.double_groups.values() if name in g), [])
@@ -372,7 +349,6 @@ class World(WorldView):
 
 
 def _warn_of_lengths(scene: Scene) -> None:
-    """Warns of robots so large that their lengths are probably in mm."""
     for name, robot in scene.robots.items():
         if robot.reach > _IMPLAUSIBLE_REACH:
             log.warning(
@@ -386,8 +362,7 @@ def _warn_of_lengths(scene: Scene) -> None:
 def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
     """Masses, friction and elasticity of all robots of a scene, by name.
 
-    Raises:
-        DeclarationError: all their errors.
+    Raises DeclarationError with all their errors.
     """
     found: dict[str, RobotDynamics] = {}
     problems: list[Problem] = []
@@ -425,7 +400,6 @@ def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:
 
 
 def _mesh_problems(scene: Scene) -> list[Problem]:
-    """Compiles every mesh of a scene separately and returns the problems, by robot and file."""
     found = [_mesh_problem(key, file) for key, file in scene.meshes()]
     return [problem for problem in found if problem is not None]
 

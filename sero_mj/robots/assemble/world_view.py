@@ -24,15 +24,7 @@ class WorldView(Protocol):
     Decor reads a *state*, which for a `World` is its `MjData`.
 
     Attributes:
-        scene: the declarations.
-        model: the `MjModel`.
-        robots: `RobotPart` by name.
-        doubles: `DoublePart` by name.
         owners: robots and doubles that have joints, by name, in the order of `joints`.
-        joints: arrays over all joints.
-        frames: arrays over all frames.
-        arrows: arrays over all smart arrows.
-        inputs: all inputs, by `name.key`.
         slots: slice of a state's `userdata` by name, e.g. `lwr.torques`, `sources.udp`.
         flags: index in `userdata` of the flag who has set an input last, by its name.
         placed: index in `mocap_pos` of the bodies that `frame` and `base_frame` inputs move, by
@@ -56,11 +48,9 @@ class WorldView(Protocol):
     has_sites: bool = True
     dynamic: bool = True
 
-    def make_data(self) -> mujoco.MjData:
-        """Returns new data in the initial state."""
+    def make_data(self) -> mujoco.MjData: ...
 
-    def reset(self, data: mujoco.MjData) -> None:
-        """Resets data to the initial state; does nothing for an external model."""
+    def reset(self, data: mujoco.MjData) -> None: ...
 
     def state(self, data: mujoco.MjData) -> Any:
         """Returns the state that decor reads: an object with these fields of an `MjData`.
@@ -72,7 +62,6 @@ class WorldView(Protocol):
         """Returns the doubles that decor draws because they are not compiled into the model.
 
         Args:
-            state: as returned by `state`.
             shown: which doubles are switched on, (D,).
         """
 
@@ -86,30 +75,20 @@ class WorldView(Protocol):
     def weighed(self) -> mujoco.MjModel:
         """Returns the model with the masses of simulation: itself where it has them.
 
-        Raises:
-            DeclarationError: errors of the robots' masses.
+        Raises DeclarationError with errors of the robots' masses.
         """
         return self.model
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
-        """Sets an input.
+        """Sets an input, `name.input` of `inputs`, to values of its shape, SI units.
 
-        Args:
-            data: what to change.
-            target: `name.input`, e.g. `lwr.torques`; see `inputs`.
-            values: of the input's shape, SI units.
-
-        Raises:
-            UnknownName: no such name or input.
-            ValueError: the values do not fit the input.
+        Raises UnknownName for an unknown input, and ValueError for values that do not fit.
         """
 
     def set_declared(self, data: mujoco.MjData, declared: Any, keys: Iterable[str]) -> None:
         """Sets inputs to the declared values of a robot, double, arrow or frame.
 
         Args:
-            data: what to change.
-            declared: the declaration.
             keys: its fields, which are inputs of the same names; those that are None are skipped.
         """
         for key in keys:
@@ -117,13 +96,7 @@ class WorldView(Protocol):
                 self.set_input(data, f"{declared.name}.{key}", getattr(declared, key))
 
     def set_pose(self, data: mujoco.MjData, name: str, T_world: Array) -> None:
-        """Sets the pose of a base, received frame, object or camera.
-
-        Args:
-            data: what to change.
-            name: one of `placed`.
-            T_world: pose in the world, (4, 4), translation in m.
-        """
+        """Sets the pose (4, 4), m, in the world of one of `placed`."""
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, T_world[:3, :3].ravel())
         data.mocap_pos[self.placed[name]] = T_world[:3, 3]

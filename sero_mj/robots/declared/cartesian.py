@@ -34,7 +34,6 @@ _point = of_shape(3).func
 
 
 def _place(value: Any) -> Any:
-    """Returns a frame's name unchanged, or a point in the world (3,), m."""
     return value if isinstance(value, str) else _point(value)  # type: ignore[call-arg]
 
 
@@ -75,7 +74,6 @@ class SmartArrow(Declaration):
 
     @property
     def is_round(self) -> bool:
-        """Whether it is drawn as a round arrow about its direction."""
         return self.kind in ROUND_KINDS
 
     @property
@@ -97,12 +95,10 @@ class SmartArrow(Declaration):
 
     @property
     def color(self) -> Array:
-        """`rgba`, or the colour of the kind, (4,)."""
         return np.array(_RGBA[self.kind]) if self.rgba is None else self.rgba
 
     @property
     def site(self) -> str | None:
-        """Name of the site at its fixed point; None when it acts at a frame."""
         return None if isinstance(self.at, str) else f"arrow-{self.name}"
 
     @property
@@ -140,13 +136,9 @@ class NamedFrame:
     """A named frame.
 
     Attributes:
-        name: e.g. `lwr/link3`.
-        site: its site in the model.
         shown_with: the robot or double whose `show_axes` applies; empty when it has its own
             toggle.
         moves_with: the robot, double or received frame that moves it; empty when it is fixed.
-        size: length of the axes, m.
-        alpha: 0 invisible to 1 opaque.
         shown: whether it is initially shown, for a frame with its own toggle.
     """
 
@@ -198,7 +190,6 @@ def list_frames(
 
 
 def _axes_objects(items: Sequence[Object], name: str) -> list[NamedFrame]:
-    """Returns the frames of objects of shape `axes`, which have their own toggle."""
     scope = f"{name}/" if name else ""
     return [
         NamedFrame(

@@ -56,17 +56,14 @@ class CoupledJoints:
 
     @property
     def n(self) -> int:
-        """Number of all joints."""
         return len(self.source)
 
     @property
     def k(self) -> int:
-        """Number of independent joints."""
         return len(self.independent)
 
     @property
     def is_coupled(self) -> bool:
-        """Whether any joint is coupled."""
         return self.k < self.n
 
     def positions(self, independent: Array) -> Array:
@@ -74,18 +71,13 @@ class CoupledJoints:
         return np.asarray(independent[..., self.source] * self.ratio + self.offset)
 
     def rates(self, independent: Array) -> Array:
-        """Returns velocities or accelerations of all joints likewise."""
         return np.asarray(independent[..., self.source] * self.ratio)
 
     def full(self, key: str, values: Array) -> Array:
-        """Returns values of a per-joint input for all joints.
+        """Returns a per-joint input (..., n), given it or that of the independent joints (..., k).
 
-        Coupled joints get positions and accelerations computed from the others', and NaN, no data,
-        for anything else.
-
-        Args:
-            key: of the input, e.g. `joint_angles`.
-            values: (..., n), returned unchanged, or (..., k).
+        Coupled joints get computed positions and accelerations, and NaN, no data, for anything
+        else.
         """
         if values.shape[-1] != self.k or not self.is_coupled:
             return values
@@ -104,12 +96,7 @@ class CoupledJoints:
 
 
 def coupling_problems(names: Sequence[str], couplings: Mapping[str, Coupling]) -> list[Problem]:
-    """Returns couplings of and to joints that do not exist, and cycles.
-
-    Args:
-        names: of all joints.
-        couplings: by the name of the coupled joint.
-    """
+    """Returns couplings of and to joints that do not exist, and cycles."""
     problems = []
     for name, coupling in couplings.items():
         if name not in names:

@@ -20,16 +20,13 @@ class HasJoints(Protocol):
     name: str
 
     @property
-    def names(self) -> list[str]:
-        """Name of every joint."""
+    def names(self) -> list[str]: ...
 
     @property
-    def types(self) -> list[str]:
-        """`revolute` or `prismatic` for every joint."""
+    def types(self) -> list[str]: ...
 
     @property
-    def plausible_limits(self) -> Array:
-        """Position limits (n, 2), rad or m; infinite for none."""
+    def plausible_limits(self) -> Array: ...
 
 
 def look_like_degrees(robot: HasJoints, angles: Array) -> Bools:
@@ -53,7 +50,6 @@ def degrees_warning(robot: HasJoints, angles: Array) -> str:
     """Returns a question about the first joint whose angles look like degrees; empty for none.
 
     Args:
-        robot: whose limits apply.
         angles: (n,), or over time (T, n), rad or m; may contain NaN.
     """
     known = np.nan_to_num(np.atleast_2d(angles))

@@ -87,15 +87,10 @@ def path_fade(count: int) -> Array:
 
 
 def fade_in(positions: Array, rotations: Array, others: Array, other_rotations: Array) -> Array:
-    """Returns the opacity factors of a double's links, (...,).
+    """Returns the opacity factors of a double's links, (...,), by their poses and the robot's.
 
-    It is 0 where a link coincides with its robot's, and rises to 1 as it moves away.
-
-    Args:
-        positions: of the double's links, (..., 3), m.
-        rotations: of these, (..., 9).
-        others: positions of the robot's, (..., 3), m.
-        other_rotations: of these, (..., 9).
+    It is 0 where a link coincides with its robot's, and rises to 1 as it moves away. Positions are
+    (..., 3), m, rotations (..., 9).
     """
     distance = np.linalg.norm(positions - others, axis=-1)
     # The trace of R_double^T R_robot is 1 + 2 cos(angle between them).
@@ -109,11 +104,8 @@ def spread_out(positions: Array, radii: Array) -> Array:
     """Returns the opacity factors of the links of a path's doubles, (rows, n + 1).
 
     Starting from the last double, a link is shown if it is clear of the same link of the previously
-    shown double: overlapping doubles would merge.
-
-    Args:
-        positions: of the links' frames, from the base on, (rows, n + 1, 3), m.
-        radii: of the arrows about the joints, about as thick as the links, (n,), m.
+    shown double: overlapping doubles would merge. Positions are those of the links' frames, from
+    the base on, (rows, n + 1, 3), m, and radii those of the arrows, (n,), m.
     """
     rows, links = positions.shape[:2]
     factors = np.ones((rows, links))

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
 from ...base.declaration import Declaration, numbers, of_shape
-from ...base.errors import DeclarationError, Problem, mismatch
+from ...base.errors import Problem, mismatch, raise_any
 from ...base.frames import Array
 
 # Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
@@ -36,17 +36,10 @@ _PER_JOINT = (
 
 
 def tensors_from(value: Any) -> Array:
-    """Parses inertia tensors as given in a file.
+    """Parses inertia tensors as given in a file, (m, 3, 3), kg m2; raises ValueError for others.
 
-    Args:
-        value: one entry per link, each 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the entries of
-            the tensor, as in URDF and MJCF) or 3 x 3.
-
-    Returns:
-        (m, 3, 3), kg m2.
-
-    Raises:
-        ValueError: other counts, or a matrix that is not symmetric.
+    An entry is 3 x 3, or 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz of the tensor, as in URDF and
+    MJCF).
     """
     if not isinstance(value, list | tuple | np.ndarray):
         raise mismatch(value, "one tensor per link")
@@ -74,14 +67,10 @@ def link_name(k: int) -> str:
 
 
 def inertia_problem(tensor: Array) -> str | None:
-    """Returns why no rigid body can have this tensor about its centre of mass; None if valid.
+    """Returns why no rigid body has this tensor (3, 3), kg m2, about its centre; None if one can.
 
-    Its principal moments are positive, and none is larger than the sum of the other two (each
-    is an integral of a sum of two squares).
-
-    Args:
-        tensor: (3, 3), kg m2, symmetric.
-
+    Its principal moments are positive, and none is larger than the sum of the other two (each is an
+    integral of a sum of two squares).
     Source: Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13.
     """
     low, middle, high = np.linalg.eigvalsh(tensor)
@@ -101,10 +90,6 @@ def balanced_tensor(tensor: Array, mass: float) -> Array:
 
     Its axes are kept. Principal moments are raised to at least those of a ball of `_POINT_RADIUS`,
     and the two smaller ones by equal amounts until their sum equals the largest.
-
-    Args:
-        tensor: about the centre of mass, (3, 3), kg m2, symmetric.
-        mass: kg.
     """
     moments, axes = np.linalg.eigh(tensor)
     moments = np.maximum(moments, 0.4 * mass * _POINT_RADIUS**2)
@@ -235,8 +220,7 @@ class Dynamics(Declaration):
             changed = f"principal moments {before} are now {after} kg m2"
             self._repaired.append(f"{link_name(k)}: {changed}")
             tensors[k] = balanced
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         if self._repaired:
             self.__dict__["inertias"] = tensors
         return self
@@ -260,8 +244,7 @@ class Dynamics(Declaration):
         """
         problems = _count_problems(self, _PER_LINK, n + 1, "the base and one per joint")
         problems += _count_problems(self, _PER_JOINT, n, _ROWS)
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
 
 
 class TorqueControl(Declaration):
@@ -284,14 +267,8 @@ class TorqueControl(Declaration):
     friction_bandwidth: float = Field(100.0, ge=0, le=1e5)
 
     def check_counts(self, n: int) -> None:
-        """Checks that every table has n entries, one per joint.
-
-        Raises:
-            DeclarationError: with the key of this table.
-        """
         problems = _count_problems(self, ("motor_inertias",), n, _ROWS)
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
 
 
 _ROWS = "one per row of dh_params"
@@ -308,13 +285,9 @@ def _count_problems(
 
 
 def merge_tables(file_table: Any, override: Any) -> Any:
-    """Returns a robot file's `[dynamics]` table with single entries overridden.
+    """Returns a robot file's `[dynamics]` with entries overridden, or all by a `Dynamics`.
 
     When masses, centres and tensors are all overridden, so is the frame they are given in.
-
-    Args:
-        file_table: the file's table.
-        override: the overriding table; a `Dynamics` replaces the file's table as a whole.
     """
     if not (isinstance(file_table, Mapping) and isinstance(override, Mapping)):
         return override

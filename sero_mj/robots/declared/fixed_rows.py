@@ -9,7 +9,7 @@ import numpy as np
 
 from ...base.errors import Problem
 from ...base.frames import Array, rpy_from_rotation
-from .dh import COLUMNS, DhTable
+from ..kinematics.dh import COLUMNS, DhTable
 
 FIXED = "fixed"
 
@@ -18,7 +18,6 @@ def fixed_row_problem(types: Sequence[object], declared: Mapping[str, Any]) -> P
     """What is wrong with types of joints of which one is `fixed`; None if none is.
 
     Args:
-        types: one for each row of the table.
         declared: the robot's fields that are valid so far.
     """
     if FIXED not in types:
@@ -49,7 +48,6 @@ def _transform(rows: Array, key: str, declared: Mapping[str, Any]) -> Array:
 
 
 def _frame(T: Array) -> str:
-    """A frame as files have it."""
     xyz = ", ".join(f"{x + 0.0:.6g}" for x in T[:3, 3].round(9))
     rpy = ", ".join(f"{x + 0.0:.6g}" for x in np.rad2deg(rpy_from_rotation(T[:3, :3])).round(6))
     return f"{{ xyz = [{xyz}], rpy_deg = [{rpy}] }}"

@@ -27,6 +27,7 @@ from ...base.errors import (
     did_you_mean,
     mismatch,
     problems_of,
+    raise_any,
 )
 from ...base.frames import MIRROR, Array, frame_from, inverse
 from ...base.toml_file import key_lines, located, read_toml
@@ -65,7 +66,6 @@ class Expanded:
 
     @property
     def is_full(self) -> bool:
-        """Whether a maximum is exceeded."""
         groups = len(self.groups) + len(self.broken)
         return len(self.robots) > self.most["robots"] or groups > self.most["groups"]
 
@@ -73,16 +73,14 @@ class Expanded:
 def expand_groups(tables: Mapping[str, Any], file: Path, most: Mapping[str, int]) -> Expanded:
     """Expands the groups of a scene that have a model; others are kept.
 
-    Args:
-        tables: of the scene's `groups`, by name.
-        file: of the scene; models are searched for beside it, and among the shipped ones.
-        most: maximum numbers of `robots` and `groups`; expansion stops soon after them.
+    Models are searched for beside the scene's file, and among the shipped ones. Expansion stops
+    soon after `most` robots and groups.
     """
     found = Expanded(most=most)
     for name, table in tables.items():
         if isinstance(table, Mapping) and "model" in table:
             entry = _found_from(file.parent, {"groups": {name: table}})["groups"][name]
-            _add_group(found, _Place(), name, entry, ((file, f"groups.{name}"),))
+            _add_group(found, _Placement(), name, entry, ((file, f"groups.{name}"),))
         else:
             found.groups[name] = table
     return found
@@ -92,7 +90,6 @@ def where(problem: Problem, declared: Declared) -> Problem:
     """Returns a problem with its file, key and line, for a table declared in several places.
 
     Args:
-        problem: whose key is inside the table.
         declared: the places; the first one with the key is used, else the last.
     """
     key = problem.key.partition(".")[0]
@@ -107,15 +104,13 @@ def has_key(place: tuple[Path, str], key: str) -> bool:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Placement:
     """The frame of the members of a model, or of a scene's robots.
 
     Attributes:
         scope: prefix of their names, e.g. `justin_left_hand_`.
-        T: frame (4, 4) of the group.
         mirrored: whether all of it is mirrored at the xz plane of that frame.
         mount: frame of a robot that T is relative to; None in the world.
-        mounted: where the mount is declared.
         inside: files of the models that are being expanded, outermost first.
     """
 
@@ -126,12 +121,7 @@ class _Place:
     mounted: Declared = ()
     inside: tuple[Path, ...] = ()
 
-    def of(self, name: str, table: Mapping[str, Any], declared: Declared) -> _Place:
-        """Returns the place of a member, from its `mount`, `base_frame` and `mirrored`.
-
-        Raises:
-            DeclarationError: one of these is invalid.
-        """
+    def of(self, name: str, table: Mapping[str, Any], declared: Declared) -> _Placement:
         T, mirrored, mount = np.eye(4), table.get("mirrored", False), table.get("mount")
         problems = []
         try:
@@ -142,8 +132,7 @@ class _Place:
             problems.append(Problem("mirrored", found=mirrored, expected="true or false"))
         if not isinstance(mount, str | None):
             problems.append(Problem("mount", found=mount, expected="a frame of a robot"))
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         if self.mirrored:
             T = MIRROR @ T @ MIRROR
         if mount is None:
@@ -151,13 +140,12 @@ class _Place:
         else:  # on another member, which is mirrored if the group is
             mount = f"{self.scope}{mount}"
         scope = f"{self.scope}{name}_"
-        return _Place(scope, T, mirrored != self.mirrored, mount, declared, self.inside)
+        return _Placement(scope, T, mirrored != self.mirrored, mount, declared, self.inside)
 
 
 def _add_group(
-    found: Expanded, around: _Place, name: str, entry: Mapping[str, Any], declared: Declared
+    found: Expanded, around: _Placement, name: str, entry: Mapping[str, Any], declared: Declared
 ) -> None:
-    """Adds a group with a model and all of its members, or reports why it is invalid."""
     if found.is_full:
         return
     problems = [
@@ -184,11 +172,6 @@ def _add_group(
 
 
 def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
-    """Returns the file of a group's model.
-
-    Raises:
-        DeclarationError: there is none, or it would contain itself.
-    """
     if not isinstance(model, str | Path):
         raise mismatch(model, "a group's name")
     try:
@@ -204,25 +187,18 @@ def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
 
 
 def _name_of(path: Path) -> str:
-    """Returns the name of a model with this file: that of its folder."""
     return path.resolve().parent.name
 
 
 class _Members:
     """Adds the members of one group with a model.
 
-    Args:
-        found: receives them.
-        place: of the group; its innermost file is the model.
-        entry: the group's table, with tables of members whose keys override the model's.
-        declared: where that is declared.
-
     Raises:
         DeclarationError: the model cannot be read.
     """
 
     def __init__(
-        self, found: Expanded, place: _Place, entry: Mapping[str, Any], declared: Declared
+        self, found: Expanded, place: _Placement, entry: Mapping[str, Any], declared: Declared
     ) -> None:
         self._found, self._place, self._entry, self._declared = found, place, entry, declared
         self._path = place.inside[-1]
@@ -231,7 +207,6 @@ class _Members:
         self._standing: tuple[str, Array] | None = None  # the robot that carries the objects
 
     def add(self) -> None:
-        """Adds the group and its members."""
         name = self._place.scope.removesuffix("_")
         for key in self._tables:
             if key not in _OF_FILE:
@@ -261,7 +236,6 @@ class _Members:
         self._found.problems += located(self._problems, self._path)
 
     def _members(self, known: Mapping[str, Mapping[str, Any]]) -> list[str]:
-        """Returns the names of the members in their order: by default all, each once."""
         every = [*known["robots"], *known["groups"]]
         others = [name for name, table in known["groups"].items() if "model" not in table]
         members = self._tables.get("members", [name for name in every if name not in others])
@@ -311,7 +285,6 @@ class _Members:
             self._found.objects.setdefault(robot, []).append(item)
 
     def _section(self, tables: Mapping[str, Any], section: str) -> dict[str, dict[str, Any]]:
-        """Returns the tables of a section, of the model or of the group's table."""
         entries = tables.get(section, {})
         wrong = [Problem(section, found=entries, expected=f"tables [{section}.NAME]")]
         if isinstance(entries, Mapping):
@@ -338,7 +311,6 @@ class _Members:
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Merges a table over another one of a group, member by member."""
     merged = {**below, **above}
     for section in ("robots", "groups"):
         one, other = below.get(section), above.get(section)
@@ -352,12 +324,7 @@ def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -
     """Returns tables with models, meshes and MJCF files resolved to absolute paths.
 
     An existing model is replaced by the `Path` of its file; names are searched for beside the file
-    that contains them.
-
-    Args:
-        folder: base folder of their names.
-        tables: of a model, with its sections, or of a group in a scene.
-        beside: whether models may also be siblings of that folder, as models usually are.
+    that contains them, and with `beside` also beside its folder.
     """
     found: dict[str, Any] = deepcopy(dict(tables))
     whole = folder.absolute()  # file names in it are not prefixed again

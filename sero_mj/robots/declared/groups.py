@@ -118,11 +118,7 @@ class Membership:
 
 
 def membership(groups: Mapping[str, Sequence[str]]) -> Membership:
-    """Resolves nested groups.
-
-    Args:
-        groups: names of robots and groups, by the name of their group.
-    """
+    """Resolves nested groups."""
     found = Membership({}, {}, [], {})
 
     def visit(name: str, way: list[str]) -> list[str]:
@@ -160,8 +156,6 @@ def group_problems(
     """Returns unknown and repeated members, cycles, and contradictory defaults.
 
     Args:
-        groups: by name.
-        found: result of `membership`.
         declared: names of all robots and groups, valid or not.
     """
     problems = []
@@ -192,7 +186,6 @@ def group_problems(
 def _contradictions(
     groups: Mapping[str, Group], found: Membership, robot: str, around: list[str]
 ) -> list[Problem]:
-    """Returns defaults of a robot that differ between groups that do not contain each other."""
     problems = []
     for one, other in combinations(around, 2):
         first, second = groups[one].defaults, groups[other].defaults

@@ -70,8 +70,6 @@ class Input:
     """One input of a scene, the target of a route.
 
     Attributes:
-        name: of the robot, double, arrow, frame, object or camera.
-        key: name of the input.
         shape: of its values: (n,), (3,), (4, 4) or (1,).
         kind: `angles` move a robot or double, `values` are shown at joints, a `pose` moves a
             base, an object or a camera, a `frame` is stored, a `vector` is shown by an arrow, a
@@ -87,12 +85,10 @@ class Input:
 
     @property
     def target(self) -> str:
-        """`name.key`."""
         return f"{self.name}.{self.key}"
 
     @property
     def count(self) -> int:
-        """Number of values."""
         return int(np.prod(self.shape))
 
     @property
@@ -119,7 +115,6 @@ class Input:
 
     @property
     def meaning(self) -> str:
-        """Description of the values, for messages."""
         if self.kind in ("angles", "values"):
             per_joint = f"{self.count}, one per joint"
             if self.coupled is None:
@@ -171,12 +166,6 @@ def inputs_of_group(
 ) -> list[Input]:
     """Returns the members' inputs for an input of their group, in order.
 
-    Args:
-        inputs: all, by `name.key`.
-        group: its name, for messages.
-        key: of the input.
-        members: names of its robots, or of the doubles of these.
-
     Raises:
         UnknownName: no member has such an input.
         ValueError: not all of them have it, or several have it and it is a frame.
@@ -200,15 +189,10 @@ def inputs_of_group(
 
 
 def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
-    """Distributes values set for a group to the inputs of its members.
+    """Distributes values of all or of the independent joints to the inputs of a group's members.
 
-    Args:
-        items: of its robots, from `inputs_of_group`.
-        target: the group's input, for messages.
-        values: of all joints or of the independent ones in order; a switch applies to all.
-
-    Raises:
-        ValueError: a wrong number of values, or one that moves something is not finite.
+    A switch applies to all. Raises ValueError for a wrong number of values, or one that moves
+    something and is not finite.
     """
     if items[0].kind not in ("angles", "values"):
         return [values] * len(items)
@@ -235,10 +219,9 @@ def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
     Args:
         numbers: a matrix row by row, (16,); x, y, z and a unit quaternion w, x, y, z, (7,); or x, y
             and yaw of a planar base, (3,); m and rad.
-        robot: with that base.
     """
     if len(numbers) == len(PLANAR) and robot is not None:
-        return robot.planar_pose(numbers)
+        return robot.planar_base.pose(numbers)
     if len(numbers) != len(POSE_NUMBERS):
         return numbers.reshape(4, 4)
     length = np.linalg.norm(numbers[3:])
@@ -250,7 +233,7 @@ def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
 def numbers_of_frame(T: Array, count: int, robot: SerialRobot | None = None) -> Array:
     """Returns so many numbers (count,) for a frame, the inverse of `frame_of_numbers`."""
     if count == len(PLANAR) and robot is not None:
-        return robot.planar_place(T)
+        return robot.planar_base.place(T)
     if count == len(POSE_NUMBERS):
         return np.append(T[:3, 3], quat_from_rotation(T[:3, :3]))
     return T.ravel()

@@ -32,7 +32,6 @@ class Reached:
     """The angles closest to a pose.
 
     Attributes:
-        angles: (n,), rad or m.
         distance: remaining, m.
         angle: remaining, rad; 0 for a goal without orientation.
         at_limit: whether each joint is at a position limit, (n,).
@@ -45,7 +44,6 @@ class Reached:
 
     @property
     def is_there(self) -> bool:
-        """Whether the pose is reached, within `CLOSE`."""
         return self.distance <= CLOSE and self.angle <= CLOSE
 
 
@@ -53,7 +51,6 @@ def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
     """Returns a function from the independent joints to a frame of a robot, in numpy.
 
     Args:
-        robot: its declaration.
         base: T_world_base (4, 4), m.
         link: that carries the frame, 0 for the base, up to n.
         at: T_link_frame (4, 4), m.
@@ -95,13 +92,11 @@ def reach(
     """Returns joint angles that bring a frame to a pose, within the position limits.
 
     Args:
-        place: of the frame.
         goal: T_world_frame (4, 4), m.
         angles: (n,), rad or m, initial.
         limits: (n, 2), rad or m; None for none.
         turns: whether the goal includes the orientation.
         posture: (n,), target of the null space; None for none.
-        iterations: maximum number.
     """
     error: Array = np.zeros(6)
     rows = slice(None) if turns else slice(0, 3)
@@ -127,7 +122,6 @@ def reach(
 
 
 def _turn(rotation: Array) -> tuple[Array, float]:
-    """Returns a rotation (3, 3) as a vector along its axis, rad, and its angle."""
     sin = 0.5 * np.array(
         [
             rotation[2, 1] - rotation[1, 2],
@@ -143,15 +137,7 @@ def _turn(rotation: Array) -> tuple[Array, float]:
 def _step(
     jacobian: Array, error: Array, angles: Array, limits: Array | None, inner: Array | None
 ) -> Array:
-    """A step towards the pose; joints that would leave their limits are held at them.
-
-    Args:
-        jacobian: (m, n).
-        error: remaining, (m,), m and rad.
-        angles: (n,).
-        limits: (n, 2), or None.
-        inner: (n,), desired motion in the null space; None for none.
-    """
+    """A step towards the pose; joints that would leave their limits are held at them."""
     m, n = jacobian.shape
     low, high = (np.full(n, -np.inf), np.full(n, np.inf)) if limits is None else limits.T
     free: Array = np.ones(n)

@@ -33,10 +33,6 @@ def independent_limits(limits: Array, coupled: CoupledJoints) -> Array:
     """Returns limits of the independent joints, (k, 2), that satisfy those of coupled ones as well.
 
     If these leave a joint less than a hundredth of its own range, they are wrong, and ignored.
-
-    Args:
-        limits: (n, 2), rad or m; may be infinite.
-        coupled: couplings of the joints.
     """
     own = limits[coupled.independent]
     found = own.copy()
@@ -55,15 +51,9 @@ def display_ranges(
     """Returns a finite range of every joint, (n, 2), lower and upper, rad or m.
 
     It consists of the plausible limits. A missing limit is replaced by -π or π rad for a revolute
-    joint and by -1 or 1 m for a prismatic one, or is this far from the other limit or from the
-    home position if these are outside that range. The range of a driving joint satisfies the
-    limits of its coupled joints, whose ranges follow from it.
-
-    Args:
-        position_limits: (n, 2), rad or m; may be infinite or None.
-        types: `revolute` or `prismatic`, of every joint.
-        home: (n,), rad or m.
-        coupled: couplings of the joints.
+    joint and by -1 or 1 m for a prismatic one, or is this far from the other limit or from the home
+    position if these are outside that range. The range of a driving joint satisfies the limits of
+    its coupled joints, whose ranges follow from it.
     """
     limits = plausible_limits(position_limits, len(types))
     if not coupled.is_coupled:

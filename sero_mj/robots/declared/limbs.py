@@ -25,20 +25,12 @@ _PART_OF = {word: part for part, words in _PARTS.items() for word in (part, *wor
 def find_limbs(
     names: Sequence[str], carriers: Sequence[int], followed: Mapping[str, str]
 ) -> dict[str, list[int]]:
-    """Returns the limbs of a robot, named after the common part of their joints' names.
+    """Returns the limbs of a robot, indices of joints by name; every joint is in exactly one.
 
     A limb is a maximal run of joints, each the only child of the previous one. Runs of coupled
-    joints only belong to the limb of their driving joint: the knuckles of a gripper to its drive.
-    If the joints' names have no distinctive common part, the limb is named after the first and the
-    last joint.
-
-    Args:
-        names: of the joints, n.
-        carriers: index of each joint's parent frame, n: 0 for the base, i for joint i.
-        followed: for each coupled joint its driving joint.
-
-    Returns:
-        indices of joints by limb, in the order of the joints; every joint is in exactly one.
+    joints only belong to the limb of their driving joint (`followed`): the knuckles of a gripper to
+    its drive. It has the common part of its joints' names, or else the first and the last name. A
+    carrier is 0 for the base, i for joint i.
     """
     on = Counter(carriers)
     runs: list[list[int]] = []
@@ -58,12 +50,7 @@ def find_limbs(
 
 
 def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> list[Problem]:
-    """Returns errors of declared limbs: names and joints that are unknown or used twice.
-
-    Args:
-        names: of the joints.
-        limbs: names of joints by limb.
-    """
+    """Returns errors of declared limbs: names and joints that are unknown or used twice."""
     problems = []
     limb_of: dict[str, str] = {}
     for limb, joints in limbs.items():
@@ -88,8 +75,6 @@ def all_limbs(
     """Returns the declared limbs, and the remaining joints in the limbs found.
 
     Args:
-        names: of the joints.
-        found: result of `find_limbs`.
         declared: names of joints by limb, without problems.
     """
     index = {name: i for i, name in enumerate(names)}
@@ -106,7 +91,6 @@ def all_limbs(
 def _with_followers(
     runs: list[list[int]], names: Sequence[str], followed: Mapping[str, str]
 ) -> list[list[int]]:
-    """Returns runs, those of only coupled joints merged into that of their driving joint."""
     number = {names[i]: k for k, run in enumerate(runs) for i in run}
 
     def leader(k: int) -> int:
@@ -126,7 +110,6 @@ def _with_followers(
 
 
 def _ends(names: Sequence[str], run: Sequence[int]) -> str:
-    """Returns a name by the first and the last joint."""
     first, last = names[run[0]], names[run[-1]]
     return first if len(run) == 1 else f"{first}-{last}"
 

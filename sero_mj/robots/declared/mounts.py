@@ -60,8 +60,7 @@ def mount_circles(robots: Mapping[str, SerialRobot]) -> list[list[str]]:
 def mount_order(robots: Mapping[str, SerialRobot]) -> list[str]:
     """Returns the names of all robots in declared order, but each after its carrier.
 
-    Raises:
-        CycleError: robots carry each other in a cycle.
+    Raises CycleError if robots carry each other in a cycle.
     """
     carriers = {name: carrier(robot) for name, robot in robots.items()}
     after = {name: {each} & set(robots) if each else set() for name, each in carriers.items()}
@@ -78,13 +77,7 @@ def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, in
 
 
 def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
-    """Returns T_base_mount (..., 4, 4) of a frame that robots can be mounted on.
-
-    Args:
-        robot: the carrier.
-        label: one of `mount_labels`.
-        frames: result of `robot.kinematics.frames`, (..., n + 1, 4, 4).
-    """
+    """Returns T_base_mount (..., 4, 4) of one of `mount_labels`, by `robot.kinematics.frames`."""
     if label == "base":
         return frames[..., 0, :, :]
     if label.startswith("link") and label[4:].isdigit():
@@ -103,7 +96,6 @@ def base_frames(
     """Returns T_world_base (..., 4, 4) of every robot, by the kinematics of its carriers.
 
     Args:
-        robots: by name.
         joint_angles: (..., n) by name, rad or m; the declared ones where missing.
         placed: T_world_base (..., 4, 4) of robots not at their declared frames.
     """
@@ -132,10 +124,7 @@ def unmounted(robot: SerialRobot, T_world_base: Array) -> SerialRobot:
 def mount_problems(robots: Mapping[str, SerialRobot], broken: Mapping[str, bool]) -> list[Problem]:
     """Returns mounts on unknown frames, and cycles of mounts.
 
-    Args:
-        robots: by name.
-        broken: for every missing carrier, whether its declaration is invalid, which is reported
-            elsewhere.
+    Errors of missing carriers that are `broken`, invalid, are reported elsewhere.
     """
     problems = []
     frames = [f"{name}/{label}" for name, robot in robots.items() for label in mount_labels(robot)]

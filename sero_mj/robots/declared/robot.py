@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,24 +19,19 @@ from ...base.errors import DeclarationError
 from ...base.frames import (
     MIRROR,
     Array,
-    Bools,
     Ints,
-    compose,
-    frame,
-    inverse,
-    rotation_about,
     rotation_to_z,
 )
 from ...base.toml_file import located
 from ..importers.joint_names import link_of_parent
 from ..importers.mjcf_file import is_file_name
 from ..importers.robot_file import read_robot_file
+from ..kinematics.dh import DhTable
+from ..kinematics.joint_tree import JointFrames, JointTree, PlanarBase
 from .couplings import CoupledJoints, coupled_joints
 from .degrees import degrees_warning
-from .dh import DhTable
 from .dynamics import is_overridden, merge_tables
 from .joint_ranges import display_ranges, plausible_limits
-from .joint_tree import JointFrames, JointTree
 from .limbs import all_limbs, find_limbs
 from .robot_declaration import RobotDeclaration
 from .robot_parts import IN_DEGREES, frame_label, frame_labels
@@ -52,9 +48,7 @@ _LIMBS_IN_REPR, _NAMES_IN_REPR = 8, 8
 class SerialRobot(RobotDeclaration):
     """A robot as in the paper's `SerialRobot` proto: what it declares, and what follows from that.
 
-    Frames are 4x4 row-major, lengths in m, angles in rad, torques in Nm (forces in N for
-    prismatic joints). n is the number of joints, 1 to 128. They form a chain, or with `parents` a
-    tree. `RobotDeclaration` has the meaning of every field.
+    `RobotDeclaration` has the meaning of every field.
     """
 
     def frame_label(self, label: str) -> str:
@@ -86,7 +80,6 @@ class SerialRobot(RobotDeclaration):
         Args:
             model: a shipped robot's name (`lwr`), a folder with a `robot.toml`, or a file: TOML, or
                 any format with an importer.
-            **overrides: any field of this class.
 
         Raises:
             UnknownName: there is no such model.
@@ -110,11 +103,8 @@ class SerialRobot(RobotDeclaration):
         meshes) are logged as warnings.
 
         Args:
-            path: of the file.
             packages: folders of ROS packages by name, for `package://NAME/...`; others are
                 searched for above the file and on the paths that the environment names.
-            arguments: of xacro by name.
-            **overrides: any field of this class.
 
         Raises:
             DeclarationError: what is wrong in the file or the overrides.
@@ -129,7 +119,6 @@ class SerialRobot(RobotDeclaration):
         Args:
             source: a file, text that starts with `<`, a `mujoco.MjSpec`, or a PyMJCF or composer
                 object.
-            **overrides: any field of this class.
 
         Raises:
             DeclarationError: it cannot be read or compiled, or has no joints.
@@ -144,7 +133,7 @@ class SerialRobot(RobotDeclaration):
             log.warning("%s", warning)
         return cls(**{**tables, **overrides})
 
-    @property
+    @cached_property
     def kinematics(self) -> JointTree:
         """Its DH table, or the frames of its joints."""
         revolute = np.array([kind == "revolute" for kind in self.types])
@@ -152,7 +141,11 @@ class SerialRobot(RobotDeclaration):
         if self.joint_frames is not None:
             table = JointFrames(self.joint_frames, revolute, parents=self.carriers)
         else:
-            table = replace(self._dh_table(revolute), parents=self.carriers, root=self._root)
+            assert self.dh_convention != "none"
+            rows, columns = self.dh_params, tuple(self.dh_columns)
+            root = None if np.array_equal(self.dh_base_frame, np.eye(4)) else self.dh_base_frame
+            table = DhTable.from_rows(rows, self.dh_convention, columns, revolute)
+            table = replace(table, parents=self.carriers, root=root)
         return table.mirrored() if self.mirrored else table
 
     @property
@@ -160,15 +153,6 @@ class SerialRobot(RobotDeclaration):
         """Its Denavit-Hartenberg table; None if its joints have individual frames."""
         table = self.kinematics
         return table if isinstance(table, DhTable) else None
-
-    def _dh_table(self, revolute: Bools) -> DhTable:
-        assert self.dh_convention != "none"
-        columns = tuple(self.dh_columns)
-        return DhTable.from_rows(self.dh_params, self.dh_convention, columns, revolute)
-
-    @property
-    def _root(self) -> Array | None:
-        return None if np.array_equal(self.dh_base_frame, np.eye(4)) else self.dh_base_frame
 
     @property
     def carriers(self) -> Ints | None:
@@ -178,28 +162,10 @@ class SerialRobot(RobotDeclaration):
         return np.array([link_of_parent(each, self.names) for each in self.parents], np.intp)
 
     @property
-    def base_axes(self) -> Array:
-        """Axes of a planar base in its frame, (3, 3): two directions of motion and the normal.
-
-        They are right-handed. For the usual normal, z, they are x, y and z.
-        """
-        return rotation_to_z(np.eye(3), self.base_normal * ([1, -1, 1] if self.mirrored else 1)).T
-
-    def planar_pose(self, at: Array) -> Array:
-        """Returns T_world_base (4, 4) of a planar base.
-
-        Args:
-            at: x, y (m) and yaw (rad) from `base_frame` along and about `base_axes`, (3,).
-        """
-        axes = self.base_axes
-        turned = axes.T @ rotation_about(2, at[2]) @ axes
-        return np.asarray(self.base_frame @ frame(turned, at[:2] @ axes[:2]))
-
-    def planar_place(self, T_world_base: Array) -> Array:
-        """Returns x, y and yaw (3,) of a pose (4, 4) in the plane, the inverse of `planar_pose`."""
-        axes, T = self.base_axes, inverse(self.base_frame) @ T_world_base
-        turned = axes @ T[:3, :3] @ axes.T
-        return np.append(axes[:2] @ T[:3, 3], np.arctan2(turned[1, 0], turned[0, 0]))
+    def planar_base(self) -> PlanarBase:
+        """How a planar base moves."""
+        normal = self.base_normal * ([1, -1, 1] if self.mirrored else 1)
+        return PlanarBase(self.base_frame, rotation_to_z(np.eye(3), normal).T)
 
     @property
     def flange_link(self) -> int:
@@ -248,17 +214,14 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def n(self) -> int:
-        """Number of joints."""
         return len(self.dh_params if self.joint_frames is None else self.joint_frames)
 
     @property
     def types(self) -> list[str]:
-        """`revolute` or `prismatic` for every joint."""
         return list(self.joint_types or ["revolute"] * self.n)
 
     @property
     def names(self) -> list[str]:
-        """Name of every joint."""
         return self.joint_names or [f"J{i + 1}" for i in range(self.n)]
 
     @property
@@ -296,19 +259,6 @@ class SerialRobot(RobotDeclaration):
     def housing_radii(self) -> Array:
         """Radius of the generated housing of every joint (n,), m."""
         return housing_radii(self.kinematics, self.T_n_flange, self.strokes, self.flange_link)
-
-    @property
-    def arrow_width_scales(self) -> Array:
-        """`arrow_width_scale` of every joint's arrow (n,)."""
-        return np.full(self.n, self.arrow_width_scale)
-
-    @property
-    def arrow_loads(self) -> Array:
-        """Effort at which an arrow without limit is as wide as its radius (n,), Nm or N.
-
-        Infinite where `arrow_width_scale` sets the width.
-        """
-        return np.full(self.n, np.inf)
 
     @property
     def axes_length(self) -> float:
@@ -376,11 +326,12 @@ class SerialRobot(RobotDeclaration):
         """Initial joint angles (n,), rad or m: as declared, else zero within the limits."""
         if self.joint_angles is not None:
             return self.joint_angles
+        if not self.couplings:
+            return np.zeros(self.n)
         return self.coupled.positions(np.zeros(self.coupled.k))
 
-    @property
+    @cached_property
     def coupled(self) -> CoupledJoints:
-        """The couplings between joints."""
         return coupled_joints(self.names, self.couplings)
 
     def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:
@@ -393,11 +344,10 @@ class SerialRobot(RobotDeclaration):
         q = self.home if joint_angles is None else np.asarray(joint_angles, np.float64)
         if self.couplings and q.shape[-1:] == (self.coupled.k,):
             q = self.coupled.full("joint_angles", q)
-        return compose(self.kinematics.frame(self.flange_link, q), self.T_n_flange)
+        return np.asarray(self.kinematics.frame(self.flange_link, q) @ self.T_n_flange)
 
 
 def _shortened(names: Sequence[str]) -> str:
-    """Names separated by commas; of many only the first and the last."""
     if len(names) <= _NAMES_IN_REPR:
         return ", ".join(names)
     half = _NAMES_IN_REPR // 2
@@ -429,7 +379,6 @@ def build_robot(
             `torque_control`.
         model: the robot file; its `directory` is relative to its folder.
         packages: folders of ROS packages by name, for URDF.
-        arguments: of xacro by name.
 
     Raises:
         DeclarationError: problems in the file carry its name and line; the others do not.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -17,11 +17,11 @@ from pydantic import (
 )
 
 from ...base.declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
-from ...base.errors import DeclarationError, Problem, mismatch
+from ...base.errors import Problem, mismatch, raise_any
 from ...base.frames import Array
 from ..importers.joint_names import BASE, link_of_parent
+from ..kinematics.dh import COLUMNS
 from .couplings import Coupling, coupled_joints, coupling_problems
-from .dh import COLUMNS
 from .dynamics import Dynamics, TorqueControl
 from .fixed_rows import fixed_row_problem
 from .limbs import limb_problems
@@ -157,7 +157,7 @@ class RobotDeclaration(Declaration):
         axes_transparency: 0 opaque to 1 invisible.
         show_arrows: whether round arrows are shown.
         arrow_quantity: quantity of the arrows: `torques`, `torque_error` (commanded - measured),
-            `joint_accelerations`, `singularity` (see `viewer.decor.singularity`),
+            `joint_accelerations`, `singularity` (see `viewer.decor.quantities`),
             `torque_without_gravity` (measured less what the model needs to hold itself), or
             `torque_without_friction` (measured less the friction that `dynamics` declares).
         arrow_dead_band: fraction of the limit below which no arrow is shown, to hide noise.
@@ -178,6 +178,15 @@ class RobotDeclaration(Declaration):
         flange_tolerance_deg: tolerated angle of it, degrees.
     """
 
+    checked_alone: ClassVar[frozenset[str]] = frozenset(
+        {
+            *("description", "note", "enable_touch_sensor", "stale_after"),
+            *("show_axes", "axes_size", "axes_transparency"),
+            *("show_arrows", "arrow_radius", "fit_arrows", "arrow_width_scale", "arrow_quantity"),
+            *("arrow_dead_band", "show_billboards", "billboard_scale"),
+            *("flange_tolerance", "flange_tolerance_deg"),
+        }
+    )
     name: Name = "robot"
     description: str = ""
     note: str = ""
@@ -293,12 +302,12 @@ class RobotDeclaration(Declaration):
     @field_validator("parents")
     @classmethod
     def _parents_come_before(cls, parents: list[str] | None, info: ValidationInfo) -> Any:
-        n = _count(info.data)
-        if parents is None or n is None or "joint_names" not in info.data:
+        names, problems = _known_names(info.data), list[Problem]()
+        if parents is None or names is None:
             return parents
-        if len(parents) != n:
-            raise mismatch(len(parents), f"{n}, {_each(info.data)}", of="entries")
-        names, problems = _joint_names(info.data), []
+        if len(parents) != _count(info.data):
+            expected = f"{_count(info.data)}, {_each(info.data)}"
+            raise mismatch(len(parents), expected, of="entries")
         branch = [0]  # the links of the path to the previous joint
         for i, parent in enumerate(parents):
             link = link_of_parent(parent, names)
@@ -308,8 +317,7 @@ class RobotDeclaration(Declaration):
                 message = f"{names[i]} is on {parent}; expected it behind that and its branch whole"
                 problems.append(Problem(str(i), message))
             branch = [*branch[: branch.index(link) + 1 if link in branch else 1], i + 1]
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         return parents
 
     @field_validator("link_names")
@@ -320,35 +328,19 @@ class RobotDeclaration(Declaration):
             raise mismatch(len(names), f"{n + 1}, of base and links", of="entries")
         return names
 
-    @field_validator("flange_on")
+    @field_validator("flange_on", "couplings", "limbs")
     @classmethod
-    def _flange_is_on_a_joint(cls, joint: str | None, info: ValidationInfo) -> Any:
-        known = "joint_names" in info.data and _count(info.data) is not None
-        if joint is not None and known and joint not in _joint_names(info.data):
-            raise Problem("", "no joint", found=joint, available=_joint_names(info.data)).error()
-        return joint
-
-    @field_validator("couplings")
-    @classmethod
-    def _joints_to_couple_exist(
-        cls, couplings: dict[str, Coupling], info: ValidationInfo
-    ) -> dict[str, Coupling]:
-        if _count(info.data) is not None and "joint_names" in info.data:
-            problems = coupling_problems(_joint_names(info.data), couplings)
-            if problems:
-                raise DeclarationError(problems)
-        return couplings
-
-    @field_validator("limbs")
-    @classmethod
-    def _joints_of_limbs_exist(
-        cls, limbs: dict[str, list[str]], info: ValidationInfo
-    ) -> dict[str, list[str]]:
-        if _count(info.data) is not None and "joint_names" in info.data:
-            problems = limb_problems(_joint_names(info.data), limbs)
-            if problems:
-                raise DeclarationError(problems)
-        return limbs
+    def _joints_exist(cls, value: Any, info: ValidationInfo) -> Any:
+        names = _known_names(info.data)
+        if value is None or names is None:
+            return value
+        if info.field_name == "couplings":
+            raise_any(coupling_problems(names, value))
+        elif info.field_name == "limbs":
+            raise_any(limb_problems(names, value))
+        elif value not in names:
+            raise Problem("", "no joint", found=value, available=names).error()
+        return value
 
     @field_validator("dynamics", "torque_control")
     @classmethod
@@ -416,6 +408,9 @@ class RobotDeclaration(Declaration):
         if self.length_unit == "mm":
             metres = [0.001 if column in ("a", "d") else 1.0 for column in self.dh_columns]
             self.__dict__ |= {"dh_params": self.dh_params * metres, "length_unit": "m"}
+        for rows in (self.dh_params, self.dh_base_frame, self.joint_frames):
+            if rows is not None:
+                rows.setflags(write=False)  # `kinematics` is computed from them once
         return self
 
     @field_validator("billboard_lines")
@@ -444,17 +439,16 @@ class RobotDeclaration(Declaration):
             for name, link in links.items()
             if link.on not in known
         ]
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         return links
 
     @field_validator("children")
     @classmethod
     def _frames_to_be_on_exist(cls, children: list[Object], info: ValidationInfo) -> list[Object]:
-        n = _count(info.data)
-        if n is not None and "joint_names" in info.data:
-            frames = frame_labels(n)
-            known = _joint_names(info.data), info.data.get("link_names")
+        names = _known_names(info.data)
+        if names is not None:
+            frames = frame_labels(_count(info.data) or 0)
+            known = names, info.data.get("link_names")
             children = [
                 child.model_copy(update={"on": frame_label(child.on, *known)}) for child in children
             ]
@@ -463,8 +457,7 @@ class RobotDeclaration(Declaration):
                 for k, child in enumerate(children)
                 if child.on not in frames
             ]
-            if problems:
-                raise DeclarationError(problems)
+            raise_any(problems)
         return children
 
     @model_validator(mode="after")
@@ -499,7 +492,6 @@ class RobotDeclaration(Declaration):
 
 
 def _count(fields: Mapping[str, Any]) -> int | None:
-    """The number of joints; None if the table or the frames are invalid."""
     rows = fields.get("joint_frames")
     if rows is None:
         rows = fields.get("dh_params")
@@ -507,7 +499,6 @@ def _count(fields: Mapping[str, Any]) -> int | None:
 
 
 def _each(fields: Mapping[str, Any]) -> str:
-    """What each entry belongs to, for messages."""
     by_frames = fields.get("joint_frames") is not None
     return "one per frame of joint_frames" if by_frames else "one per row of dh_params"
 
@@ -517,14 +508,16 @@ def _joint_names(fields: Mapping[str, Any]) -> list[str]:
     return names or [f"J{i + 1}" for i in range(_count(fields) or 0)]
 
 
+def _known_names(fields: Mapping[str, Any]) -> list[str] | None:
+    is_known = _count(fields) is not None and "joint_names" in fields
+    return _joint_names(fields) if is_known else None
+
+
 def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     """Returns the angles of all joints, given these or those of the independent ones.
 
-    Other quantities of the independent joints are kept: those of coupled joints are unknown.
-
-    Raises:
-        ValueError: the value of a coupled joint contradicts its coupling; or the number of values
-            is neither that of the joints nor of the independent ones.
+    Other quantities are returned unchanged. Raises ValueError if a value contradicts its coupling,
+    or the number of values is neither n nor k.
     """
     names = _joint_names(info.data)
     coupled = coupled_joints(names, info.data["couplings"])

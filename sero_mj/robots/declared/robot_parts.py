@@ -12,7 +12,7 @@ from ...base.declaration import Declaration, Frame, Name, Vector, numbers, of_sh
 from ...base.errors import Problem, mismatch, nearest
 from ...base.frames import Array, frame_from
 from ..importers.joint_names import identifiers, is_joint_name
-from .dh import COLUMNS, Column
+from ..kinematics.dh import COLUMNS, Column
 from .surroundings import FinishName, MeshFile, Object, check_shape_size
 
 # Packets choose them by their number, so new ones come last.
@@ -103,7 +103,6 @@ def _differ(names: list[str]) -> list[str]:
 
 
 def _tree_frames(value: Any) -> Any:
-    """Parses frames as given in files, (n, 4, 4)."""
     if value is None:
         return None
     if not isinstance(value, list | tuple | np.ndarray):
@@ -120,7 +119,6 @@ def _tree_frames(value: Any) -> Any:
 
 
 def _limits_of_shape(*shape: int | None) -> BeforeValidator:
-    """As `of_shape`, with `inf` for no limit."""
     shaped: Any = of_shape(*shape).func
 
     def validate(value: Any) -> Any:
@@ -151,7 +149,6 @@ def _are_positive(limits: Array | None) -> Array | None:
 
 
 def _no_words(limits: Any) -> Any:
-    """Refuses a word that `split_largest` has not taken out."""
     entries = limits if isinstance(limits, list | tuple) else [limits]
     if words := [entry for entry in entries if isinstance(entry, str)]:
         expected = f'a number, inf for no limit, or "{LARGEST}"'
@@ -160,13 +157,9 @@ def _no_words(limits: Any) -> Any:
 
 
 def split_largest(limits: Any) -> tuple[Any, bool]:
-    """Takes the word "largest" out of torque limits.
+    """Returns torque limits with None or inf for the word "largest", and whether it was there.
 
-    Args:
-        limits: as given in a file: numbers, the word for all joints, or among numbers for some.
-
-    Returns:
-        the limits without it, None or inf in its place; and whether it was there.
+    The word is for all joints, or among numbers for some.
     """
     if isinstance(limits, str) and limits == LARGEST:
         return None, True
@@ -302,13 +295,9 @@ def frame_labels(n: int) -> list[str]:
 
 
 def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) -> str:
-    """Translates the name of a frame in a robot's own file to ours.
+    """Translates the name of a joint or a link, or a joint's identifier, to our name of the frame.
 
-    Args:
-        label: the name of a joint or a link, or a joint's identifier; any other is returned
-            unchanged.
-        joints: names, n; each refers to the link that it moves.
-        links: names of the base and the links, n + 1; None without names.
+    Any other name is returned unchanged. A joint refers to the link that it moves.
     """
     labels = frame_labels(len(joints))
     if label in labels:

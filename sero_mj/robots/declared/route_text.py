@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from ...base.errors import DeclarationError, did_you_mean, mismatch, problems_of
+from ...base.errors import did_you_mean, mismatch, problems_of, raise_any
 
 NOT = "not"
 JOINING = ("and", "or", NOT)  # words between comparisons
@@ -28,8 +28,7 @@ _TOKENS = re.compile(
 def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
     """Returns the routes with every origin as text.
 
-    Raises:
-        DeclarationError: an origin is neither text nor numbers nor a table of joints.
+    Raises DeclarationError if an origin is neither text nor numbers nor a table of joints.
     """
     texts, problems = {}, []
     for target, origin in routes.items():
@@ -37,8 +36,7 @@ def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
             texts[target] = origin_text(origin)
         except ValueError as error:
             problems += problems_of(error, f"routes.{target}")
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
     return texts
 
 
@@ -47,8 +45,6 @@ class Token(NamedTuple):
 
     Attributes:
         kind: `number`, `name`, `sign`, or `other` for characters that are invalid in a route.
-        text: its characters.
-        at: index of its first character.
     """
 
     kind: str
@@ -74,13 +70,10 @@ def names_in(origin: str) -> list[str]:
 
 
 def origin_text(origin: Any) -> str:
-    """Returns an origin as text; numbers and (nested) lists of numbers are constants.
+    """Returns an origin as text; numbers and lists of numbers are constants; raises ValueError.
 
     One for some joints only is written `udp.values0 for l_elbow, l_wrist`, and several are
     separated by semicolons; `parts_of_origin` splits them.
-
-    Raises:
-        ValueError: the origin is none of the types listed in `Scene`.
     """
     if isinstance(origin, Mapping):
         text = _text_for_joints(origin)
@@ -107,7 +100,6 @@ def _plain_text(origin: Any) -> str:
 
 
 def _text_for_joints(table: Any) -> str:
-    """Returns an origin for some joints as text, see `origin_text`."""
     example = '{ from = "udp.values0", joints = ["A1", "A2"] }'
     if not isinstance(table, Mapping) or not table.keys() & {*_OF_JOINTS}:
         if not isinstance(table, Mapping):
@@ -142,7 +134,6 @@ def parts_of_origin(text: str) -> list[tuple[str, list[str] | None]]:
 
 
 def _number_text(value: Any) -> str | None:
-    """Returns a number or a list of numbers as text; None for anything else."""
     if isinstance(value, list | tuple):
         entries = [_number_text(entry) for entry in value]
         texts = [entry for entry in entries if entry is not None]

@@ -10,7 +10,15 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from ...base.declaration import Declaration
-from ...base.errors import DeclarationError, Problem, collect, did_you_mean, mismatch, nearest
+from ...base.errors import (
+    DeclarationError,
+    Problem,
+    collect,
+    did_you_mean,
+    mismatch,
+    nearest,
+    raise_any,
+)
 from ...base.frames import Array
 from ...base.paths import argument_of
 from ...base.toml_file import key_lines, located
@@ -64,7 +72,6 @@ class Scene:
     """The declaration of a scene.
 
     Args:
-        robots: by name.
         groups: ordered groups of robots, which share routes and switches.
         sources: by name; a table with `kind` and its fields, or a source object.
         routes: origin by input (`lwr.joint_angles`): an event (`udp.values0`), an expression
@@ -73,22 +80,12 @@ class Scene:
             limb in the key, `icub.left_arm.joint_angles`.
         doubles: transparent doubles of the robots; a double of a group becomes one per robot,
             `DOUBLE_ROBOT`.
-        arrows: Cartesian vectors, shown by smart arrows.
-        frames: received frames.
-        objects: fixed objects.
-        cameras: by name.
         lights: by name; one that casts shadows when empty, in addition to a headlight.
         floor: whether there is a floor, at z = 0; `below`: at the lowest point of the robots in
             their declared pose, if that is lower. When None it is `below` if the scene has a robot
             from URDF or MJCF, whose base may be its trunk, or one robot without a `base_frame` and
             no objects; else at 0.
-        view: the default view.
-        toggles: initial toggles of the whole scene.
         decor: settings of visual features, by the name of the feature.
-        description: one line about it, for `sero-mj list` and `check`.
-        note: about its data, shown with the legend.
-        name: shown in titles and messages.
-        file: the file it was read from.
         broken: sections (`robots`) and entries (`robots.lwr`) of the file that are invalid.
         lines: of the file by dotted key, if it is not TOML.
 
@@ -140,8 +137,7 @@ class Scene:
             *_not_of_type(SceneToggles, None, toggles=toggles),
             *_floor_problems(floor),
         ]
-        if problems:
-            raise DeclarationError(problems)
+        raise_any(problems)
         self.robots: dict[str, SerialRobot] = {}
         self.groups = {group.name: group for group in groups or []}
         self.membership = membership({name: group.robots for name, group in self.groups.items()})
@@ -190,8 +186,7 @@ class Scene:
     def add(self, robot: SerialRobot) -> SerialRobot:
         """Adds a robot and returns it.
 
-        Raises:
-            DeclarationError: there is already a robot of that name.
+        Raises DeclarationError if there is already a robot of that name.
         """
         if robot.name in self.robots:
             raise mismatch(
@@ -213,7 +208,6 @@ class Scene:
         return robot
 
     def _with_defaults(self, robot: SerialRobot) -> SerialRobot:
-        """Returns the robot with the defaults of its groups for fields it does not set."""
         own = set(robot.model_fields_set)
         for name in self.membership.around.get(robot.name, []):  # inner ones first
             for key, value in self.groups[name].defaults.items():
@@ -226,7 +220,6 @@ class Scene:
         return robot
 
     def _share_out(self, group: Group) -> None:
-        """Distributes the per-joint values declared for a group to its robots."""
         robots = [self.robots[name] for name in self.membership.members[group.name]]
         place = f"groups.{group.name}"
         self._group_problems += [
@@ -249,7 +242,6 @@ class Scene:
                     self.robots[robot.name] = changed
 
     def _add_double(self, double: Double) -> None:
-        """Adds a double, or those of all robots of a group."""
         robots = self.membership.members.get(double.of)
         if robots is None:
             self.doubles[double.name] = double
@@ -324,7 +316,6 @@ class Scene:
         return found
 
     def files(self) -> list[Path]:
-        """Returns the absolute paths of its files: its own, and those of its models."""
         models = [robot._model for robot in self.robots.values()]
         tables = [file for robot in self.robots.values() for file, _ in robot._declared]
         tables += [file for group in self.groups.values() for file, _ in group._declared]
@@ -357,7 +348,6 @@ class Scene:
         return name if robot is None or not label else f"{owner}/{robot.frame_label(label)}"
 
     def _by_links(self, entry: _Entry) -> _Entry:
-        """Returns an arrow or received frame with names of joints replaced by links."""
         update = {
             key: self.frame_name(value)
             for key in ("at", "expressed_in", "relative_to")
@@ -385,7 +375,6 @@ class Scene:
         ]
 
     def _name_problems(self) -> list[Problem]:
-        """Returns names that are ambiguous in routes."""
         problems = []
         taken = dict.fromkeys(self.robots, "a robot")
         doubles = dict.fromkeys([*self.doubles, *self.double_groups])
@@ -412,7 +401,6 @@ class Scene:
         return problems
 
     def _frame_problems(self) -> list[Problem]:
-        """Returns references of arrows, limbs and received frames to frames that do not exist."""
         frames = self.named_frames()
         wanted = []
         for name, arrow in self.arrows.items():
@@ -433,7 +421,6 @@ class Scene:
         ]
 
     def _view_problems(self) -> list[Problem]:
-        """Returns what the view cannot follow."""
         view = self.view
         if view.follow is None:
             return []
@@ -444,19 +431,13 @@ class Scene:
         return [] if found is None or self.is_broken(view.follow.partition("/")[0]) else [found]
 
     def follow_problem(self, key: str, name: str) -> Problem | None:
-        """Returns the problem of a name that no camera can follow; None for one that it can.
-
-        Args:
-            key: of the problem.
-            name: of a robot, a group or a frame.
-        """
+        """Returns the problem of a name that no camera can follow; None for one that it can."""
         names = [*self.groups, *self.robots, *self.named_frames()]
         if name in names or self.frame_name(name) in names:
             return None
         return Problem(key, "no robot, group or frame", found=name, available=names)
 
     def _which_frame(self, name: str, frames: Mapping[str, NamedFrame]) -> str:
-        """Suggests a frame: for a joint that of its link, else the nearest name."""
         owner, _, label = name.partition("/")
         robot = self.robots.get(owner)
         if robot is None:
@@ -470,11 +451,9 @@ class Scene:
         return f"; available: {owner}/base, {owner}/flange, and {owner}/linkN of joints {joints}"
 
     def is_broken(self, name: str, sections: Sequence[str] = _WITH_FRAMES) -> bool:
-        """Whether an entry of this name, or its whole section, is invalid."""
         return bool({*sections, *(f"{section}.{name}" for section in sections)} & self.broken)
 
     def _double_problems(self) -> list[Problem]:
-        """Returns doubles of unknown robots or with a wrong number of joints."""
         problems: list[Problem] = []
         of_group = {each: name for name, names in self.double_groups.items() for each in names}
         for name, double in self.doubles.items():
@@ -532,7 +511,6 @@ class Scene:
         return located((self._in_its_model(each, lines) for each in problems), self.file, lines)
 
     def _in_its_model(self, problem: Problem, lines: Mapping[str, int]) -> Problem:
-        """Returns the problem with the robot's file, for a field that is not overridden here."""
         section, _, rest = problem.key.partition(".")
         name, _, key = rest.partition(".")
         robot = self.robots.get(name) if section == "robots" else None
@@ -564,7 +542,6 @@ def _shares(value: Array, robots: Sequence[SerialRobot]) -> list[Array] | None:
 
 
 def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:
-    """Returns the error message for a wrong number of values for several robots."""
     total, free = sum(robot.n for robot in robots), sum(robot.coupled.k for robot in robots)
     each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
     fewer = f", or {free} without the coupled joints" if free < total else ""
@@ -591,14 +568,6 @@ def _not_of_type(
     many: type[Sequence[Any]] | type[Mapping[str, Any]] | None = Sequence,
     **fields: Any,
 ) -> list[Problem]:
-    """Returns the problems of fields of a wrong type.
-
-    Args:
-        kind: of a field, or of its entries.
-        many: `Sequence` or `Mapping` of them; None for one.
-        **fields: values by key; None for a missing one.
-    """
-
     def is_right(value: Any) -> bool:
         if many is None:
             return isinstance(value, kind)

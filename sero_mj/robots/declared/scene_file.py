@@ -22,6 +22,7 @@ from ...base.errors import (
     mismatch,
     nearest,
     problems_of,
+    raise_any,
 )
 from ...base.plugins import DECOR, SOURCES, load_plugin
 from ...base.toml_file import located, read_toml
@@ -55,14 +56,9 @@ _OF_DYNAMICS = (
 def read_scene_file(
     path: Path, overrides: Mapping[str, Any] | None = None
 ) -> tuple[Scene, list[Problem]]:
-    """Reads a scene file in any format; what was lost of another format is logged.
+    """Reads a scene file in any format, as `scene_from_tables`; logs what another format loses.
 
-    Args:
-        path: a TOML file, or one with an importer.
-        overrides: see `scene_from_tables`, as what is returned.
-
-    Raises:
-        DeclarationError: the file cannot be read.
+    Raises DeclarationError if the file cannot be read.
     """
     imported = read_imported(path)
     if imported is None:
@@ -83,8 +79,6 @@ def scene_from_tables(
     """Builds the valid parts of a scene and reports the problems of the rest.
 
     Args:
-        path: of the file with the tables.
-        tables: of the scene.
         overrides: values by dotted key, which override the file: any key that it takes
             (`view.azimuth_deg`, `sources.udp.port`, `robots.lwr.show_axes`), or the name of a
             robot, a group, an object, ... and a key of that (`lwr.dynamics.coulomb_friction[1]`).
@@ -100,7 +94,7 @@ def scene_from_tables(
         DeclarationError: there are too many entries to build.
     """
     if not (too_many := excess(tables)):
-        reader = _Reader(path, tables, known, overrides or {}, lines)
+        reader = _SceneReader(path, tables, known, overrides or {}, lines)
         expanded = {section: reader.tables.get(section, {}) for section in ("robots", "groups")}
         too_many = excess(expanded)
     if too_many:
@@ -138,14 +132,13 @@ def group_from_model(
     """
     path = paths.find_group_model(model)
     entry = {"model": path, **fields}
-    reader = _Reader(path, {"groups": {name or path.resolve().parent.name: entry}}, (), {})
+    reader = _SceneReader(path, {"groups": {name or path.resolve().parent.name: entry}}, (), {})
     robots, groups = reader.robots(), reader.groups()
-    if reader.problems:
-        raise DeclarationError(reader.problems)
+    raise_any(reader.problems)
     return robots, groups
 
 
-class _Reader:
+class _SceneReader:
     """Reads the sections of one file with overrides, and collects their problems."""
 
     def __init__(
@@ -172,7 +165,6 @@ class _Reader:
             self._override(target, value)
 
     def _expand(self, groups: dict[str, Any]) -> None:
-        """Adds the robots of groups with a model to those of the file."""
         self.expanded = expanded = expand_groups(groups, self.path, MOST_ENTRIES)
         self.problems += expanded.problems
         self.broken += expanded.broken
@@ -276,7 +268,6 @@ class _Reader:
         return others
 
     def _override(self, target: str, value: Any) -> None:
-        """Overrides a key of the file, or `NAME.KEY` of its robots, groups, objects, ..."""
         first, _, rest = target.partition(".")
         tables = {section: self.tables.get(section, {}) for section in (*_ENTRIES, "routes")}
         entries = {
@@ -324,7 +315,6 @@ class _Reader:
             return dict(table)
 
     def _override_group(self, group: str, robots: Sequence[str], field: str, value: Any) -> None:
-        """Overrides a field of all robots of a group."""
         if field.removesuffix(_DEGREES) in SHARED and isinstance(value, list):
             groups = self.tables["groups"]
             table = _without_other_unit(groups[group], field)
@@ -343,8 +333,6 @@ class _Reader:
         self._drop_routes(f"{group}.{field}")
 
     def _drop_routes(self, *targets: str) -> None:
-        """Removes the routes to inputs and their limbs."""
-
         def whole(target: str) -> str:
             name, _, key = target.partition(".")
             return f"{name}.{key.rpartition('.')[2]}"
@@ -356,7 +344,6 @@ class _Reader:
             }
 
     def _members(self) -> dict[str, list[str]]:
-        """Returns the robots of every group with a valid list of them."""
         tables = self.tables.get("groups")
         lists = {
             group: table["robots"]
@@ -388,14 +375,12 @@ class _Reader:
         return None
 
     def _lacking(self, place: str, problems: Sequence[Problem]) -> str | None:
-        """What an entry that is not in the file lacks; see `lacking`."""
         keys = [f"{place}.{field}" for field, _ in self._settings[place]]
         section, _, name = place.partition(".")
         others = [each for each in self.tables[section] if f"{section}.{each}" not in self._made]
         return lacking(section, name, problems, keys, others)
 
     def _as_set(self, place: str, problem: Problem) -> Problem | None:
-        """Returns a problem with the key that was set, if a robot has it from its group."""
         section, _, name = place.partition(".")
         if section != "robots":
             return None
@@ -516,7 +501,6 @@ class _Reader:
         return build_robot(fields, path, arguments=arguments)
 
     def _source(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
-        """Returns the table of a source, with file names relative to the scene's folder."""
         _check_name(name)
         found = table.get("kind")
         try:
@@ -527,7 +511,6 @@ class _Reader:
         return table | {key: str(self.path.parent / file) for key, file in relative.items()}
 
     def _decor(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
-        """Returns the settings of a visual feature, checked."""
         try:
             kind = load_plugin(DECOR, name)
         except (UnknownName, PluginError) as error:
@@ -542,7 +525,6 @@ class _Reader:
 
 
 def _arguments(table: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The arguments of xacro in a robot's table; None without any."""
     found = table.get("arguments")
     is_right = isinstance(found, dict) and all(
         isinstance(value, str | int | float) for value in found.values()
@@ -553,26 +535,21 @@ def _arguments(table: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _lists_of(robot: SerialRobot) -> dict[str, int]:
-    """Returns the lengths of a robot's lists that can be set by a single number."""
     limits = ("velocity_limits", "torque_limits", "acceleration_limits")
     values = dict.fromkeys(SHARED, robot.coupled.k)
     return values | dict.fromkeys((*limits, *_OF_DYNAMICS), robot.n)
 
 
 def _without_other_unit(table: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """Returns a table without the field in the other unit, if a field is set as a whole."""
     other = key.removesuffix(_DEGREES) if key.endswith(_DEGREES) else f"{key}{_DEGREES}"
     return {each: value for each, value in table.items() if each != other}
 
 
 def _named(kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
-    """Returns a builder for a declaration with a name field, and checks the name."""
     return lambda name, table: kind(**{**table, "name": name})
 
 
 def _nameless(kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
-    """Returns a builder for a declaration without a name field."""
-
     def build(name: str, table: dict[str, Any]) -> T:
         _check_name(name)
         return kind(**table)

@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 from ...base.frames import Array
-from .dh import DhTable
-from .joint_tree import JointTree
+from ..kinematics.dh import DhTable
+from ..kinematics.joint_tree import JointTree
 
 SHELL = (0.93, 0.93, 0.91, 1.0)
 JOINT = (0.36, 0.38, 0.41, 1.0)
@@ -37,10 +37,8 @@ class LinkShape:
     """A primitive in a link's frame.
 
     Attributes:
-        kind: MuJoCo's geom type.
         size: radius (m) of capsule and cylinder; half lengths (3,) of a box.
         ends: (2, 3), where a capsule or cylinder starts and ends; the axis of a box.
-        rgba: colour.
     """
 
     kind: Literal["capsule", "cylinder", "box"]
@@ -54,12 +52,7 @@ def housing_radii(
 ) -> Array:
     """Returns the radius of the generated housing of every joint, (n,), m.
 
-    Args:
-        table: n joints.
-        flange_frame: T_link_flange (4, 4).
-        strokes: maximum extension of every joint, (n,), m; where the table has no lengths, as that
-            of a gantry, they say how large the robot is.
-        flange_link: index of the frame that carries the flange.
+    Maximum extensions, (n,), m, say how large a robot without lengths is, such as a gantry.
     """
     steps, depths = table.step_lengths(), table.depths
     if strokes is not None:
@@ -78,10 +71,6 @@ def clear_radii(table: JointTree, radii: Array) -> Array:
 
     Intersecting axes (of a shoulder or a wrist) have coinciding housings: each ring clears the
     largest.
-
-    Args:
-        table: n joints.
-        radii: of `housing_radii`.
     """
     axes, centres = table.joint_axes(table.frames(np.zeros(len(table))))
     if isinstance(table, DhTable) and table.turns_in_carrier:
@@ -100,12 +89,8 @@ def generate_shapes(
 ) -> list[list[LinkShape]]:
     """Returns the shapes of the base and of every link, each in its own frame.
 
-    Args:
-        table: n joints.
-        flange_frame: T_link_flange (4, 4).
-        strokes: maximum extension of every joint, (n,), m; the rods of prismatic joints are
-            longer by it, so that they never leave their housing.
-        flange_link: index of the frame that carries the flange.
+    Rods of prismatic joints are longer by their maximum extension, (n,), m, so that they never
+    leave their housing.
     """
     n = len(table)
     strokes = np.zeros(n) if strokes is None else strokes
@@ -130,13 +115,7 @@ def generate_shapes(
 def trims(
     links: list[list[LinkShape]], flange_frame: Array, flange_link: int
 ) -> list[list[LinkShape]]:
-    """Returns what makes generated links look like a machine's; it is drawn and has no mass.
-
-    Args:
-        links: of `generate_shapes`.
-        flange_frame: T_link_flange (4, 4).
-        flange_link: index of the frame that carries the flange.
-    """
+    """Returns what makes generated links look like a machine's; it is drawn and has no mass."""
     found = [[trim for shape in link for trim in _trims_of(shape)] for link in links]
     own = [shape for shape in links[flange_link] if shape.kind != "box"] or links[0]
     radius = 0.8 * min(float(shape.size[0]) for shape in own)
@@ -149,7 +128,6 @@ def trims(
 
 
 def _trims_of(shape: LinkShape) -> list[LinkShape]:
-    """Covers on both ends of a housing, or collars at both ends of a link, clear of housings."""
     start, end = shape.ends
     length = float(np.linalg.norm(end - start))
     radius = float(shape.size[0])
@@ -173,7 +151,6 @@ def _trims_of(shape: LinkShape) -> list[LinkShape]:
 
 
 def _above_ground(shape: LinkShape) -> LinkShape:
-    """Returns a shape of the base without a round end below where the base stands."""
     start, end = shape.ends
     length = float(np.linalg.norm(end - start))
     if shape.kind != "capsule" or start.any() or length <= shape.size[0]:
@@ -182,7 +159,6 @@ def _above_ground(shape: LinkShape) -> LinkShape:
 
 
 def _on_root(shapes: list[LinkShape], root: Array | None) -> list[LinkShape]:
-    """Returns shapes of frame 0 of a table, and their connection to the base, in the base frame."""
     if root is None:
         return shapes
     moved = [replace(s, ends=s.ends @ root[:3, :3].T + root[:3, 3]) for s in shapes]

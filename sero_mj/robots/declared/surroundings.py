@@ -40,7 +40,6 @@ FinishName = Literal["plastic", "metal", "rubber"]
 
 
 def _inside(file: str) -> str:
-    """Returns a file name after checking that it is inside its folder."""
     path = Path(file)
     if "\0" in file:
         raise mismatch(file, "a file's name")
@@ -50,7 +49,6 @@ def _inside(file: str) -> str:
 
 
 def _of_a_mesh(file: str) -> str:
-    """Returns a file name after checking its folder and that it is a mesh."""
     if Path(_inside(file)).suffix.lower() not in mesh_endings():
         formats = ", ".join(mesh_endings())
         raise mismatch(file, f"a mesh ({formats})")
@@ -58,7 +56,6 @@ def _of_a_mesh(file: str) -> str:
 
 
 def _of_a_urdf(file: str | None) -> str | None:
-    """Returns a file name after checking its folder."""
     return None if file is None else _inside(file)
 
 
@@ -166,7 +163,6 @@ class Object(Declaration):
         return self
 
     def _check_solid(self) -> None:
-        """Refuses mass and friction for objects that have none or bring their own."""
         for key in ("mass", "friction"):
             if getattr(self, key) is None or self.shape not in (None, "axes", "limb") or self.mesh:
                 continue

@@ -34,13 +34,7 @@ NM, N = TorqueUnit(1.0, "Nm"), TorqueUnit(1.0, "N")
 
 
 def torque_units(largest: Array, revolute: Bools | Sequence[bool]) -> list[TorqueUnit]:
-    """Returns the unit of every joint of a robot, n.
-
-    Args:
-        largest: torque that is expected of every joint, (n,), Nm or N; its limit, say. Infinite or
-            NaN where it is unknown.
-        revolute: whether a joint is revolute, otherwise it is prismatic, (n,).
-    """
+    """Returns the unit of every joint, n, by the torques that are expected, (n,), Nm or N."""
     turns = np.asarray(revolute, bool)
     known = np.where(np.isfinite(largest), largest, 0.0)
     of_turning = _prefixed(NM.name, float(known[turns].max(initial=0.0)))

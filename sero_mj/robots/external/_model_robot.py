@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import mujoco
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, PrivateAttr, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, PrivateAttr
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UnknownName, collect, mismatch
+from ...base.errors import Problem, UnknownName, collect, mismatch, raise_any
 from ...base.frames import Array, Ints
 from ..assemble.decor_sizes import MeasuredBodies, Sizes, measure
 from ..assemble.parts import RobotPart
@@ -47,7 +47,6 @@ _FULL_WIDTH_G = 5.0  # multiple of free fall at which arrows of accelerations ha
 
 
 def _positive(value: Any) -> Any:
-    """Converts one positive number, or one for each joint; inf for a joint without a limit."""
     if value is None:
         return None
     array = np.asarray(value)
@@ -64,66 +63,16 @@ PerJoint = Annotated[Array, BeforeValidator(_positive)]
 
 
 class ModelRobot(SerialRobot):
-    """The declaration of a robot in an external model.
-
-    Some fields have one value per joint where a `SerialRobot` has one for all, and it may have any
-    number of joints.
-
-    Attributes:
-        joint_frames: (n, 4, 4), of the model's joints.
-        joint_names: as in the model, of any characters.
-        torque_limits: (n,), Nm or N, inf where unknown.
-        arrow_radius: (n,) or one for all, m.
-    """
+    """A robot of an external model, with any number of joints, and names of any characters."""
 
     joint_frames: Array | None = None
     joint_names: Annotated[list[str], AfterValidator(list)] = []
     torque_limits: PerJoint | None = None
-    arrow_radius: PerJoint = np.array(0.1)  # type: ignore[assignment]
-
-    @field_validator("arrow_radius")
-    @classmethod
-    def _one_or_all(cls, value: Array, info: ValidationInfo) -> Array:
-        rows = info.data.get("joint_frames")
-        if rows is not None and value.ndim and len(value) != len(rows):
-            raise mismatch(len(value), f"{len(rows)}, one per joint", of="entries")
-        return value
-
     _carriers: Ints | None = PrivateAttr(None)
-    _loads: Array | None = PrivateAttr(None)
-    _axes: Array | None = PrivateAttr(None)
-    _full_widths: Array | None = PrivateAttr(None)
 
     @property
     def carriers(self) -> Ints | None:
-        """Index of each joint's parent frame, (n,), 0 for the base."""
         return self._carriers
-
-    @property
-    def arrow_loads(self) -> Array:
-        """Effort at which an arrow without limit is as wide as its radius (n,), Nm or N."""
-        return super().arrow_loads if self._loads is None else self._loads
-
-    @property
-    def arrow_radii(self) -> Array:
-        """Radius of every joint's arrow (n,), m."""
-        return np.broadcast_to(self.arrow_radius, self.n).astype(np.float64)
-
-    @property
-    def arrow_width_scales(self) -> Array:
-        """`arrow_width_scale` of every joint's arrow (n,); less for joints close to each other."""
-        scales = super().arrow_width_scales
-        return scales if self._full_widths is None else scales * self._full_widths
-
-    @property
-    def axes_length(self) -> float:
-        """Length of the axes, m."""
-        return self.axes_size
-
-    @property
-    def axes_lengths(self) -> Array:
-        """Length of the axes of the body that each joint moves (n,), m; smaller for fingers."""
-        return np.full(self.n, self.axes_size) if self._axes is None else self._axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +80,6 @@ class ModelPart(RobotPart):
     """Indices of a robot of a model in the model.
 
     Attributes:
-        tree: its bodies and joints.
         size: its reach, m.
         tool: name of the frame at the end of its chain, without the robot's name.
         labels: names of its base and links, n + 1.
@@ -145,27 +93,22 @@ class ModelPart(RobotPart):
 
     @property
     def flange_name(self) -> str:
-        """Name of the frame at the end of its chain."""
         return f"{self.robot.name}/{self.tool}"
 
     @property
     def link_names(self) -> list[str]:
-        """Names of its base and links, n + 1: those of the model's bodies."""
         return [f"{self.robot.name}/{label}" for label in self.labels]
 
     @property
     def own_link_names(self) -> list[str]:
-        """As `link_names`."""
         return self.link_names
 
     @property
     def chain(self) -> Ints:
-        """Indices of its joints up to the first branch of its tree; empty if the root branches."""
         return self.tree.chain
 
     @property
     def reach(self) -> float:
-        """Sum of the distances between joints along its chain, m."""
         return self.size
 
 
@@ -176,24 +119,15 @@ def model_part(
     overrides: Mapping[str, Any],
     start: int,
 ) -> ModelPart:
-    """Builds a robot from the model, with the user's fields as overrides.
+    """Builds a robot of the model, measured in the state `rest`, with the user's overrides.
 
-    Args:
-        model: compiled.
-        rest: the pose in which it is measured, after `mj_fwdPosition`.
-        tree: the robot.
-        overrides: the user's fields, of `FIELDS`.
-        start: its first row in the world's `JointTable`.
-
-    Raises:
-        DeclarationError: other fields, or values that do not fit.
+    Raises DeclarationError for other fields, or values that do not fit.
     """
     sizes = measure(model, rest, MeasuredBodies(tree.bodies, tree.joints, tree.trunk))
     problems: list[Problem] = []
     with collect(problems, f"robots.{tree.name}"):
-        robot = _model_robot(model, tree, sizes, overrides)
-    if problems:
-        raise DeclarationError(problems)
+        robot, sizes = _model_robot(model, tree, sizes, overrides)
+    raise_any(problems)
     labels = body_labels(model, tree)
     bodies = np.concatenate([tree.bodies[:1], model.jnt_bodyid[tree.joints]]).astype(np.intp)
     along = rest.xanchor[tree.joints[tree.chain]]
@@ -208,6 +142,7 @@ def model_part(
         bodies=bodies,
         flange_body=tree.last,
         joints=slice(start, start + robot.n),
+        sizes=sizes,
         tree=tree,
         size=reach or sizes.link,
         tool=labels[tree.last],
@@ -217,44 +152,54 @@ def model_part(
 
 def _model_robot(
     model: mujoco.MjModel, tree: Tree, sizes: Sizes, overrides: Mapping[str, Any]
-) -> ModelRobot:
+) -> tuple[ModelRobot, Sizes]:
     problems = [
         Problem(key, "unknown key", available=FIELDS) for key in overrides if key not in FIELDS
     ]
-    if problems:
-        raise DeclarationError(problems)
+    raise_any(problems)
+    n = len(tree.joints)
     revolute = model.jnt_type[tree.joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
+    own = dict(overrides)
+    with collect(problems, "arrow_radius"):
+        sizes = replace(
+            sizes, arrow_radius=_for_all(own.pop("arrow_radius", sizes.arrow_radius), n)
+        )
     fields: dict[str, Any] = {
         "show_arrows": True,
         "billboard_lines": ["joint_angles", "torques"],
         "torque_limits": torque_limits(model, tree.joints),
         "acceleration_limits": _FULL_WIDTH_G * GRAVITY / np.where(revolute, sizes.link, 1.0),
-        "arrow_radius": sizes.arrow_radius,
         "axes_size": float(np.median(sizes.axes)),
-        **overrides,
+        **own,
     }
-    n = len(tree.joints)
     if np.ndim(fields["torque_limits"]) == 0 and fields["torque_limits"] is not None:
         fields["torque_limits"] = [fields["torque_limits"]] * n
-    robot = ModelRobot(
-        name=tree.name,
-        joint_frames=_joint_frames(model, tree),
-        joint_types=["revolute" if turns else "prismatic" for turns in revolute],
-        joint_names=tree.joint_names,
-        torques=np.zeros(n),  # provided by the model; billboards have to show it
-        **fields,
-    )
+    with collect(problems, ""):
+        robot = ModelRobot(
+            name=tree.name,
+            joint_frames=_joint_frames(model, tree),
+            joint_types=["revolute" if turns else "prismatic" for turns in revolute],
+            joint_names=tree.joint_names,
+            torques=np.zeros(n),  # provided by the model; billboards have to show it
+            **fields,
+        )
+    raise_any(problems)
     robot._carriers = tree.carriers(model)
-    if "arrow_width_scale" not in overrides:
-        robot._loads = sizes.load / sizes.full_width
-        robot._full_widths = sizes.full_width
-    if "axes_size" not in overrides:
-        robot._axes = sizes.axes
-    return robot
+    if "arrow_width_scale" in overrides:
+        sizes = replace(sizes, full_width=np.ones(n))
+    if "axes_size" in overrides:
+        sizes = replace(sizes, axes=np.full(n, robot.axes_size))
+    return robot, sizes
+
+
+def _for_all(value: Any, n: int) -> Array:
+    array = _positive(value)
+    if array.ndim and len(array) != n:
+        raise mismatch(len(array), f"{n}, one per joint", of="entries")
+    return np.broadcast_to(array, n).astype(np.float64)
 
 
 def _joint_frames(model: mujoco.MjModel, tree: Tree) -> Array:
-    """See `SerialRobot.joint_frames`."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     poses = link_poses(model, data, tree.joints, int(tree.bodies[0]))
@@ -267,20 +212,12 @@ def list_model_frames(
     doubles: Mapping[str, Double],
     wanted: Sequence[str],
 ) -> tuple[dict[str, NamedFrame], dict[str, tuple[str, int]]]:
-    """Lists the named frames of a model.
+    """Lists the named frames of a model, and where each is read.
 
-    Args:
-        model: compiled.
-        robots: those whose bodies have frames, named `robot/body`, shown with the robot.
-        doubles: likewise for their moving bodies.
-        wanted: names of other bodies and sites; these are initially shown.
-
-    Returns:
-        the frames by name, and where each is read: the name of the double in whose state, empty
-        for the model's own, and its row, that of `xpos` or behind it of `site_xpos`.
-
-    Raises:
-        UnknownName: a wanted name is neither a body nor a site.
+    That is the name of the double in whose state, empty for the model's own, and its row, that of
+    `xpos` or behind it of `site_xpos`. Frames of robots and doubles are named `robot/body`;
+    `wanted` are names of other bodies and sites, initially shown. Raises UnknownName for unknown
+    ones.
     """
     frames: dict[str, NamedFrame] = {}
     places: dict[str, tuple[str, int]] = {}
@@ -318,16 +255,15 @@ def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
 
 
 def _axes_length(model: mujoco.MjModel, part: ModelPart, body: int) -> float:
-    """Returns the length of a body's axes, m: that of its joint, for a base of the first joint."""
     moved = model.jnt_bodyid[part.tree.joints]
     while body and body not in moved:
         body = int(model.body_parentid[body])
     joint = int(np.flatnonzero(moved == body)[-1]) if body else 0
-    return float(part.robot.axes_lengths[joint])
+    assert part.sizes is not None
+    return float(part.sizes.axes[joint])
 
 
 def _find(model: mujoco.MjModel, name: str) -> int:
-    """Returns the row of a body in `xpos`, or of a site behind these."""
     kinds = mujoco.mjtObj
     site = mujoco.mj_name2id(model, kinds.mjOBJ_SITE, name)
     body = mujoco.mj_name2id(model, kinds.mjOBJ_BODY, name)

@@ -1,9 +1,6 @@
-"""`ModelState`: the state that decor reads, for an external model.
+"""`ModelState`: the state of an external model, with the sites and `userdata` that decor reads.
 
-Decor reads the poses of sites and the contents of `userdata`. An external model has no sites and
-slots for decor, and neither can be added to a compiled model. So `ModelWorld` creates this object
-for every frame: it has the fields of `MjData` that decor reads, with a site for every joint and
-frame, and a `userdata` array of its own. The user's model and data are not changed.
+A compiled model accepts neither, so `ModelWorld` creates this object for every frame.
 """
 
 from __future__ import annotations
@@ -27,10 +24,7 @@ class ModelState:
     """The state of an external model, as decor reads it.
 
     Attributes:
-        data: the user's.
-        userdata: values of all inputs.
         site_xpos: positions of the joints, then the frames, then fixed points, (S, 3), m.
-        site_xmat: their rotations, (S, 9).
         doubles: states of the doubles that have a pose, by name; several for a path.
     """
 
@@ -39,31 +33,11 @@ class ModelState:
     site_xpos: Array
     site_xmat: Array
     doubles: dict[str, list[mujoco.MjData]]
-
-    @property
-    def time(self) -> float:
-        """Of the user's data, s."""
-        return float(self.data.time)
-
-    @property
-    def qpos(self) -> Array:
-        """Of the user's data."""
-        return np.asarray(self.data.qpos)
-
-    @property
-    def qvel(self) -> Array:
-        """Of the user's data."""
-        return np.asarray(self.data.qvel)
-
-    @property
-    def xpos(self) -> Array:
-        """Positions of the bodies, m."""
-        return np.asarray(self.data.xpos)
-
-    @property
-    def xmat(self) -> Array:
-        """Rotations of the bodies."""
-        return np.asarray(self.data.xmat)
+    time: float
+    qpos: Array
+    qvel: Array
+    xpos: Array
+    xmat: Array
 
 
 class Sites:
@@ -122,16 +96,11 @@ class Sites:
 
 
 class JointPoses:
-    """Frames of some joints of a model.
+    """Frames of some joints of a model, offset from their anchors by (n, 3), m.
 
     A frame is at a joint's anchor with z along the axis. Like the sites of a compiled scene it
     turns with the link, and it is parallel to the link's frame where the axis is the link's z.
     Several hinges of one body rotate in sequence.
-
-    Args:
-        model: compiled.
-        joints: their ids, (n,).
-        offset: of the frames' origins from the anchors, in the joints' frames, (n, 3), m.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Ints, offset: Array) -> None:
@@ -153,9 +122,6 @@ class JointPoses:
 
     def place(self, data: mujoco.MjData) -> tuple[Array, Array]:
         """Computes the frames at the current joint angles.
-
-        Args:
-            data: kinematics up to date.
 
         Returns:
             positions (n, 3), m, and rotations (n, 3, 3).
@@ -180,17 +146,11 @@ class JointPoses:
 
     @staticmethod
     def _across(axis: Array, vectors: Array) -> Array:
-        """Returns the components of vectors (n, 3) perpendicular to axes (n, 3)."""
         return np.asarray(vectors - np.einsum("ni,ni->n", axis, vectors)[:, None] * axis)
 
 
 class ModelDoubles:
-    """Computes the poses of the doubles of a model.
-
-    Args:
-        model: compiled.
-        doubles: by name.
-    """
+    """Computes the poses of the doubles of a model."""
 
     def __init__(self, model: mujoco.MjModel, doubles: Mapping[str, DoublePart]) -> None:
         self._model = model
@@ -206,7 +166,6 @@ class ModelDoubles:
         """Computes the state of every double that has joint angles; all else is as in `data`.
 
         Args:
-            data: the user's, kinematics up to date.
             angles: (n,) of every double that has any, except paths, rad or m.
         """
         poses = {}
@@ -223,12 +182,7 @@ class ModelDoubles:
         return poses
 
     def drawn(self, state: Any, name: str) -> list[DrawnDouble]:
-        """Returns what to draw of one double: its links that do not coincide with the robot's.
-
-        Args:
-            state: the `ModelState`.
-            name: of the double.
-        """
+        """Returns what to draw of one double: its links that do not coincide with the robot's."""
         part = self._doubles[name]
         poses = state.doubles.get(name, [])
         mine = np.isin(self._model.body_rootid, self._model.body_rootid[part.of.bodies[1:]])

@@ -79,7 +79,6 @@ def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree
     """Returns the robots of a model, in the order of their bodies.
 
     Args:
-        model: compiled.
         wanted: names of trees without drives that are robots nevertheless.
     """
     single = np.isin(model.jnt_type, (_HINGE, _SLIDE))
@@ -109,7 +108,6 @@ def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree
 
 
 def _fused_groups(model: mujoco.MjModel, roots: Ints) -> list[tuple[Ints, Ints]]:
-    """Returns the trees of every robot: their root bodies, and the geoms of a fused trunk."""
     alone = np.empty(0, np.intp)
     hinged = [int(root) for root in roots if _is_limb(model, int(root))]
     solid = (model.geom_bodyid == 0) & (model.geom_type != _TYPES.mjGEOM_PLANE)
@@ -152,7 +150,6 @@ def _fused_groups(model: mujoco.MjModel, roots: Ints) -> list[tuple[Ints, Ints]]
 
 
 def _is_limb(model: mujoco.MjModel, root: int) -> bool:
-    """Returns whether a child of the world is hinged to it: no free or planar base."""
     first = int(model.body_jntadr[root])
     kinds = model.jnt_type[first : first + int(model.body_jntnum[root])]
     is_free = (kinds == int(mujoco.mjtJoint.mjJNT_FREE)).any() or (kinds == _SLIDE).sum() > 1
@@ -163,7 +160,6 @@ def _touching(start: int, nodes: list[tuple[int, Array, float]]) -> list[int]:
     """Returns the nodes that are joined to one through solids of the world, itself included.
 
     Args:
-        start: the node.
         nodes: id, negative for solids of the world; box (2, 3), m; gap that it bridges, m.
     """
     found, todo = {start}, [node for node in nodes if node[0] == start]
@@ -180,7 +176,6 @@ def _touching(start: int, nodes: list[tuple[int, Array, float]]) -> list[int]:
 
 
 def _scope(model: mujoco.MjModel, body: int) -> str:
-    """Returns the scope of a body's name: `left` in `left/base_link`, empty without one."""
     return str(model.body(body).name).strip("/").rpartition("/")[0]
 
 
@@ -188,8 +183,6 @@ def _robot_name(model: mujoco.MjModel, roots: Ints, is_alone: bool) -> str:
     """Returns the name of a robot: of its root, or if that only says which part it is, a wider one.
 
     Args:
-        model: compiled.
-        roots: its root bodies, several with a fused trunk.
         is_alone: whether the model has no other robot, so that the model's name is its name.
     """
     name = str(model.body(int(roots[0])).name).strip("/")
@@ -207,7 +200,6 @@ def _words(name: str) -> list[str]:
 
 
 def _as_name(text: str) -> str:
-    """Converts a body's name to a valid name of a robot."""
     name = re.sub(r"[^A-Za-z0-9_-]", "_", text.strip("/"))
     if not name:
         return "robot"
@@ -215,7 +207,6 @@ def _as_name(text: str) -> str:
 
 
 def _unlike(name: str, taken: Iterable[str]) -> str:
-    """Returns the name, with a number appended if it is taken."""
     taken = {*taken, *_RESERVED}
     candidate, number = name, 2
     while candidate in taken:
@@ -224,7 +215,6 @@ def _unlike(name: str, taken: Iterable[str]) -> str:
 
 
 def _joint_names(model: mujoco.MjModel, joints: Ints) -> list[str]:
-    """Returns the names of joints; an unnamed joint has its body's name, else its number."""
     names: list[str] = []
     for joint in joints:
         name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
@@ -242,7 +232,6 @@ def without_scope(names: list[str]) -> list[str]:
 
 
 def _serial_part(model: mujoco.MjModel, root: int, joints: Ints) -> tuple[Ints, int]:
-    """Returns the joints from the root to the first branch, and the last body of that chain."""
     moving = set(model.jnt_bodyid[joints].tolist())
     below: dict[int, list[int]] = {}  # children that have joints or descendants with joints
     carries = set(moving)

@@ -49,11 +49,9 @@ class ModelScene(Scene):
         super().__init__(floor=False, **fields)
 
     def frame_name(self, name: str) -> str:
-        """Returns the name as it is: the frames have those of the model."""
         return name
 
     def named_frames(self) -> dict[str, NamedFrame]:
-        """Returns the named frames of the model."""
         return self._frames
 
 
@@ -61,20 +59,13 @@ class ModelWorld(WorldView):
     """The world of an overlay.
 
     Args:
-        model: compiled by the user; not changed.
-        data: its state, the user's; not changed.
         robots: fields of robots that override the model, by robot.
-        doubles: of its robots.
-        arrows: Cartesian vectors.
         frames: bodies and sites whose axes are shown, in addition to those of robots.
-        toggles: initial toggles of the whole scene.
         surroundings: whether hosts add the floor, sky and lights that the model lacks.
-        name: in titles.
 
     Attributes:
         options: its constructor arguments except model and data.
         not_finite: number of NaN, infinite and implausible values that were set; not shown.
-        changes: how often inputs were set or cleared.
 
     Raises:
         DeclarationError: the model has no hinge or slide joint, or a field does not fit it.
@@ -197,7 +188,6 @@ class ModelWorld(WorldView):
         return JointPoses(self.model, of.tree.joints, of.robot.offsets)
 
     def _declare(self) -> None:
-        """Sets the declared values of doubles and arrows; flags inputs that the model provides."""
         self._providable = [(name, key) for name in self.robots for key in _FROM_MODEL]
         self._live = set(self._providable)
         for double in self.doubles.values():
@@ -212,11 +202,9 @@ class ModelWorld(WorldView):
         mujoco.mj_fwdPosition(self.model, data)
         return data
 
-    def reset(self, data: mujoco.MjData) -> None:
-        """Does nothing, because the data belongs to the user."""
+    def reset(self, data: mujoco.MjData) -> None: ...
 
     def state(self, data: Any) -> ModelState:
-        """Returns the state that decor reads, from an `MjData` with kinematics up to date."""
         if isinstance(data, ModelState):
             return data
         for name, key in self._live:  # what the user has not set
@@ -230,10 +218,12 @@ class ModelWorld(WorldView):
         }
         doubles = self._posed.pose(data, angles)
         positions, rotations = self._sites.read(data, doubles)
-        return ModelState(data, self._userdata, positions, rotations, doubles)
+        return ModelState(
+            data, self._userdata, positions, rotations, doubles,
+            data.time, data.qpos, data.qvel, data.xpos, data.xmat,
+        )  # fmt: skip
 
     def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
-        """Returns the doubles to draw, of those that are switched on, (D,)."""
         return [
             drawn
             for name, on in zip(self.doubles, shown, strict=True)
@@ -293,7 +283,6 @@ class ModelWorld(WorldView):
         """Sets an input; it then overrides what the model provides for it.
 
         Args:
-            data: not changed.
             target: `name.input`, e.g. `arm.torques`; see `inputs`.
             values: (n,), (3,), or one number, SI units. Of joint values also a vector (nv,) of
                 the model, `data.qfrc_actuator` say, of which the robot's are taken; or a mapping
@@ -340,14 +329,12 @@ class ModelWorld(WorldView):
         return np.concatenate([self._userdata, live])
 
     def set_input_state(self, state: Array) -> None:
-        """Sets all inputs to what `input_state` returned."""
         count = len(self._userdata)
         self._userdata[:] = state[:count]
         live = state[count:] > 0
         self._live = {pair for pair, on in zip(self._providable, live, strict=True) if on}
 
     def _dofs(self, owner: str) -> Ints:
-        """Returns the degrees of freedom of a robot, or of that of a double, (n,)."""
         part: Any = self.owners[owner]
         return np.asarray(part.of.dofs if isinstance(part, DoublePart) else part.dofs)
 
@@ -387,6 +374,5 @@ def _no_joints(model: mujoco.MjModel) -> str:
 
 
 def _view(model: mujoco.MjModel) -> View:
-    """Returns the view stored in the model, else the default view."""
     own = float(model.vis.global_.azimuth), float(model.vis.global_.elevation)
     return View() if own == _MUJOCO_VIEW else View(azimuth_deg=own[0], elevation_deg=own[1])

@@ -59,7 +59,6 @@ class Importer(ABC):
         """Reads a file; file names in the tables are relative to its folder.
 
         Args:
-            path: of the file.
             packages: folders of ROS packages by name.
             arguments: of the file by name, as in xacro.
 
@@ -78,8 +77,7 @@ def importers() -> dict[str, Importer]:
 def find_importer(path: Path) -> Importer | None:
     """The importer of a file, by its extension and first bytes; None for an unknown extension.
 
-    Raises:
-        DeclarationError: the contents of the file do not match its extension.
+    Raises DeclarationError if the contents of the file do not match its extension.
     """
     named = {
         name: each for name, each in importers().items() if path.suffix.lower() in each.endings
@@ -102,13 +100,7 @@ def read_imported(
 ) -> ImportedTables | None:
     """Reads a file by its importer; None where its ending is no one's.
 
-    Args:
-        path: of the file.
-        packages: see `Importer.read`.
-        arguments: likewise.
-
-    Raises:
-        DeclarationError: the file cannot be read.
+    Raises DeclarationError if the file cannot be read.
     """
     importer = find_importer(path)
     if importer is None:

@@ -19,8 +19,7 @@ LONGEST = 200  # characters
 def is_joint_name(name: str) -> str:
     """Returns the name if a joint can have it: `1`, `left/j1`, `a.b`, `hüfte`, but no line breaks.
 
-    Raises:
-        ValueError: it is empty, too long, or has characters that cannot be printed.
+    Raises ValueError if it is empty, too long, or has characters that cannot be printed.
     """
     if not name.strip() or not name.isprintable() or len(name) > LONGEST:
         expected = f"1 to {LONGEST} characters that can be printed"
@@ -32,9 +31,6 @@ def joint_names_of(names: Iterable[str]) -> tuple[list[str], list[str]]:
     """Returns names of joints for a robot file, and a description of each one that was changed.
 
     Changed are names that no joint can have, and the later ones of two equal names.
-
-    Args:
-        names: as in the file that is imported.
     """
     found: list[str] = []
     changed = []
@@ -64,11 +60,10 @@ def identifiers(names: Sequence[str]) -> dict[str, int]:
 
 
 def parents_of(links: Iterable[int], names: Sequence[str]) -> list[str]:
-    """Returns the entries of `parents` in a robot file.
+    """Returns the entries of `parents` in a robot file, by the link that carries each joint.
 
-    Args:
-        links: for each joint the link that carries it: 0 for the base, i for the link of joint i.
-        names: of the joints. One called `base` is referred to by its link, `link2`.
+    It is 0 for the base, i for the link of joint i. A joint called `base` is referred to by its
+    link, `link2`.
     """
     return [
         BASE if not link else f"link{link}" if names[link - 1] == BASE else names[link - 1]

@@ -19,7 +19,6 @@ class Urdf(Importer):
 
     @classmethod
     def takes(cls, path: Path, head: bytes) -> bool:
-        """See `Importer`: .xml files whose root element is `<robot>`."""
         from .xml_file import first_element
 
         return path.suffix.lower() != ".xml" or first_element(head) == "robot"
@@ -30,7 +29,6 @@ class Urdf(Importer):
         packages: Mapping[str, Path | str] | None = None,
         arguments: Mapping[str, Any] | None = None,
     ) -> ImportedTables:
-        """See `Importer`."""
         from .urdf import read_urdf
 
         return read_urdf(path, packages, arguments)
@@ -50,7 +48,6 @@ class Mjcf(Importer):
         packages: Mapping[str, Path | str] | None = None,
         arguments: Mapping[str, Any] | None = None,
     ) -> ImportedTables:
-        """See `Importer`."""
         from .mjcf_robot import read_mjcf
 
         return read_mjcf(path)

@@ -21,16 +21,11 @@ _WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 
 def couplings_of(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, Any]:
-    """Returns the couplings of a robot by the coupled joint.
+    """Returns the couplings by the coupled joint; adds a sentence to `lost` for each other one.
 
     A constraint is a coupling if it is linear in two joints of the robot. Its first joint follows
     its second one, or the other way round if only the first one has an actuator or if it already
     follows another one. In a tendon, joints follow those before them.
-
-    Args:
-        tree: the robot.
-        names: of its joints.
-        lost: receives a sentence for every other constraint.
     """
     model, found = tree.model, dict[str, Any]()
     ref = model.qpos0[model.jnt_qposadr[tree.joints]]
@@ -107,7 +102,6 @@ def _weights(model: mujoco.MjModel, equality: int, item: int) -> dict[int, float
 
 
 def _leads_back(couplings: dict[str, Any], names: list[str], one: int, other: int) -> bool:
-    """Whether a joint is coupled already, or would follow itself."""
     at: str | None = names[other]
     while at is not None and at != names[one]:
         at = couplings[at]["to"] if at in couplings else None

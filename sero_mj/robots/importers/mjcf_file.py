@@ -27,13 +27,8 @@ MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
 def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
     """Reads a piece of MJCF and the files it refers to, which are stored in the spec.
 
-    Args:
-        source: a file name; text that starts with `<`; or an object that `is_mjcf_object`
-            accepts, which is not changed.
-        folder: base folder of relative file names.
-
-    Raises:
-        DeclarationError: it cannot be read.
+    The source is a file name; text that starts with `<`; or an object that `is_mjcf_object`
+    accepts, which is not changed. Raises DeclarationError if it cannot be read.
     """
     try:
         spec = _read(source, folder)
@@ -64,7 +59,6 @@ def is_file_name(source: Any) -> bool:
 
 
 def _root_element(source: Any) -> Any:
-    """Returns the PyMJCF root element of a composer entity; anything else unchanged."""
     return getattr(source, "mjcf_model", source)
 
 
@@ -87,7 +81,6 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
 
 
 def _check_elements(text: bytes, folder: Path) -> None:
-    """Raises ValueError where a text and what it includes has more than MuJoCo reads in seconds."""
     waiting, known, count = [text], set[str](), 0
     while waiting:
         part = waiting.pop()
@@ -104,7 +97,6 @@ def _check_elements(text: bytes, folder: Path) -> None:
 
 
 def _included(text: str, folder: Path) -> Mapping[str, bytes]:
-    """Returns the contents of the files that a text includes, recursively, by name."""
     from xml.etree import ElementTree
 
     found: dict[str, bytes] = {}
@@ -123,7 +115,6 @@ def _included(text: str, folder: Path) -> Mapping[str, bytes]:
 
 
 def _keep_files(spec: mujoco.MjSpec) -> None:
-    """Reads the files of meshes, height fields, skins and textures into the spec's assets."""
     for folder, elements in (
         (spec.meshdir, [*spec.meshes, *spec.skins]),
         (spec.texturedir, [*spec.textures]),
@@ -137,7 +128,6 @@ def _keep_files(spec: mujoco.MjSpec) -> None:
 
 
 def _kept(spec: mujoco.MjSpec, folder: str, file: str) -> str:
-    """Stores a file that an element refers to and returns its name in the assets."""
     if not file or file in spec.assets:
         return file
     name = Path(file).name if spec.strippath else file
@@ -149,12 +139,6 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | Non
     """Stores a file's contents in the assets of a spec and returns its name there.
 
     The name is unique across folders, so that specs can be attached to each other.
-
-    Args:
-        spec: the spec.
-        path: of the file.
-        contents: of the file.
-        digest: SHA-256 of the contents in hexadecimal digits, if it is known.
     """
     digest = digest or sha256(contents).hexdigest()
     file = f"{path.stem}-{digest[:16]}{path.suffix.lower()}"
@@ -163,15 +147,10 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | Non
 
 
 def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]:
-    """Writes a compiled spec as MJCF, with its files in a folder beside it, `NAME_assets`.
+    """Writes a compiled spec of `as_spec` as MJCF; returns the files written, the XML first.
 
-    Args:
-        spec: a result of `as_spec`, or built from such.
-        path: of the XML file.
-        comment: one or several lines at the beginning.
-
-    Returns:
-        the files written, the XML first.
+    Its files go into a folder beside it, `NAME_assets`. A comment of one or several lines is put at
+    the beginning.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     written, folder = [path], path.parent / f"{path.stem}_assets"

@@ -53,12 +53,7 @@ def read_mjcf(path: Path) -> ImportedTables:
 def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     """Returns the tables of a robot, and what was lost.
 
-    Args:
-        source: as for `as_spec`.
-        folder: base folder of relative file names.
-
-    Raises:
-        DeclarationError: it cannot be read or compiled, or has no joints.
+    Raises DeclarationError if it cannot be read or compiled, or has no joints.
     """
     tree = tree_of(source, folder)
     model, joints = tree.model, tree.joints
@@ -123,10 +118,6 @@ def plain_tables(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def _link_names(tree: MjcfTree) -> list[str]:
-    """Names of the first body of the base and of every link; `link1`, ... where it has none.
-
-    A link has no body if several joints are in the same body.
-    """
     found = ["base", *(f"link{i + 1}" for i in range(len(tree.joints)))]
     for link in range(len(found)):
         bodies = np.flatnonzero(tree.links == link)
@@ -136,7 +127,6 @@ def _link_names(tree: MjcfTree) -> list[str]:
 
 
 def _link_frames(tree: MjcfTree) -> dict[str, Any]:
-    """Returns the frames of all bodies with a name, in their links."""
     back = inverse(tree.poses)
     found = {}
     for body in np.flatnonzero(tree.links >= 0).tolist():
@@ -184,7 +174,6 @@ def _changed(file: Path) -> int:
 
 
 def _names(model: mujoco.MjModel, joints: Ints) -> list[str]:
-    """Returns the joints' names, without a common scope."""
     found = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(j)) for j in joints]
     given = [name or f"joint{k + 1}" for k, name in enumerate(found)]
     scopes = {name.rpartition("/")[0] for name in given}
@@ -194,7 +183,6 @@ def _names(model: mujoco.MjModel, joints: Ints) -> list[str]:
 
 
 def _inertias(tree: MjcfTree) -> dict[str, Any]:
-    """Returns masses, centres and tensors of base and links, each with all bodies fixed to it."""
     model, n = tree.model, len(tree.poses)
     masses, firsts, tensors = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
     for body in np.flatnonzero(tree.links >= 0).tolist():
@@ -219,10 +207,6 @@ def _inertias(tree: MjcfTree) -> dict[str, Any]:
 
 
 def _bounded(values: Array, what: str, names: list[str], lost: list[str]) -> Array:
-    """Returns values of joints, (n,), clipped to those that a robot may have.
-
-    Negative ones, which MuJoCo takes, were identified on a robot and written down as found.
-    """
     if (far := values > LARGEST).any():
         lost.append(f"{what} is taken for {LARGEST:g}, the most: {_some(names, far)}")
     if (negative := values < 0).any():
@@ -231,13 +215,11 @@ def _bounded(values: Array, what: str, names: list[str], lost: list[str]) -> Arr
 
 
 def _some(names: list[str], which: Bools) -> str:
-    """Names of joints; of many only the first."""
     found = [name for name, is_one in zip(names, which.tolist(), strict=True) if is_one]
     return first_of(found)
 
 
 def _plausible(tree: MjcfTree, limits: Array, lost: list[str]) -> Array:
-    """Returns torque limits without those so large that they mean no limit."""
     model = tree.model
     extent = float(np.linalg.norm(np.ptp(tree.poses[:, :3, 3], axis=0)))
     weight = float(model.body_mass[tree.links >= 0].sum() * np.linalg.norm(model.opt.gravity))
@@ -303,7 +285,6 @@ def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -
 
 
 def _free_base(tree: MjcfTree) -> dict[str, Any]:
-    """Returns whether and how the base moves."""
     if not len(tree.free):
         return {"free_base": False}
     given = mujoco.mj_id2name(tree.model, mujoco.mjtObj.mjOBJ_JOINT, int(tree.free[0]))

@@ -29,16 +29,12 @@ _WIDE = np.pi  # rad or m, to either side of the reference, where such a pose ha
 
 
 def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
-    """Returns the largest torques that actuators can exert on joints, (n,), Nm or N.
+    """Returns the largest torques that actuators can exert on joints (ids), (n,), Nm or N.
 
     They are infinite for joints without actuators, and if the force of an actuator depends on
     position or velocity and has no `forcerange`, as that of many position servos. If moment arms
     change with the pose, as those of spatial tendons, slider-cranks and sites, the torque is the
     largest found in 64 poses.
-
-    Args:
-        model: compiled.
-        joints: ids of hinges and slides, (n,).
     """
     dofs = model.jnt_dofadr[joints]
     forces = _forces(model)
@@ -57,7 +53,6 @@ def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
 
 
 def _forces(model: mujoco.MjModel) -> Array:
-    """Returns the range of the force of every actuator output, (nout, 2), N or Nm."""
     forces = np.tile([-np.inf, np.inf], (model.nout, 1))
     of_tendons: dict[int, list[int]] = {}
     for actuator in range(model.nactuator):
@@ -129,7 +124,6 @@ def _moments(model: mujoco.MjModel) -> Iterator[Array]:
 
 
 def _has_constant_arms(model: mujoco.MjModel) -> bool:
-    """Whether all actuators act on joints or fixed tendons."""
     for kind, (item, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
         is_fixed = kind == _OF_TENDON and model.wrap_type[model.tendon_adr[item]] == _WRAPS_JOINT
         if kind not in ON_JOINT and not is_fixed:

@@ -32,7 +32,6 @@ class MjcfTree:
     """A robot in a compiled model, in its reference pose (`qpos0`).
 
     Attributes:
-        model: compiled.
         joints: ids of its hinges and slides, (n,), depth first.
         parents: index of each joint's parent link, (n,): 0 for the base.
         links: link of every body, (nbody,): 0 for the base; -1 for bodies that are not part of the
@@ -56,7 +55,6 @@ class MjcfTree:
 
     @property
     def joint_frames(self) -> Array:
-        """T_parent_i of every joint at joint value zero, (n, 4, 4), m."""
         return frames_at_zero(self.model, self.joints, self.parents, self.poses)
 
     @property
@@ -69,11 +67,7 @@ class MjcfTree:
 
 
 def find_tree(model: mujoco.MjModel) -> MjcfTree:
-    """Returns the robot of a model.
-
-    Raises:
-        NoJoints: the model has no hinge or slide.
-    """
+    """Returns the robot of a model; raises NoJoints if the model has no hinge or slide."""
     kinds = model.jnt_type
     is_axis = (kinds == _HINGE) | (kinds == _SLIDE)
     roots = model.body_rootid[model.jnt_bodyid]
@@ -100,14 +94,7 @@ def find_tree(model: mujoco.MjModel) -> MjcfTree:
 
 
 def link_poses(model: mujoco.MjModel, data: mujoco.MjData, joints: Ints, base_body: int) -> Array:
-    """T_world_link (n + 1, 4, 4), m, of a base and of links whose z is the axis of their joint.
-
-    Args:
-        model: compiled.
-        data: in the reference pose, after `mj_kinematics`.
-        joints: ids of hinges and slides, (n,).
-        base_body: id of the base.
-    """
+    """T_world_link (n + 1, 4, 4), m, of a base and of links whose z is the axis of their joint."""
     rotations = data.xmat.reshape(-1, 3, 3)
     poses = [frame(rotations[base_body], data.xpos[base_body])]
     for joint, body in zip(joints, model.jnt_bodyid[joints], strict=True):
@@ -120,9 +107,6 @@ def frames_at_zero(model: mujoco.MjModel, joints: Ints, parents: Ints, poses: Ar
     """T_parent_i of joints at joint value zero, (n, 4, 4), m; see `SerialRobot.joint_frames`.
 
     Args:
-        model: compiled.
-        joints: ids of hinges and slides, (n,).
-        parents: index of each joint's parent link, (n,), 0 for the base.
         poses: of base and links in the reference pose, see `link_poses`.
     """
     fixed: Array = inverse(poses[parents]) @ poses[1:]
@@ -135,7 +119,6 @@ def frames_at_zero(model: mujoco.MjModel, joints: Ints, parents: Ints, poses: Ar
 
 
 def _chosen_roots(model: mujoco.MjModel, roots: Ints, is_axis: Array) -> tuple[set[int], int]:
-    """Returns the root bodies of the robot's trees, and the id of its free joint or -1."""
     driven = driven_roots(model)
     trees = {int(root) for root in roots[is_axis]}
     trees = (trees & driven) or trees
@@ -218,8 +201,6 @@ def _links(
 
 
 def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
-    """Returns the elements of a model outside the robot, a sentence for each kind."""
-
     def names(kind: mujoco.mjtObj, ids: Ints) -> str:
         return first_of([mujoco.mj_id2name(model, kind, int(i)) or f"number {i}" for i in ids])
 

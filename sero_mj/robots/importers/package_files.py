@@ -58,7 +58,6 @@ def find_file(name: str, beside: Path, packages: Mapping[str, Path] | None = Non
 
 
 def _in_other_case(path: Path) -> Path | None:
-    """A file of this name but for capital letters, as Windows and macOS find it; None for none."""
     if path.exists():
         return path
     above = _in_other_case(path.parent) if path.parent != path else None
@@ -103,8 +102,6 @@ def package_folders(
     """Yields the folders that a package may be in, the likeliest first.
 
     Args:
-        package: its name.
-        beside: the file that names it.
         packages: folders of packages by name, before any others.
     """
     if packages and package in packages:
@@ -128,7 +125,6 @@ def package_folders(
 
 
 def _above(file: Path) -> list[Path]:
-    """Returns the folders above a file, and above what it is a link to."""
     paths = dict.fromkeys((Path(os.path.abspath(file)), Path(os.path.realpath(file))))
     return list(dict.fromkeys(above for path in paths for above in [*path.parents][:_MAX_ABOVE]))
 
@@ -138,7 +134,6 @@ def _listed(variable: str) -> list[Path]:
 
 
 def _inside(folder: Path, package: str) -> Iterator[Path]:
-    """Packages of stacks: one folder deeper, as `ROS_PACKAGE_PATH` has them."""
     try:
         yield from (inner / package for inner in sorted(folder.iterdir()) if inner.is_dir())
     except OSError:

@@ -36,13 +36,7 @@ def read_robot_file(
 ) -> ImportedTables:
     """Returns a robot's tables; file names in them are relative to the file's folder.
 
-    Args:
-        path: of the file: TOML, or any format with an importer.
-        packages: folders of ROS packages by name, for URDF.
-        arguments: of xacro by name.
-
-    Raises:
-        DeclarationError: the file cannot be read.
+    The file is TOML, or any format with an importer. Raises DeclarationError if it cannot be read.
     """
     imported = read_imported(path, packages, arguments)
     return ImportedTables(read_toml(path), None) if imported is None else imported

@@ -51,7 +51,6 @@ class RobotPlace(ABC):
     """A place where robots have names.
 
     Attributes:
-        title: what it is, for lists.
         none: what is said there where it knows no names.
         order: in which places are asked, lowest first; sero-mj's own have 10 to 90.
     """
@@ -68,8 +67,7 @@ class RobotPlace(ABC):
     def find(self, name: str) -> Path | None:
         """Returns the file of a robot; None if none has that name.
 
-        Raises:
-            SeroError: it has the name, but cannot be had.
+        Raises SeroError if it has the name, but cannot be had.
         """
 
     def near(self, name: str) -> str | None:
@@ -89,7 +87,6 @@ class RobotDescriptions(RobotPlace):
     none: ClassVar[str] = "pip install 'sero-mj[robots]' brings it"
 
     def names(self) -> list[str]:
-        """See `RobotPlace`."""
         if find_spec("robot_descriptions") is None:
             return []
         from robot_descriptions._descriptions import DESCRIPTIONS
@@ -97,7 +94,6 @@ class RobotDescriptions(RobotPlace):
         return [name for name, about in DESCRIPTIONS.items() if about.has_urdf or about.has_mjcf]
 
     def find(self, name: str) -> Path | None:
-        """See `RobotPlace`."""
         if not _plain(name).endswith(_plain(_ENDINGS[0])):  # importing the package takes a while
             return None
         module = {_plain(each): each for each in self.names()}.get(_plain(name))
@@ -116,14 +112,12 @@ class RobotDescriptions(RobotPlace):
         return _wrapped(module, found)
 
     def near(self, name: str) -> str | None:
-        """See `RobotPlace`."""
         known = {_plain(each): each for each in self.names()}
         longer = [_plain(f"{_common(name)}{ending}") for ending in _ENDINGS]
         return next((known[each] for each in longer if each in known), super().near(name))
 
 
 def _wrapped(module: str, found: Any) -> Path:
-    """Returns a file of xacro in the cached repository, with the arguments of a description."""
     arguments = [
         f"  <xacro:arg name={quoteattr(key)} default={quoteattr(str(value))}/>"
         for key, value in getattr(found, "XACRO_ARGS", {}).items()
@@ -151,11 +145,9 @@ class Menagerie(RobotPlace):
     none: ClassVar[str] = "no checkout in $MENAGERIE_PATH, nor in a folder mujoco_menagerie here"
 
     def names(self) -> list[str]:
-        """See `RobotPlace`."""
         return [folder.name for folder in _menagerie()]
 
     def find(self, name: str) -> Path | None:
-        """See `RobotPlace`."""
         wanted = _plain(_common(name))
         folders = {_plain(folder.name): folder for folder in _menagerie()}
         ends = [each for each in folders if each.endswith(wanted)]
@@ -164,7 +156,6 @@ class Menagerie(RobotPlace):
 
 
 def _menagerie() -> list[Path]:
-    """Returns the folders of the models of a checkout; none if there is none."""
     named = os.environ.get("MENAGERIE_PATH")
     for folder in [Path(named)] if named else [Path(each) for each in _BESIDE]:
         try:
@@ -182,11 +173,9 @@ class OtherSpellings(RobotPlace):
     title: ClassVar[str] = "other spellings of shipped robots"
 
     def names(self) -> list[str]:
-        """See `RobotPlace`."""
         return sorted(name for name, usual in _ALIASES.items() if usual in list_models())
 
     def find(self, name: str) -> Path | None:
-        """See `RobotPlace`."""
         shipped = {_plain(each): each for each in list_models()}
         found = shipped.get(_plain(_common(name)))
         return None if found is None else models_dir() / found / ROBOT_FILE
@@ -200,11 +189,9 @@ class RosPackages(RobotPlace):
     none: ClassVar[str] = "by their files, package://NAME/FILE"
 
     def names(self) -> list[str]:
-        """Returns none: which of their files are robots is not known."""
         return []
 
     def find(self, name: str) -> Path | None:
-        """See `RobotPlace`."""
         if not name.startswith("package://"):
             return None
         found = find_file(name, Path.cwd() / "scene.toml")
@@ -217,11 +204,9 @@ class RosPackages(RobotPlace):
 
 
 def _plain(name: str) -> str:
-    """Returns a name in lower case, without what separates its parts."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 @cache
 def _common(name: str) -> str:
-    """Returns the usual name of a robot, for another spelling."""
     return _ALIASES.get(_plain(name), name)

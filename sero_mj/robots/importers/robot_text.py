@@ -26,16 +26,7 @@ def robot_text(
     bodies: Sequence[Sequence[str]],
     flange: str,
 ) -> str:
-    """Returns the text of a robot file; `tomllib` reads tables of the same robot from it.
-
-    Args:
-        described: the imported tables.
-        tables: its tables, with the final file names.
-        limbs: indices of joints by limb.
-        file: name of the file that it was read from.
-        bodies: names of the bodies of the base and of each link.
-        flange: the frame that is the flange.
-    """
+    """Returns the text of a robot file; `tomllib` reads tables of the same robot from it."""
     text = _RobotText(bodies, _rounded(tables))
     lines = [
         f"Made of {file} by `sero-mj import`. Lengths in m, angles in rad, masses in kg,",
@@ -53,13 +44,6 @@ def robot_text(
 
 
 class _RobotText:
-    """The lines of a robot file, section by section.
-
-    Args:
-        bodies: names of the links of the base, and of those moved by each joint.
-        tables: of the robot file.
-    """
-
     def __init__(self, bodies: Sequence[Sequence[str]], tables: Mapping[str, Any]) -> None:
         self.lines: list[str] = []
         self._tables = tables
@@ -72,7 +56,6 @@ class _RobotText:
         ]
 
     def _rows(self, key: str, values: Sequence[Any], notes: Sequence[str], about: str = "") -> None:
-        """A list with one entry per line, and a comment for each."""
         self.lines += [*([f"# {about}"] if about else []), f"{key} = ["]
         texts = [f"  {inline(value)}," for value in values]
         width = min(max(map(len, texts), default=0), _MAX_COLUMN_WIDTH)
@@ -91,7 +74,6 @@ class _RobotText:
             self.lines.append(f"{key} = {inline(frame_table(self._tables[key]))}{note}")
 
     def add_kinematics(self, flange: str, limbs: Mapping[str, Sequence[int]]) -> None:
-        """The DH table or the joint frames, and the parents of the joints."""
         self.lines += ["#", f"# Limbs, by which routes call them, of {len(self._names)} joints:"]
         self.lines += [f"# - {self._limb(name, joints)}" for name, joints in limbs.items()]
         self.lines += ["", f"description = {inline(self._tables['description'])}", ""]
@@ -113,7 +95,6 @@ class _RobotText:
         self._frame("base_frame")
 
     def add_limits(self) -> None:
-        """Limits of all joints, and their initial values."""
         self.lines.append("")
         for key, about in (
             ("position_limits", "rad or m; inf for none"),
@@ -126,7 +107,6 @@ class _RobotText:
         self._given("fit_arrows", about="arrows are as large as the links beside them need")
 
     def add_geometry(self) -> None:
-        """Visual and collision geometry of every link, with a line for every part."""
         self.lines.append("")
         self._given("directory")
         self._given("mjcf", about="what is drawn and what touches; its joints are these")
@@ -146,7 +126,6 @@ class _RobotText:
             self.lines.append("]")
 
     def add_dynamics(self) -> None:
-        """The tables of the file: colours, couplings, and dynamics."""
         for table in ("colors", "couplings", "link_frames"):
             if self._tables.get(table):
                 self.lines += ["", f"[{table}]"]
@@ -182,7 +161,6 @@ class _RobotText:
 
 
 def _rounded(value: Any) -> Any:
-    """Tables with numbers rounded by one digit."""
     if isinstance(value, Mapping):
         return {key: _rounded(each) for key, each in value.items()}
     if isinstance(value, np.ndarray):
@@ -209,7 +187,6 @@ def copied_meshes(tables: Mapping[str, Any], copy: Callable[[Path, str], None]) 
     """Returns tables whose mesh files `copy` has copied to a folder `meshes`.
 
     Args:
-        tables: of a robot.
         copy: called with each file and its name in that folder.
     """
     result = dict(tables)

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ...base.frames import Array, frame
-from .dh_from_frames import DhChain, dh_from_frames
+from ..kinematics.dh_from_frames import DhChain, dh_from_frames
 from .joint_names import joint_names_of, parents_of
 
 MOVING = ("revolute", "prismatic")
@@ -55,14 +55,10 @@ class Geometry:
     """A mesh or a shape.
 
     Attributes:
-        frame: T_link_geometry (4, 4).
         file: of the mesh, absolute; None for a shape.
-        scale: of the mesh, m per unit, (3,).
         shape: `box`, `sphere`, `cylinder` or `capsule`.
         size: as `robots.declared.surroundings.SHAPE_SIZES`.
         color: name and rgba; None for none.
-        opacity: multiplies that of its colours.
-        line: of its element.
     """
 
     frame: Array
@@ -76,7 +72,7 @@ class Geometry:
 
 
 @dataclass
-class Link:
+class UrdfLink:
     """A rigid part: mass, kg; centre of mass (3,), m; tensor about it (3, 3), kg m2; geometry."""
 
     name: str
@@ -119,7 +115,7 @@ class _Body:
     joint: Joint | None
     parent: int
     T_parent: Array  # at zero, of the body's frame, whose z is the joint's axis
-    links: list[tuple[Link, Array]] = field(default_factory=list)  # with T_body_link
+    links: list[tuple[UrdfLink, Array]] = field(default_factory=list)  # with T_body_link
     fixed: dict[str, str] = field(default_factory=dict)  # link to the link it is fixed to
 
 
@@ -127,18 +123,14 @@ class TreeTables:
     """Builds the tables of a tree of links.
 
     Attributes:
-        tables: of a robot file.
-        lines: by their keys.
-        warnings: sentences.
         bodies: names of the links of every body, base first, for comments.
-        flange: the link whose frame is the flange.
         T_body_link: body and T_body_link (4, 4) of every link by name, in the frames of `tables`.
     """
 
     def __init__(
         self,
         name: str,
-        links: list[Link],
+        links: list[UrdfLink],
         joints: list[Joint],
         root: str,
         convention: Literal["craig", "standard"] = "craig",
@@ -189,7 +181,6 @@ class TreeTables:
         return names
 
     def _flange(self) -> tuple[int, str, Array]:
-        """The body, the link and the frame T_body_link of the flange."""
         body = flange_body([each.parent for each in self._bodies[1:]])
         links = self._bodies[body].links
         plain = [_NO_NAME.sub("_", link.name).lower() for link, _ in links]
@@ -260,7 +251,6 @@ class TreeTables:
         self._home()
 
     def _home(self) -> None:
-        """Sets joints whose range excludes zero to their limit nearest to zero."""
         home = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in self.joints}
         if not any(home.values()):
             return
@@ -352,8 +342,6 @@ class TreeTables:
 
 
 class _Colors:
-    """Unique names of colours."""
-
     def __init__(self) -> None:
         self.by_name: dict[str, Array] = {}
         self._taken: set[str] = set()
@@ -399,8 +387,7 @@ def aligned(axis: Array) -> Array:
     return np.column_stack([x, np.cross(axis, x), axis])
 
 
-def _merged(links: list[Link], joints: list[Joint], root: str) -> list[_Body]:
-    """Bodies in depth-first order: each branch is complete before the next begins."""
+def _merged(links: list[UrdfLink], joints: list[Joint], root: str) -> list[_Body]:
     by_name = {link.name: link for link in links}
     below: dict[str, list[Joint]] = {}
     for each in joints:
@@ -431,8 +418,7 @@ def _merged(links: list[Link], joints: list[Joint], root: str) -> list[_Body]:
     return bodies
 
 
-def _inertia(parts: list[tuple[Link, Array]]) -> tuple[float, Array, Array]:
-    """Mass, centre and tensor about it of links at poses (4, 4)."""
+def _inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Array]:
     mass = sum(link.mass for link, _ in parts)
     if mass <= 0.0:
         return 0.0, np.zeros(3), np.zeros((3, 3))
@@ -454,7 +440,6 @@ def six_of(tensor: Array) -> list[float]:
 
 
 def _common_folder(files: list[Path]) -> Path:
-    """The common parent folder of all files, which are all on one drive."""
     if not files:
         return Path()
     return Path(os.path.commonpath([file.parent for file in files]))
@@ -466,7 +451,6 @@ def _entry(
     folder: Path,
     look: Callable[[tuple[str, Array]], str] | None,
 ) -> dict[str, Any]:
-    """The entry of a geometry in `filenames` or `collisions`."""
     entry: dict[str, Any] = {}
     if geometry.file is not None:
         entry["file"] = geometry.file.relative_to(folder).as_posix()

@@ -16,9 +16,7 @@ _LONG_TEXT = 400  # characters of a text that is written over several lines
 def toml_text(tables: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
     """Writes tables so that `tomllib` reads them back unchanged.
 
-    Args:
-        tables: of strings, numbers, booleans, and lists and tables of these.
-        comments: lines at the beginning, without `#`.
+    The comments are lines at the beginning, without `#`.
     """
     lines = [f"# {line}".rstrip() for line in comments]
     plain = {key: value for key, value in tables.items() if not _is_section(value)}
@@ -35,7 +33,6 @@ def _is_section(value: Any) -> bool:
 
 
 def _section(name: str, value: Any) -> list[str]:
-    """A table with its header, or an array of tables."""
     if isinstance(value, list):
         return [line for each in value for line in ["", f"[[{name}]]", *_body(name, each)]]
     body = _body(name, value)
@@ -77,7 +74,6 @@ def toml_entry(key: str, value: Any) -> list[str]:
 
 
 def _rows(values: list[Any]) -> list[str]:
-    """Entries of a list: nested lists and tables on separate lines, else as many as fit."""
     texts = [inline(value) for value in values]
     if any(isinstance(value, list | Mapping) for value in values):
         return texts

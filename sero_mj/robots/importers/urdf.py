@@ -19,7 +19,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from ...base.declaration import LARGEST
-from ...base.errors import DeclarationError, Problem, did_you_mean, reason_of
+from ...base.errors import DeclarationError, Problem, did_you_mean, raise_any, reason_of
 from ...base.frames import Array, frame, rotation_from_rpy
 from ...base.paths import format_of_file, read_file
 from .imported_tables import ImportedTables, NoJoints, first_of
@@ -30,8 +30,8 @@ from .robot_tree import (
     TOO_FAR,
     Geometry,
     Joint,
-    Link,
     TreeTables,
+    UrdfLink,
     aligned,
     meant_limits,
     plain_name,
@@ -70,7 +70,6 @@ def read_urdf(
     """Reads a robot from a URDF file, or from xacro if the package `xacro` is installed.
 
     Args:
-        path: of the file.
         packages: folders of ROS packages by name, for `package://NAME/...`; others are searched
             for above the file and on the paths that the environment names.
         arguments: of xacro by name, overriding its defaults.
@@ -90,13 +89,9 @@ def read_urdf(
 
 
 def read_rigid_urdf(path: Path | str) -> ImportedTables:
-    """Reads a URDF file without movable joints: a table, a tool, a ball.
+    """Reads a URDF file without movable joints, a tool say, as a robot with the base alone.
 
-    Returns:
-        `filenames`, `collisions`, `colors` and `directory` of a robot file, for the base alone.
-
-    Raises:
-        DeclarationError: all errors in it, with lines; or it has joints.
+    Raises DeclarationError with all errors in it, with lines, or if it has joints.
     """
     file = UrdfFile(Path(path))
     if file.tree.joints:
@@ -111,8 +106,6 @@ def read_rigid_urdf(path: Path | str) -> ImportedTables:
 
 
 class _Arguments(dict[str, str]):
-    """Arguments of xacro as strings, the environment's first; records those requested."""
-
     def __init__(self, arguments: Mapping[str, Any]) -> None:
         over = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
         super().__init__({name: _as_text(value) for name, value in {**arguments, **over}.items()})
@@ -136,13 +129,9 @@ class UrdfFile:
     """One URDF file that is being read.
 
     Args:
-        path: of the file.
-        packages: as of `read_urdf`.
-        arguments: as of `read_urdf`.
         convention: of its DH table, where it has one.
 
     Attributes:
-        path: of the file.
         tree: its converted tree, with names that only comments need.
         described: the result of `read_urdf`.
     """
@@ -215,9 +204,8 @@ class UrdfFile:
     def check(self) -> None:
         """Refuses what an object may be and no robot.
 
-        Raises:
-            NoJoints: no joint is movable.
-            DeclarationError: it was given arguments that it does not ask for.
+        Raises NoJoints if no joint is movable, and DeclarationError for arguments that it does not
+        ask for.
         """
         given, asked = self._arguments.given, self._arguments.asked
         for name in sorted(given - asked):
@@ -238,8 +226,7 @@ class UrdfFile:
         self._problems.append(Problem(key, message, str(self.path), line))
 
     def _stop(self) -> None:
-        if self._problems:
-            raise DeclarationError(self._problems)
+        raise_any(self._problems)
 
     def _note(self, what: str, element: Element, key: str) -> None:
         line = f" (line {element.sourceline})" if self._has_lines else ""
@@ -273,14 +260,11 @@ class UrdfFile:
         return root
 
     def _note_unexpanded(self, root: Element) -> None:
-        """Notes elements that look like xacro, but are in another namespace."""
         for element in root.iter("*"):
             if element.prefix == "xacro":
                 self._note(_UNEXPANDED, element, f"<xacro:{_tag(element)}>")
 
     def _fill_in_environment(self, root: Element) -> None:
-        """Replaces `$(env NAME)` and `$(optenv NAME DEFAULT)`, which xacro knows, in attributes."""
-
         def value(found: re.Match[str]) -> str:
             name, optional, default = found.groups()
             if name is not None and name not in os.environ:
@@ -294,7 +278,6 @@ class UrdfFile:
                     element.set(key, _FROM_ENVIRONMENT.sub(value, text))
 
     def _expanded(self) -> Element:
-        """The root element after expansion by xacro."""
         try:
             import simpleeval  # noqa: F401  # both are needed by `xacro_file`
             import xacro  # noqa: F401
@@ -323,7 +306,6 @@ class UrdfFile:
         return parse_xml(text.encode())
 
     def _colors(self, root: Element) -> dict[str, Array]:
-        """Colours of materials by name: those of the robot, then the first of a link."""
         colors: dict[str, Array] = {}
         inner = [
             material for each in _children(root, "link") for material in _all(each, "material")
@@ -340,8 +322,8 @@ class UrdfFile:
         rgba = self._numbers(color, "rgba", key, (3, 4))
         return None if rgba is None else np.clip([*rgba, 1.0][:4], 0.0, 1.0)
 
-    def _links(self, root: Element) -> list[Link]:
-        links: list[Link] = []
+    def _links(self, root: Element) -> list[UrdfLink]:
+        links: list[UrdfLink] = []
         lines: dict[str, int | None] = {}
         for element in _children(root, "link"):
             name = self._name(element, "link")
@@ -349,7 +331,7 @@ class UrdfFile:
                 self._problem(element, f"link '{name}'", f"is there already, line {lines[name]}")
                 continue
             lines[name] = element.sourceline
-            link = Link(name, element.sourceline)
+            link = UrdfLink(name, element.sourceline)
             self._inertial(element, link)
             for tag, geometries in (("visual", link.visuals), ("collision", link.collisions)):
                 for each in _children(element, tag):
@@ -361,7 +343,7 @@ class UrdfFile:
             self._problem(root, "robot", "has no <link>; expected one or more")
         return links
 
-    def _inertial(self, element: Element, link: Link) -> None:
+    def _inertial(self, element: Element, link: UrdfLink) -> None:
         inertial, key = _child(element, "inertial"), f"link '{link.name}'"
         if inertial is None:
             return
@@ -391,7 +373,6 @@ class UrdfFile:
             link.tensor = T[:3, :3] @ tensor @ T[:3, :3].T
 
     def _geometry(self, element: Element, tag: str, link: str) -> Geometry | None:
-        """A mesh or a shape; None if there is none to be shown."""
         key = f"link '{link}'"
         T = self._origin(element, key)
         outer = _child(element, "geometry")
@@ -458,7 +439,6 @@ class UrdfFile:
         return Geometry(T, file, scale, opacity=alpha, line=mesh.sourceline)
 
     def _mesh_file(self, mesh: Element, name: str, tag: str, link: str) -> Path | None:
-        """The file of a mesh; None for one that cannot be found, read or used."""
         if name not in self._found:
             self._found[name] = self._search(name)
         file = self._found[name]
@@ -481,7 +461,6 @@ class UrdfFile:
         return None if file in self._unread else file
 
     def _search(self, name: str) -> Path | None:
-        """Finds the file of a mesh, starting where the last one of its package was found."""
         file = find_file(name, self.path, {**self._last_found, **self._packages})
         package = package_of(name)
         if file is not None and package is not None:
@@ -490,7 +469,7 @@ class UrdfFile:
                 self._last_found[package] = file.parents[len(inside.parts) - 1]
         return file
 
-    def _tell_about_meshes(self, links: list[Link]) -> None:
+    def _tell_about_meshes(self, links: list[UrdfLink]) -> None:
         if self._lost:
             wanted = {package for name in self._lost if (package := package_of(name)) is not None}
             unknown = [
@@ -569,7 +548,6 @@ class UrdfFile:
                 joint.axis = given
 
     def _moving(self, element: Element, joint: Joint) -> None:
-        """Limits, friction and mimic of a joint."""
         key = f"joint '{joint.name}'"
         limit = _child(element, "limit")
         if limit is not None:
@@ -621,8 +599,7 @@ class UrdfFile:
             elif value and value < LARGEST:  # zero means unknown
                 setattr(joint, name, value)
 
-    def _tree(self, links: list[Link], joints: list[Joint]) -> str:
-        """The root of the tree of links."""
+    def _tree(self, links: list[UrdfLink], joints: list[Joint]) -> str:
         carrying = {joint.child: joint for joint in joints}
         roots = [link for link in links if link.name not in carrying]
         below: dict[str, list[Joint]] = {}
@@ -643,7 +620,7 @@ class UrdfFile:
         return base
 
     def _free_base(
-        self, root: str, links: list[Link], joints: list[Joint]
+        self, root: str, links: list[UrdfLink], joints: list[Joint]
     ) -> tuple[Array, Joint | None]:
         """The frame of the base in that of the root, and the joint that frees it, if there is one.
 
@@ -695,12 +672,11 @@ class UrdfFile:
             self._warnings.append(f"planar joint '{joint.name}' is three joints: {names}")
         return T, chosen
 
-    def _item_problem(self, kind: str, item: Link | Joint, message: str) -> None:
+    def _item_problem(self, kind: str, item: UrdfLink | Joint, message: str) -> None:
         line = item.line if self._has_lines else None
         self._problems.append(Problem(f"{kind} '{item.name}'", message, str(self.path), line))
 
     def _check_mimics(self, joints: list[Joint]) -> None:
-        """Removes invalid <mimic> elements, so that their joints move independently."""
         by_name = {joint.name: joint for joint in joints}
         moving = [joint.name for joint in joints if joint.kind in MOVING]
         for joint in joints:
@@ -730,7 +706,6 @@ class UrdfFile:
         return name or f"{kind} of line {element.sourceline}"
 
     def _origin(self, element: Element, key: str) -> Array:
-        """The frame of its <origin> (4, 4); identity without one."""
         origin = _child(element, "origin")
         if origin is None:
             return np.eye(4)
@@ -748,7 +723,6 @@ class UrdfFile:
         default: float | None = None,
         largest: float = LARGEST,
     ) -> float | None:
-        """One number of an attribute; None if it is invalid."""
         fallback = None if default is None else np.array([default])
         found = self._numbers(element, name, key, (1,), fallback, largest)
         return None if found is None else float(found[0])
@@ -762,7 +736,6 @@ class UrdfFile:
         default: Array | None = None,
         largest: float = LARGEST,
     ) -> Array | None:
-        """Numbers of an attribute; None if they are invalid."""
         text = element.get(name)
         if text is None:
             if default is None:
@@ -786,7 +759,6 @@ class UrdfFile:
         return values
 
     def _meant(self, element: Element, text: str, key: str, counts: tuple[int, ...]) -> Array:
-        """Numbers separated by commas, or ending in a second point; NaN for anything else."""
         words = [_SECOND_POINT.sub(r"\1", word) for word in _COMMAS.split(text.strip())]
         if len(words) == 1:
             words = [_SECOND_POINT.sub(r"\1", word) for word in text.split()]
@@ -801,14 +773,12 @@ class UrdfFile:
 
 
 def _names(element: Element) -> Iterator[str]:
-    """Names of an element and its attributes, with namespaces in braces."""
     if isinstance(element.tag, str):
         yield element.tag
         yield from (str(name) for name in element.attrib)
 
 
 def _tag(element: Element) -> str:
-    """Its name without a namespace."""
     return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""
 
 
@@ -831,7 +801,6 @@ def _text(values: Array) -> str:
 
 
 def _reached(root: str, below: Mapping[str, list[Joint]]) -> set[str]:
-    """Names of the links reachable through joints, including the root."""
     found, waiting = {root}, [root]
     while waiting:
         for joint in below.get(waiting.pop(), []):
@@ -841,16 +810,15 @@ def _reached(root: str, below: Mapping[str, list[Joint]]) -> set[str]:
     return found
 
 
-def _single_axes(joint: Joint, taken: set[str]) -> tuple[list[Joint], list[Link]]:
+def _single_axes(joint: Joint, taken: set[str]) -> tuple[list[Joint], list[UrdfLink]]:
     """Two prismatic joints and a revolute one instead of a planar one, and the links between them.
 
     Args:
-        joint: is planar.
         taken: names of links.
     """
     axes = aligned(joint.axis).T
     made: list[Joint] = []
-    added = [Link(plain_name(f"{joint.name}_{axis}", taken), joint.line) for axis in "xy"]
+    added = [UrdfLink(plain_name(f"{joint.name}_{axis}", taken), joint.line) for axis in "xy"]
     parent, T = joint.parent, joint.frame
     for kind, what, axis, link in zip(
         ("prismatic", "prismatic", "revolute"), ("x", "y", "yaw"), axes,

@@ -36,15 +36,9 @@ _LOCK = threading.Lock()
 
 
 def expand(path: Path, arguments: Mapping[str, str], find: Callable[[str], str]) -> str:
-    """Returns the XML that a file of xacro becomes.
+    """Returns the XML that a file of xacro becomes; raises whatever xacro raises.
 
-    Args:
-        path: of the file.
-        arguments: values of `<xacro:arg>` by name.
-        find: returns the folder of a ROS package, for `$(find NAME)`.
-
-    Raises:
-        Exception: the file cannot be expanded; xacro raises many kinds.
+    `find` returns the folder of a ROS package, for `$(find NAME)`.
     """
     said = io.StringIO()
     with _LOCK, _without_python(find), redirect_stderr(said), redirect_stdout(said):
@@ -70,7 +64,7 @@ def _without_python(find: Callable[[str], str]) -> Iterator[None]:
             "arg": argument,
             "dirname": lambda: substitution_args._eval_dirname(context["filename"]),
         }
-        return str(evaluate(text, _Scope(own, arguments, argument)))
+        return str(evaluate(text, _Names(own, arguments, argument)))
 
     patched: list[tuple[Any, str, Any]] = [
         (xacro, "safe_eval", evaluate),
@@ -87,14 +81,8 @@ def _without_python(find: Callable[[str], str]) -> Iterator[None]:
             setattr(module, name, value)
 
 
-class _Scope(Mapping[str, Any]):
-    """Functions, then arguments, which are looked up only if an expression has them.
-
-    Args:
-        functions: by name.
-        arguments: names of arguments.
-        argument: returns the value of one.
-    """
+class _Names(Mapping[str, Any]):
+    """Functions, then arguments, which are looked up only if an expression has them."""
 
     def __init__(
         self,
@@ -118,11 +106,7 @@ class _Scope(Mapping[str, Any]):
 
 
 class _Interpreter(EvalWithCompoundTypes):  # type: ignore[misc]  # has no types
-    """Interprets one expression of xacro.
-
-    Args:
-        names: values and functions by name; xacro evaluates properties when they are looked up.
-    """
+    """Interprets one expression of xacro."""
 
     def __init__(self, names: Mapping[str, Any]) -> None:
         super().__init__(names=names, functions={})
@@ -147,12 +131,6 @@ class _Interpreter(EvalWithCompoundTypes):  # type: ignore[misc]  # has no types
 
 
 class _Functions(dict[str, Any]):
-    """The functions among names, as the interpreter looks them up.
-
-    Args:
-        names: see `_Interpreter`.
-    """
-
     def __init__(self, names: Mapping[str, Any]) -> None:
         super().__init__()
         self._names = names

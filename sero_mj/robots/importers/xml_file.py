@@ -43,14 +43,7 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
     """Returns the root element; its descendants know their lines (`sourceline`).
 
     Declarations of entities are refused: they can expand a few bytes to gigabytes, or insert other
-    files. Nothing is fetched from the network.
-
-    Args:
-        contents: of the file.
-        encoding: overrides the file's, by any name known to Python.
-
-    Raises:
-        XmlError: it is not XML, or declares entities.
+    files. Nothing is fetched from the network. An encoding overrides the file's. Raises XmlError.
     """
     stated = None
     if encoding is None and (found := _STATED.match(contents)) is not None:
@@ -77,7 +70,6 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
 
 
 def _known(encoding: str) -> str:
-    """Returns lxml's name of an encoding, if Python knows it, too; else the name unchanged."""
     try:
         etree.XMLParser(encoding=encoding)
     except LookupError:
@@ -89,16 +81,10 @@ def _known(encoding: str) -> str:
 
 
 def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
-    """As `parse_xml`, tolerating XML errors that other programs accept.
+    """As `parse_xml`, but corrects errors that other programs accept; also returns what they are.
 
     These are a declaration that is not at the start or of an unknown version, and undeclared
     prefixes. Both are corrected within their lines, so all other checks still apply.
-
-    Returns:
-        the root element, and the corrections, a sentence for each.
-
-    Raises:
-        XmlError: it is still not XML, or declares entities.
     """
     try:
         return parse_xml(contents), []
@@ -133,7 +119,6 @@ def _shown(text: bytes) -> str:
 
 
 def _plain(message: str) -> str:
-    """libxml2's message without advice meant for its callers."""
     if "amplification" in message:
         return "declares entities that grow without end; expected none"
     return message.partition(", use XML_PARSE_HUGE")[0].strip()

@@ -17,6 +17,7 @@ from ...robots.declared.robot import SerialRobot
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,
+    Controller,
     ControllerDeclaration,
     PerJoint,
     Ratio,
@@ -27,8 +28,8 @@ from .controller import (
     within,
 )  # fmt: skip
 from .joint_control import damping_slider, design_damping, too_stiff, unstable_joint
-from .model_rows import ModelRows
 from .robot_model import RobotModel
+from .robot_models import RobotModels
 
 # Least mobility J M^-1 J^T in any direction, as a share of its trace, with lengths in units in
 # which moving and turning have equal traces. What is below is raised to it (as for inverse
@@ -107,8 +108,9 @@ class CartesianImpedance(ControllerDeclaration):
                    "stiffness towards the posture, where it leaves the flange in place"),
         ]  # fmt: skip
 
-    def make(self, model: RobotModel | ModelRows, timestep: float) -> CartesianImpedanceController:
-        """The controller, without torque limits."""
+    def make(
+        self, model: RobotModel | RobotModels, timestep: float
+    ) -> CartesianImpedanceController:
         return CartesianImpedanceController(
             model,
             self.stiffness,
@@ -121,7 +123,7 @@ class CartesianImpedance(ControllerDeclaration):
         )
 
 
-class CartesianImpedanceController:
+class CartesianImpedanceController(Controller):
     """tau = J^T (f + D (dx_d - J dq) + wrench) + tau_null + g(q) + tau_target.
 
     f is minus the slope of the energy V = 1/2 e^T K e (Hogan 1985, Impedance Control: An Approach
@@ -145,19 +147,17 @@ class CartesianImpedanceController:
     stay bounded, the blocked direction goes limp, and becomes part of the null space.
 
     Args:
-        model: for itself.
         stiffness: K, (6, 6) or (m, 6, 6), symmetric, N/m and Nm/rad.
         damping: ratio; of many robots (m, 1).
         timestep: s between two calls.
         in_flange: whether K is in the axes of the target, else of the world.
         nullspace_stiffness: (n,) or (m, n), Nm/rad.
-        nullspace_damping: ratio, likewise.
         damping_every: s.
     """
 
     def __init__(
         self,
-        model: RobotModel | ModelRows,
+        model: RobotModel | RobotModels,
         stiffness: Array,
         damping: float | Array,
         timestep: float,
@@ -184,12 +184,13 @@ class CartesianImpedanceController:
         signed = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
         self._spring[..., vectors[:, None], vectors] = signed
 
+    @property
+    def group(self) -> tuple[object, ...]:
+        return type(self), tuple(self.model.joint_names), self._every, self._in_flange
+
     @classmethod
-    def joined(cls, each: Sequence[CartesianImpedanceController], model: ModelRows) -> Self | None:
-        """See `GravityCompensator`."""
+    def joined(cls, each: Sequence[Self], robots: int, model: RobotModels) -> Self:
         first = each[0]
-        if len({(one._every, one._in_flange) for one in each}) > 1:
-            return None
         stiffness, null_stiffness, null_ratio = (
             np.array(values)
             for values in zip(
@@ -273,7 +274,7 @@ class CartesianImpedanceController:
         )
 
     def hold_links(self, joint_stiffness: Array) -> Array:
-        """See `LinkHolder`; the null space's soft spring stays in series with the joints.
+        """See `Controller`; the null space's soft spring stays in series with the joints.
 
         So does a share of the flange's, where they are nearly as stiff as the joints behind it.
         """
@@ -281,7 +282,6 @@ class CartesianImpedanceController:
         return self._rest
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,)."""
         model, velocities = self.model, sensed.motor_velocities
         model.update(sensed.motor_angles, velocities)
         if self._left == 0:
@@ -326,9 +326,6 @@ class CartesianImpedanceController:
         With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
         (w + S(v)) f_r: the slope of v along rotations, and the vector of (w, v) times (0, f_r).
 
-        Args:
-            target: its pose.
-
         Returns:
             the same array every time.
         """
@@ -357,7 +354,6 @@ class CartesianImpedanceController:
         return self._spring_wrench
 
     def check(self, angles: Array) -> None:
-        """Refuses gains for which the time step is too long; see `LimitedController.check`."""
         model = self.model
         model.update(angles, np.zeros(model.n))
         jacobian, mass, rotation = model.jacobian(), model.mass(), model.flange_rotation
@@ -393,7 +389,6 @@ class CartesianImpedanceController:
 
         Args:
             mobility: J M^-1 J^T, (6, 6).
-            least: as a share of the trace.
         """
         per_length = self._per_length * self._per_length.mT
         values, vectors = np.linalg.eigh(mobility * per_length)

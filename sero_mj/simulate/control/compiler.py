@@ -56,7 +56,6 @@ class Compiler:
         """What a controller knows of a robot, for it alone.
 
         Args:
-            robot: standing in the world.
             gravity: (3,), m/s2, in the world.
 
         Raises:

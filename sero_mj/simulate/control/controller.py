@@ -9,19 +9,22 @@ A package adds a kind by an entry point in the group `sero_mj.controllers`:
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, PrivateAttr
 
 from ...base.declaration import Declaration, numbers
 from ...base.errors import Problem
-from ...base.frames import Array
-from ...base.trust import Action, Origin
+from ...base.frames import Array, Bools
+from ...base.trust import FileOrigin, RequestedAction
 from ...robots.declared.robot import SerialRobot
 from .robot_model import RobotModel
+
+if TYPE_CHECKING:
+    from .robot_models import RobotModels
 
 
 def _one_or_more(value: Any) -> Any:
@@ -36,14 +39,7 @@ def _one_or_more(value: Any) -> Any:
 
 
 def within(low: float, high: float, unit: str = "", note: str = "") -> AfterValidator:
-    """Returns a validator for arrays of numbers.
-
-    Args:
-        low: the least that is allowed.
-        high: the greatest.
-        unit: for the message.
-        note: at its end.
-    """
+    """Returns a validator for arrays of numbers."""
     unit = unit and f" {unit}"
 
     def validate(array: Array) -> Array:
@@ -68,7 +64,6 @@ class Sensed:
     """What the sensors of one robot measure; the buffers are the same ones at every step.
 
     Args:
-        n: number of joints.
         values: (3, n), row after row in memory, to be used in place: what a simulation or a
             receiver writes is then seen without a copy.
         motor_state: (2n,), angles, then velocities of the motors where joints are elastic, to be
@@ -132,76 +127,91 @@ class Target:
 
     Write into the arrays (`target.angles[:] = ...`): controllers keep them.
 
-    Args:
-        n: number of joints.
-        rows: as for `Sensed`.
-
     Attributes:
-        planned: (3n + 22,), `motion`, `pose` and `twist`, so that one copy sets all.
-        motion: (3n,), angles, velocities and accelerations.
-        state: (2n,), its first two thirds, like that of `Sensed`.
-        angles: (n,), rad or m; the first half of `state`.
-        velocities: (n,), per second; the second half of `state`.
+        motion: (3, n), angles, velocities and accelerations.
+        angles: (n,), rad or m; a view of `motion`, as are the two that follow.
+        velocities: (n,), per second.
         accelerations: (n,), per second squared.
         torques: (n,), Nm or N, added to what the controller computes.
         has_torques: whether `torques` and `wrench` are added; false, and faster, where both are
             zero all the time.
         pose: (4, 4), T_world_flange, m.
-        position: (3,), of it.
-        rotation: (3, 3), of it.
+        position: (3,), a view of it.
+        rotation: (3, 3), a view of it.
         twist: (6,), of the flange in world axes: m/s, then rad/s.
         wrench: (6,), at the flange in world axes, that the robot is to exert: N, then Nm.
         posture: (n,), rad or m, where the null space is drawn to.
     """
 
-    __slots__ = (
-        "accelerations",
-        "angles",
-        "has_torques",
-        "motion",
-        "planned",
-        "pose",
-        "position",
-        "posture",
-        "rotation",
-        "state",
-        "torques",
-        "twist",
-        "velocities",
-        "wrench",
-    )
-
     def __init__(self, n: int, rows: tuple[int, ...] = ()) -> None:
-        self.planned: Array = np.zeros((*rows, 3 * n + 22))
-        self.motion: Array = self.planned[..., : 3 * n]
-        self.state: Array = self.motion[..., : 2 * n]
-        self.angles: Array = self.state[..., :n]
-        self.velocities: Array = self.state[..., n:]
-        self.accelerations: Array = self.motion[..., 2 * n :]
-        self.torques: Array = np.zeros((*rows, n))
         self.has_torques = True
-        self.pose: Array = self.planned[..., 3 * n : -6].reshape(*rows, 4, 4)
-        self.pose[:] = np.eye(4)
-        self.position: Array = self.pose[..., :3, 3]
-        self.rotation: Array = self.pose[..., :3, :3]
-        self.twist: Array = self.planned[..., -6:]
+        self.twist: Array = np.zeros((*rows, 6))
         self.wrench: Array = np.zeros((*rows, 6))
-        self.posture: Array = np.zeros((*rows, n))
+        pose: Array = np.zeros((*rows, 4, 4))
+        pose[:] = np.eye(4)
+        self._take(np.zeros((*rows, 3, n)), np.zeros((*rows, n)), np.zeros((*rows, n)), pose)
+
+    def _take(self, motion: Array, torques: Array, posture: Array, pose: Array) -> None:
+        self.motion, self.torques, self.posture, self.pose = motion, torques, posture, pose
+        self.angles: Array = motion[..., 0, :]
+        self.velocities: Array = motion[..., 1, :]
+        self.accelerations: Array = motion[..., 2, :]
+        self.position: Array = pose[..., :3, 3]
+        self.rotation: Array = pose[..., :3, :3]
+
+    def part(self, row: int, joints: slice) -> Target:
+        """The target of one of the robots in a row: views, but for the pose if there are others."""
+        made = Target(joints.stop - joints.start)
+        pose = made.pose
+        if made.posture.shape == self.posture.shape[1:]:
+            pose, made.twist, made.wrench = self.pose[row], self.twist[row], self.wrench[row]
+        made._take(
+            self.motion[row][:, joints], self.torques[row, joints], self.posture[row, joints], pose
+        )
+        return made
+
+    def set(self, other: Target) -> None:
+        """Takes over the values of another target of as many joints."""
+        for key in ("motion", "torques", "posture", "pose", "twist", "wrench"):
+            getattr(self, key)[...] = getattr(other, key)
 
 
-class Controller(Protocol):
-    """Computes torques: one of the shipped controllers, or any object with this method.
-
-    Where joints are elastic and behind a torque loop, the links' resting places are found from the
-    torques that the controller would command at rest; those of one without `hold_links` (see
-    `LinkHolder`) are taken to be gravity's.
+class Controller:
+    """Computes torques. Any object with the method `torques` is a controller as well.
 
     ```python
     class Wave:
         def torques(self, sensed, target, out):
             out[:] = 5.0 * np.sin(sensed.time)
     ```
+
+    The other methods and attributes are optional powers, with what holds where they are missing.
+
+    Attributes:
+        needs_target: see `ControllerDeclaration`, as the two that follow.
+        needs_pose: whether it follows the flange's pose.
+        may_be_asked: whether it may be asked for torques of states that are not those of a run.
+        logged: numbers for the log, as many as its declaration has names in `logged`.
+        spans_robots: whether `joined` takes several robots of a row.
     """
+
+    needs_target: bool = True
+    needs_pose: bool = False
+    may_be_asked: bool = True
+    is_in_real_time: bool = False
+    origin: FileOrigin | None = None
+    logged: Any = ()
+    spans_robots = False
+
+    @property
+    def commanded_angles(self) -> Array | None:
+        """(n,) for the log as the robot's target, rad or m; None for none."""
+        return None
+
+    @property
+    def group(self) -> tuple[object, ...] | None:
+        """What controllers have in common that `joined` can make one of; None if called alone."""
+        return None
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the motor torques of this step.
@@ -211,21 +221,74 @@ class Controller(Protocol):
             target: what is asked for; not to be changed.
             out: (n,), Nm or N, to be written; holds the last step's.
         """
+        raise NotImplementedError
 
-
-@runtime_checkable
-class LinkHolder(Controller, Protocol):
-    """A controller that says where the links of elastic joints would rest; all shipped ones do."""
-
-    def hold_links(self, joint_stiffness: Array) -> Array:
+    def hold_links(self, joint_stiffness: Array) -> Array | None:
         """Prepares for elastic joints, once.
 
         Args:
             joint_stiffness: (n,), Nm/rad or N/m.
 
         Returns:
-            (n,), Nm or N: what it commands at rest, written at every step.
+            (n,), Nm or N: what it commands at rest, written at every step; from this the resting
+            positions of the links are found. None if they are those of gravity.
         """
+        return None
+
+    def check(self, angles: Array) -> None:
+        """Refuses gains for which the time step is too long.
+
+        Args:
+            angles: (n,), rad or m, where the robot starts.
+
+        Raises:
+            DeclarationError: names the joint that would shake most.
+        """
+
+    def take_over(self, before: Any) -> None:
+        """Takes over what the controller before, of the same class, has built up: an integral."""
+
+    def begin(self, which: Bools) -> None:
+        """Begins anew with some of the rows, (m,)."""
+
+    def close(self) -> None:
+        """Ends what it has started."""
+
+    @classmethod
+    def joined(cls, each: Sequence[Any], robots: int, model: RobotModels) -> Controller:
+        """One controller that is the same as several of one `group`, which have made no step.
+
+        Args:
+            each: of the robots of the first row, of the second, and so on.
+        """
+        raise NotImplementedError
+
+
+class PlainController(Controller):
+    """A controller that is any object with the method `torques`, and perhaps optional powers."""
+
+    def __init__(self, own: Any) -> None:
+        self.own = own
+        self.torques = own.torques  # type: ignore[method-assign]
+        for key in ("hold_links", "check", "take_over", "close"):
+            if hasattr(own, key):
+                setattr(self, key, getattr(own, key))
+
+    def __getattribute__(self, key: str) -> Any:
+        own = object.__getattribute__(self, "__dict__").get("own")
+        if key in _READ and hasattr(own, key):
+            return getattr(own, key)
+        return object.__getattribute__(self, key)
+
+
+_READ = {"needs_target", "needs_pose", "may_be_asked", "logged", "commanded_angles"}
+
+
+def as_controller(controller: Any) -> Any:
+    """The controller or declaration itself, or a `PlainController` of any other object."""
+    if isinstance(controller, Controller | ControllerDeclaration):
+        return controller
+    return PlainController(controller)
 
 
 @dataclass(frozen=True)
@@ -265,18 +328,6 @@ def range_text(key: str, unit: str = "") -> Callable[[Mapping[str, Any]], str]:
     return text
 
 
-@runtime_checkable
-class Successor(Controller, Protocol):
-    """A controller that goes on from another one, as when a gain is changed while it runs."""
-
-    def take_over(self, before: Any) -> None:
-        """Takes over what the controller before has built up: an integral, say.
-
-        Args:
-            before: of the same class, with other gains.
-        """
-
-
 class ControllerDeclaration(Declaration, ABC):
     """Base of the declarations of controllers, one class for each kind.
 
@@ -309,24 +360,26 @@ class ControllerDeclaration(Declaration, ABC):
     torque_limits: MaybePerJoint = None
     torque_rate_limits: MaybePerJoint = None
 
-    _origin: Origin | None = PrivateAttr(None)
+    _origin: FileOrigin | None = PrivateAttr(None)
 
     @property
-    def origin(self) -> Origin | None:
+    def is_in_real_time(self) -> bool:
+        """Whether the run waits for the wall clock."""
+        return False
+
+    @property
+    def origin(self) -> FileOrigin | None:
         """The file that it was read from; None if it was made in Python."""
         return self._origin
 
-    def set_origin(self, origin: Origin) -> None:
+    def set_origin(self, origin: FileOrigin) -> None:
         """Says which file it was read from, and whether that file is trusted."""
         self._origin = origin
 
-    def actions(self, key: str = "") -> list[Action]:
+    def actions(self, key: str = "") -> list[RequestedAction]:
         """Returns what it starts or loads, see `base.trust`; nothing by default.
 
         A kind that starts a program or loads code has to override this.
-
-        Args:
-            key: of its table.
         """
         return []
 
@@ -353,10 +406,6 @@ class ControllerDeclaration(Declaration, ABC):
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
         """The controller that a robot to play with has at first.
 
-        Args:
-            robot: as it stands in the world.
-            model: of it, in the pose it has at first.
-
         Returns:
             one with default gains; None where it cannot be chosen there, as where gains have no
             defaults.
@@ -369,12 +418,7 @@ class ControllerDeclaration(Declaration, ABC):
         return None
 
     def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
-        """The gains that can be changed while it runs.
-
-        Args:
-            robot: that is controlled.
-            first: the controller as it was at first.
-        """
+        """The gains that can be changed while it runs."""
         return []
 
     def changed(self, fields: Mapping[str, Any]) -> Self:

@@ -1,7 +1,7 @@
 """Joint-space controllers (gravity compensation, torque, impedance, position) and their damping.
 
-They control one robot, or as many equal ones as their model has rows: what they sense, aim at and
-command then has the rows as its first axis.
+They control one robot, or all robots of a `RobotModels`, whose rows are the first axis of all
+arrays then.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ...robots.declared.robot import SerialRobot
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,
+    Controller,
     ControllerDeclaration,
     PerJoint,
     Ratio,
@@ -27,8 +28,8 @@ from .controller import (
     range_text,
     within,
 )  # fmt: skip
-from .model_rows import ModelRows
 from .robot_model import RobotModel
+from .robot_models import RobotModels
 
 MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
 _PER_LIMIT, _SWINGS = 5.0, 13.0  # 1/rad and 1/s, see `JointImpedance.for_robot`
@@ -59,8 +60,7 @@ class GravityCompensation(ControllerDeclaration):
                    lambda value: {"damping": np.array([value])}, range_text("damping", "Nm s/rad"))
         ]  # fmt: skip
 
-    def make(self, model: RobotModel | ModelRows, timestep: float) -> GravityCompensator:
-        """The controller, without torque limits."""
+    def make(self, model: RobotModel | RobotModels, timestep: float) -> GravityCompensator:
         return GravityCompensator(model, damping=self.per_joint("damping", model.n))
 
 
@@ -84,8 +84,7 @@ class Torque(ControllerDeclaration):
         """None: it has nothing to play with."""
         return None
 
-    def make(self, model: RobotModel | ModelRows, timestep: float) -> GravityCompensator:
-        """The controller, without torque limits."""
+    def make(self, model: RobotModel | RobotModels, timestep: float) -> GravityCompensator:
         own = self.per_joint("torques", model.n)
         return GravityCompensator(
             model, torques=own, feed_forward=True, compensate_gravity=self.compensate_gravity
@@ -167,8 +166,7 @@ class JointImpedance(ControllerDeclaration):
             )  # fmt: skip
         return found
 
-    def make(self, model: RobotModel | ModelRows, timestep: float) -> JointImpedanceController:
-        """The controller, without torque limits."""
+    def make(self, model: RobotModel | RobotModels, timestep: float) -> JointImpedanceController:
         return JointImpedanceController(
             model,
             self.per_joint("stiffness", model.n),
@@ -224,20 +222,21 @@ def damping_slider(ratio: float, value_of: Callable[[float], Any]) -> Slider:
     )
 
 
-class GravityCompensator:
+class GravityCompensator(Controller):
     """tau = g(q) - d dq + tau_0, or g(q) + tau_0 + tau_target.
 
     Args:
-        model: for itself.
         damping: d, (n,) or (m, n), Nm s/rad; None for none.
-        torques: tau_0, likewise, Nm, added all the time; None for none.
+        torques: tau_0, (n,) or (m, n), Nm, added all the time; None for none.
         feed_forward: whether the target's torques are added.
-        compensate_gravity: whether g(q) is.
+        compensate_gravity: whether g(q) is added.
     """
+
+    spans_robots = True
 
     def __init__(
         self,
-        model: RobotModel | ModelRows,
+        model: RobotModel | RobotModels,
         *,
         damping: Array | None = None,
         torques: Array | None = None,
@@ -246,60 +245,47 @@ class GravityCompensator:
     ) -> None:
         self.model = model
         self._compensates, self._feeds_forward = compensate_gravity, feed_forward
-        self._damping = damping if damping is not None and damping.any() else None
-        self._own = torques if torques is not None and torques.any() else None
+        self._damping: Array = np.zeros(model.n) if damping is None else damping
+        self._own: Array = np.zeros(model.n) if torques is None else torques
+        self._resists, self._has_own = bool(self._damping.any()), bool(self._own.any())
         self._rest: Array | None = None
-        self._resisting: Array = np.zeros((*model.rows, model.n))
+
+    @property
+    def group(self) -> tuple[object, ...]:
+        return type(self), self._compensates, self._feeds_forward
 
     @classmethod
-    def joined(cls, each: Sequence[GravityCompensator], model: ModelRows) -> Self | None:
-        """One for all rows that is the same as these, which have made no step; None for none.
-
-        Args:
-            each: of the rows.
-            model: of all of them.
-        """
-        kinds = {(one._compensates, one._feeds_forward, one._rest is None) for one in each}
-        if len(kinds) > 1:
-            return None
-        none = np.zeros(model.n)
-        damping, torques = (
-            np.array([none if value is None else value for value in values])
-            for values in zip(*((one._damping, one._own) for one in each), strict=True)
-        )
-        ((compensates, feeds_forward, _),) = kinds
+    def joined(cls, each: Sequence[Self], robots: int, model: RobotModels) -> Self:
+        first = each[0]
         return cls(
             model,
-            damping=damping,
-            torques=torques,
-            feed_forward=feeds_forward,
-            compensate_gravity=compensates,
+            damping=in_rows([one._damping for one in each], robots),
+            torques=in_rows([one._own for one in each], robots),
+            feed_forward=first._feeds_forward,
+            compensate_gravity=first._compensates,
         )
 
     def hold_links(self, joint_stiffness: Array) -> Array:
-        """See `LinkHolder`."""
         self._rest = np.zeros((*self.model.rows, self.model.n))
         return self._rest
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,)."""
         if self._compensates:
             self.model.update(sensed.motor_angles, sensed.motor_velocities)
             self.model.gravity(out)
         else:
             out[:] = 0.0
-        if self._own is not None:
-            np.add(out, self._own, out)
+        if self._has_own:
+            out += self._own
         if self._feeds_forward:
-            np.add(out, target.torques, out)
+            out += target.torques
         if self._rest is not None:
             self._rest[...] = out
-        if self._damping is not None:
-            np.multiply(self._damping, sensed.motor_velocities, self._resisting)
-            np.subtract(out, self._resisting, out)
+        if self._resists:
+            out -= self._damping * sensed.motor_velocities
 
 
-class JointImpedanceController:
+class JointImpedanceController(Controller):
     """tau = K (q_d - q) + D (dq_d - dq) + g(q) + tau_target.
 
     With feed-forward also M(q) ddq_d + C(q, dq) dq_d, which makes the error of a moving target die
@@ -315,18 +301,19 @@ class JointImpedanceController:
     that K is what one feels at the links.
 
     Args:
-        model: for itself.
         stiffness: the diagonal of K, (n,) or (m, n), Nm/rad.
-        damping: ratio, likewise.
+        damping: ratio, (n,) or (m, n).
         timestep: s between two calls.
         feed_forward: whether the torques of the target's motion are added.
         damping_every: s.
         at_links: whether K is meant at the links of elastic joints, or at their motors.
     """
 
+    spans_robots = True
+
     def __init__(
         self,
-        model: RobotModel | ModelRows,
+        model: RobotModel | RobotModels,
         stiffness: Array,
         damping: Array,
         timestep: float,
@@ -335,56 +322,43 @@ class JointImpedanceController:
         damping_every: float = 0.04,
         at_links: bool = True,
     ) -> None:
-        n = model.n
-        self._at_links = at_links
+        self.model, self._spring, self._ratio = model, stiffness, damping
+        self.stiffness = diagonal(stiffness)
+        self._timestep, self._at_links, self._feeds_forward = timestep, at_links, feed_forward
         self._rest: Array | None = None
-        self.model = model
-        self.stiffness: Array = stiffness[..., None] * np.eye(n)
-        self._spring = stiffness
-        self._ratio = damping
-        self._timestep = timestep
         self._every = max(round(damping_every / timestep), 1)
         # Steps until now, and those in which the damping of every row is designed anew.
         self._k = self._next = 0
         self._due = np.zeros(model.rows, np.intp)
-        # One product for all: [K D 1 -1 M_motors] [e; de; own torques; ddq_d], or but for the last
-        # two without feed-forward. numpy takes longer to make a view than to compute with it.
-        self._feeds_forward = feed_forward
-        gains = [np.zeros((n, n)), np.zeros((n, n)), np.eye(n)]
-        if feed_forward:
-            gains += [-np.eye(n), np.diag(model.motor_inertia)]
-        self._gains: Array = np.tile(np.hstack(gains), (*model.rows, 1, 1))
-        self._gains[..., :n] = self.stiffness
-        self.damping: Array = self._gains[..., n : 2 * n]
-        terms: Array = np.zeros((*model.rows, len(gains) * n))
-        self._column = terms[..., None]
-        self._errors, self._own = terms[..., : 2 * n], terms[..., 2 * n : 3 * n]
-        self._less, self._accelerations = terms[..., 3 * n : 4 * n], terms[..., 4 * n :]
+        shape = (*model.rows, model.n)
+        self.damping: Array = np.zeros((*shape, model.n))
+        self._error: Array = np.zeros(shape)
+        self._own, self._less = np.zeros((2, *shape))
+        self._times = np.matvec if model.rows else np.dot  # which takes half as long
+
+    @property
+    def group(self) -> tuple[object, ...]:
+        kinds = type(self), self._every, self._at_links, self._feeds_forward
+        return *kinds, self._rest is None
 
     @classmethod
-    def joined(cls, each: Sequence[JointImpedanceController], model: ModelRows) -> Self | None:
-        """See `GravityCompensator`."""
-        kinds = {(one._every, one._at_links, one._feeds_forward) for one in each}
-        if len(kinds) > 1:
-            return None
+    def joined(cls, each: Sequence[Self], robots: int, model: RobotModels) -> Self:
         first = each[0]
-        made = cls(
+        return cls(
             model,
-            np.array([one._spring for one in each]),
-            np.array([one._ratio for one in each]),
+            in_rows([one._spring for one in each], robots),
+            in_rows([one._ratio for one in each], robots),
             first._timestep,
             feed_forward=first._feeds_forward,
+            damping_every=first._every * first._timestep,
             at_links=first._at_links,
         )
-        made._every = first._every
-        return made
 
     def begin(self, which: Bools) -> None:
-        """Begins anew with some of the rows, (m,): what was designed for them is forgotten."""
         self._due[which] = self._next = self._k
 
     def hold_links(self, joint_stiffness: Array) -> Array:
-        """See `LinkHolder`.
+        """See `Controller`.
 
         Raises:
             DeclarationError: K is too close to the stiffness of the joints themselves.
@@ -407,68 +381,71 @@ class JointImpedanceController:
         return self._rest
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,)."""
-        model = self.model
+        model, own = self.model, self._own
         model.update(sensed.motor_angles, sensed.motor_velocities)
         if self._k == self._next:
             self._design()
         self._k += 1
-        np.subtract(target.state, sensed.motor_state, self._errors)
+        np.subtract(target.angles, sensed.motor_angles, self._error)
+        self._error *= self._spring
+        self._times(self.damping, target.velocities - sensed.motor_velocities, out)
+        out += self._error
         if self._feeds_forward:
-            accelerations = target.accelerations
-            self._accelerations[...] = accelerations
-            model.write_inverse_dynamics(target.velocities, accelerations, self._own, self._less)
+            model.write_inverse_dynamics(target.velocities, target.accelerations, own, self._less)
+            out += model.motor_inertia * target.accelerations
+            own -= self._less
         else:
-            model.gravity(self._own)
-        np.matmul(self._gains, self._column, out[..., None])
+            model.gravity(own)
+        out += own
         if target.has_torques:
-            np.add(out, target.torques, out)
+            out += target.torques
         if self._rest is not None:
-            self._write_rest(self._rest)
+            np.add(own, self._error if self._at_links else 0.0, self._rest)
 
     def _design(self) -> None:
-        """Designs the damping of those rows whose time it is."""
         model = self.model
-        if isinstance(model, RobotModel):
-            self.damping[:] = design_damping(model.mass(), self.stiffness, self._ratio)
-            self._next = self._k + self._every
-            return
+        mass = model.mass()
         due = self._due <= self._k
-        masses, shape = model.mass(np.flatnonzero(due).tolist()), (*model.rows, model.n)
-        stiffness = np.broadcast_to(self.stiffness, (*shape, model.n))[due]
+        shape = (*model.rows, model.n)
+        stiffness = np.broadcast_to(self._spring, shape)[due]
         ratio = np.broadcast_to(self._ratio, shape)[due]
-        self.damping[due] = design_damping(masses, stiffness, ratio)
+        for joints in [slice(None)] if isinstance(model, RobotModel) else model.robots:
+            self.damping[due, joints, joints] = design_damping(
+                mass[due][..., joints, joints], diagonal(stiffness[..., joints]), ratio[..., joints]
+            )
         self._due[due] = self._k + self._every
         self._next = int(self._due.min())
 
-    def _write_rest(self, rest: Array) -> None:
-        np.copyto(rest, self._own)
-        if self._feeds_forward:
-            rest -= self._less
-        if self._at_links:
-            rest += self._spring * self._errors[..., : self.model.n]
-
     def check(self, angles: Array) -> None:
-        """Refuses gains for which the time step is too long; see `LimitedController.check`."""
         model = self.model
         model.update(angles, np.zeros(model.n))
-        mass = model.mass()
-        damping = design_damping(mass, self.stiffness, self._ratio)
-        joint = unstable_joint(mass, self.stiffness, damping, self._timestep)
+        mass, stiffness = model.mass(), self.stiffness
+        damping = design_damping(mass, stiffness, self._ratio)
+        joint = unstable_joint(mass, stiffness, damping, self._timestep)
         if joint is not None:
 
             def holds(share: float) -> bool:
-                stiffness = share * self.stiffness
-                damping = design_damping(mass, stiffness, self._ratio)
-                return unstable_joint(mass, stiffness, damping, self._timestep) is None
+                damping = design_damping(mass, share * stiffness, self._ratio)
+                return unstable_joint(mass, share * stiffness, damping, self._timestep) is None
 
-            gain = float(self.stiffness[joint, joint])
+            gain = float(stiffness[joint, joint])
             share = largest_share(holds)
             most = 0.99 * share * gain
-            name = model.joint_names[joint]
             others = f" and {99 * share:.2g} % of the others" if model.n > 1 else ""
             up_to = f"up to {most:.3g}{others}"
+            name = model.joint_names[joint]
             raise too_stiff(name, f" at {gain:g} Nm/rad", self._timestep, up_to)
+
+
+def in_rows(each: Sequence[Array], robots: int) -> Array:
+    """Numbers per joint of the robots of the first row, the second, and so on, as (m, n)."""
+    rows = range(0, len(each), robots)
+    return np.array([np.concatenate(each[row : row + robots]) for row in rows])
+
+
+def diagonal(values: Array) -> Array:
+    """Diagonal matrices, (..., n, n)."""
+    return np.asarray(values[..., None] * np.eye(values.shape[-1]))
 
 
 def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array:
@@ -542,10 +519,8 @@ def too_stiff(joint: str, gain: str, timestep: float, expected: str = "less") ->
     """The error for gains that are unstable at a time step.
 
     Args:
-        joint: name of the one that moves most.
         gain: for the message: ` at 500 Nm/rad`, say.
         timestep: s between two torques.
-        expected: what would do, where that is known.
     """
     return Problem(
         "stiffness",

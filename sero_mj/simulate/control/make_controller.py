@@ -11,12 +11,13 @@ import numpy as np
 
 from ...base.declaration import by_kind
 from ...base.errors import DeclarationError, Problem, SeroError, SimulationError, about_fault, shown
-from ...base.frames import Array, Bools, RowIndex
+from ...base.frames import Array, Bools
 from ...base.plugins import CONTROLLERS, load_all
 from ...base.trust import require
-from .controller import Controller, ControllerDeclaration, Sensed, Target
-from .model_rows import ModelRows
+from .controller import Controller, ControllerDeclaration, Sensed, Target, as_controller
+from .joint_control import in_rows
 from .robot_model import RobotModel
+from .robot_models import RobotModels
 
 
 class LimitedController:
@@ -25,18 +26,12 @@ class LimitedController:
     The first torques are not rate-limited: they are the reference for the next step.
 
     Args:
-        controller: whose torques to limit.
         limits: (n,), Nm or N.
         timestep: s between two calls.
         rates: (n,), Nm/s or N/s; None for no limit.
-        robot: its name, for messages.
-        joint_names: of every joint, for messages.
-        rows: () for one robot; (m,) for m of them, which are then the first axis of all.
 
     Attributes:
-        controller: what is limited.
         requested: (n,), what the controller asked for in the last step; always the same array.
-        limits: (n,), as given.
 
     Raises:
         DeclarationError: a limit is not positive, or there is not one for every joint.
@@ -51,57 +46,44 @@ class LimitedController:
         *,
         robot: str = "robot",
         joint_names: Sequence[str],
-        rows: tuple[int, ...] = (),
     ) -> None:
-        shape = (*rows, len(joint_names))
         problems = _limit_problems("torque_limits", limits, "Nm", joint_names)
         if rates is not None:
             problems += _limit_problems("torque_rate_limits", rates, "Nm/s", joint_names)
         if problems:
             raise DeclarationError(problems)
-        self.controller = controller
-        self.requested: Array = np.zeros(shape)
+        self.controller, self._kind = as_controller(controller), type(controller)
+        self._places = [f"{robot}/{name}" for name in joint_names]
+        self._limit(np.array(limits, float), None if rates is None else rates * timestep)
+
+    def _limit(self, limits: Array, step: Array | None) -> None:
+        self.requested: Array = np.zeros(limits.shape)
         self._given: Array = self.requested
-        self._robot, self._names = robot, list(joint_names)
-        self.limits: Array = np.array(limits, float)
-        self._low: Array = -self.limits
-        self._step: Array | None = None if rates is None else np.multiply(rates, timestep)
+        self.limits, self._low, self._step = limits, -limits, step
         self._last: Array | None = None
-        self._from: Array = np.zeros(shape)
-        self._to: Array = np.zeros(shape)
 
     @classmethod
     def joined(
-        cls, each: Sequence[LimitedController], model: ModelRows
-    ) -> LimitedController | None:
-        """One for all rows that is the same as these, which have made no step.
-
-        None where controllers do not have the same kind, or this kind has none for many rows.
+        cls, each: Sequence[LimitedController], robots: int, model: RobotModels
+    ) -> LimitedController:
+        """One for controllers of one `Controller.group`, which have made no step.
 
         Args:
-            each: of the rows.
-            model: of all of them.
+            each: of the robots of the first row, of the second, and so on.
         """
-        first, kinds = each[0], {type(one.controller) for one in each}
-        join = getattr(first.controller, "joined", None)
-        controller = (
-            join([one.controller for one in each], model) if len(kinds) == 1 and join else None
-        )
-        if controller is None:
-            return None
-        made = cls(
-            controller,
-            first.limits,
-            1.0,
-            robot=first._robot,
-            joint_names=first._names,
-            rows=model.rows,
-        )
-        made.limits = np.array([one.limits for one in each])
-        made._low = -made.limits
+        kind = type(each[0].controller)
+        controller = kind.joined([one.controller for one in each], robots, model)
+        made = cls(controller, np.ones(model.n), 1.0, joint_names=model.joint_names)
+        made._places = model.joint_names
+        step = None
         if any(one._step is not None for one in each):
-            free = np.full(model.n, np.inf)
-            made._step = np.array([free if one._step is None else one._step for one in each])
+            free = [np.full_like(one.limits, np.inf) for one in each]
+            step = in_rows(
+                [each if one._step is None else one._step
+                 for one, each in zip(each, free, strict=True)],
+                robots,
+            )  # fmt: skip
+        made._limit(in_rows([one.limits for one in each], robots), step)
         return made
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
@@ -112,17 +94,15 @@ class LimitedController:
         """
         requested = self.requested
         try:
-            returned = self.controller.torques(sensed, target, requested)  # type: ignore[func-returns-value]
+            returned = self.controller.torques(sensed, target, requested)
         except np.linalg.LinAlgError:  # what numpy makes of NaN in a matrix
-            if requested.ndim > 1:
-                raise
-            requested[:] = math.nan
+            is_finite = np.isfinite(sensed.values).all(axis=(-2, -1))
+            requested[~is_finite if requested.ndim > 1 and not is_finite.all() else ...] = math.nan
             returned = None
         except SeroError:
             raise
         except Exception as error:  # whatever somebody's own controller raises
-            kind = type(self.controller)
-            what = f"{kind.__name__}.torques: {about_fault(error, kind)}"
+            what = f"{self._kind.__name__}.torques: {about_fault(error, self._kind)}"
             raise SimulationError(sensed.time, self._robot, what) from error
         if returned is not None:
             reason = "torques() has returned something; expected it to write into `out`"
@@ -133,11 +113,14 @@ class LimitedController:
         if self._step is not None:
             if self._last is None:
                 self._last = out.copy()
-            np.subtract(self._last, self._step, self._from)
-            np.add(self._last, self._step, self._to)
-            np.minimum(np.maximum(out, self._from, out=out), self._to, out=out)
+            np.maximum(out, self._last - self._step, out=out)
+            np.minimum(out, self._last + self._step, out=out)
             self._last[...] = out
         self._given = out
+
+    @property
+    def _robot(self) -> str:
+        return self._places[0].partition("/")[0]
 
     @property
     def saturated(self) -> Bools:
@@ -145,27 +128,18 @@ class LimitedController:
         return np.not_equal(self._given, self.requested)
 
     def check(self, angles: Array) -> None:
-        """Refuses gains for which the time step is too long, where the controller can tell.
+        self.controller.check(angles)
 
-        Args:
-            angles: (n,), rad or m, where the robot starts.
-
-        Raises:
-            DeclarationError: names the joint that would shake most.
-        """
-        check = getattr(self.controller, "check", None)
-        if check is not None:
-            check(angles)
-
-    def is_finite(self, row: RowIndex = ...) -> bool:
+    def is_finite(self, row: int = 0) -> bool:
         """Whether the torques that are asked for in a row are numbers, and not too large to be."""
-        requested = self.requested[row]  # a single product detects NaN and inf in any joint
-        return bool(requested.dot(requested) < math.inf)
+        requested = np.atleast_2d(self.requested)[row]
+        return bool(requested.dot(requested) < math.inf)  # detects NaN and inf in any joint
 
-    def not_finite(self, sensed: Sensed, row: RowIndex = ...) -> SimulationError:
+    def not_finite(self, sensed: Sensed, row: int = 0) -> SimulationError:
         """Names the joint whose sensor is to blame, else the one whose torque is, of a row."""
-        requested = self.requested[row]
-        for values, what in zip(sensed.values[row], ("angle", "velocity", "torque"), strict=True):
+        requested = np.atleast_2d(self.requested)[row]
+        measured = sensed.values.reshape(-1, 3, len(requested))[row]
+        for values, what in zip(measured, ("angle", "velocity", "torque"), strict=True):
             if not np.isfinite(values).all():
                 joint = int(np.argmax(~np.isfinite(values)))
                 reason, found, unit = f"the controller gets a measured {what} of", values[joint], ""
@@ -174,14 +148,12 @@ class LimitedController:
             bad = ~np.isfinite(requested)
             joint = int(np.argmax(bad if bad.any() else np.abs(requested)))
             reason, found, unit = "the controller asks for", requested[joint], "Nm"
-        place = f"{self._robot}/{self._names[joint]}"
         expected = "a finite number"
         problem = Problem("", reason, found=float(found), of=unit, expected=expected)
-        return SimulationError(sensed.time, place, problem)
+        return SimulationError(sensed.time, self._places[joint], problem)
 
 
 def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) -> list[Problem]:
-    """What is wrong with limits, joint by joint."""
     values = np.asarray(limits, float)
     if values.shape != (len(names),):
         return [
@@ -214,8 +186,8 @@ def controller_from(table: Any) -> ControllerDeclaration:
 
 
 def make_controller(
-    controller: ControllerDeclaration | Controller,
-    model: RobotModel | ModelRows,
+    controller: ControllerDeclaration | Any,
+    model: RobotModel,
     timestep: float,
     torque_limits: Array | None = None,
 ) -> LimitedController:
@@ -223,8 +195,7 @@ def make_controller(
 
     Args:
         controller: a declaration, or any object with the method `torques` of `Controller`.
-        model: what the controller knows of its robot; for it alone. Of many equal robots for
-            controllers with a form for them.
+        model: what the controller knows of its robot; for it alone.
         timestep: s between two calls.
         torque_limits: the robot's, (n,), Nm or N; None where it has none.
 
@@ -239,7 +210,7 @@ def make_controller(
     if isinstance(controller, ControllerDeclaration):
         own = controller
         require(own.origin, own.actions())
-        controller = own.make(model, timestep)  # type: ignore[arg-type]  # some take rows
+        controller = own.make(model, timestep)
         found = f"{type(own).__name__}.make returned {shown(controller)}"
     if isinstance(controller, type):
         message = f"found {shown(controller)}; expected an object: {controller.__name__}()"
@@ -253,18 +224,11 @@ def make_controller(
         if own.torque_rate_limits is not None:
             rates = own.per_joint("torque_rate_limits", n)
     return LimitedController(
-        controller,
-        limits,
-        timestep,
-        rates,
-        robot=model.name,
-        joint_names=model.joint_names,
-        rows=model.rows,
+        controller, limits, timestep, rates, robot=model.name, joint_names=model.joint_names
     )
 
 
 def _lower(own: Array, robots: Array, names: list[str]) -> Array:
-    """A controller's limits, which may not be above those of its robot."""
     problems = [
         Problem("torque_limits", f"joint {name} has", found=a, expected=f"up to {b:g}, the robot's")
         for name, a, b in zip(names, own, robots, strict=True)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Self
-
 import numpy as np
 
 from ...base.errors import Problem
 from ...base.frames import Array
 from .controller import Sensed
-from .model_rows import ModelRows
 from .robot_model import RobotModel
+from .robot_models import RobotModels
 
 
 class MomentumObserver:
@@ -50,7 +47,7 @@ class MomentumObserver:
 
     def __init__(
         self,
-        model: RobotModel | ModelRows,
+        model: RobotModel | RobotModels,
         gain: float | Array,
         timestep: float,
         *,
@@ -74,28 +71,8 @@ class MomentumObserver:
         self._sum, self._momentum, self._own, self._before = np.zeros((4, *shape))
         self._has_begun = False  # whether `_before` has C^T dq - g of the last step
 
-    @classmethod
-    def joined(cls, each: Sequence[Self], model: ModelRows) -> Self:
-        """One for all rows that is the same as these, of one timestep, and goes on as they would.
-
-        Args:
-            each: of the rows; none of them has begun, or all have.
-            model: of all of them.
-        """
-        first = each[0]
-        gains = np.array([one._gains for one in each])
-        made = cls(model, gains, first._timestep, motor_side=first._motors is not None)
-        made._has_begun = first._has_begun
-        for key in ("external", "_sum", "_before"):
-            getattr(made, key)[:] = [getattr(one, key) for one in each]
-        return made
-
     def update(self, sensed: Sensed) -> Array:
-        """Takes one step and returns `external`.
-
-        Args:
-            sensed: angles, velocities, and the torques that led there.
-        """
+        """Takes one step and returns `external`."""
         self.model.update(sensed.angles, sensed.velocities)
         return self.update_with(sensed.velocities, sensed.torques)
 

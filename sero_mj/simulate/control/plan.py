@@ -19,6 +19,7 @@ from ...base.plugins import TARGET_MOTIONS, load_all
 from ...robots.declared.inverse_kinematics import Reached, reach
 from ...robots.declared.robot import SerialRobot
 from .compiler import Compiler
+from .controller import Target
 from .robot_model import RobotModel
 from .target_motions import (
     CartesianMotion,
@@ -64,15 +65,19 @@ class Plan:
     moves: bool
 
     @cached_property
-    def rows(self) -> Array:
-        """(T, k), what is asked for at every step, as the first k numbers of `Target.planned`."""
-        if self.joints is None:
-            return np.zeros((1, 0))
-        joints, flange = self.joints, self.flange
-        parts = [joints.angles, joints.velocities, joints.accelerations]
-        if flange is not None:
-            parts += [flange.poses.reshape(len(flange.poses), 16), flange.twists]
-        return np.hstack(parts)
+    def motion(self) -> Array | None:
+        """(T, 3, n), angles, velocities and accelerations; None where there is no target."""
+        of = self.joints
+        return (
+            None if of is None else np.stack([of.angles, of.velocities, of.accelerations], axis=1)
+        )
+
+    def write(self, k: int, target: Target) -> None:
+        """Writes step k into a target of the robot."""
+        if self.motion is not None:
+            target.motion[...] = self.motion[k]
+        if self.flange is not None:
+            target.pose[...], target.twist[...] = self.flange.poses[k], self.flange.twists[k]
 
 
 def make_plan(
@@ -91,13 +96,10 @@ def make_plan(
     joint angles; the latter are shown in any case, and are proof that it can be followed.
 
     Args:
-        robot: with its limits.
         target: the motion; None stays where it starts, or has no target where there is no spring.
         times: (T,), s.
         compiler: of the model with which a flange's way is followed.
         start: (n,), where the robot stands at first, rad or m; as it is declared when None.
-        needs_target: see `ControllerDeclaration`.
-        needs_pose: likewise.
 
     Raises:
         DeclarationError: the motion leaves the robot's limits or reach.
@@ -119,7 +121,6 @@ def make_plan(
 
 
 def _motion(times: Array, angles: Array) -> Motion:
-    """A motion of joints of which only the angles are known."""
     if len(times) < 3:
         return Motion(times, angles, np.zeros_like(angles), np.zeros_like(angles))
     velocities = np.gradient(angles, times, axis=0)
@@ -127,7 +128,6 @@ def _motion(times: Array, angles: Array) -> Motion:
 
 
 def _poses(robot: SerialRobot, motion: Motion) -> CartesianMotion:
-    """Where the flange is during a motion of the joints."""
     poses = robot.base_frame @ robot.fwd_kin_base_to_flange(motion.angles)
     jacobians = robot.kinematics.jacobian(
         motion.angles, robot.base_frame, robot.T_n_flange, robot.flange_link
@@ -147,9 +147,7 @@ def follow_poses(
     another elbow where this one is stopped by a limit.
 
     Args:
-        motion: of the flange.
         model: of the robot; it is moved.
-        robot: whose limits to keep.
         start: (n,), rad or m, the angles at first.
 
     Raises:

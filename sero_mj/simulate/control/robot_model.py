@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -23,7 +24,6 @@ from mujoco import (
     mj_solveM,
     mju_mat2Quat,
     mju_mulQuat,
-    mju_rotVecQuat,
 )
 
 from ...base.frames import Array, frame, inverse, rotation_from_quat
@@ -51,7 +51,7 @@ class RobotModel:
         name: the robot's name, for messages.
 
     Attributes:
-        rows: (), the shape of what there is one of in a row; see `ModelRows`.
+        rows: (), the leading axes of what is asked and answered; see `RobotModels`.
         n: number of joints.
         name: the robot's name.
         joint_names: of every joint, without the robot's name before it.
@@ -90,7 +90,7 @@ class RobotModel:
         self.position_limits: Array = np.tile([-np.inf, np.inf], (n, 1))
         self.velocity_limits: Array = np.full(n, np.inf)
         self._model = skeleton(model, ids, site, body)
-        self._row_models: dict[int, mujoco.MjModel] = {}
+        self._compiled = self._model  # shared by copies
         self._take_views()
 
     def __copy__(self) -> RobotModel:
@@ -101,24 +101,24 @@ class RobotModel:
         made._base = self._base
         return made
 
-    def side_by_side(self, m: int) -> RobotModel:
-        """A model of m such robots in one world, whose m n joints follow each other.
+    @classmethod
+    def side_by_side(cls, models: Sequence[RobotModel], m: int = 1) -> RobotModel:
+        """A model of m times these robots in one world, whose joints follow each other.
 
         What depends on one robot alone is the same in it to the bit: gravity, Coriolis torques,
         inverse dynamics, momentum. It has no flange.
+
+        Args:
+            models: of robots under the same gravity.
         """
-        known = self._row_models  # by m; copies share it, as compiling takes long
-        if m not in known:
-            known.clear()
-            known[m] = _repeated(self._model, m)
-        made = object.__new__(type(self))
-        made.__dict__.update(self.__dict__, n=m * self.n, _model=copy.copy(known[m]))
-        made._model.opt.gravity[:] = self._model.opt.gravity
+        made = object.__new__(cls)
+        made.__dict__.update(models[0].__dict__, n=m * sum(model.n for model in models))
+        made._model = copy.copy(_repeated(m, *(model._compiled for model in models)))
+        made._model.opt.gravity[:] = models[0]._model.opt.gravity
         made._take_views()
         return made
 
     def _take_views(self) -> None:
-        """Views into MuJoCo's arrays: to look one up costs as much as to compute with it."""
         self._data = data = mujoco.MjData(self._model)
         mj_fwdKinematics(self._model, data)
         n = self.n
@@ -135,10 +135,9 @@ class RobotModel:
         self._cinert, self._cdof = data.cinert, data.cdof
         self._can_move = False
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
-        self._mounting: Mounting | None = None
         self._base: Array | None = None  # T_world_base, where it is known and does not move
-        self._loads: list[tuple[Array, Array, Array]] = []
-        self._of_base: list[tuple[Array, Array, Array, Array]] = []
+        self._mounting: Mounting | None = None
+        self._carriers: list[_Carrier] = []
 
     def _make_moving(self) -> None:
         """Makes the data of robots that move; not before, as it takes as long as 500 steps.
@@ -163,60 +162,21 @@ class RobotModel:
         """The model that all is computed with: links and joints without shapes and friction."""
         return self._model
 
-    def follow(self, mounting: Mounting, T_world_base: Array) -> None:
-        """Lets every `update` take over where the base is, and what the robot carries, as a load.
+    def follow(self, *mountings: tuple[Mounting, Array, int]) -> None:
+        """Lets every `update` take over where bases are, and what robots carry, as loads.
 
         Args:
-            mounting: whose arrays are read at every update.
-            T_world_base: (4, 4), where the base was when this model was made.
+            mountings: of every robot in the model: its mounting, T_world_base when the model was
+                made, and its number of joints.
         """
-        model, inverse_base = self._model, inverse(T_world_base)
-        turn: Array = np.empty(4)
-        mju_mat2Quat(turn, inverse_base[:3, :3].ravel())
-        for body in np.flatnonzero(model.body_parentid == 0)[1:]:  # of those that the base carries
-            quat: Array = np.empty(4)
-            mju_mulQuat(quat, turn, model.body_quat[body])
-            position = inverse_base[:3, :3] @ model.body_pos[body] + inverse_base[:3, 3]
-            self._of_base.append((model.body_pos[body], model.body_quat[body], position, quat))
-        bodies = [(int(model.jnt_bodyid[link - 1]), load) for link, load in mounting.loads
-                  if link > 0]  # the base's load is held by what the base stands on  # fmt: skip
-        # A base with several branches is as many trees, each about a centre of its own.
-        self._loads = [
-            (self._data.cinert[body], load, self._data.subtree_com[model.body_rootid[body]])
-            for body, load in bodies
-        ]
-        self._mounting = mounting
-
-    def _move_base(self, mounting: Mounting) -> None:
-        """Puts what the base carries where the base is now."""
-        for body_pos, body_quat, position, quat in self._of_base:
-            mju_rotVecQuat(body_pos, position, mounting.quaternion)
-            np.add(body_pos, mounting.position, body_pos)
-            mju_mulQuat(body_quat, mounting.quaternion, quat)
-
-    def _add_loads(self, mounting: Mounting) -> None:
-        """Adds the inertias of the loads to those of the links that carry them.
-
-        Both are about a point, in the world's axes: by the parallel-axis theorem, a shift by d of
-        the point adds (m d.d - 2 h.d) E + h d^T + d h^T - m d d^T to the tensor and -m d to the
-        first moment h.
-        """
-        for inertia, load, about in self._loads:
-            x, y, z = (about - mounting.about).tolist()
-            xx, yy, zz, xy, xz, yz, hx, hy, hz, m = load.tolist()
-            round_ = m * (x * x + y * y + z * z) - 2.0 * (hx * x + hy * y + hz * z)
-            inertia[:] += (
-                xx + round_ + (2.0 * hx - m * x) * x,
-                yy + round_ + (2.0 * hy - m * y) * y,
-                zz + round_ + (2.0 * hz - m * z) * z,
-                xy + hx * y + hy * x - m * x * y,
-                xz + hx * z + hz * x - m * x * z,
-                yz + hy * z + hz * y - m * y * z,
-                hx - m * x,
-                hy - m * y,
-                hz - m * z,
-                m,
-            )
+        self._mounting = mountings[0][0]
+        whole = {id(mounting.data): mounting.data for mounting, _, _ in mountings}
+        joint, model = 0, self._model
+        found: dict[int, list[tuple[Mounting, Array, int, int]]] = {key: [] for key in whole}
+        for mounting, T_world_base, n in mountings:
+            found[id(mounting.data)].append((mounting, T_world_base, joint, n))
+            joint += n
+        self._carriers = [_Carrier(model, self._data, whole[key], found[key]) for key in whole]
 
     @classmethod
     def of(cls, robot: SerialRobot, world: World | None = None) -> RobotModel:
@@ -251,14 +211,11 @@ class RobotModel:
         self._qpos[...] = angles
         self._velocities = velocities
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
-        mounting = self._mounting
-        if mounting is None:
-            mj_fwdKinematics(self._model, self._data)
-            return
-        self._move_base(mounting)
+        for carrier in self._carriers:
+            carrier.move_bases()
         mj_fwdKinematics(self._model, self._data)
-        if self._loads:
-            self._add_loads(mounting)
+        for carrier in self._carriers:
+            carrier.add_loads()
 
     def gravity(self, out: Array | None = None) -> Array:
         """g(q), (n,): the torques that hold the robot still.
@@ -334,6 +291,12 @@ class RobotModel:
         momentum[...] = self.link_momentum()
         np.subtract(self.transposed_coriolis(), self.gravity(), slope)
 
+    def made_mass(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """The skeleton and its data, which have M(q) as MuJoCo stores it."""
+        if not (self._has_mass or self._is_factored):
+            mj_makeM(self._model, self._data)
+        return self._model, self._data
+
     def mass(self) -> Array:
         """M(q), (n, n), kg m2 (kg), with the motors' inertia on its diagonal."""
         if not self._has_mass:
@@ -394,8 +357,8 @@ class RobotModel:
         Of a model that was not made of a declaration: that of the body before the first joint.
         """
         if self._mounting is not None:
-            turn = rotation_from_quat(self._mounting.quaternion)
-            return frame(turn, self._mounting.position)
+            data, base = self._mounting.data, self._mounting.base
+            return frame(rotation_from_quat(data.xquat[base]), data.xpos[base])
         if self._base is not None:  # the skeleton's base is one with the world
             return self._base.copy()
         body = int(self._model.body_parentid[self._model.jnt_bodyid[0]])
@@ -411,12 +374,79 @@ class RobotModel:
             self._is_moving = True
 
     def _swap(self) -> None:
-        """Fills the data in which velocities stand where accelerations do."""
         self._move()
         if not self._is_swapped:
             self._swapped_cinert[...], self._swapped_cdof_dot[...] = self._cinert, self._cdof
             self._swapped_qvel[...] = self._velocities
             self._is_swapped = True
+
+
+class _Carrier:
+    """Moves the bases of a model's robots, and adds their loads, as one whole body has them."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        own: mujoco.MjData,
+        whole: mujoco.MjData,
+        robots: Sequence[tuple[Mounting, Array, int, int]],
+    ) -> None:
+        self._model, self._own, self._whole = model, own, whole
+        self._bases, self._trees = np.zeros((2, 0), np.intp)
+        self._positions: Array = np.zeros((0, 3, 1))
+        self._turns: Array = np.zeros((0, 4, 4))  # q -> q * quat of the tree in the base
+        bodies, carried, own_roots, roots = [], [], [], []
+        for mounting, T_world_base, joint, n in robots:
+            inverse_base, turn = inverse(T_world_base), np.empty(4)
+            mju_mat2Quat(turn, inverse_base[:3, :3].ravel())
+            tops = {int(model.body_rootid[model.jnt_bodyid[k]]) for k in range(joint, joint + n)}
+            for body in sorted(tops):  # trees that the base carries
+                quat: Array = np.empty(4)
+                mju_mulQuat(quat, turn, model.body_quat[body])
+                position = inverse_base[:3, :3] @ model.body_pos[body] + inverse_base[:3, 3]
+                self._bases = np.append(self._bases, mounting.base)
+                self._trees = np.append(self._trees, body)
+                self._positions = np.append(self._positions, position.reshape(1, 3, 1), axis=0)
+                w, x, y, z = quat
+                product = [[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]]
+                self._turns = np.append(self._turns, [product], axis=0)
+            for link, body in mounting.loads:
+                if link > 0:  # the base's load is held by what the base stands on
+                    bodies.append(int(model.jnt_bodyid[joint + link - 1]))
+                    carried.append(body)
+                    own_roots.append(int(model.body_rootid[bodies[-1]]))
+                    roots.append(mounting.root)
+        self._bodies, self._carried, self._own_roots, self._roots = np.array(
+            [bodies, carried, own_roots, roots], np.intp
+        )
+
+    def move_bases(self) -> None:
+        whole, bases = self._whole, self._bases
+        rotations = whole.xmat[bases].reshape(-1, 3, 3)
+        self._model.body_pos[self._trees] = (
+            whole.xpos[bases] + (rotations @ self._positions)[..., 0]
+        )
+        self._model.body_quat[self._trees] = (self._turns @ whole.xquat[bases][..., None])[..., 0]
+
+    def add_loads(self) -> None:
+        """Adds the inertias of the loads to those of the links that carry them.
+
+        Both are about a point, in the world's axes. By the parallel-axis theorem, a shift by d of
+        the point adds S - tr(S) E to the tensor, with a = h - m d / 2 and S = a d^T + d a^T, and
+        -m d to the first moment h.
+        """
+        if not len(self._bodies):
+            return
+        loads, data = self._whole.crb[self._carried], self._own
+        shifts = data.subtree_com[self._own_roots] - self._whole.subtree_com[self._roots]
+        masses = loads[:, 9:]
+        arms = loads[:, 6:9] - 0.5 * masses * shifts
+        products = arms[:, :, None] * shifts[:, None, :]
+        traces = 2.0 * np.einsum("kii->k", products)[:, None]
+        loads[:, 0:3] += 2.0 * np.einsum("kii->ki", products) - traces
+        loads[:, 3:6] += products[:, [0, 0, 1], [1, 2, 2]] + products[:, [1, 2, 2], [0, 0, 1]]
+        loads[:, 6:9] -= masses * shifts
+        np.add.at(data.cinert, self._bodies, loads)
 
 
 def world_without_meshes(robot: SerialRobot) -> World:
@@ -442,7 +472,6 @@ def skeleton(
     against each other are one.
 
     Args:
-        model: where the robot is, perhaps among others.
         joints: ids of its hinge and slide joints, base to flange.
         site: id of the site at the flange, or None.
         body: id of the body whose frame is the flange's, where there is no site.
@@ -477,12 +506,12 @@ def skeleton(
     return spec.compile()
 
 
-def _repeated(model: mujoco.MjModel, m: int) -> mujoco.MjModel:
-    """Returns a model with m times the bodies and joints of a skeleton, and no site."""
+@lru_cache(maxsize=16)
+def _repeated(m: int, *models: mujoco.MjModel) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.balanceinertia = False
-    for _ in range(m):
+    for model in models * m:
         copies = {0: spec.worldbody}
         for old in range(1, model.nbody):
             parent = copies[int(model.body_parentid[old])]
@@ -502,7 +531,6 @@ def _repeated(model: mujoco.MjModel, m: int) -> mujoco.MjModel:
 
 
 def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
-    """Adds a joint of a model to a body."""
     body.add_joint(
         type=mujoco.mjtJoint(int(model.jnt_type[joint])),
         pos=model.jnt_pos[joint],
@@ -513,5 +541,4 @@ def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
 
 
 def _own_name(name: str) -> str:
-    """Returns the name of a joint of a world, `ROBOT/JOINT`, without its robot."""
     return name.partition("/")[2] or name

@@ -72,7 +72,6 @@ class CartesianMotion:
 
 
 def _coupled(motion: Motion, coupled: CoupledJoints) -> Motion:
-    """The motion with coupled joints where the others have them."""
     free = coupled.independent
     return Motion(
         motion.times,
@@ -108,7 +107,6 @@ class JointTargetMotion(TargetMotion):
 
         Args:
             times: (T,), s, rising.
-            robot: whose joints move, with their limits.
             start: (n,), rad or m, where it stands at first.
 
         Raises:
@@ -134,7 +132,6 @@ class JointTargetMotion(TargetMotion):
 
         Args:
             times: (T,), s, rising.
-            robot: whose joints move.
             start: (n,), rad or m, where it stands at first.
         """
 
@@ -423,7 +420,6 @@ def quintic(times: Array, duration: float) -> Samples:
 
 
 def _grown(times: Array, ramp: float) -> Samples:
-    """A quintic from 0 at t = 0 to 1 at the end of the ramp, with its two derivatives."""
     if ramp == 0.0:
         return np.ones(len(times)), np.zeros(len(times)), np.zeros(len(times))
     return quintic(times, ramp)

@@ -33,7 +33,6 @@ measurement, IROS 2008.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -42,8 +41,8 @@ from ...base.frames import Array, Bools
 from ...robots.assemble.robot_dynamics import RobotDynamics
 from ...robots.declared.dynamics import TorqueControl
 from ...robots.declared.robot import SerialRobot
-from .model_rows import ModelRows
 from .robot_model import RobotModel
+from .robot_models import RobotModels
 
 # 1/s; what grows more slowly is no matter of the time step. Rounding splits the double eigenvalue
 # of what nothing holds.
@@ -78,7 +77,6 @@ class LoopGains:
 
         Args:
             control: the robot's `[torque_control]`.
-            dynamics: its parameters, declared or estimated.
             elastic: whether its joints are.
 
         Raises:
@@ -137,69 +135,60 @@ class LoopGains:
 
 
 class TorqueLoop:
-    """Joint torque control of all joints of a plant, at the rate of its steps.
-
-    Torques, velocities and commands go through one matrix with what is remembered: few calls of
-    numpy in every step, however many joints there are.
+    """Joint torque control of all joints of m rows of a plant, at the rate of its steps.
 
     Args:
-        gains: of every joint.
         timestep: s between two steps.
         limits: (n,), torques that the drives can give, Nm or N; infinite where there is no limit.
-        rows: () for one plant; (m,) for m rows of them, which are then the first axis of all.
 
     Attributes:
-        friction: (n,), Nm or N, what the observer finds of motors' and gears' friction.
-        motor_torques: (n,), Nm or N, what the drives gave last.
-        sensed: (2n,), velocities of the motors, rad/s or m/s, then what the torque sensors read of
-            the step that led there, Nm or N; to be written before `step`.
+        friction: (m, n), Nm or N, what the observer finds of motors' and gears' friction.
+        motor_torques: (m, n), Nm or N, what the drives gave last.
+        sensed: (m, 2, n), velocities of the motors, rad/s or m/s, then what the torque sensors read
+            of the step that led there, Nm or N; to be written before `step`.
     """
 
-    def __init__(
-        self, gains: LoopGains, timestep: float, limits: Array, rows: tuple[int, ...] = ()
-    ) -> None:
+    def __init__(self, gains: LoopGains, timestep: float, limits: Array, m: int = 1) -> None:
         n = len(gains.motor_inertias)
         self.gains, self.timestep = gains, timestep
         self._high, self._low = np.array(limits), -np.array(limits)
-        self._matrix = loop_matrix(gains, timestep)
+        # By joint: a product of small matrices takes a third of `einsum`.
+        self._coefficients = loop_coefficients(gains, timestep).transpose(2, 0, 1).copy()
         # [motor torques, friction, friction and momentum, filtered torques; u; dtheta, tau]
-        terms: Array = np.zeros((*rows, 7 * n))
-        self._column, self._next = terms[..., None], np.zeros((*rows, 4 * n, 1))
-        self._own = self._column[..., : 4 * n, :]
-        self.motor_torques, self.friction, self._momentum, self._filtered = np.split(
-            terms[..., : 4 * n], 4, axis=-1
+        terms: Array = np.zeros((m, n, 7))
+        self._column, self._next = terms[..., None], np.zeros((m, n, 4, 1))
+        self._own: Array = self._column[:, :, :4]
+        self.sensed: Array = terms[..., 5:].swapaxes(1, 2)
+        self.motor_torques, self.friction, self._momentum, self._filtered, self._commanded = (
+            terms[..., k] for k in range(5)
         )
-        self._commanded, self.sensed = terms[..., 4 * n : 5 * n], terms[..., 5 * n :]
-        self._momentum_of = _momentum_per_velocity(gains, timestep)
 
-    def reset(self, torques: Array, velocities: Array, which: Any = ...) -> None:
+    def reset(self, torques: Array, velocities: Array, which: Bools | slice = slice(None)) -> None:
         """Begins anew, with drives that have held the robot until now.
 
         Args:
-            torques: (n,), that the sensors read, Nm or N.
-            velocities: (n,), of the motors, rad/s or m/s.
-            which: of the rows; all by default.
+            torques: (k, n), that the sensors read, Nm or N.
+            velocities: (k, n), of the motors, rad/s or m/s.
         """
         self.motor_torques[which] = torques
         self._filtered[which] = np.where(np.isfinite(self.gains.stiffness), torques, 0.0)
         self.friction[which] = 0.0
-        self._momentum[which] = self._momentum_of * velocities
+        self._momentum[which] = _momentum_per_velocity(self.gains, self.timestep) * velocities
 
     def command(self, torques: Array) -> None:
-        """Takes what the controllers ask for until the next call, (n,), Nm or N."""
+        """Takes what the controllers ask for until the next call, (m, n), Nm or N."""
         self._commanded[...] = torques
 
     def step(self, out: Array) -> None:
         """Takes one step from what is in `sensed`.
 
         Args:
-            out: (n,), to be written: torques of the motors in the next step, Nm or N.
+            out: (m, n), to be written: torques of the motors in the next step, Nm or N.
         """
-        motors = self.motor_torques
-        np.matmul(self._matrix, self._column, self._next)
+        np.matmul(self._coefficients, self._column, self._next)
         self._own[...] = self._next
-        np.maximum(motors, self._low, out=motors)
-        np.minimum(motors, self._high, out=motors)
+        motors = self.motor_torques
+        np.minimum(np.maximum(motors, self._low, out=motors), self._high, out=motors)
         out[...] = motors
 
 
@@ -216,7 +205,6 @@ class HangingLinks:
     Args:
         stiffness: K, (n,), Nm/rad (N/m).
         at_rest: l, (n,), Nm or N, to be read at every step; None for gravity.
-        model: for itself.
         angles: (n,), rad or m, of the links at first; (m, n) of as many rows as the model has.
     """
 
@@ -224,7 +212,7 @@ class HangingLinks:
         self,
         stiffness: Array,
         at_rest: Array | None,
-        model: RobotModel | ModelRows,
+        model: RobotModel | RobotModels,
         angles: Array,
     ) -> None:
         self._compliance = 1.0 / stiffness
@@ -238,7 +226,6 @@ class HangingLinks:
         """Begins anew with some of many rows, (m,).
 
         Args:
-            which: of the rows.
             angles: (n,), rad or m, of their links at first.
             motor_angles: (m, n), of all rows.
         """
@@ -267,17 +254,17 @@ def _momentum_per_velocity(gains: LoopGains, timestep: float) -> Array:
     return np.asarray(share * gains.motor_inertias / timestep)
 
 
-def loop_matrix(gains: LoopGains, timestep: float) -> Array:
-    """The step of a loop as a matrix, before drives saturate.
+def loop_coefficients(gains: LoopGains, timestep: float) -> Array:
+    """The linear step of a loop, before drives saturate.
 
     Args:
-        gains: of n joints.
         timestep: s.
 
     Returns:
-        (4n, 7n): to [motor torques, friction, friction + its momentum term, filtered torques] from
-        the same a step before and [commanded torques, motor velocities, measured torques]. The
-        momentum term, b dtheta with b = (1 - exp(-L t)) B / t, lets the observer do without the
+        (4, 7, n), coefficients per joint: to [motor torques, friction, friction + its momentum
+        term, filtered torques] from the same a step before and [commanded torques, motor
+        velocities, measured torques]. The momentum term, b dtheta with
+        b = (1 - exp(-L t)) B / t, lets the observer do without the
         velocities of the step before; exponentials make both low passes exact for what is constant
         during a step.
     """
@@ -301,11 +288,7 @@ def loop_matrix(gains: LoopGains, timestep: float) -> Array:
     now = (1.0 - ratio) * read - lead * read
     ahead = np.where(rigid, 1.0 - now, ratio)
     motors = [friction[0], friction[1], friction[2], before, ahead, friction[5], friction[6] + now]
-    rows = np.array([motors, friction, kept, filtered])  # (4, 7, n)
-    matrix: Array = np.zeros((4, n, 7, n))
-    joints = np.arange(n)
-    matrix[:, joints, :, joints] = rows.transpose(2, 0, 1)
-    return matrix.reshape(4 * n, 7 * n)
+    return np.array([motors, friction, kept, filtered])
 
 
 def unstable_loop(
@@ -322,15 +305,15 @@ def unstable_loop(
     taken at the start of a step, their damping at its end); the controller's torques are held.
 
     Args:
-        gains: of its loop.
         mass: (n, n), of the links, without the motors.
         timestep: s of the loop and of the physics.
         stiffness: (n, n), of the controller: what its torques fall by with the motors' angles.
         damping: (n, n), likewise with their velocities.
-        steps: of the loop in one of the controller.
     """
     n = len(mass)
-    loop = loop_matrix(gains, timestep)
+    loop: Array = np.zeros((4, n, 7, n))
+    joints = np.arange(n)
+    loop[:, joints, :, joints] = loop_coefficients(gains, timestep).transpose(2, 0, 1)
     elastic = bool(np.isfinite(gains.stiffness).all())
     motors = np.diag(gains.motor_inertias)
     # State: [m, r, w, f; u; dtheta, tau; theta; deflection, its velocity]
@@ -338,7 +321,7 @@ def unstable_loop(
     at = [slice(k * n, (k + 1) * n) for k in range(10)]
     m, u, velocity, torque, angle, bend, bending = at[0], *at[4:]
     act = np.eye(size)
-    act[: 4 * n, : 7 * n], act[: 4 * n, 7 * n :] = loop, 0.0
+    act[: 4 * n, : 7 * n], act[: 4 * n, 7 * n :] = loop.reshape(4 * n, 7 * n), 0.0
     move = np.eye(size)
     if elastic:
         both = np.block([[mass + motors, mass], [mass, mass]])

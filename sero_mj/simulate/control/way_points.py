@@ -64,7 +64,6 @@ def _one_of_two(times: Array | None, speed: float | None) -> None:
 
 
 def _timed(points: Array, times: Array, each: str) -> tuple[Array, Array, Array]:
-    """Points with the start, when the ways between them begin, and how long they take."""
     if len(times) != len(points) - 1:
         raise Problem(
             "times", found=len(times), of="entries", expected=f"{len(points) - 1}, one per {each}"
@@ -143,7 +142,6 @@ class WayPoints(JointTargetMotion):
         return np.array(blends)
 
     def _fast(self, lines: Array, robot: SerialRobot) -> tuple[Array, Array, Array | None]:
-        """When the ways start, and how long they take at the declared speed."""
         limits, rates = robot.velocity_limits, self._accelerations(robot)
         if limits is None or rates is None:
             lacks = "velocity_limits" if limits is None else "acceleration_limits"
@@ -161,7 +159,6 @@ class WayPoints(JointTargetMotion):
 
 
 def _shares(line: Array, limits: Array | None) -> Array:
-    """How much of its limit every joint takes of each unit of the way."""
     return np.zeros(len(line)) if limits is None else np.abs(line) / limits
 
 
@@ -319,7 +316,6 @@ def _schedule(
     Args:
         speeds: (m,), 1/s; infinite where there is no way to go.
         rates: (m,), 1/s2; likewise.
-        time_law: of all of them.
         dwell: s between two.
     """
     durations, blends = np.zeros((2, len(speeds)))

@@ -21,21 +21,20 @@ from ...robots.declared.mounts import carrying_link
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """Where one robot's base is and what it carries; the arrays change with the whole body.
+    """Where one robot's base is and what it carries, in data that change with the whole body.
 
     Attributes:
-        position: of its base in the world, (3,), m.
-        quaternion: of its base in the world, (4,).
-        loads: for every robot that it carries, the link that carries it (0 is the base), and the
-            spatial inertia (10,) of all that hangs there, as in MuJoCo's `cinert`: Ixx, Iyy, Izz,
-            Ixy, Ixz, Iyz about `about`, first moment, mass; in the world's axes.
-        about: (3,), m, in the world.
+        data: of the whole body; `crb` has the composite inertias.
+        base: body of the robot's base.
+        root: body whose `subtree_com` the composite inertias are about.
+        loads: for every robot that it carries, the link that carries it (0 is the base), and that
+            robot's first body.
     """
 
-    position: Array
-    quaternion: Array
-    loads: list[tuple[int, Array]]
-    about: Array
+    data: mujoco.MjData
+    base: int
+    root: int
+    loads: list[tuple[int, int]]
 
 
 class WholeBody:
@@ -79,12 +78,11 @@ class WholeBody:
 
     def mounting(self, name: str) -> Mounting:
         """Returns where a robot's base is and what it carries, now and after every `update`."""
-        data, robots = self._data, self._world.scene.robots
+        robots = self._world.scene.robots
         base = int(self._world.robots[name].bodies[0])
-        loads = []
-        for other, robot in robots.items():
-            if robot.mount is not None and carrying_link(robots, other)[0] == name:
-                carried = int(self._world.robots[other].bodies[0])
-                loads.append((carrying_link(robots, other)[1], data.crb[carried]))
-        about = data.subtree_com[self._model.body_rootid[base]]
-        return Mounting(data.xpos[base], data.xquat[base], loads, about)
+        loads = [
+            (carrying_link(robots, other)[1], int(self._world.robots[other].bodies[0]))
+            for other, robot in robots.items()
+            if robot.mount is not None and carrying_link(robots, other)[0] == name
+        ]
+        return Mounting(self._data, base, int(self._model.body_rootid[base]), loads)

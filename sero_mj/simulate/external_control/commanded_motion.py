@@ -24,7 +24,6 @@ class CommandedMotion:
     """Where the robot is commanded to, step by step.
 
     Args:
-        names: of its n joints.
         position_limits: (n, 2), rad.
         velocity_limits: (n,), rad/s.
 
@@ -66,7 +65,6 @@ class CommandedMotion:
         """Takes single angles, (n,), rad; returns why not, or nothing.
 
         Args:
-            angles: where to.
             time: s.
             cycle: s between two of them, at least.
         """
@@ -186,7 +184,6 @@ def _not_positive(what: str, value: float) -> str:
 
 
 def _trapezoid(t: float, rising: float, whole: float) -> tuple[float, float, float]:
-    """Share of a way, its first and second derivative, at a time of a speed that is a trapezoid."""
     if t >= whole or rising <= 0.0:
         return 1.0, 0.0, 0.0
     top = 1.0 / (whole - rising)  # the area below the speed is 1

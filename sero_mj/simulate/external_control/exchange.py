@@ -55,11 +55,6 @@ def default_answer(n: int) -> str:
 def structure_of(key: str, text: str, sizes: Mapping[str, int]) -> Structure:
     """Reads a structure, and checks its events.
 
-    Args:
-        key: of the field, for messages.
-        text: as declared.
-        sizes: how many numbers each possible event has.
-
     Raises:
         DeclarationError: it cannot be read, or has other events or sizes.
     """
@@ -92,7 +87,6 @@ class State:
 
     Args:
         text: its structure; empty for `default_state`.
-        model: of the robot, for itself.
 
     Attributes:
         structure: as declared.
@@ -129,8 +123,6 @@ class State:
 
         Args:
             step: counted from 1.
-            sensed: what the sensors say.
-            target: what is asked for.
         """
         if self._bound is None or self._bound[0] is not sensed or self._bound[1] is not target:
             self._bound = sensed, target
@@ -165,7 +157,6 @@ class Answer:
 
     Args:
         text: its structure; empty for `default_answer`.
-        model: of the robot, for itself.
         stiffness: (n,), Nm/rad, where commands have none.
         damping: (n,), Nm s/rad, likewise.
 
@@ -260,6 +251,5 @@ class Answer:
 
 
 def _view(packet: bytearray, structure: Structure, event: str) -> Any:
-    """The numbers of an event in a packet, to be read and written."""
     item = structure.field(event)
     return np.frombuffer(packet, item.dtype, item.numbers, item.offset)

@@ -21,9 +21,9 @@ from pydantic import Field
 from ...base.child_process import ChildProcess
 from ...base.errors import DeclarationError, Problem, SimulationError
 from ...base.frames import Array
-from ...base.trust import Action
+from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
-from ..control.controller import ControllerDeclaration, Sensed, Target
+from ..control.controller import Controller, ControllerDeclaration, Sensed, Target
 from ..control.robot_model import RobotModel
 from . import library_host
 from .library_host import ARRAYS, RobotStruct
@@ -67,12 +67,10 @@ class Library(ControllerDeclaration):
         """None: there is no library."""
         return None
 
-    def actions(self, key: str = "") -> list[Action]:
-        """See `ControllerDeclaration`."""
-        return [Action(key, f"load the library {self.file}", (self.file,))]
+    def actions(self, key: str = "") -> list[RequestedAction]:
+        return [RequestedAction(key, f"load the library {self.file}", (self.file,))]
 
     def check_files(self) -> None:
-        """See `ControllerDeclaration`."""
         if not self.file.is_file():
             raise Problem("file", f"no file {self.file}").error()
 
@@ -105,7 +103,7 @@ def _not_loaded(file: Path, reason: str) -> DeclarationError:
 def _no_function(file: Path, name: str) -> DeclarationError:
     header = (
         f'void {name}(struct sero_mj_robot *), in C++ extern "C", in Rust #[no_mangle]; '
-        "see sero-mj snippet controller-c"
+        "see sero-mj new --snippet controller-c"
     )
     return Problem("function", f"{file} has no function {name}", expected=header).error()
 
@@ -126,12 +124,10 @@ def _machine(file: Path) -> str:
     return _MACHINES.get(number, f"machine {number}")
 
 
-class LibraryController:
+class LibraryController(Controller):
     """Calls a function of a library in every step.
 
     Args:
-        declared: the library.
-        model: of the robot, for itself.
         timestep: s between two steps.
     """
 
@@ -181,7 +177,6 @@ class LibraryController:
         out[:] = self._written
 
     def _bind(self, sensed: Sensed, target: Target) -> None:
-        """Points at what is measured, asked for and to be written."""
         arrays = {
             "angles": sensed.angles,
             "velocities": sensed.velocities,
@@ -199,15 +194,13 @@ class LibraryController:
         raise TypeError("a loaded library is of this process")
 
 
-class IsolatedLibrary:
+class IsolatedLibrary(Controller):
     """Calls a function of a library in a process of its own.
 
     State and torques are in memory that both have; pipes carry whose turn it is, and tell of the
     end. This process never loads the library.
 
     Args:
-        declared: the library.
-        model: of the robot, for itself.
         timestep: s between two steps.
 
     Raises:
@@ -271,7 +264,6 @@ class IsolatedLibrary:
         self._end()
 
     def _start(self, timestep: float) -> None:
-        """Starts the process, and opens memory and pipes."""
         declared, n = self._declared, self._model.n
         shared = Path("/dev/shm")
         folder = shared if shared.is_dir() else Path(tempfile.gettempdir())

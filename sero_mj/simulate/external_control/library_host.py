@@ -52,9 +52,6 @@ def main(file: str, name: str, path: str, *numbers: str) -> None:
     """Calls the function once for each byte that comes, until no more do.
 
     Args:
-        file: the library.
-        name: of the function.
-        path: of the file in memory that both processes have.
         *numbers: the ends of pipes to read and to write, the number of joints, the time step, and
             whether there is gravity.
     """

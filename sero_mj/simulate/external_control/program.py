@@ -27,12 +27,6 @@ _random = random.Random()  # of its own: a seed of the user's neither sets nor i
 class Program:
     """A running program of the user's, which ends together with all that it has started.
 
-    Args:
-        command: its name or path, and its arguments.
-        folder: where it runs.
-        environment: what is set over that of this process.
-        leftovers: files and folders that are removed when it has ended.
-
     Attributes:
         name: of its file.
 
@@ -64,7 +58,6 @@ class Program:
         self._core = SharedCore(self._child.process.pid)
 
     def come_beside(self) -> None:
-        """See `SharedCore.come`."""
         self._core.come()
 
     @property
@@ -100,9 +93,6 @@ class SharedCore:
     Of two in lockstep only one runs at a time, and to wake another core takes long: a round trip
     over a pipe took 50 us on a virtual machine of two cores, and 5 us on one of them. Only the main
     thread of the process is moved, and those that it starts later.
-
-    Args:
-        process: its id.
     """
 
     def __init__(self, process: int) -> None:
@@ -149,10 +139,6 @@ def is_file(path: Path) -> bool:
 
 def find_program(command: Sequence[str], folder: Path) -> str:
     """The path of a program.
-
-    Args:
-        command: its name, or its path in the folder.
-        folder: where it is to run.
 
     Raises:
         DeclarationError: there is none, or it cannot be executed.

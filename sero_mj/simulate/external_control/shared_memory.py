@@ -23,9 +23,9 @@ from pydantic import model_validator
 from ...base.errors import Problem
 from ..control.controller import MaybePerJoint
 from ..control.robot_model import RobotModel
-from .datagrams import Answering, Link, ProgramController
 from .exchange import Answer, State
 from .program import Program
+from .program_controller import Answering, Link, ProgramController
 
 # In a command: the file in memory, the pipe to be read from, and the one to be written to.
 MEMORY, TURN, DONE = "{memory}", "{turn}", "{done}"
@@ -83,14 +83,7 @@ class SharedMemoryProgram(Answering):
 
 
 class MemoryLink(Link):
-    """Shared memory with a program, which is started.
-
-    Args:
-        declared: the program.
-        robot: name of the robot, for errors.
-        size: bytes of a state.
-        most: bytes of an answer.
-    """
+    """Shared memory with a program, which is started."""
 
     def __init__(self, declared: Answering, robot: str, size: int, most: int) -> None:
         super().__init__(declared, robot, most)
@@ -176,7 +169,6 @@ class MemoryLink(Link):
         return True
 
     def _give_turn(self, packet: bytes | bytearray) -> None:
-        """Writes a state, which the program does not read at the moment, and says so."""
         assert self._memory is not None
         self._memory[: self._size] = packet
         os.write(self._turn, b"1")

@@ -65,9 +65,7 @@ def read_events(recording: PacketFile, receiver: Source, name: str) -> Series:
     bunches spread evenly, see `spread_bunches`.
 
     Args:
-        recording: where from.
         receiver: that knows how to decode it; NaN is allowed in what it was told.
-        name: of the source.
 
     Raises:
         RecordingError: the file cannot be read.
@@ -163,14 +161,9 @@ def follow_routes(
     newest packet counts, as in a picture.
 
     Args:
-        path: of the recording.
-        receivers: of its sources, by name.
-        read: gives what a source has sent.
-        robots: by name.
         routes: input to origin, as a scene has them; those from elsewhere are left out.
         doubles: double to its table; the first double that is moved is its robot's target. One of
             a group is one of each of its robots.
-        groups: group to its table.
 
     Returns:
         signals by event, (T, n), and their times (T,), s since the first row.
@@ -225,7 +218,6 @@ def follow_routes(
 def _possible(
     routes: Mapping[str, str], owners: Collection[str], sources: Collection[str]
 ) -> dict[str, str]:
-    """Routes to joint values from recorded events, or from each other."""
     inputs = {target for target in routes if target.partition(".")[0] in owners
               and target.rpartition(".")[2] in (*_SIGNALS, VELOCITIES, "joint_accelerations",
                                                "billboard_values")}  # fmt: skip

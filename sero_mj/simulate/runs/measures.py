@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ...base.frames import Array, compose
+from ...base.frames import Array
 from ...robots.declared.mounts import base_frames, carriers
 from .run_log import RunLog, event_of
 
@@ -44,12 +44,11 @@ def _flange(log: RunLog, robot: str, signal: str | None = None) -> Array:
         placed = {name: log.signals[e] for name, e in logged.items() if e in log.signals}
         base = base_frames(log.robots, below, placed)[robot]
         poses = declared.fwd_kin_base_to_flange(log.of(robot, signal))
-        log.derived[robot, signal] = compose(base, poses)
+        log.derived[robot, signal] = np.asarray(base @ poses)
     return log.derived[robot, signal]
 
 
 def _poses(log: RunLog, robot: str) -> tuple[Array, Array]:
-    """Where the flange should be, and where it is."""
     event = event_of(robot, "target_pose")
     target = log.signals[event] if event in log.signals else _flange(log, robot, "target_angles")
     return target, _flange(log, robot)
@@ -125,7 +124,6 @@ def _real_time_factor(log: RunLog, name: str) -> Array:
 
 
 def _tilt(log: RunLog, name: str) -> Array:
-    """The angle between z as it is and as it was at first."""
     up = _free_pose(log, name)[:, :3, 2]
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(up, up[0]), axis=1), up @ up[0])[:, None])
 

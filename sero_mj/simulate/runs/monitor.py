@@ -132,7 +132,6 @@ class Finding:
 def _onsets(
     log: RunLog, robot: str, kind: str, values: Array, limits: Array, steps: int
 ) -> list[Finding]:
-    """A finding for every interval in which a value exceeds its limit for long enough."""
     bad = values > limits
     if not bad.any():
         return []

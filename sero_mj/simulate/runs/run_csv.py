@@ -22,10 +22,9 @@ def run_of_columns(
     """The run in a table with `ROBOT_SIGNAL[JOINT]`, as `lwr_torques[0]`; None where there is none.
 
     A joint is a number, counted from 0, or its name. Signals of a table with the names of joints,
-    as `export-csv` writes it of messages of ROS, need no robot before them: `torques[elbow]`.
+    as `export` writes it of messages of ROS, need no robot before them: `torques[elbow]`.
 
     Args:
-        path: of the table.
         times: (T,), s; those of the simulation, `time[0]`, count where a recording of one was
             exported.
         columns: name to values, (T,).
@@ -63,7 +62,6 @@ def _labels(robot: SerialRobot, labels: Collection[str], *, numbered: bool) -> l
     """Returns the labels of a robot's joints, n, among those of an event; empty without them all.
 
     Args:
-        robot: with these joints.
         labels: in brackets, names or numbers.
         numbered: whether they may be numbers.
     """
@@ -89,9 +87,7 @@ def write_run_csv(layout: RunLayout, rows: Array, path: Path) -> None:
     """Writes a log as a table: `time`, s, and `ROBOT_SIGNAL[JOINT]`, SI units.
 
     Args:
-        layout: of the rows.
         rows: (T, width), the log.
-        path: where to.
 
     Raises:
         CsvError: the file cannot be written.

@@ -37,10 +37,6 @@ def event_of(robot: str, signal: str) -> str:
 def recorded_event(event: str, recorded: Collection[str]) -> str:
     """An event's name among those that a recording or a table has, which may be an old one.
 
-    Args:
-        event: `lwr_joint_angles`, say.
-        recorded: names in the file.
-
     Returns:
         `lwr_angles` where only that is recorded; else the event as it is.
     """
@@ -57,7 +53,6 @@ class RunLayout:
 
     Args:
         joints: robot name to its number of joints, in the order of the world.
-        targets: which of them have a target in joint space.
         others: further events and their kind and count: `{"push_force": "1V"}`.
 
     Attributes:
@@ -123,10 +118,7 @@ class RunLog:
         """A log whose signals are views into rows.
 
         Args:
-            layout: of the rows.
             rows: (T, width).
-            robots: declarations by name.
-            name: for titles.
         """
         signals = {}
         for event, columns in layout.columns.items():
@@ -197,13 +189,7 @@ class RunLog:
 def routes_from_recording(
     routes: Mapping[str, Any], source: str, recorded: Collection[str]
 ) -> dict[str, Any]:
-    """Routes from a simulation as they are from a recording of it, in which events had old names.
-
-    Args:
-        routes: input to origin.
-        source: name of the source, in the scene and in the recording.
-        recorded: its events there.
-    """
+    """Routes from a simulation as they are from its recording, whose events may have old names."""
 
     def rename(match: re.Match[str]) -> str:
         return f"{source}.{recorded_event(match[1], recorded)}"
@@ -239,11 +225,6 @@ def torque_error(log: RunLog, robot: str) -> Array:
 
 def compared_signal(log: RunLog, robot: str, signal: str) -> Array:
     """A signal of a robot, (T, n); commanded torques as `commanded_torques` has them.
-
-    Args:
-        log: the run.
-        robot: its name.
-        signal: `joint_angles`, `torques`, ...
 
     Raises:
         KeyError: it is not there.

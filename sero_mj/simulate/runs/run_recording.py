@@ -27,9 +27,8 @@ from ...base.errors import (
 )
 from ...base.frames import Array
 from ...base.toml_file import parse_toml
-from ...data.drive.replays import topics_of
 from ...data.drive.table_scene import read_for, robots_in
-from ...data.drive.wiring import wired_source
+from ...data.drive.wiring import topics_of, wired_source
 from ...data.receive.source import Source
 from ...data.record.csv_files import column_names
 from ...data.record.formats import look_into, open_recording
@@ -67,7 +66,6 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
     start of the simulation, or from the first packet that tells where the robots are.
 
     Args:
-        path: a recording.
         source: which of its sources; all that matter when None.
         scene: the robots and the routes; those in the recording when None.
 
@@ -112,7 +110,6 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
 
 @contextmanager
 def _opened(path: Path, topics: Mapping[str, Source] | None) -> Iterator[PacketFile]:
-    """Opens a recording, and logs at last what is wrong with it: it may be cut."""
     with open_recording(path, topics) as recording:
         try:
             yield recording
@@ -127,10 +124,9 @@ def read_run_table(
     source: str | None = None,
     columns: Columns = MappingProxyType({}),
 ) -> RunLog:
-    """Reads a table of a simulation (`simulate --csv`), of packets (`export-csv`), or of joints.
+    """Reads a table of a simulation (`simulate --csv`), of packets (`export`), or of joints.
 
     Args:
-        path: of the table.
         scene: the robots, and the routes that lead from packets to them: a table says neither.
         source: in the scene, whose packets they are; the only one with such columns when None.
         columns: which columns are which signals of the robots; see `robots_in`. Times then count
@@ -213,7 +209,6 @@ def _mirrored(
     read: Callable[[str], Series],
     declared: _Declared,
 ) -> RunLog:
-    """A run of robots that were mirrored."""
     robots = declared.robots
     signals, times = follow_routes(
         path, receivers, read, robots, declared.routes, declared.doubles, declared.groups
@@ -301,7 +296,6 @@ def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
 
 
 def _row_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Of an event in a row of a `RunLog`: one vector or matrix has no axis for its number."""
     return shape[1:] if len(shape) > 1 and shape[0] == 1 else shape
 
 
@@ -324,7 +318,6 @@ def _meant(path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot
 def _with_velocities(
     robots: Mapping[str, SerialRobot], signals: Mapping[str, Array], times: Array
 ) -> dict[str, Array]:
-    """Adds the velocities that were not sent, as differences of angles."""
     found = dict(signals)
     rising = np.append(True, np.diff(times) > 0)[: len(times)]  # several rows may have one time
     for name in robots:
@@ -414,7 +407,6 @@ def _folder(model: str) -> str:
 
 
 def _expanded(recording: PacketFile, groups: dict[str, Any], directory: Path) -> Expanded:
-    """What groups become, whose models are in a folder or installed."""
     scene = directory / "scene.toml"  # which is not there: models are found beside it
     found = expand_groups(_in_folders(groups), scene, MOST_ENTRIES)
     if found.problems:
@@ -426,7 +418,6 @@ def _expanded(recording: PacketFile, groups: dict[str, Any], directory: Path) ->
 
 
 def _in_folders(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables in which models are named by their folders."""
     found = {
         key: _in_folders(value) if isinstance(value, Mapping) else value
         for key, value in tables.items()

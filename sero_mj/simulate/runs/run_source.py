@@ -36,19 +36,19 @@ class Run(Protocol):
     """
 
     @property
-    def about(self) -> str: ...  # noqa: D102
+    def about(self) -> str: ...
     @property
-    def structure(self) -> Structure: ...  # noqa: D102
+    def structure(self) -> Structure: ...
     @property
-    def rows(self) -> Array: ...  # noqa: D102
+    def rows(self) -> Array: ...
     @property
-    def times(self) -> Array: ...  # noqa: D102
+    def times(self) -> Array: ...
     @property
-    def step(self) -> int: ...  # noqa: D102
+    def step(self) -> int: ...
     @property
-    def drag_force(self) -> Any: ...  # noqa: D102
+    def drag_force(self) -> Any: ...
     @property
-    def live(self) -> Any: ...  # noqa: D102
+    def live(self) -> Any: ...
 
     def advance(self, to_step: int) -> None:
         """Computes the rows up to a step."""
@@ -145,12 +145,10 @@ class RunSource(Source):
 
     @property
     def drag_force(self) -> Any:
-        """See `Run`."""
         return self.run.drag_force
 
     @property
     def live(self) -> Any:
-        """See `Run`."""
         return self.run.live
 
     @property
@@ -193,7 +191,6 @@ class RunSource(Source):
         return True
 
     def _before(self, row: int) -> int:
-        """Returns the row after which packets are passed on again, when the clock went back."""
         return -1
 
     def advance_to(self, time: float) -> None:

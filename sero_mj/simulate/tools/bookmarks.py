@@ -10,8 +10,8 @@ import numpy as np
 
 from ...base.errors import SeroError
 from ...base.frames import Array, Bools
-from ...data.receive.source import QUIET_AFTER
-from ...data.record.replay import Replay
+from ...data.receive.reception import QUIET_AFTER
+from ...data.record.file_source import FileSource
 from ...robots.declared.inputs import SOURCE_FIELDS
 from ...viewer.decor.quantities import joint_name, joint_values, torque_text
 from ...viewer.session.clock import Tick, time_text
@@ -36,9 +36,6 @@ class Bookmarks(Tool):
     What is live is watched as it comes: joints beyond their limits of torque or angle, torque
     errors above the monitor's share of the limit, sources that fall silent, packets that are lost
     or not applied.
-
-    Args:
-        shown: where it works.
     """
 
     order: ClassVar[int] = 60
@@ -71,7 +68,6 @@ class Bookmarks(Tool):
         self._counts: dict[str, tuple[Array, Array]] = {}
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`."""
         return {
             "mark": self.mark,
             "next_event": lambda: self.go(1),
@@ -124,7 +120,6 @@ class Bookmarks(Tool):
             self._found(f"{self._names[joint]}: {text}", data.time)
 
     def _watch_counts(self, name: str, counts: Array, time: float) -> None:
-        """Finds where packets begin to be lost, dropped, or not applied."""
         never = np.full(len(counts), -np.inf)
         before, seen = self._counts.get(name, (np.zeros_like(counts), never))
         grown = counts > before
@@ -168,7 +163,7 @@ class Bookmarks(Tool):
         """What a monitor finds in the recordings that are played; nothing in what is no run."""
         found: list[Tick] = []
         for source in self._mirror.sources.values():
-            if not isinstance(source, Replay) or source.end is None:
+            if not isinstance(source, FileSource) or source.end is None:
                 continue
             try:
                 log = read_run(source.file, scene=self._mirror.world.scene)

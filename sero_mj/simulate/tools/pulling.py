@@ -22,9 +22,6 @@ _SAME_TIME = 1e-6  # s
 class Pulling(Tool):
     """Pulls what a mirror simulates while it is shown.
 
-    Args:
-        shown: where it works.
-
     Attributes:
         is_on: whether something is pulled.
     """

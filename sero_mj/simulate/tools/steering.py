@@ -29,9 +29,6 @@ _NEAR = 5.0  # pixels by which a handle may be missed
 class Steering(Tool):
     """The targets of the robots of a mirror.
 
-    Args:
-        shown: where it works.
-
     Attributes:
         robots: whose controllers and targets are changed, by name; empty where none is.
         goals: where their targets are wanted, by name.

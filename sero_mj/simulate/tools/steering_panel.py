@@ -26,19 +26,14 @@ class Steered(Protocol):
     has_handles: bool
 
     @property
-    def error(self) -> str: ...  # noqa: D102
-    def start_again(self) -> str: ...  # noqa: D102
-    def choose(self, robot: str, control: str) -> str: ...  # noqa: D102
-    def base(self, robot: str) -> Array: ...  # noqa: D102
+    def error(self) -> str: ...
+    def start_again(self) -> str: ...
+    def choose(self, robot: str, control: str) -> str: ...
+    def base(self, robot: str) -> Array: ...
 
 
 class SteeringPanel:
-    """The panel of robots whose targets and controllers are changed while they run.
-
-    Args:
-        steering: changes them.
-        say: tells the user something.
-    """
+    """The panel of robots whose targets and controllers are changed while they run."""
 
     def __init__(self, steering: Steered, say: Callable[[str], None]) -> None:
         self._steering, self._say = steering, say
@@ -91,7 +86,6 @@ class SteeringPanel:
         build_flange(ui, "target's flange", goal, steering.base(name))
 
     def _sliders_of(self, ui: Widgets, name: str, robot: LiveRobot) -> None:
-        """Builds the sliders of a robot's controller, those of a group in a tree."""
         found = robot.controller.sliders(robot.robot, robot.first[robot.control])
         for slider in (each for each in found if not each.group):
             self._slider(ui, name, slider)

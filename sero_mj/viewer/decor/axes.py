@@ -47,7 +47,6 @@ class SmartAxes(Feature):
     order = 80
 
     def draw(self, frame: Frame) -> None:
-        """Draws the axes that are shown."""
         stale = frame.is_stale(self.world.frames.names)
         draw_axes(frame.buffer, self.world, frame.data, frame.shown.axes, stale)
 
@@ -71,7 +70,6 @@ def ranks(positions: Array) -> Array:
 
 @cache
 def _earlier(m: int) -> Array:
-    """Returns 1 where the column's frame comes before the row's, (m, m)."""
     return np.tril(np.ones((m, m)), -1)
 
 
@@ -84,10 +82,6 @@ def draw_axes(
     robot.
 
     Args:
-        buffer: where to.
-        world: the compiled scene.
-        data: its state.
-        shown: which frames' axes to draw, (M,) bool.
         stale: which frames have no fresh data and are drawn grey, (M,) bool.
     """
     table = world.frames
@@ -119,7 +113,6 @@ def draw_bars(
     """Draws the axes of k frames.
 
     Args:
-        buffer: where to.
         origins: (k, 3), m.
         rotation: (k, 3, 3).
         size: length and half the width of the bars, (k,) each, m.
@@ -149,7 +142,6 @@ class FrameNames(Feature):
     order = 60
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds a label below the origin of every frame whose name is shown."""
         panels = name_panels(self.world, frame.data, frame.shown.frame_names, frame.view)
         if panels is not None:
             frame.panels.append(panels)
@@ -161,10 +153,7 @@ def name_panels(
     """Returns labels below the origins of frames, or None if there are none.
 
     Args:
-        world: the compiled scene.
-        data: its state.
         named: whether a frame's name is shown, (M,) bool.
-        view: of the picture.
     """
     shown = named.nonzero()[0]
     if not len(shown):

@@ -113,7 +113,6 @@ class Billboards(Feature):
         self._limb_widths: dict[tuple[int, int], int] = {}  # by font and limb
 
     def _formats_for(self, view: PictureView) -> Formats:
-        """Returns the lines of all joints, with names as long as the picture has room for."""
         longest = longest_name(view)
         if longest not in self._formats:
             self._formats[longest] = joint_formats(self.world, longest)
@@ -122,8 +121,8 @@ class Billboards(Feature):
     def lay_out(self, frame: Frame) -> None:
         """Adds the billboards that are shown, of joints in the picture.
 
-        Where there are too many, one card tells of all joints of a limb that were not asked for.
-        Of what remains `CardLayout` keeps those that were, and the most loaded ones.
+        If there are too many, one card replaces those of all joints of a limb that were not
+        clicked. `CardLayout` then keeps the clicked ones and those with the largest load.
         """
         cards = self._cards(frame)
         if cards is None:
@@ -138,7 +137,6 @@ class Billboards(Feature):
             frame.cards.append(cards)
 
     def _of_limbs(self, frame: Frame, cards: Cards) -> Cards:
-        """Returns a card for each limb of these joints: how many they are, and the most loaded."""
         names, view = self._limb_names(frame.view), frame.view
         of_joint = self._limbs.of_joint
         limb = of_joint[cards.items]
@@ -175,7 +173,6 @@ class Billboards(Feature):
         )
 
     def _limb_names(self, view: PictureView) -> _LimbNames:
-        """Returns the names of limbs, and of joints within them, as long as there is room for."""
         longest = longest_name(view)
         if longest not in self._names:
             limbs, world = self._limbs, self.world
@@ -261,7 +258,6 @@ class Billboards(Feature):
         return self._side
 
     def _shares(self, frame: Frame) -> Array:
-        """Returns the value of every joint's arrow over that of full width, (N,)."""
         joints = self.world.joints
         of_radius = joints.arrow_radius / joints.arrow_width_scale
         full = np.where(np.isfinite(joints.arrow_load), joints.arrow_load, of_radius)
@@ -269,12 +265,12 @@ class Billboards(Feature):
         return np.nan_to_num(np.abs(frame.arrow_values) / full, nan=NO_SHARE, posinf=0.0)
 
     def _write(
-        self, index: list[int], lines: list[list[Line]], values: Mapping[str, Array], font: Font
+        self,
+        index: list[int],
+        lines: list[list[LineFormat]],
+        values: Mapping[str, Array],
+        font: Font,
     ) -> tuple[list[list[bytes]], Array]:
-        """Returns the texts of joints' cards and their widths, (k,), pixels.
-
-        Cards of joints whose numbers did not change are not written anew.
-        """
         numbers = {
             key: values[key].tolist() for key in {line.key for each in lines for line in each}
         }
@@ -294,8 +290,7 @@ class Billboards(Feature):
             written.append(last)
         return [each.texts for each in written], np.array([each.width for each in written], float)
 
-    def _width(self, lines: list[Line], texts: list[bytes], font: Font) -> int:
-        """Returns the width of a card's text, pixels, constant but for unusually long numbers."""
+    def _width(self, lines: list[LineFormat], texts: list[bytes], font: Font) -> int:
         key = (font.height, id(lines))
         if key not in self._widths:
             widest = [line_of(line.widest) for line in lines]
@@ -315,17 +310,7 @@ class _LimbNames(NamedTuple):
 
 @dataclass(frozen=True)
 class _Written:
-    """What a joint's card says.
-
-    Attributes:
-        lines: their formats.
-        numbers: of the lines.
-        height: of the font, pixels.
-        texts: of the lines.
-        width: of the text, pixels.
-    """
-
-    lines: list[Line]
+    lines: list[LineFormat]
     numbers: list[float]
     height: int
     texts: list[bytes]
@@ -344,11 +329,11 @@ class Formats:
         details: that a click on its arrow shows.
     """
 
-    declared: list[list[Line]]
-    torques: list[list[Line]]
-    modelled: list[list[Line]]
-    errors: list[list[Line]]
-    details: list[list[Line]]
+    declared: list[list[LineFormat]]
+    torques: list[list[LineFormat]]
+    modelled: list[list[LineFormat]]
+    errors: list[list[LineFormat]]
+    details: list[list[LineFormat]]
 
 
 def joint_titles(world: WorldView, longest: int) -> list[str]:
@@ -388,7 +373,6 @@ def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
 
 
 def _tinted(part: object) -> Array:
-    """Returns the colour of a panel (4,); panels of doubles are tinted in the double's colour."""
     rgba = np.array(PANEL_RGBA)
     if isinstance(part, DoublePart):
         rgba[:3] += _TINT * (part.double.rgba[:3] - rgba[:3])
@@ -396,7 +380,6 @@ def _tinted(part: object) -> Array:
 
 
 def _room_for(sizes: Array, view: PictureView) -> int:
-    """Returns how many cards of such sizes (k, 2) stand well beside robots in a picture."""
     (left, bottom), (right, top) = view.free
     gap = GAP * view.font.height
     if is_narrow(sizes, gap, right - left):
@@ -405,13 +388,11 @@ def _room_for(sizes: Array, view: PictureView) -> int:
 
 
 def _without_start(title: str, limb: str) -> str:
-    """Returns a joint's title without the name of its limb: `thumb proximal` of a `hand`."""
     rest = title.removeprefix(limb).lstrip("_ /")
     return rest or title
 
 
 def _declared_heights(world: WorldView) -> Array:
-    """Returns the height of every joint in the declared pose (N,), m; doubles as their robots."""
     data = world.state(world.make_data())
     joints = world.joints
     heights = np.array(data.site_xpos[joints.centre_site, 2])
@@ -421,7 +402,7 @@ def _declared_heights(world: WorldView) -> Array:
 
 
 @dataclass(frozen=True)
-class Line:
+class LineFormat:
     """The format of one line of a joint's billboard."""
 
     head: str
@@ -433,7 +414,6 @@ class Line:
     widest: str
 
     def text(self, value: float) -> bytes:
-        """Returns the line with its number; `no data` for NaN and infinity."""
         if not math.isfinite(value):
             missing = NO_LIMIT if self.key == "torque_limit" else NO_DATA
             return line_of(self.head) + missing
@@ -481,14 +461,11 @@ def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
 
 def billboard_lines(
     joint: str, declared: list[BillboardLine], prismatic: bool, torque: TorqueUnit, full: float
-) -> list[Line]:
+) -> list[LineFormat]:
     """Returns the line formats of one joint's billboard.
 
     Args:
-        joint: its name.
         declared: the declared lines.
-        prismatic: whether the joint is prismatic, for units.
-        torque: unit of its torques, unless a line declares a unit or a scale.
         full: torque of an arrow of full width, Nm or N, for decimals; inf where unknown.
     """
     several = len(declared) > 1
@@ -503,14 +480,10 @@ def billboard_lines(
 
 def detail_lines(
     joint: str, prismatic: bool, torque: TorqueUnit, full: float, *, is_largest: bool = False
-) -> list[Line]:
+) -> list[LineFormat]:
     """Returns the line formats of all values of one joint's arrow, see `billboard_lines`.
 
     Args:
-        joint: its name.
-        prismatic: whether the joint is prismatic.
-        torque: unit of its torques.
-        full: torque of an arrow of full width.
         is_largest: whether its limit is the largest torque seen so far, which its line then says.
     """
     labels = {**_DETAILS, "torque_limit": _LARGEST} if is_largest else _DETAILS
@@ -529,8 +502,7 @@ def _line(
     torque: TorqueUnit,
     full: float,
     declared: BillboardLine | None = None,
-) -> Line:
-    """Returns the format of line k: the joint's name is on the first, labels are on all."""
+) -> LineFormat:
     scale = 1.0
     if key in _TORQUES:
         if declared is not None and (declared.unit is not None or declared.scale != 1.0):
@@ -549,4 +521,4 @@ def _line(
     head = "".join(f"{word}  " for word in words if word)
     tail = (f" {unit}" if unit else "").replace("%", "%%")
     form = f"%{decimals + 5 if decimals else 5}.{decimals}f" + tail
-    return Line(head, form, "%10.3e" + tail, scale, decimals, key, head + form % -888.8888)
+    return LineFormat(head, form, "%10.3e" + tail, scale, decimals, key, head + form % -888.8888)

@@ -27,7 +27,6 @@ def card_names(joints: Sequence[str], robot: str) -> list[str]:
 
     Args:
         joints: all names of the robot's joints.
-        robot: its name.
     """
     own = re.compile(rf"^{re.escape(robot)}{_BETWEEN}(?=.)", re.IGNORECASE)
     names = _if_clear(list(joints), [own.sub("", name) for name in joints])
@@ -44,7 +43,6 @@ def card_names(joints: Sequence[str], robot: str) -> list[str]:
 
 
 def _if_clear(names: list[str], plain: list[str]) -> list[str]:
-    """Returns plain names if these are distinct and have letters, else the names."""
     is_clear = all(re.search("[A-Za-z]", n) and n.lower() not in _GENERIC for n in plain)
     return plain if is_clear and len({*plain}) == len({*names}) else names
 
@@ -64,7 +62,6 @@ def titles(
     """Returns the titles of the cards of all joints.
 
     Args:
-        joints: names of the joints of every robot and double, without what repeats.
         owners: names of these; words that all begin with are left out.
         is_named: whether a title has the name of its owner, for each of these.
         longest: characters of a robot's or a joint's name.

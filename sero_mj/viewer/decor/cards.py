@@ -7,7 +7,8 @@ where leaders would cross, or where a robot gets behind it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,16 +18,7 @@ from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.mounts import carrier
 from .geom_buffer import GeomBuffer, Kind
-from .layout import (
-    LEFT,
-    RIGHT,
-    bends,
-    columns,
-    is_narrow,
-    tangle,
-    uncross,
-    with_room,
-)
+from .layout import LEFT, RIGHT, bends, columns, is_narrow, tangle, uncross, with_room
 from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
 from .picture_view import PictureView
 
@@ -48,7 +40,6 @@ _MARGIN = 0.5  # of a line's height
 _LANE = 0.2  # between leaders beside a column of cards, of a line's height
 _OF_LIMB = 2  # how many cards of joints the card of a limb stands for where there is little room
 _OF_LOADS = (Kind.BILLBOARD, Kind.LIMB)  # kinds of which the most loaded are shown
-_PLACED_BY = ("anchors", "sizes", "owners", "side", "rank")  # of `Cards`
 _ROUNDS = 8  # of placing and uncrossing; panels of several sizes can need more than one
 # Dark on a light scene, light on a dark one.
 LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
@@ -59,10 +50,6 @@ class Cards:
     """Cards of one kind, before layout.
 
     Attributes:
-        kind: kind of the items they describe.
-        items: indices of these items, (k,).
-        anchors: pixels that their leaders point at, (k, 2).
-        sizes: width and height, (k, 2), pixels.
         texts: the lines of every card, top first.
         owners: robot or double that they belong to, by their order in `WorldView.owners`, (k,); -1
             for none.
@@ -97,30 +84,127 @@ class Cards:
 
 
 @dataclass(frozen=True, eq=False)
-class _Placed:
-    """Where cards are.
+class _AllCards:
+    """Cards of all kinds as one, in the order of their groups."""
+
+    groups: list[Cards]
+    keys: list[_Key]
+    anchors: Array
+    sizes: Array
+    owners: Ints
+    side: Ints
+    rank: Array
+    share: Array
+
+    @classmethod
+    def of(cls, groups: list[Cards]) -> _AllCards:
+        def joined(name: str) -> Any:
+            return np.concatenate([getattr(group, name) for group in groups])
+
+        keys = [(group.kind, int(item)) for group in groups for item in group.items]
+        arrays = {name: joined(name) for name in ("anchors", "sizes", "owners", "side", "share")}
+        return cls(groups, keys, **arrays, rank=joined("rank").astype(float))
+
+    @property
+    def is_asked(self) -> Bools:
+        return np.isinf(self.share)
+
+    def only(self, kept: Bools) -> _AllCards:
+        """Returns the cards that are kept, (k,), with their current sides and ranks."""
+        ends = np.cumsum([len(group.texts) for group in self.groups])
+        parts = zip(self.groups, np.split(kept, ends[:-1]), strict=True)
+        found = _AllCards.of([group.only(mine) for group, mine in parts if mine.any()])
+        return replace(found, side=self.side[kept], rank=self.rank[kept])
+
+
+@dataclass
+class _Memory:
+    """What is kept from frame to frame, so that no card moves to and fro at a limit.
 
     Attributes:
-        kept: which are shown, (k,).
-        note: how many are shown, in a list; empty if all are.
-        centres: of those that are shown, (m, 2), pixels.
-        starts: of their leaders, (m, 2), pixels.
-        bends: of their leaders, (m, 2), pixels; as `starts` where they are straight.
+        order: robots from left to right.
+        middles: by which they are sorted, pixels.
+        wanted: side of a card that the robots' positions give.
+        places: side and rank of a card.
+        chosen: the cards that were shown where there was no room for all.
     """
 
+    order: list[int] = field(default_factory=list)
+    middles: dict[int, float] = field(default_factory=dict)
+    wanted: dict[_Key, int] = field(default_factory=dict)
+    places: dict[_Key, tuple[int, float]] = field(default_factory=dict)
+    chosen: set[_Key] = field(default_factory=set)
+
+    def copy(self) -> _Memory:
+        return _Memory(
+            self.order,
+            self.middles.copy(),
+            self.wanted.copy(),
+            self.places.copy(),
+            self.chosen.copy(),
+        )
+
+    def sort_robots(self, across: Array, of_point: Ints, width: float) -> None:
+        """Sorts the robots from left to right; small moves change nothing."""
+        robots = set(of_point.tolist())
+        for robot in robots:
+            middle = float(across[of_point == robot].mean())
+            if abs(middle - self.middles.get(robot, np.inf)) > _CLOSE * width:
+                self.middles[robot] = middle
+        self.order = sorted(robots, key=self.middles.__getitem__)
+
+    def recall(self, cards: _AllCards) -> None:
+        """Gives cards their last sides and ranks, unless another side is wanted now."""
+        for k, key in enumerate(cards.keys):
+            if self.wanted.get(key) == cards.side[k] and key in self.places:
+                cards.side[k], cards.rank[k] = self.places[key]
+            else:
+                self.wanted[key] = int(cards.side[k])
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Where the cards are that are shown, and their leaders, (m, 2) each, pixels.
+
+    Attributes:
+        note: how many are shown, in a list; empty if all are.
+        bends: of the leaders; as `starts` where they are straight.
+    """
+
+    cards: _AllCards
     kept: Bools
     note: list[Panels]
     centres: Array
     starts: Array
     bends: Array
 
+    def panels(self, groups: list[Cards]) -> list[Panels]:
+        counts = [len(group.texts) for group in groups]
+        centres = np.split(self.centres, np.cumsum(counts)[:-1])
+        return [
+            Panels(
+                middle, each.sizes, each.texts, each.rgba, each.kind, each.items, has_values=True
+            )
+            for middle, each in zip(centres, groups, strict=True)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """What the robots cover: pixels of points (m, 2), their robots, and rectangles (m, 4)."""
+
+    pixels: Array
+    robots: Ints
+    covered: Array
+
 
 class CardLayout:
     """Places the cards of a world, and keeps their places from frame to frame.
 
     A card keeps its side and its place in the vertical order from frame to frame, until leaders
-    cross: then two cards change places. So nothing moves to and fro at a limit. While nothing moves
-    that cards depend on, they are not placed anew.
+    cross: then two cards change places. While nothing moves that cards depend on, they are not
+    placed anew: of a frame that takes 8 ms of an LWR at 1280x800 (24 ms of Justin) that saves 6 ms
+    (8 ms).
 
     Args:
         owner_group: as returned by `owner_groups`.
@@ -128,11 +212,7 @@ class CardLayout:
 
     def __init__(self, owner_group: Ints) -> None:
         self._owner_group = owner_group
-        self._groups_in_order: list[int] = []  # from left to right
-        self._middles: dict[int, float] = {}  # by which they are sorted, pixels
-        self._wanted: dict[_Key, int] = {}  # side that the robots' positions give
-        self._places: dict[_Key, tuple[int, float]] = {}  # side and rank
-        self._chosen: set[_Key] = set()  # where there is no room for all
+        self._memory = _Memory()
         self._last: tuple[tuple[object, ...], _Placed] | None = None  # and what it followed from
 
     def lay_out(
@@ -153,15 +233,9 @@ class CardLayout:
         many.
 
         Args:
-            buffer: where to.
-            view: of the picture.
-            groups: cards of every kind.
-            points: of the robots and doubles that are shown, (m, 3), m; cards are placed beside
-                them.
             radii: of the robot around every point, (m,), m.
             owners: index of the robot or double of every point, (m,).
             corners: panels in the corners of the picture, which cards must not cover.
-            leader_rgba: of the leaders.
 
         Returns:
             the cards that are shown, their panels, and the note for the corner if there is one.
@@ -169,258 +243,192 @@ class CardLayout:
         groups = [group for group in groups if group.texts]
         if not groups:
             return [], [], []
+        cards = _AllCards.of(groups)
         pixels, depth = view.project(points)
         is_before = depth > view.near
-        pixels, of_point = pixels[is_before], self._owner_group[owners[is_before]]
+        pixels, robots = pixels[is_before], self._owner_group[owners[is_before]]
         radius = (radii[is_before] / view.pixel_size(depth[is_before]))[:, None]
-        keys = _keys(groups)
-        share = _of_all(groups, "share")
+        body = _Body(pixels, robots, np.concatenate([pixels - radius, pixels + radius], axis=1))
+        order = self._by_share(cards)
         # Of shares only the order counts and what is known: most values change without it.
-        order, is_known, is_asked = self._by_share(keys, share), share > NO_SHARE, np.isinf(share)
-        arrays = [pixels, of_point, radius, order, is_known, is_asked, *view.free]
-        arrays += [getattr(group, name) for group in groups for name in _PLACED_BY]
+        arrays = [body.pixels, body.robots, radius, order, cards.share > NO_SHARE, cards.is_asked]
+        arrays += [cards.anchors, cards.sizes, cards.owners, cards.side, cards.rank, *view.free]
         arrays += [array for corner in corners for array in (corner.centres, corner.sizes)]
-        inputs = (
-            view.font,
-            tuple(keys),
-            tuple(float(group.clear) for group in groups),
-            tuple(array.tobytes() for array in arrays),
-        )
+        clear = tuple(float(group.clear) for group in groups)
+        contents = tuple(array.tobytes() for array in arrays)
+        inputs = (view.font, tuple(cards.keys), clear, contents)
         if self._last is None or self._last[0] != inputs:
-            before = self._state()
-            covered = np.concatenate([pixels - radius, pixels + radius], axis=1)
-            placed = self._place(view, groups, (pixels, of_point, covered), corners, order)
-            is_settled = self._state() == before
-            self._last = (inputs, placed) if is_settled else None
+            before = self._memory.copy()
+            placed = self._place(view, cards, body, corners, order)
+            self._last = (inputs, placed) if self._memory == before else None
         else:
             placed = self._last[1]
         if placed.note:
-            groups = _only(groups, placed.kept)
-        sizes = _of_all(groups, "sizes")
-        anchors = _of_all(groups, "anchors")
+            groups = cards.only(placed.kept).groups
+        anchors = placed.cards.anchors
         draw_leaders(buffer, view, placed.starts, placed.bends, anchors, leader_rgba)
-        panels = []
-        first = 0
-        for group in groups:
-            these = slice(first, first + len(group.texts))
-            panels.append(
-                Panels(
-                    placed.centres[these],
-                    sizes[these],
-                    group.texts,
-                    group.rgba,
-                    group.kind,
-                    group.items,
-                    has_values=True,
-                )
-            )
-            first += len(group.texts)
-        return groups, panels, placed.note
+        return groups, placed.panels(groups), placed.note
 
-    def _state(self) -> tuple[object, ...]:
-        """Returns a copy of what is kept from frame to frame."""
-        kept = self._middles, self._wanted, self._places, self._chosen
-        return (self._groups_in_order, *(each.copy() for each in kept))
-
-    def _by_share(self, keys: list[_Key], share: Array) -> Ints:
-        """Returns the order in which cards get room, (k,): the largest shares first."""
-        last = np.array([key in self._chosen for key in keys])
+    def _by_share(self, cards: _AllCards) -> Ints:
+        """Returns the order in which cards get room, (k,); those shown last come a bit earlier."""
+        last = np.array([key in self._memory.chosen for key in cards.keys])
         factor, more = _MORE
-        return np.argsort(
-            -np.where(last, np.maximum(factor * share, share) + more, share), kind="stable"
-        )
+        share = cards.share
+        wanted = np.where(last, np.maximum(factor * share, share) + more, share)
+        return np.argsort(-wanted, kind="stable")
 
     def _place(
         self,
         view: PictureView,
-        groups: list[Cards],
-        body: tuple[Array, Ints, Array],
+        cards: _AllCards,
+        body: _Body,
         corners: list[Panels],
         order: Ints,
     ) -> _Placed:
-        """Places all cards.
-
-        Args:
-            view: of the picture.
-            groups: cards of every kind.
-            body: pixels of the robots' points (m, 2), the group of each (m,), and rectangles
-                around them (m, 4), pixels.
-            corners: panels in the corners of the picture.
-            order: as returned by `_by_share`.
-        """
-        pixels, of_point, covered = body
-        gap = GAP * view.font.height
         low, high = view.free
         width, height = high - low
-        covered = covered - [*low, *low]
-        keys = _keys(groups)
-        side, rank = self._last_places(keys, groups, pixels[:, 0], of_point, width)
-        kept, note = self._choose(view, groups, side, covered, corners, order)
-        corners = [*corners, *note]
+        covered = body.covered - [*low, *low]
+        self._memory.sort_robots(body.pixels[:, 0], body.robots, width)
+        self._set_sides(cards)
+        self._memory.recall(cards)
+        kept, note = self._choose(view, cards, covered, corners, order)
         if note:
-            groups = _only(groups, kept)
-            keys, side, rank = _keys(groups), side[kept], rank[kept]
-        kept_free = _rectangles(corners, low)
-        anchors, sizes = _of_all(groups, "anchors"), _of_all(groups, "sizes")
-        across = np.concatenate([pixels[:, 0], anchors[:, 0]]) - low[0]
-
-        def place(side: Ints, rank: Array) -> Array:
-            order = np.argsort(rank, kind="stable")
+            cards = cards.only(kept)
+        anchors, sizes, gap = cards.anchors, cards.sizes, GAP * view.font.height
+        across = np.concatenate([body.pixels[:, 0], anchors[:, 0]]) - low[0]
+        span = max(float(across.min()), 0.0), min(float(across.max()), width)
+        beside = min(max(3 * gap, *(group.clear for group in cards.groups)), width / 6)
+        kept_free = _rectangles([*corners, *note], low)
+        lane, least_gain = _LANE * view.font.height, _MIN_GAIN * view.font.height
+        side, rank, same = cards.side, cards.rank, np.arange(len(cards.keys))
+        best: tuple[int, Ints, Array, _Placed] | None = None
+        for _ in range(_ROUNDS):
+            by_rank = np.argsort(rank, kind="stable")
             centres = np.empty((len(anchors), 2))
-            centres[order] = columns(
-                anchors[order] - low,
-                sizes[order],
-                side[order],
+            centres[by_rank] = low + columns(
+                anchors[by_rank] - low,
+                sizes[by_rank],
+                side[by_rank],
                 gap,
-                min(max(3 * gap, *(group.clear for group in groups)), width / 6),
+                beside,
                 width,
                 height,
-                span=(max(float(across.min()), 0.0), min(float(across.max()), width)),
+                span=span,
                 kept_free=kept_free,
                 covered=covered,
             )
-            return centres + low
-
-        lane, least_gain = _LANE * view.font.height, _MIN_GAIN * view.font.height
-        best: tuple[int, Ints, Array, _Placed] | None = None
-        for _ in range(_ROUNDS):
-            centres = place(side, rank)
             starts = _starts(centres, sizes, anchors, side)
             turns = bends(starts, anchors, centres, sizes, lane)
             tangled = tangle(starts, turns, anchors, centres - sizes / 2, centres + sizes / 2)
             if best is None or tangled < best[0]:
-                best = tangled, side, rank, _Placed(kept, note, centres, starts, turns)
+                best = tangled, side, rank, _Placed(cards, kept, note, centres, starts, turns)
             changed = uncross(starts, anchors, least_gain)
-            if (changed == np.arange(len(keys))).all():
+            if (changed == same).all():
                 changed = uncross(turns, anchors, least_gain)
-            if not tangled or (changed == np.arange(len(keys))).all():
+            if not tangled or (changed == same).all():
                 break
             side, rank = side[changed], rank[changed]
         assert best is not None
         _, side, rank, placed = best
-        self._places.update(zip(keys, zip(side.tolist(), rank.tolist(), strict=True), strict=True))
+        places = zip(side.tolist(), rank.tolist(), strict=True)
+        self._memory.places.update(zip(cards.keys, places, strict=True))
         return placed
+
+    def _set_sides(self, cards: _AllCards) -> None:
+        """Gives the cards of several robots the sides of these, about equally many on each."""
+        robots = self._memory.order
+        if len(robots) < 2:
+            return
+        of_card = np.append(self._owner_group, -1)[cards.owners]  # -1 for no owner
+        counts = np.array([(of_card == robot).sum() for robot in robots])
+        middles = np.cumsum(counts) - counts / 2
+        for place, robot in enumerate(robots):
+            if 2 * place + 1 != len(robots):  # one in the middle has cards on both sides
+                is_left = middles[place] < counts.sum() / 2
+                cards.side[of_card == robot] = LEFT if is_left else RIGHT
 
     def _choose(
         self,
         view: PictureView,
-        groups: list[Cards],
-        side: Ints,
+        cards: _AllCards,
         covered: Array,
         corners: list[Panels],
         order: Ints,
     ) -> tuple[Bools, list[Panels]]:
         """Returns which cards are shown, (k,), and a note of how many, in a list; none for all.
 
-        They are those with the largest shares in the whole picture. The sides of some may be
-        changed: those for which their own has no room.
+        They are those with the largest shares in the whole picture. Cards whose side has no room
+        may change to the other one.
         """
-        low, high = view.free
-        line, (width, height) = view.font.height, high - low
-        sizes, share, keys = _of_all(groups, "sizes"), _of_all(groups, "share"), _keys(groups)
-        asked = int(np.isinf(share).sum())
-        limit = max(_most_cards(_of_all(groups, "owners")), asked)
-        if is_narrow(sizes, GAP * line, width):  # leaders cross one column more than two
-            limit = max(FEWEST, asked)
+        memory, count_all = self._memory, len(cards.keys)
+        asked, limit = int(cards.is_asked.sum()), _most_cards(cards, view)
         first = order[:limit]
-
-        def fitting(around: Array, corners: list[Panels], fewest: int = 0) -> tuple[int, Ints]:
-            # Each of several robots has its cards on its own side, if these are not too few.
-            for may_move in (False, True) if len(self._groups_in_order) > 1 else (True,):
-                found = with_room(
-                    sizes[first],
-                    side[first],
-                    GAP * line,
-                    width,
-                    height,
-                    kept_free=_rectangles(corners, low),
-                    covered=around,
-                    may_move=may_move,
-                )
-                if found[0] >= fewest:
-                    break
-            return found
+        fitting = partial(self._fitting, view, cards, first)
+        everything, nothing = np.ones(count_all, bool), np.zeros((0, 4))
 
         def is_all(found: tuple[int, Ints]) -> bool:
-            if found[0] < len(keys):
+            if found[0] < count_all:
                 return False
-            side[order] = found[1]
-            self._chosen.clear()
+            cards.side[order] = found[1]
+            memory.chosen.clear()
             return True
 
-        everything, nothing = np.ones(len(keys), bool), np.zeros((0, 4))
         # The card of a limb has more lines than those of joints, and says as much as several.
-        weights = np.where([kind == Kind.LIMB for kind, _ in keys], _OF_LIMB, 1)[order]
+        weights = np.where([kind == Kind.LIMB for kind, _ in cards.keys], _OF_LIMB, 1)[order]
         few = max(int((weights.cumsum() <= FEWEST).sum()), 1)
-        if len(keys) <= few and is_all(fitting(nothing, corners, len(keys))):
+        if count_all <= few and is_all(fitting(nothing, corners, count_all)):
             return everything, []
-        if not self._chosen and is_all(fitting(covered, corners)):
+        if not memory.chosen and is_all(fitting(covered, corners)):
             return everything, []
-        note = _note(view, len(keys), corners)
+        note = _note(view, count_all, corners)
         corners = [*corners, note]
         # A few are shown even over robots, but never over each other.
         fewest = fitting(nothing, corners, min(few, limit))[0]
         least = max(min(fewest, max(few, asked), limit), 1)
-        apart = _NEW_ROOM * line * np.array([-1, -1, 1, 1])
+        apart = _NEW_ROOM * view.font.height * np.array([-1, -1, 1, 1])
         count, sides = fitting(covered + apart, corners, least)
         if is_all((count, sides)):
             return everything, []
-        if count < len(self._chosen):  # as many as in the last frame, if they still have room
+        if count < len(memory.chosen):  # as many as in the last frame, if they still have room
             most, sides = fitting(covered, corners, least)
-            count = min(most, len(self._chosen))
+            count = min(most, len(memory.chosen))
         if count < least:
             count, sides = least, fitting(nothing, corners, least)[1]
-        side[first] = sides
-        kept = np.zeros(len(keys), bool)
+        cards.side[first] = sides
+        kept = np.zeros(count_all, bool)
         kept[order[:count]] = True
-        self._chosen = {key for key, is_kept in zip(keys, kept, strict=True) if is_kept}
-        is_load = np.concatenate(
-            [np.full(len(group.texts), group.kind in _OF_LOADS) for group in groups]
-        )
-        has_limbs = any(group.kind == Kind.LIMB for group in groups)
-        text = _note_text(
-            int((kept & is_load).sum()),
-            int(is_load.sum()),
-            is_loaded=bool((share[kept & is_load] > NO_SHARE).all()),
-            what="" if has_limbs else " joints",
-        )
-        return kept, [replace(note, texts=[[text]])]
+        memory.chosen = {key for key, is_kept in zip(cards.keys, kept, strict=True) if is_kept}
+        return kept, [replace(note, texts=[[_text_of(cards, kept)]])]
 
-    def _last_places(
+    def _fitting(
         self,
-        keys: list[_Key],
-        groups: list[Cards],
-        across: Array,
-        of_point: Ints,
-        width: float,
-    ) -> tuple[Ints, Array]:
-        """Returns side and rank of every card (k,): the last ones, or those of a new card."""
-        owner, side = _of_all(groups, "owners"), _of_all(groups, "side")
-        rank = _of_all(groups, "rank").astype(float)
-        group_of = np.append(self._owner_group, -1)[owner]  # -1 for no owner
-        self._sort_groups(across, of_point, width)
-        robots = self._groups_in_order
-        if len(robots) > 1:
-            counts = np.array([(group_of == group).sum() for group in robots])
-            middles = np.cumsum(counts) - counts / 2
-            for place, group in enumerate(robots):
-                if 2 * place + 1 != len(robots):  # one in the middle has cards on both sides
-                    of_left = middles[place] < counts.sum() / 2
-                    side[group_of == group] = LEFT if of_left else RIGHT
-        for k, key in enumerate(keys):
-            if self._wanted.get(key) == side[k] and key in self._places:
-                side[k], rank[k] = self._places[key]
-            else:
-                self._wanted[key] = int(side[k])
-        return side, rank
+        view: PictureView,
+        cards: _AllCards,
+        first: Ints,
+        covered: Array,
+        corners: list[Panels],
+        fewest: int = 0,
+    ) -> tuple[int, Ints]:
+        """Returns for how many of the first cards there is room, and their sides.
 
-    def _sort_groups(self, across: Array, of_point: Ints, width: float) -> None:
-        """Sorts the robots in the picture from left to right; small moves change nothing."""
-        for group in set(of_point.tolist()):
-            middle = float(across[of_point == group].mean())
-            if abs(middle - self._middles.get(group, np.inf)) > _CLOSE * width:
-                self._middles[group] = middle
-        self._groups_in_order = sorted(set(of_point.tolist()), key=self._middles.__getitem__)
+        Each of several robots has its cards on its own side, if these are not too few.
+        """
+        low, high = view.free
+        width, height = high - low
+        for may_move in (False, True) if len(self._memory.order) > 1 else (True,):
+            found = with_room(
+                cards.sizes[first],
+                cards.side[first],
+                GAP * view.font.height,
+                width,
+                height,
+                kept_free=_rectangles(corners, low),
+                covered=covered,
+                may_move=may_move,
+            )
+            if found[0] >= fewest:
+                break
+        return found
 
 
 def owner_groups(world: WorldView) -> Ints:
@@ -445,40 +453,23 @@ def owner_groups(world: WorldView) -> Ints:
     )
 
 
-def _keys(groups: list[Cards]) -> list[_Key]:
-    return [(group.kind, int(item)) for group in groups for item in group.items]
-
-
-def _of_all(groups: list[Cards], name: str) -> Any:
-    """Returns an array of all groups as one."""
-    return np.concatenate([getattr(group, name) for group in groups])
-
-
-def _most_cards(owners: Ints) -> int:
-    """Returns how many cards a picture has at most: of each owner with many `_MAX_LOADED`.
-
-    Args:
-        owners: of all cards, (k,), -1 for none.
-    """
+def _most_cards(cards: _AllCards, view: PictureView) -> int:
+    """Returns how many cards a picture has at most: of each owner with many `_MAX_LOADED`."""
+    asked, (low, high) = int(cards.is_asked.sum()), view.free
+    if is_narrow(cards.sizes, GAP * view.font.height, high[0] - low[0]):
+        return max(FEWEST, asked)  # leaders cross one column more than two
+    owners = cards.owners
     counts = np.unique(owners[owners >= 0], return_counts=True)[1]
-    return int(np.where(counts > _MANY, _MAX_LOADED, counts).sum() + (owners < 0).sum())
-
-
-def _only(groups: list[Cards], kept: Bools) -> list[Cards]:
-    """Returns the cards that are kept, without groups of which none is."""
-    ends = np.cumsum([len(group.texts) for group in groups])
-    parts = zip(groups, np.split(kept, ends[:-1]), strict=True)
-    return [group.only(mine) for group, mine in parts if mine.any()]
+    most = np.where(counts > _MANY, _MAX_LOADED, counts).sum() + (owners < 0).sum()
+    return max(int(most), asked)
 
 
 def _rectangles(corners: list[Panels], origin: Array) -> Array:
-    """Returns left, bottom, right and top of every corner's panels from an origin, (c, 4)."""
     rows = np.array([np.concatenate(bounds(corner)) for corner in corners]).reshape(-1, 4)
     return rows - np.tile(origin, 2)
 
 
 def _note(view: PictureView, count: int, corners: list[Panels]) -> Panels:
-    """Returns a note that says of `count` cards how many are shown, for the lower right corner."""
     margin = _MARGIN * view.font.height
     text = _note_text(count, count)  # the longest
     size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
@@ -496,11 +487,18 @@ def _note_text(shown: int, count: int, *, is_loaded: bool = True, what: str = " 
     return f"cards: {shown} of {count}{what}{which}".encode()
 
 
-def _starts(centres: Array, sizes: Array, anchors: Array, side: Ints) -> Array:
-    """Returns where leaders begin, (k, 2): the middle of a card's edge towards its anchor.
+def _text_of(cards: _AllCards, kept: Bools) -> bytes:
+    is_load = np.array([kind in _OF_LOADS for kind, _ in cards.keys])
+    has_limbs = any(kind == Kind.LIMB for kind, _ in cards.keys)
+    return _note_text(
+        int((kept & is_load).sum()),
+        int(is_load.sum()),
+        is_loaded=bool((cards.share[kept & is_load] > NO_SHARE).all()),
+        what="" if has_limbs else " joints",
+    )
 
-    Of a card above or below its anchor it is the edge towards the middle of the picture.
-    """
+
+def _starts(centres: Array, sizes: Array, anchors: Array, side: Ints) -> Array:
     half = sizes[:, 0] / 2
     beside = anchors[:, 0] - centres[:, 0]
     edge = np.where(np.abs(beside) > half, np.sign(beside), np.where(side == LEFT, 1.0, -1.0))

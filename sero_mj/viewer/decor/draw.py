@@ -1,4 +1,4 @@
-"""`Decor`: all features of a world, as a function of data, toggles and view."""
+"""`Decor`: all features of a world, as a function of data, toggles and view; robots' outlines."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ import logging
 import mujoco
 import numpy as np
 
-from ...base.frames import Array
+from ...base.frames import Array, Bools, Ints
 from ...base.plugins import is_own_class
 from ...robots.assemble.world_view import WorldView
-from ...robots.declared.double import fade_in, spread_out
+from ...robots.declared.double import OUT_OF_SIGHT, fade_in, spread_out
 from .cards import LEADER_RGBA, CardLayout, owner_groups
 from .feature import Drawn, Frame, make_features
 from .font import line_of
 from .geom_buffer import CAPACITY, GeomBuffer
-from .outline import Outline
 from .panels import Panels, clear_of, draw_panels, labels_at, panel_sizes
 from .picture_view import PictureView
 from .quantities import arrow_values, joint_values
@@ -37,14 +36,7 @@ class Decor:
     """The decor of one world.
 
     Args:
-        world: the compiled scene.
-        capacity: maximum number of geoms that the host takes.
         arrow_geoms: maximum number of geoms of a round arrow.
-
-    Attributes:
-        buffer: the geoms of the last frame.
-        features: the features, in drawing order.
-        panels: those of the last frame, in drawing order.
     """
 
     def __init__(
@@ -60,13 +52,7 @@ class Decor:
         self._outline = Outline(world)
 
     def draw(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> GeomBuffer:
-        """Lays out one frame and returns the buffer that holds it.
-
-        Args:
-            data: the world's state, with frames up to date (`data.drive.Placer`).
-            toggles: what is shown; updated from inputs that packets set.
-            view: camera and picture size.
-        """
+        """Lays out one frame and returns the buffer that holds it."""
         buffer, world = self.buffer, self._world
         of_model, data = data, world.state(data)
         buffer.clear()
@@ -112,7 +98,6 @@ class Decor:
         return buffer
 
     def _each(self, step: str, frame: Frame) -> None:
-        """Runs a step of all features; one that raises is logged and removed."""
         for feature in [*self.features]:
             try:
                 getattr(feature, step)(frame)
@@ -124,12 +109,7 @@ class Decor:
 
 
 def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
-    """Returns the opacity factor of every geom (ngeom,): doubles fade in as they leave the robot.
-
-    Args:
-        world: the compiled scene.
-        data: its state, with frames up to date.
-    """
+    """Returns a factor for every geom (ngeom,): doubles fade in as they leave the robot."""
     compiled = [part for part in world.doubles.values() if part.is_compiled]
     if not compiled:
         return None
@@ -143,13 +123,7 @@ def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
 
 
 def _hover_panel(toggles: Toggles, view: PictureView, others: list[Panels]) -> list[Panels]:
-    """Returns the label beside the pointer in a list; empty if there is nothing under it.
-
-    Args:
-        toggles: `hover` has the text and the pointer's position.
-        view: of the picture.
-        others: all panels of the frame; the label is placed where it covers least of them.
-    """
+    """Returns the label beside the pointer in a list; empty if there is nothing under it."""
     if toggles.hover is None:
         return []
     text, pixel = toggles.hover
@@ -164,3 +138,51 @@ def _hover_panel(toggles: Toggles, view: PictureView, others: list[Panels]) -> l
         covered += np.maximum(overlap, 0.0).prod(axis=2).sum(axis=1)
     best = covered.argmin()  # ties go to the first candidate
     return [Panels(centres[best : best + 1], sizes[:1], lines, _HOVER_RGBA, in_front=True)]
+
+
+class Outline:
+    """Points along the links of all robots and doubles, with radii, as an outline of them.
+
+    Every geom counts as a capsule along its longest side, with a point at each end and in the
+    middle.
+    """
+
+    def __init__(self, world: WorldView) -> None:
+        model = world.model
+        owner = np.full(model.ngeom, -1)
+        for i, part in enumerate(world.owners.values()):
+            owner[np.isin(model.geom_bodyid, part.bodies)] = i
+        owner[(model.geom_group > 2) | (model.geom_rgba[:, 3] <= 0)] = -1
+        self._geoms = (owner >= 0).nonzero()[0]
+        centre, half = np.hsplit(model.geom_aabb[self._geoms], 2)
+        longest = half.argmax(axis=1)
+        self._radii = np.sort(half, axis=1)[:, 1]
+        along = np.eye(3)[longest] * (half.max(axis=1) - self._radii)[:, None]
+        self._offsets = np.stack([centre - along, centre, centre + along], axis=1)
+        self._owners = owner[self._geoms]
+        self._joints = world.joints
+
+    def points(
+        self,
+        data: mujoco.MjData,
+        hidden: Bools | None,
+        sites: Array,
+        arrows: Bools,
+    ) -> tuple[Array, Array, Ints]:
+        """Returns points (m, 3), m, radii (m,), m, and the index of their robot or double (m,).
+
+        Args:
+            hidden: geoms that are not shown, (ngeom,) bool; None for none.
+            sites: positions of the world's sites, `site_xpos` of its state, m.
+            arrows: which joints have an arrow, which belongs to the outline, (N,) bool.
+        """
+        rotation = data.geom_xmat[self._geoms].reshape(-1, 1, 3, 3)
+        points = data.geom_xpos[self._geoms, None] + (rotation @ self._offsets[..., None])[..., 0]
+        is_shown = points[:, 0, 2] > OUT_OF_SIGHT[2] / 2  # doubles without a pose are far away
+        if hidden is not None:
+            is_shown &= ~hidden[self._geoms]
+        joints = self._joints
+        of_links, of_arrows = points[is_shown].reshape(-1, 3), sites[joints.centre_site[arrows]]
+        radii = np.repeat(self._radii[is_shown], 3), joints.arrow_radius[arrows]
+        owners = np.repeat(self._owners[is_shown], 3), joints.owner[arrows]
+        return np.concatenate([of_links, of_arrows]), np.concatenate(radii), np.concatenate(owners)

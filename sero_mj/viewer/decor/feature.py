@@ -21,7 +21,7 @@ from .geom_buffer import GeomBuffer
 from .panels import Panels
 from .picture_view import PictureView
 from .staleness import stale_mask
-from .toggles import Shown, Toggles
+from .toggles import ShownItems, Toggles
 
 
 @dataclass(eq=False)
@@ -29,10 +29,7 @@ class Frame:
     """A frame during layout.
 
     Attributes:
-        buffer: takes geoms.
         data: the state of the world: `time`, `xpos`, `site_xpos`, `userdata`, ... as of `MjData`.
-        view: camera and picture size.
-        toggles: what is switched on.
         shown: the part of it that has a pose.
         values: per-joint values by name, (N,) each: `torques`, `torque_error`, `joint_angles`, and
             every other input of robots; NaN for no data.
@@ -50,7 +47,7 @@ class Frame:
     data: Any
     view: PictureView
     toggles: Toggles
-    shown: Shown
+    shown: ShownItems
     values: dict[str, Array]
     arrow_values: Array
     arrow_limit: Array
@@ -69,11 +66,9 @@ class Frame:
 class Drawn(Protocol):
     """What is drawn with every frame."""
 
-    def lay_out(self, frame: Frame) -> None:
-        """Adds cards, corner panels and panels to the frame."""
+    def lay_out(self, frame: Frame) -> None: ...
 
-    def draw(self, frame: Frame) -> None:
-        """Adds geoms to the frame's buffer."""
+    def draw(self, frame: Frame) -> None: ...
 
 
 class FeatureSettings(Declaration):
@@ -92,12 +87,8 @@ class Feature:
     All features lay out first, then text is drawn, then all of them draw. So text is kept where
     the number of geoms exceeds the host's capacity.
 
-    Args:
-        world: the compiled scene.
-
     Attributes:
         order: position in both passes, lowest first; built-in features have 10 to 90.
-        settings_kind: declaration of its settings.
         settings: those of the scene, from `start` on.
     """
 
@@ -111,11 +102,9 @@ class Feature:
     def start(self) -> None:
         """Checks the settings against the world, once; raises DeclarationError, UnknownName."""
 
-    def lay_out(self, frame: Frame) -> None:
-        """Adds cards, corner panels and panels to the frame."""
+    def lay_out(self, frame: Frame) -> None: ...
 
-    def draw(self, frame: Frame) -> None:
-        """Adds geoms to the frame's buffer."""
+    def draw(self, frame: Frame) -> None: ...
 
 
 def make_features(world: WorldView) -> list[Feature]:

@@ -38,14 +38,9 @@ def flange_difference(
 ) -> tuple[float, float] | None:
     """Returns the difference between the received flange frame and the robot's own.
 
-    Args:
-        world: the compiled scene.
-        data: its state, frames up to date.
-        robot: its name.
-
     Returns:
-        distance of the origins, m, and angle between the two, rad; None if no frame, or one
-        with NaN, was received.
+        distance of the origins, m, and angle between the two, rad; None if no frame, or one with
+        NaN, was received.
     """
     received = _received(world, data, robot)
     if received is None:
@@ -56,7 +51,6 @@ def flange_difference(
 
 
 def _received(world: WorldView, data: mujoco.MjData, robot: str) -> Array | None:
-    """Returns the received T_base_flange (4, 4)."""
     target = f"{robot}.flange_check"
     if data.userdata[world.flags[target]] <= 0:
         return None
@@ -74,12 +68,6 @@ class FlangeCheck(Feature):
         self._flags = np.array([world.flags[f"{name}.flange_check"] for name in world.robots], int)
 
     def lay_out(self, frame: Frame) -> None:
-        """Draws the received flange frames and adds panels with the differences.
-
-        Differences above tolerance are shown on a card at the flange; the others, and those of
-        flanges outside the picture, in the upper right corner. A robot without fresh data has no
-        numbers there.
-        """
         data, view = frame.data, frame.view
         if not frame.toggles.flange_checks or not (data.userdata[self._flags] > 0).any():
             return
@@ -142,7 +130,6 @@ class FlangeCheck(Feature):
         )
 
     def _draw_frame(self, buffer: GeomBuffer, data: mujoco.MjData, name: str, off: bool) -> Array:
-        """Draws the received frame and the line to it; returns its position (3,), m."""
         world = self.world
         part: RobotPart = world.robots[name]
         received = _received(world, data, name)
@@ -166,7 +153,6 @@ class FlangeCheck(Feature):
 
 
 def _corner(view: PictureView, lines: list[bytes], off: bool) -> Panels:
-    """Returns a panel in the upper right corner, red if a difference is above tolerance."""
     widest = np.array([max(view.font.width(line) for line in lines)])
     size = panel_sizes(widest, len(lines), view)
     margin = _MARGIN * view.font.height

@@ -6,7 +6,8 @@ Greek, Cyrillic), or in fonts for other scripts that are installed on this machi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 from PIL import ImageFont
 
 from ...robots.assemble.world_view import WorldView
-from .value_columns import value_columns
 
 Widths = NDArray[np.intp] | NDArray[np.float64]
 
@@ -94,7 +94,6 @@ class Font:
 
     Attributes:
         height: of a line, pixels.
-        widths: of the characters 0 to 127, pixels.
         has_columns: whether the host aligns the numbers of a panel, see `value_columns`.
         other: the width of any other character, pixels; that of a wide letter when None.
     """
@@ -106,13 +105,11 @@ class Font:
 
     @classmethod
     def of_context(cls, context: Any) -> Font:
-        """Returns the font of an `MjrContext`."""
         widths = np.zeros(128, np.intp)
         widths[:127] = context.charWidth
         return cls(int(context.charHeight), widths)
 
     def width(self, text: str | bytes) -> int:
-        """Returns the width of a text, in UTF-8, pixels."""
         raw = text if isinstance(text, bytes) else text.encode("utf-8", "replace")
         if not raw.isascii():
             return int(np.ceil(sum(map(self._width, raw.decode("utf-8", "replace")))))
@@ -130,7 +127,6 @@ class Font:
         return int(np.ceil(value_columns(lines, self.width).width))
 
     def line_widths(self, lines: list[bytes]) -> NDArray[np.float64]:
-        """Returns the widths of lines in UTF-8 (k,), pixels."""
         if not all(line.isascii() for line in lines):
             return np.array([float(self.width(line)) for line in lines])
         codes = np.frombuffer(b"".join(lines), np.uint8)
@@ -161,3 +157,84 @@ def line_height(world: WorldView, width: int, height: int) -> int:
     scales = [part.robot.billboard_scale for part in world.robots.values()] or [0.05]
     wanted = min(_TEXT_OF_SCALE * max(scales), _LARGEST_LINE) * min(width, height)
     return max(round(wanted), _MIN_LINE)
+
+
+Width = Callable[[str], float]
+
+_VALUE = re.compile(
+    r"(?P<head>.*?) +(?:(?P<whole>[-+]?\d+)(?P<rest>\.\d*(?:e[-+]?\d+)?)?(?P<unit> \S+)?"
+    r"|(?P<none>no data|none))"
+)
+_GAP = " "  # before the numbers
+
+
+@dataclass(frozen=True)
+class ValueLine:
+    """A line that ends in a number.
+
+    Attributes:
+        whole: of the number, before the point; `no data` where there is none.
+        rest: of the number, from the point on.
+        unit: with a space before it.
+    """
+
+    name: str
+    label: str
+    whole: str
+    rest: str
+    unit: str
+
+    @property
+    def is_missing(self) -> bool:
+        return not self.whole[-1].isdigit()
+
+    @property
+    def tail(self) -> str:
+        return self.rest + self.unit
+
+
+@dataclass(frozen=True)
+class ValueColumns:
+    """Lines in columns, pixels from the left and right edge of their text.
+
+    Attributes:
+        label: where labels start.
+        tail: distance of the points from the right edge.
+        width: of all columns.
+    """
+
+    rows: list[ValueLine | str]
+    label: float
+    tail: float
+    width: float
+
+
+def value_columns(lines: Sequence[bytes], width: Width) -> ValueColumns:
+    """Returns lines in columns.
+
+    Args:
+        width: of a text, pixels.
+    """
+    rows = [_parsed(line.decode("utf-8", "replace")) for line in lines]
+    values = [row for row in rows if isinstance(row, ValueLine)]
+    names = max((width(row.name) for row in values), default=0.0)
+    label = names + (2 * width(" ") if any(row.label for row in values) else 0.0)
+    heads = max((label + width(row.label) for row in values if row.label), default=names)
+    wholes = max((width(row.whole) for row in values if not row.is_missing), default=0.0)
+    tail = max((width(row.tail) for row in values), default=0.0)
+    missing = max((width(row.whole) for row in values if row.is_missing), default=0.0)
+    inside = heads + width(_GAP) + max(wholes + tail, missing) if values else 0.0
+    plain = max((width(row) for row in rows if isinstance(row, str)), default=0.0)
+    return ValueColumns(rows, label, tail, max(inside, plain))
+
+
+def _parsed(line: str) -> ValueLine | str:
+    found = _VALUE.fullmatch(line)
+    if found is None:
+        return line
+    head = found["head"]
+    name, _, label = head.rstrip().partition("  ")
+    return ValueLine(
+        name, label.strip(), found["whole"] or found["none"], found["rest"] or "",
+        found["unit"] or "",
+    )  # fmt: skip

@@ -56,7 +56,6 @@ class GeomBuffer:
     """A buffer of decor geoms that is cleared and filled again every frame.
 
     Attributes:
-        rows: all geoms as a structured array (`geoms.GEOM`); the first `count` are in use.
         count: how many are in use.
         kinds: kind of item that every geom belongs to (`Kind`).
         items: index of this item.
@@ -89,7 +88,6 @@ class GeomBuffer:
         self.dropped = 0
 
     def clear(self) -> None:
-        """Starts a new frame."""
         for place in self._labelled:
             self.rows["label"][place] = b""
         self._labelled.clear()
@@ -106,9 +104,7 @@ class GeomBuffer:
         none are returned and `dropped` is increased, so that nothing is drawn in part.
 
         Args:
-            n: number of geoms.
             geom: `mjtGeom`.
-            kind: kind of item that they belong to.
             items: index of the joint, frame, smart arrow or robot, (n,).
         """
         if self.count + n > len(self.rows):
@@ -137,8 +133,6 @@ def place_triangles(rows: NDArray[Any], origin: Array, second: Array, third: Arr
     Args:
         rows: (...), of `GeomBuffer.take`.
         origin: first corner, (3, ...), m; the three are anticlockwise where they are seen from.
-        second: likewise.
-        third: likewise.
     """
     x, y = second - origin, third - origin
     rows["size"][..., 0] = _normalise(x)
@@ -150,7 +144,6 @@ def place_triangles(rows: NDArray[Any], origin: Array, second: Array, third: Arr
 
 
 def _normalise(vectors: Array) -> Array:
-    """Divides vectors, (3, ...), by their lengths, in place; returns these, (...)."""
     x, y, z = vectors
     lengths: Array = np.sqrt(x * x + y * y + z * z)
     vectors /= lengths

@@ -45,7 +45,6 @@ class HandleDecor(Feature):
     order = 85
 
     def draw(self, frame: Frame) -> None:
-        """Draws them, if there are any."""
         handles = frame.toggles.handles
         if handles is None:
             return
@@ -71,10 +70,7 @@ def draw_handles(buffer: GeomBuffer, pose: Array, lit: int, view: PictureView) -
     """Draws the handles of a frame.
 
     Args:
-        buffer: where to.
         pose: T_world_frame (4, 4), m.
-        lit: see `Handles`.
-        view: of the picture.
     """
     origin, rotation = pose[:3, 3], pose[:3, :3]
     unit = handle_length(origin, view)
@@ -114,12 +110,9 @@ def fill_ring(
     """Makes boxes a ring.
 
     Args:
-        rows: of `SEGMENTS` boxes, changed in place.
-        centre: (3,), m.
         axes: (3, 3), of which the third column is the ring's axis.
         radius: m.
         half_width: of the ring, m.
-        rgba: its colour.
     """
     phase = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
     x, y, z = axes.T
@@ -132,7 +125,6 @@ def fill_ring(
 
 
 def _draw_mark(buffer: GeomBuffer, mark: Array, view: PictureView) -> None:
-    """Draws a red line from an actual position to a cross at the desired one."""
     wanted, there = mark
     half = _MARK_HALF * handle_length(wanted, view)
     rows = buffer.take(4, int(mujoco.mjtGeom.mjGEOM_BOX))
@@ -154,3 +146,31 @@ def _draw_mark(buffer: GeomBuffer, mark: Array, view: PictureView) -> None:
         rows["mat"][3] = np.column_stack([x, np.cross(z, x), z])
     rows["size"][3] = 0.4 * half, 0.4 * half, length / 2
     rows["emission"] = 0.7
+
+
+_RGBA = (0.16, 0.75, 0.95, 0.95)
+_LARGER = 1.3  # than the joint's arrow
+_HALF_WIDTH = 1.4  # pixels
+
+
+class SelectionRing(Feature):
+    """Draws the ring about the joint that a user has selected."""
+
+    order = 84
+
+    def draw(self, frame: Frame) -> None:
+        joint = frame.toggles.selected
+        if joint is None or not frame.shown.joints[joint]:
+            return
+        joints, data = self.world.joints, frame.data
+        site = joints.centre_site[joint]
+        centre: Array = np.asarray(data.site_xpos[site])
+        axes: Array = np.asarray(data.site_xmat[site]).reshape(3, 3)
+        view = frame.view
+        depth = max(float((centre - view.position) @ view.forward), view.near)
+        rows = frame.buffer.take(SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.NONE)
+        if len(rows):
+            radius = _LARGER * float(joints.arrow_radius[joint])
+            half = _HALF_WIDTH * float(view.pixel_size(depth))
+            fill_ring(rows, centre, axes, radius, half, _RGBA)
+            rows["emission"] = 0.9

@@ -35,19 +35,9 @@ def columns(
             first.
         sizes: width and height of every panel, (k, 2), pixels.
         side: `LEFT` or `RIGHT`, (k,).
-        gap: minimum space between panels, pixels.
         beside: space between the innermost columns and the outermost joint, pixels.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        span: first and last pixel column of the robots, which panels do not cover; None for
-            those of the anchors.
         kept_free: rectangles in the corners of the picture (legend, faults, flange check) that
             panels do not cover: left, bottom, right, top, (c, 4), pixels.
-        covered: rectangles around parts of the robots (r, 4), pixels; a column that has to stand
-            in front of some leaves them free where it has the room.
-
-    Returns:
-        centres of the panels, (k, 2), pixels from the lower left corner.
     """
     centres = np.empty((len(anchors), 2))
     if not len(anchors):
@@ -108,13 +98,8 @@ def with_room(
     A narrow picture has one column, on the right.
 
     Args:
-        sizes: width and height of every panel, (k, 2), pixels, the most important one first.
         side: `LEFT` or `RIGHT`, (k,).
         gap: minimum space between panels, pixels.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        kept_free: rectangles in the corners of the picture, (c, 4), pixels, as for `columns`.
-        covered: rectangles around parts of the robots (r, 4), pixels, which are left free.
         may_move: whether a panel for which its own side has no room stands on the other one.
 
     Returns:
@@ -180,7 +165,6 @@ def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: 
 
 
 def _chunks(index: Ints, sizes: Array, gap: float, height: float) -> list[Ints]:
-    """Splits one side's panels into as few columns of similar length as the height allows."""
     if not len(index):
         return []
     needed = float(sizes[index, 1].sum()) + _MIN_GAP * gap * len(index)
@@ -228,16 +212,8 @@ def spread_around(
     """Moves intervals apart, as `spread` does, and out of blocked ranges where there is room.
 
     Args:
-        centres: desired centres, (k,), pixels.
-        heights: (k,), pixels.
-        gap: minimum space between two intervals, pixels.
-        low: lower bound of all intervals.
-        high: upper bound of all intervals.
         blocked: lower and upper end of every blocked range, (b, 2), pixels; without effect if the
             intervals do not fit between them.
-
-    Returns:
-        centres (k,), the first lowest.
     """
     rooms = _rooms_between(blocked, low, high, float(heights.min())) if len(blocked) else []
     for between in (gap, _MIN_GAP * gap) if rooms else ():
@@ -284,7 +260,6 @@ def _assign_rooms(
 def _rooms_between(
     blocked: Array, low: float, high: float, least: float
 ) -> list[tuple[float, float]]:
-    """Returns ranges from low to high, of a least size, that no blocked range covers, in order."""
     bottoms, tops = blocked[np.argsort(blocked[:, 0])].T
     starts = np.maximum.accumulate(np.append(low, tops))
     ends = np.append(np.minimum(bottoms, high), high)
@@ -298,8 +273,6 @@ def place_clear(
     """Moves rectangles off occupied ones and off each other, each as little as possible.
 
     Args:
-        centres: desired centres, (k, 2), pixels.
-        sizes: (k, 2), pixels.
         taken: left, bottom, right and top of what stays where it is, (m, 4), pixels.
         low: lower left pixel of the room that there is, (2,).
         high: upper right pixel, (2,).
@@ -339,8 +312,6 @@ def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
     Two that cross change their starts, which makes their total length smaller: so it ends.
 
     Args:
-        starts: (k, 2), pixels.
-        ends: (k, 2), pixels.
         least_gain: two stay as they are if their total length would become smaller by less than
             this, pixels: those that barely cross, next to one of their ends.
 
@@ -369,10 +340,6 @@ def bends(starts: Array, ends: Array, centres: Array, sizes: Array, lane: float)
     column ends: the farther its panel, the farther from the edge, so that leaders do not cross.
 
     Args:
-        starts: of the leaders, on the edges of their panels, (k, 2), pixels.
-        ends: (k, 2), pixels.
-        centres: of the panels, (k, 2), pixels.
-        sizes: (k, 2), pixels.
         lane: distance between leaders beside a column, pixels.
 
     Returns:
@@ -410,9 +377,6 @@ def tangle(starts: Array, bends: Array, ends: Array, low: Array, high: Array) ->
     """Returns how often leaders cross each other, or run behind panels but their own.
 
     Args:
-        starts: (k, 2), pixels.
-        bends: (k, 2), pixels; the start of a straight leader.
-        ends: (k, 2), pixels.
         low: lower left pixels of the panels, (k, 2).
         high: upper right pixels, (k, 2).
     """
@@ -425,14 +389,7 @@ def tangle(starts: Array, bends: Array, ends: Array, low: Array, high: Array) ->
 
 
 def behind(starts: Array, ends: Array, low: Array, high: Array) -> Bools:
-    """Returns which straight leaders (rows) run behind which panels but their own, (k, k) bool.
-
-    Args:
-        starts: (k, 2), pixels.
-        ends: (k, 2), pixels.
-        low: lower left pixels of the panels, (k, 2).
-        high: upper right pixels, (k, 2).
-    """
+    """Returns which straight leaders (rows) run behind which panels but their own, (k, k) bool."""
     along = ends - starts
     along = np.where(np.abs(along) < 1e-9, 1e-9, along)[:, None]
     first, second = (
@@ -446,16 +403,10 @@ def behind(starts: Array, ends: Array, low: Array, high: Array) -> Bools:
 
 
 def crossings(starts: Array, ends: Array) -> Bools:
-    """Returns which straight leaders cross, (k, k) bool.
-
-    Args:
-        starts: (k, 2), pixels.
-        ends: (k, 2), pixels.
-    """
+    """Returns which straight leaders cross, (k, k) bool."""
     along = ends - starts
 
     def side_of(points: Array) -> Array:
-        """Returns on which side of every leader (rows) points (columns) are."""
         away = points - starts[:, None]
         return along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
 

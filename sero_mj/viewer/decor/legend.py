@@ -54,12 +54,7 @@ _BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # of a line's height
 
 
 def arrows_line(quantity: str, has_sliding: bool) -> str:
-    """The line of the legend that says what round arrows show.
-
-    Args:
-        quantity: of `ARROW_QUANTITIES`.
-        has_sliding: whether some of them are straight ones, of joints that slide.
-    """
+    """The line of the legend that says what round arrows show."""
     return _arrows_line(quantity, _WORDS[quantity][0], has_sliding)
 
 
@@ -90,10 +85,7 @@ class Legend(Feature):
         self._known = np.zeros_like(self._routed)  # by quantity and joint: arrows, so far
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds the legend if it is switched on, and an arrow is or there are notes.
-
-        Of a robot without a route for what arrows show it tells nothing before one is drawn.
-        """
+        """Adds the legend if it is switched on and there is an arrow or a note."""
         frame.corners += self._shown(frame)
 
     def _shown(self, frame: Frame) -> list[Panels]:
@@ -118,7 +110,6 @@ class Legend(Feature):
         return self._panels
 
     def _expected(self, frame: Frame) -> Bools:
-        """Returns of which joints arrows are or may come, (N,)."""
         joints, of_quantity = self.world.joints, (frame.toggles.arrow_quantity, self._joints)
         drawn = drawn_widths(joints, frame.arrow_values, frame.arrow_limit) > 0.0
         drawn &= frame.toggles.arrows
@@ -126,11 +117,6 @@ class Legend(Feature):
         return np.asarray((self._routed | self._known)[of_quantity])
 
     def _note_drawn(self, frame: Frame) -> None:
-        """Notes which smart arrows are long enough to be seen.
-
-        From then on the legend has their scale: it does not come and go with contacts, unless it
-        is not to be steady.
-        """
         if not self.is_steady:
             self._drawn[:] = self._known[:] = False
         new = frame.shown.vectors & ~self._drawn
@@ -197,7 +183,6 @@ class Legend(Feature):
         return [each for each in (notes, scaled) if each.texts]
 
     def _who(self, shown: Bools, without: Bools) -> str:
-        """Returns what joints without a limit are called: by their robots, if all of it are."""
         owners = self.world.joints.owner
         names = list(self.world.owners)
         mine = set(owners[without].tolist()) - set(owners[shown & ~without].tolist())
@@ -206,7 +191,6 @@ class Legend(Feature):
         return robots or "without a limit"
 
     def _difference(self, shown: Bools) -> str:
-        """Returns what torque errors are where cards give them a name of their own; else empty."""
         owners = list(self.world.owners.values())
         names = {
             line.label
@@ -217,7 +201,6 @@ class Legend(Feature):
         return f"difference of torques, {names.pop()}" if len(names) == 1 else ""
 
     def _scales(self, toggles: Toggles) -> list[bytes]:
-        """Returns a line for every scale of the smart arrows seen: value per length or width."""
         scene = self.world.scene
         lines: dict[str, list[str]] = {}
         kinds: dict[str, dict[str, None]] = {}
@@ -249,7 +232,6 @@ def _routed(world: WorldView) -> Bools:
 
 
 def _notes(world: WorldView) -> list[bytes]:
-    """Returns the notes of the scene and its robots; those of some robots only with their names."""
     robots = world.scene.robots
     lines = [world.scene.note]
     for note in dict.fromkeys(robot.note for robot in robots.values()):
@@ -263,13 +245,11 @@ def _notes(world: WorldView) -> list[bytes]:
 
 
 def _named(names: list[str]) -> str:
-    """Returns the names; empty if they are too long together."""
     listed = ", ".join(names)
     return listed if len(names) == 1 or len(listed) <= _MAX_NAMES else ""
 
 
 def _bars(panels: Panels, view: PictureView) -> Array:
-    """Returns the bars of the scale (m, 4): as wide as arrows, by the square root of the share."""
     line = view.font.height
     ends = np.array([view.font.width("".join(SCALE[:k]) + SCALE[-1]) for k in range(len(SCALE))])
     bars = []

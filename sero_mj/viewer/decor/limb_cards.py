@@ -24,7 +24,6 @@ class CardLimbs:
             (len(owners),); each double has its own.
         beside: number of the limb with whose cards every joint's stands, (N,): fingers with their
             arm.
-        of_joint: number of every joint's limb, (N,); all fingers of an arm are one, its hand.
         names: of these limbs.
     """
 
@@ -34,7 +33,6 @@ class CardLimbs:
     names: list[str]
 
     def joints_of(self, joint: int) -> Ints:
-        """Returns the joints of the limb of a joint."""
         return np.flatnonzero(self.of_joint == self.of_joint[joint])
 
     def collapsed(self, shown: Ints, is_asked: Bools, most: int) -> Bools:
@@ -67,9 +65,6 @@ def card_limbs(world: WorldView) -> CardLimbs:
 
     Limbs that are small beside the one that carries them stand with it, and are one together. So
     are all robots that stand with another one: the fingers of a hand.
-
-    Args:
-        world: the compiled scene.
     """
     joints, parts = world.joints, list(world.owners.values())
     is_double = np.array([isinstance(part, DoublePart) for part in parts], bool)
@@ -93,7 +88,7 @@ def card_limbs(world: WorldView) -> CardLimbs:
                 beside[part.joints][own == own[k]] = by
                 limb[part.joints][own == own[k]] = carried.setdefault(by, limb.max() + 1)
     is_carried = groups != np.arange(len(groups))
-    for group in np.unique(groups[is_carried]):
+    for group in sorted(set(groups[is_carried].tolist())):
         mine = (is_carried & (groups == group))[joints.owner]
         beside[mine], limb[mine] = beside.max() + 1, limb.max() + 1
     of_joint = np.unique(limb, return_inverse=True)[1].reshape(-1)
@@ -104,7 +99,6 @@ def card_limbs(world: WorldView) -> CardLimbs:
 
 
 def _name(world: WorldView, mine: Ints) -> str:
-    """Returns the name of a limb with these joints: of its robot, or what its robots share."""
     parts = list(world.owners.values())
     titles = without_common_start([part.declared.name for part in parts])
     owners = np.unique(world.joints.owner[mine]).tolist()
@@ -120,7 +114,6 @@ def _name(world: WorldView, mine: Ints) -> str:
 
 
 def _common_start(names: list[str]) -> str:
-    """Returns the words with which all names begin; without any the first name and the last."""
     if len(names) == 1:
         return names[0]
     words = zip(*(name.split("_") for name in names), strict=False)

@@ -50,11 +50,7 @@ _MOST_ROWS = 4000
 
 
 class ModelDrawing:
-    """Draws parts of a world's model, as the switches of `Toggles` say.
-
-    Args:
-        world: the compiled scene.
-    """
+    """Draws parts of a world's model, as the switches of `Toggles` say."""
 
     def __init__(self, world: WorldView) -> None:
         self._world = world
@@ -68,7 +64,6 @@ class ModelDrawing:
 
     @cached_property
     def _model(self) -> mujoco.MjModel:
-        """With the masses of simulation, without any where these cannot be known; own sizes."""
         try:
             found = copy.copy(self._world.weighed())
         except (SeroError, ValueError) as error:
@@ -99,14 +94,7 @@ class ModelDrawing:
         camera: mujoco.MjvCamera,
         scene: mujoco.MjvScene,
     ) -> None:
-        """Lets MuJoCo fill a scene with the world, as it is seen by a camera.
-
-        Args:
-            data: the world's state, with frames up to date.
-            toggles: what is shown.
-            camera: of the picture.
-            scene: takes the geoms.
-        """
+        """Lets MuJoCo fill a scene with the world, as it is seen by a camera."""
         self._surfaces.flags[_TRANSPARENT] = toggles.transparent
         scene.flags[_WIREFRAME] = toggles.wireframe
         model = self._world.model
@@ -114,12 +102,7 @@ class ModelDrawing:
         self.add(data, toggles, scene)
 
     def rows(self, data: mujoco.MjData, toggles: Toggles) -> np.ndarray:
-        """Returns the geoms of parts alone, (k,) of `GEOM`; takes no time while none is on.
-
-        Args:
-            data: the world's state, with frames up to date.
-            toggles: what is shown.
-        """
+        """Returns the geoms of parts alone, (k,) of `GEOM`; takes no time while none is on."""
         if not _is_asked(toggles):
             return np.zeros(0, GEOM)
         if self._own is None:
@@ -130,13 +113,7 @@ class ModelDrawing:
         return np.zeros(0, GEOM) if rows is None else rows[: self._own.ngeom].copy()
 
     def add(self, data: mujoco.MjData, toggles: Toggles, scene: mujoco.MjvScene) -> None:
-        """Adds the geoms of parts to a scene.
-
-        Args:
-            data: the world's state, with frames up to date.
-            toggles: what is shown.
-            scene: takes the geoms.
-        """
+        """Adds the geoms of parts to a scene."""
         if not _is_asked(toggles):
             return
         for name, flag in _FLAGS.items():
@@ -149,7 +126,6 @@ class ModelDrawing:
         self._tidy(scene, start)
 
     def _follow(self, data: mujoco.MjData, *, has_contacts: bool) -> None:
-        """Takes over a state; the data that is shown may be that of a running simulation."""
         model, own = self._model, self._data
         state = np.empty(mujoco.mj_stateSize(model, _STATE))
         mujoco.mj_getState(self._world.model, data, state, _STATE)
@@ -163,7 +139,6 @@ class ModelDrawing:
             mujoco.mj_collision(model, own)
 
     def _tidy(self, scene: mujoco.MjvScene, start: int) -> None:
-        """Lights and sizes new geoms as other decor, and drops centres of mass of nothing."""
         view = self._rows_of(scene)
         if view is None:
             return
@@ -186,12 +161,10 @@ class ModelDrawing:
 
 
 def _is_asked(toggles: Toggles) -> bool:
-    """Whether a part is on."""
     return any(getattr(toggles, name) for name in _FLAGS)
 
 
 def _set_sizes(model: mujoco.MjModel) -> None:
-    """Sets sizes and a colour of marks that a model has left as they are in MuJoCo."""
     usual, now = mujoco.MjSpec().visual, model.vis
     for name, size in _SIZES.items():
         if getattr(now.scale, name) == np.float32(getattr(usual.scale, name)):

@@ -33,7 +33,6 @@ def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: Picture
     Args:
         text_widths: of the widest line of every panel, (k,), pixels.
         lines: number of lines of every panel, (k,).
-        view: of the picture.
     """
     line = view.font.height
     sizes = np.empty((len(text_widths), 2))
@@ -47,11 +46,8 @@ class Panels:
     """Panels with text, laid out in pixels.
 
     Attributes:
-        centres: (k, 2), pixels.
-        sizes: (k, 2), pixels.
         texts: the lines of every panel, top first.
         rgba: their colour, or one for each, (k, 4).
-        kind: kind of the items they belong to.
         items: index of the joint or frame that every panel belongs to, (k,).
         in_front: whether they cover other panels; covered text is not drawn.
         has_values: whether their lines are values, which hosts may align in columns.
@@ -83,13 +79,7 @@ class Panels:
 
 
 def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
-    """Returns centres and sizes of panels, moved to be inside the picture.
-
-    Args:
-        view: of the picture.
-        centres: desired centres, (k, 2), pixels.
-        texts: the lines of each.
-    """
+    """Returns centres and sizes of panels, moved to be inside the picture."""
     widths = np.array([max(view.font.width(line) for line in lines) for lines in texts], float)
     sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
     half = sizes / 2
@@ -102,8 +92,6 @@ def labels_below(places: Array, names: list[str], view: PictureView) -> tuple[Pa
 
     Args:
         places: (k, 3), m.
-        names: to write there.
-        view: of the picture.
     """
     pixels, depth = view.project(places)
     seen = view.sees(pixels, depth).nonzero()[0]
@@ -122,7 +110,6 @@ def clear_of(labels: list[Panels], others: list[Panels], view: PictureView) -> l
     Args:
         labels: the first ones have the first choice.
         others: these stay where they are.
-        view: of the picture.
     """
     if not labels:
         return []
@@ -152,8 +139,6 @@ def draw_panels(
     """Draws all panels of a frame in one vectorized pass.
 
     Args:
-        buffer: where to.
-        view: of the picture.
         groups: panels of different colours.
         lighter: fraction of white that is added to all of them.
 
@@ -213,7 +198,6 @@ def draw_panels(
 def _draw_lines(
     buffer: GeomBuffer, view: PictureView, starts: Array, lines: list[bytes], depth: Array
 ) -> None:
-    """Draws lines of text, by their lower left pixels (k, 2) and the depth of their panels."""
     labels = buffer.take(len(starts), int(mujoco.mjtGeom.mjGEOM_LABEL))
     if not len(labels):
         return
@@ -225,7 +209,6 @@ def _draw_lines(
 
 
 def _draw_bars(buffer: GeomBuffer, view: PictureView, bars: Array) -> None:
-    """Draws bars in front of panels; see `Panels`."""
     rows = buffer.take(len(bars), int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
         return
@@ -239,7 +222,6 @@ def _draw_bars(buffer: GeomBuffer, view: PictureView, bars: Array) -> None:
 
 
 def _in_colours(groups: list[Panels], rgba: Array) -> list[Panels]:
-    """Returns the panels in their colours as drawn (k, 4)."""
     stops = np.cumsum([len(group.texts) for group in groups])
     return [
         replace(group, rgba=rgba[stop - len(group.texts) : stop])
@@ -248,7 +230,6 @@ def _in_colours(groups: list[Panels], rgba: Array) -> list[Panels]:
 
 
 def _without(groups: list[Panels], covered: NDArray[np.bool_]) -> list[Panels]:
-    """Returns the panels with covered lines emptied, (k,) bool."""
     each = iter(covered.tolist())
     return [
         replace(group, texts=[[b"" if next(each) else t for t in lines] for lines in group.texts])
@@ -276,16 +257,7 @@ def draw_leaders(
     ends: Array,
     rgba: tuple[float, ...],
 ) -> None:
-    """Draws leaders as thin triangles in the picture plane; the first part of a bent one is a line.
-
-    Args:
-        buffer: where to.
-        view: of the picture.
-        starts: (k, 2), pixels.
-        bends: where they bend, (k, 2), pixels; as `starts` of a straight one.
-        ends: (k, 2), pixels.
-        rgba: colour.
-    """
+    """Draws leaders as thin triangles; the first part of a bent leader is a line."""
     base = max(_LEADER_BASE * view.font.height, 3.0)
     is_bent = (bends != starts).any(axis=1)
     _draw_tips(buffer, view, starts[~is_bent], ends[~is_bent], base, rgba)
@@ -307,17 +279,7 @@ def _draw_tips(
     *,
     at_corner: bool = False,
 ) -> None:
-    """Draws triangles with a base at `starts` (k, 2), and their tips at `ends` (k, 2), pixels.
-
-    Args:
-        buffer: where to.
-        view: of the picture.
-        starts: middle of the base, (k, 2), pixels.
-        ends: tip, (k, 2), pixels.
-        base: its length, pixels.
-        rgba: colour.
-        at_corner: the tip is half a base beside `ends`, as the corner of a line.
-    """
+    """Draws triangles with a base at `starts` (k, 2), and their tips at `ends` (k, 2), pixels."""
     rows = buffer.take(len(starts), int(mujoco.mjtGeom.mjGEOM_TRIANGLE))
     if not len(rows):
         return

@@ -27,7 +27,6 @@ class PartNames(Feature):
     order = 61
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds a label below every one of them."""
         names, places = named_parts(self.world, frame.data, frame.toggles.part_names)
         found = labels_below(places, names, frame.view)
         if found is not None:
@@ -61,8 +60,6 @@ def named_parts(world: WorldView, data: Any, chosen: int) -> tuple[list[str], Ar
     Doubles, received frames and cameras are no parts of it, nor is what has no name.
 
     Args:
-        world: the compiled scene.
-        data: its state.
         chosen: index in `PART_NAMES`.
     """
     model, what = world.model, PART_NAMES[chosen]
@@ -79,7 +76,6 @@ def named_parts(world: WorldView, data: Any, chosen: int) -> tuple[list[str], Ar
 
 
 def _parts(model: mujoco.MjModel, what: str) -> tuple[Ints, Ints, Array]:
-    """Ids of bodies, joints or geoms, their bodies, and places in these (k, 3), m."""
     if what == "bodies":
         ids = np.arange(1, model.nbody)
         return ids, ids, np.zeros((len(ids), 3))
@@ -91,7 +87,6 @@ def _parts(model: mujoco.MjModel, what: str) -> tuple[Ints, Ints, Array]:
 
 
 def _is_part(world: WorldView) -> Bools:
-    """Which bodies belong to the model that a user has declared, (nbody,)."""
     mocap, placed = world.model.body_mocapid, world.placed
     moved = [placed[name] for name in (*world.scene.frames, *world.scene.cameras) if name in placed]
     for each in world.doubles.values():

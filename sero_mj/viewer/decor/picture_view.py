@@ -29,11 +29,8 @@ class PictureView:
         forward: unit vector (3,).
         tan_half_fovy: tangent of half the vertical field of view.
         near: distance of the near plane, m.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        font: of the host's labels.
-        inset: margins of the picture that the host's own windows cover: left, bottom, right,
-            top, pixels; panels are placed inside.
+        inset: margins of the picture that the host's own windows cover: left, bottom, right, top,
+            pixels; panels are placed inside.
     """
 
     position: Array
@@ -56,15 +53,7 @@ class PictureView:
         font: Font = DEFAULT_FONT,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> PictureView:
-        """Returns the view of an `MjvScene` that `mjv_updateScene` has filled.
-
-        Args:
-            scene: with camera.
-            width: of the picture, pixels.
-            height: of the picture, pixels.
-            font: of the host's labels.
-            inset: see the attributes.
-        """
+        """Returns the view of an `MjvScene` that `mjv_updateScene` has filled."""
         left, right = scene.camera[0], scene.camera[1]
         position = (np.array(left.pos, np.float64) + right.pos) / 2
         forward = np.array(left.forward, np.float64)
@@ -106,9 +95,6 @@ class PictureView:
     def project(self, points: Array) -> tuple[Array, Array]:
         """Projects points of the world into the picture.
 
-        Args:
-            points: (..., 3), m.
-
         Returns:
             pixels (..., 2), and depth along the viewing direction (...), m; a point behind the
             camera has a negative depth and undefined pixels.
@@ -120,12 +106,7 @@ class PictureView:
         return pixels + self._centre, depth
 
     def sees(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
-        """Whether projected points are in the picture, (...) bool.
-
-        Args:
-            pixels: as returned by `project`, (..., 2).
-            depth: as returned by `project`, (...), m.
-        """
+        """Whether projected points are in the picture, (...) bool."""
         inside = (pixels >= 0).all(axis=-1) & (pixels < [self.width, self.height]).all(axis=-1)
         return np.asarray(inside & (depth > self.near))
 
@@ -133,7 +114,6 @@ class PictureView:
         """Returns the world points (..., 3), m, at pixels and depths.
 
         Args:
-            pixels: (..., 2).
             depth: along the viewing direction, m; a scalar, or (..., 1).
         """
         scale = self.pixel_size(depth)
@@ -141,5 +121,4 @@ class PictureView:
         return np.asarray(middle + ((pixels - self._centre) * scale) @ self.facing[:, :2].T)
 
     def pixel_size(self, depth: Depth) -> Depth:
-        """Returns the size of a pixel at a depth, m."""
         return depth / self._pixels_per_tan

@@ -1,4 +1,13 @@
-"""Per-joint values that decor shows: received values and those computed from them."""
+"""Per-joint values that decor shows: received values and those computed from them.
+
+Proximity to a singularity was the first use of round arrows (the paper's reference 14). The measure
+is the inverse condition number c of the Jacobian with lengths in units of the robot's reach: 0 at a
+singularity, at most 1. Close to a singularity, every joint's arrow turns in the direction of motion
+that leads towards it, with a width in proportion to the joint's contribution.
+
+Source: inverse condition number as in Angeles, Fundamentals of Robotic Mechanical Systems, 4.9;
+the Jacobian's derivative as in Haviland and Corke, Manipulator Differential Kinematics, part 2.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +18,10 @@ from numpy.typing import NDArray
 from ...base.frames import Array
 from ...robots.assemble.friction_torques import friction_torques
 from ...robots.assemble.gravity_torques import gravity_torques
+from ...robots.assemble.parts import Owner
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ...robots.declared.torque_units import TorqueUnit
-from .singularity import towards_singularity
 
 QUANTITY_NAMES = {
     "torques": "torque",
@@ -67,12 +76,7 @@ def _limit_name(world: WorldView, joint: int) -> str:
 
 
 def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]:
-    """Returns messages for torques over `DOUBTFUL_FACTOR` times their limit.
-
-    Args:
-        world: the compiled scene.
-        values: as returned by `joint_values`.
-    """
+    """Returns messages for torques over `DOUBTFUL_FACTOR` times their limit."""
     joints, torques = world.joints, values["torques"]
     share = np.abs(torques) / joints.torque_limit
     found = np.flatnonzero(share > DOUBTFUL_FACTOR)  # not NaN
@@ -93,9 +97,6 @@ def arrow_values(
     """Returns the value that every joint's arrow shows, and the value of full width.
 
     Args:
-        world: the compiled scene.
-        data: its state.
-        values: as returned by `joint_values`.
         quantity: index in `ARROW_QUANTITIES`, (N,).
 
     Returns:
@@ -135,3 +136,80 @@ def joint_name(world: WorldView, joint: int) -> str:
     owner = list(world.owners)[int(world.joints.owner[joint])]
     name = world.joints.names[joint]
     return name if name.startswith(f"{owner}/") else f"{owner}/{name}"
+
+
+FAR = 0.15  # inverse condition number above which no arrow is shown
+
+
+def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
+    """Returns the proximity to a singularity and the direction of every joint towards it.
+
+    Args:
+        part: the robot or double, n joints.
+
+    Returns:
+        (n,), -1 to 1: the sign is the direction of motion towards the singularity; the largest
+        magnitude is the proximity, 0 at `FAR` and above, 1 at the singularity.
+    """
+    towards = np.zeros(part.robot.n)
+    if not len(part.chain):
+        return towards
+    c, gradient = inverse_condition(jacobian(world, data, part))
+    nearness = np.clip(1.0 - c / FAR, 0.0, 1.0)
+    largest = np.abs(gradient).max()
+    if largest >= 1e-12:
+        towards[part.chain] = -gradient / largest * nearness
+    return towards
+
+
+def jacobian(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
+    """Returns the geometric Jacobian (6, m) of the flange, lengths in units of the robot's reach.
+
+    It has a column for every joint that moves the flange, all n of a serial robot. It is computed
+    from the sites at the joints, because a double has no degrees of freedom in MuJoCo.
+
+    Args:
+        part: the robot or double, n joints.
+    """
+    chain = part.chain
+    sites = world.joints.centre_site[part.joints][chain]
+    rotation = data.site_xmat[sites].reshape(-1, 3, 3)
+    axis = rotation[:, :, 2]
+    # The site is offset from the axis by `offsets_to_center_of_joints`.
+    on_axis = data.site_xpos[sites] - np.einsum("nij,nj->ni", rotation, part.robot.offsets[chain])
+    flange = world.frames.names.index(part.flange_name)
+    lever = data.site_xpos[world.frames.site[flange]] - on_axis
+    turns = part.kinematics.revolute[chain][:, None]
+    linear = np.where(turns, np.cross(axis, lever), axis) / part.reach
+    return np.concatenate([linear, np.where(turns, axis, 0.0)], axis=1).T
+
+
+def inverse_condition(J: Array) -> tuple[float, Array]:
+    """Returns the inverse condition number of a Jacobian and its gradient in the joint angles.
+
+    Args:
+        J: (6, n), base frame; a prismatic joint's angular part is zero.
+
+    Returns:
+        smallest over largest singular value, and its gradient (n,), per rad or m.
+    """
+    u, s, vt = np.linalg.svd(J, full_matrices=False)
+    if s[0] < 1e-12:
+        return 0.0, np.zeros(J.shape[1])
+    H = _hessian(J)  # dJ/dq_i is H[i]
+    first = np.einsum("a,iab,b->i", u[:, 0], H, vt[0])
+    last = np.einsum("a,iab,b->i", u[:, -1], H, vt[-1])
+    return float(s[-1] / s[0]), (last - s[-1] / s[0] * first) / s[0]
+
+
+def _hessian(J: Array) -> Array:
+    """Returns dJ/dq, (n, 6, n): the derivative of column j by joint i is [i, :, j]."""
+    n = J.shape[1]
+    linear, angular = J[:3].T, J[3:].T
+    i, j = np.indices((n, n))
+    low, high = np.minimum(i, j), np.maximum(i, j)
+    H = np.zeros((n, 6, n))
+    H[:, :3] = np.swapaxes(np.cross(angular[low], linear[high]), 1, 2)
+    turning = np.where((i < j)[..., None], np.cross(angular[i], angular[j]), 0.0)
+    H[:, 3:] = np.swapaxes(turning, 1, 2)
+    return H

@@ -41,13 +41,9 @@ class Ribbons:
 
     Attributes:
         items: indices of the items they belong to, (k,).
-        centre: (k, 3), m.
         axes: rotations with z along the axis of the arrow (right-hand rule), (k, 3, 3).
         phase: angle of the tail about z from x, in the arrow's direction, (k,), rad.
         sign: 1, or -1 for the opposite direction, (k,).
-        radius: (k,), m.
-        width: (k,), m.
-        rgba: (k, 4).
         striped: whether they are striped, for values beyond the limit, (k,) bool.
     """
 
@@ -66,9 +62,6 @@ def draw_ribbons(buffer: GeomBuffer, kind: Kind, ribbons: Ribbons, budget: int) 
     """Draws round arrows.
 
     Args:
-        buffer: where to.
-        kind: kind of the items they belong to.
-        ribbons: the arrows.
         budget: number of geoms that each arrow may have.
     """
     shape = ribbon_shape(budget)
@@ -89,18 +82,15 @@ def draw_ribbons(buffer: GeomBuffer, kind: Kind, ribbons: Ribbons, budget: int) 
 
 
 def _angles(ribbons: Ribbons, along: Array) -> Array:
-    """Returns angles about the axis from x, (k, n), of places along the arc from the tail."""
     return np.asarray(ribbons.sign[:, None] * (ribbons.phase[:, None] + along))
 
 
 def _directions(ribbons: Ribbons, cos: Array, sin: Array) -> Array:
-    """Returns unit vectors away from the axis at angles (k, n), (3, k, n)."""
     x, y = ribbons.axes.T[:2, ..., None]
     return np.asarray(cos * x + sin * y)
 
 
 def _place_boxes(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> None:
-    """Sets the boxes of ribbons (k, boxes): width along the axis, thickness outward."""
     radius = ribbons.radius[:, None]
     angles = _angles(ribbons, shape.middle)
     cos, sin = np.cos(angles), np.sin(angles)
@@ -116,7 +106,6 @@ def _place_boxes(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> No
 
 
 def _place_heads(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> None:
-    """Sets the triangles of heads (k, triangles): rectangles along the arc, and their sides."""
     radius, widths = ribbons.radius[:, None], ribbons.width[:, None]
     # A head of constant size on a very thin arrow would make noise look like a torque.
     grown = np.minimum(widths / (_FULL_HEAD_WIDTH * radius), 1.0)
@@ -167,7 +156,6 @@ class RibbonShape:
 
 
 def _triangles_of(heads: int, steps: int) -> int:
-    """Returns the number of triangles of the heads: sides and backs, without those of no area."""
     return heads * (8 * steps + 2) - 4
 
 

@@ -76,7 +76,6 @@ def drawn_widths(joints: JointTable, values: Array, limit: Array) -> NDArray[np.
     Args:
         joints: of the world.
         values: as for `arrow_widths`.
-        limit: likewise.
     """
     by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
@@ -94,7 +93,6 @@ class RoundArrows(Feature):
     order = 90  # last, so that arrows are dropped first if the capacity is exceeded
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds the names of the z axes of joints that were clicked on, at their tips."""
         clicked = (frame.shown.arrows & frame.toggles.details).nonzero()[0]
         if not len(clicked):
             return
@@ -109,7 +107,6 @@ class RoundArrows(Feature):
             frame.panels.append(Panels(*labels_at(view, tips, lines), lines))
 
     def draw(self, frame: Frame) -> None:
-        """Draws an arrow for every joint that has a value and whose arrow is shown."""
         buffer, data, shown = frame.buffer, frame.data, frame.shown
         values, limit, stale = frame.arrow_values, frame.arrow_limit, frame.stale_joints
         joints = self.world.joints
@@ -146,7 +143,6 @@ class RoundArrows(Feature):
             self._draw_straight(buffer, data, sliding, (values, widths, over, rgba))
 
     def _draw_z(self, frame: Frame, index: NDArray[np.intp]) -> None:
-        """Draws the z axis, about which positive torques turn, of joints that were clicked on."""
         joints, buffer = self.world.joints, frame.buffer
         sites = joints.centre_site[index]
         length = _Z_LENGTH * joints.arrow_radius[index][:, None]
@@ -189,10 +185,6 @@ class RoundArrows(Feature):
 
 
 def _budget(frame: Frame) -> int:
-    """Returns how many geoms an arrow may have, such that many joints do not slow pictures down.
-
-    It depends on the toggles and not on the values, which would make arrows flicker.
-    """
     of_cards = sum(2 + len(lines) for cards in frame.cards for lines in cards.texts)
     others = 3 * int(np.count_nonzero(frame.shown.axes)) + of_cards
     room = _MOST_GEOMS - _GEOMS_FOR_THE_REST - others

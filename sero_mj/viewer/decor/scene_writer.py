@@ -42,7 +42,6 @@ class SceneWriter:
         """Appends the buffer's geoms to the scene.
 
         Args:
-            buffer: what to add.
             with_text: whether panels and labels are added as well.
 
         Returns:
@@ -56,7 +55,6 @@ class SceneWriter:
         return dropped + self._append(buffer.rows[before]) + self._append(buffer.rows[after])
 
     def mark(self, buffer: GeomBuffer) -> None:
-        """Removes hidden geoms of the model, and makes others grey or transparent."""
         if buffer.hidden is not None:
             self._hide(buffer.hidden)
         if buffer.grey is not None:
@@ -65,17 +63,12 @@ class SceneWriter:
             self._fade(buffer.opacity, self._scene.ngeom)
 
     def add_double(self, drawn: DrawnDouble) -> int:
-        """Appends a double that is not compiled into the model.
-
-        Returns:
-            number of geoms that exceeded the scene's capacity.
-        """
+        """Appends a double that is not compiled into the model."""
         if self._painter is None:
             self._painter = _DoublePainter(drawn.model)
         return self._painter.add(drawn, self._scene, self._view)
 
     def _append(self, rows: NDArray[Any]) -> int:
-        """Appends geoms to the scene; returns the number of those that exceeded its capacity."""
         scene = self._scene
         start = scene.ngeom
         count = min(len(rows), scene.maxgeom - start)
@@ -88,13 +81,11 @@ class SceneWriter:
         return int(len(rows) - count)
 
     def _of_model(self, count: int) -> Ints:
-        """Returns which of the first `count` geoms of the scene are the model's, (k,)."""
         assert self._view is not None
         rows = self._view[:count]
         return np.flatnonzero((rows["objtype"] == _GEOM) & (rows["objid"] >= 0))
 
     def _hide(self, hidden: Bools) -> None:
-        """Removes geoms of the model from the scene."""
         scene = self._scene
         if self._view is not None:
             rows, index = self._view[: scene.ngeom], self._of_model(scene.ngeom)
@@ -107,7 +98,6 @@ class SceneWriter:
                 geom.rgba[3] = 0.0
 
     def _grey(self, grey: Bools, count: int) -> None:
-        """Makes the model's geoms grey, among the first `count` of the scene."""
         if self._view is not None:
             rows, index = self._view[:count], self._of_model(count)
             index = index[grey[rows["objid"][index]]]
@@ -120,7 +110,6 @@ class SceneWriter:
                 geom.rgba[:3] += GREYNESS * (np.array(GREY) - geom.rgba[:3])
 
     def _fade(self, opacity: Array, count: int) -> None:
-        """Multiplies the opacity of the model's geoms, among the first `count` of the scene."""
         if self._view is not None:
             rows, index = self._view[:count], self._of_model(count)
             factors = opacity[rows["objid"][index]]
@@ -133,11 +122,7 @@ class SceneWriter:
 
 
 class _DoublePainter:
-    """Adds doubles to scenes, from geoms that MuJoCo lays out in a separate scene.
-
-    Args:
-        model: compiled.
-    """
+    """Adds doubles to scenes, from geoms that MuJoCo lays out in a separate scene."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._own = mujoco.MjvScene(model, maxgeom=model.ngeom + _MORE)
@@ -149,16 +134,7 @@ class _DoublePainter:
         self._perturb = mujoco.MjvPerturb()
 
     def add(self, drawn: DrawnDouble, scene: mujoco.MjvScene, view: NDArray[Any] | None) -> int:
-        """Appends a double to the geoms of a scene.
-
-        Args:
-            drawn: the double.
-            scene: filled by `mjv_updateScene`.
-            view: its geoms as a structured array, if available.
-
-        Returns:
-            number of geoms that exceeded the capacity.
-        """
+        """Appends a double to the geoms of a scene."""
         own = self._own
         own.ngeom = 0
         mujoco.mjv_addGeoms(drawn.model, drawn.data, self._option, self._perturb, _ALL, own)
@@ -184,7 +160,6 @@ class _DoublePainter:
         return int(len(rows) - count)
 
     def _laid_out(self) -> NDArray[Any]:
-        """Returns copies of the geoms of the separate scene."""
         if self._rows is not None:
             return self._rows[: self._own.ngeom].copy()
         rows = np.zeros(self._own.ngeom, GEOM)
@@ -223,7 +198,6 @@ def struct_view(scene: mujoco.MjvScene) -> NDArray[Any] | None:
 
 
 def _agrees(view: NDArray[Any], scene: mujoco.MjvScene, i: int) -> bool:
-    """Whether every field of one geom, written by the binding, reads back through the view."""
     geom = scene.geoms[i]
     before = view[i : i + 1].tobytes()
     # New memory is uninitialized, also after the end of a label.

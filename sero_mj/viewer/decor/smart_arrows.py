@@ -46,7 +46,6 @@ class SmartArrows(Feature):
         self._ends_there = np.zeros(len(world.arrows.names), bool)
 
     def lay_out(self, frame: Frame) -> None:
-        """Draws the arrows, and adds the cards that are switched on, by a click for example."""
         if not frame.shown.vectors.any():
             return
         world, names = self.world, self.world.arrows.names
@@ -63,10 +62,6 @@ class SmartArrows(Feature):
             frame.cards.append(cards)
 
     def _choose_ends(self, data: mujoco.MjData, vectors: Array) -> None:
-        """Notes which straight arrows end at their point: their heads would be inside a link.
-
-        Those change back when their heads are well outside, so that none jumps to and fro.
-        """
         table = self.world.arrows
         straight = (~table.is_round & np.isfinite(vectors).all(axis=1)).nonzero()[0]
         sizes = np.linalg.norm(vectors[straight], axis=1)
@@ -79,8 +74,6 @@ class SmartArrows(Feature):
 
 
 class _Links:
-    """Boxes about the geoms of all robots."""
-
     def __init__(self, world: WorldView) -> None:
         model = world.model
         bodies = [body for part in world.robots.values() for body in part.bodies]
@@ -94,7 +87,6 @@ class _Links:
         self._middles = model.geom_pos[geoms] + np.einsum("gij,gj->gi", self._rotation, middles)
 
     def contain(self, data: mujoco.MjData, points: Array) -> tuple[Bools, Bools]:
-        """Returns which points (k, 3), m, are inside a link, and which inside or close to one."""
         turns = data.xmat[self._bodies].reshape(-1, 3, 3)
         middles = data.xpos[self._bodies] + np.einsum("gij,gj->gi", turns, self._middles)
         away = np.einsum("gij,kgi->kgj", turns @ self._rotation, points[:, None] - middles)
@@ -130,8 +122,6 @@ def draw_smart_arrows(
     """Draws every smart arrow that is shown, has data and is not too short.
 
     Args:
-        frame: what is drawn, and where to.
-        world: the compiled scene.
         vectors: in world coordinates, (K, 3), SI units, NaN for no data.
         stale: which arrows have no fresh data and are drawn grey, (K,) bool.
         ends_there: which straight arrows end at their point instead of beginning there, (K,) bool.
@@ -203,8 +193,6 @@ def frames_along(directions: Array) -> Array:
 
 
 class _VectorCards:
-    """The cards of one world's smart arrows."""
-
     def __init__(self, world: WorldView) -> None:
         self._world = world
         heights = world.state(world.make_data()).site_xpos[world.arrows.site, 2]
@@ -219,16 +207,7 @@ class _VectorCards:
         reach: Array,
         stale: list[str],
     ) -> Cards | None:
-        """Returns the cards that are shown and whose arrow is in the picture.
-
-        Args:
-            data: the world's state.
-            shown: which cards are shown, (K,) bool.
-            view: of the picture.
-            components: as received, (K, 3), NaN for no data.
-            reach: size of every arrow about its point, (K,), m.
-            stale: message for arrows without fresh data, K; empty for the others.
-        """
+        """Returns the cards that are shown and whose arrow is in the picture."""
         index = shown.nonzero()[0]
         if not len(index):
             return None

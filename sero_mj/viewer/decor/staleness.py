@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...data.receive.source import QUIET_AFTER
+from ...data.receive.reception import QUIET_AFTER
 from ...robots.assemble.parts import DoublePart, robots_of_bodies
 from ...robots.assemble.world_view import SET_BY_PROGRAM, WorldView
 from ...robots.declared.inputs import SOURCE_FIELDS
@@ -30,7 +30,6 @@ class _Routed:
     """An item with routes.
 
     Attributes:
-        name: of a robot, a double, a smart arrow or a received frame.
         ages: indices in `userdata` of the ages of its inputs' sources, (k,).
         flags: indices there of who has set these inputs last, (k,).
         stale_after: age from which data is stale, s.
@@ -94,19 +93,11 @@ class Staleness:
         return stale
 
     def joints(self, stale: dict[str, str]) -> NDArray[np.bool_]:
-        """Returns which joints belong to robots and doubles without fresh data, (N,) bool.
-
-        Args:
-            stale: as returned by `find`.
-        """
+        """Returns which joints belong to robots and doubles without fresh data, (N,) bool."""
         return stale_mask(self._owners, stale)[self._owner]
 
     def time_without_data(self, data: mujoco.MjData, stale: dict[str, str]) -> NDArray[np.float64]:
         """Returns the time without data of every joint, (N,), s.
-
-        Args:
-            data: the world's state.
-            stale: as returned by `find`.
 
         Returns:
             0 for joints with fresh data, inf before the first data.
@@ -121,14 +112,7 @@ class Staleness:
     def panels(
         self, buffer: GeomBuffer, data: mujoco.MjData, view: PictureView, stale: dict[str, str]
     ) -> list[Panels]:
-        """Makes stale robots and doubles grey and returns their labels.
-
-        Args:
-            buffer: its `grey` is set.
-            data: the world's state.
-            view: of the picture.
-            stale: as returned by `find`.
-        """
+        """Makes stale robots and doubles grey and returns their labels."""
         buffer.grey = None
         texts: dict[int, list[bytes]] = {}  # labels of a robot and its doubles below each other
         labels = [(item.name, item.base) for item in self._routed if item.geoms is not None]

@@ -36,7 +36,6 @@ SHOWN_FOR = 5.0  # s for which a malformed or lost packet is shown
 
 
 def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
-    """Returns the faults of one source, one per line."""
     message = "" if source is None else source.layout.message
     lines = []
     if state.is_failing:
@@ -64,7 +63,6 @@ def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
 
 
 def _link_faults(name: str, state: Any) -> list[str]:
-    """Returns the faults between a source and its sender, one per line."""
     lines = []
     if 0 <= state.link_age < SHOWN_FOR:
         # A malformed packet has no readable sequence number and may be one of the missing ones.
@@ -95,7 +93,6 @@ def _packets(count: float) -> str:
 
 
 def _controller_faults(name: str, state: Any, source: Source | None) -> list[str]:
-    """Returns the faults that a robot's controller reports in its last packet, one per line."""
     # Before the first packet the fields are 0, which would be a valid state here.
     if source is None or not state.received or state.link_quality < 0:
         return []
@@ -104,7 +101,6 @@ def _controller_faults(name: str, state: Any, source: Source | None) -> list[str
 
 
 def _sources(world: WorldView) -> dict[str, Source]:
-    """Returns the sources of a scene, made to be asked; those that cannot be made are left out."""
     sources = {}
     for name, declared in world.scene.sources.items():
         with suppress(SeroError):
@@ -129,7 +125,6 @@ class Status(Feature):
         self._sources = _sources(world)
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds panels to the upper left corner, below the right one's if they overlap."""
         wrong = implausible_torques(self.world, frame.values) + self._degrees(frame.values)
         panels = [
             self.panels(frame.data, frame.toggles, frame.view, wrong),
@@ -146,7 +141,6 @@ class Status(Feature):
                 frame.corners.append(panel)
 
     def _degrees(self, values: dict[str, Array]) -> list[str]:
-        """Returns questions about robots whose angles look like degrees, two lines each."""
         angles = values["joint_angles"]
         if not (np.abs(angles) > FAR_BEYOND).any():
             return []
@@ -160,7 +154,6 @@ class Status(Feature):
         ]
 
     def _awaited(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> Panels | None:
-        """Returns the packets expected from silent sources, and the command to send them."""
         if not toggles.status:
             return None
         lines, can_be_played = [], False
@@ -180,14 +173,7 @@ class Status(Feature):
     def panels(
         self, data: mujoco.MjData, toggles: Toggles, view: PictureView, more: Sequence[str] = ()
     ) -> Panels | None:
-        """Returns the panel in the upper left corner, or None if there are no faults.
-
-        Args:
-            data: the world's state.
-            toggles: whether it is shown.
-            view: of the picture.
-            more: other faults, one per line; only the first few are shown.
-        """
+        """Returns the panel in the upper left corner, or None if there are no faults."""
         lines = [*more[:_MAX_MORE]]
         for name, slot in self._slots:
             state, source = SourceState(*data.userdata[slot]), self._sources.get(name)
@@ -199,7 +185,6 @@ class Status(Feature):
 def _corner(
     lines: Sequence[str], rgba: tuple[float, float, float, float], view: PictureView
 ) -> Panels:
-    """Returns a panel in the upper left corner with lines of text; the first in a small picture."""
     low, high = view.free
     if high[1] - low[1] < _FEW_LINES * view.font.height:
         lines = lines[:1]

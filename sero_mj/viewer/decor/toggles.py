@@ -20,19 +20,8 @@ PART_NAMES = ("nothing", "bodies", "joints", "geoms")
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """The items to draw in one frame: those that are switched on and have a pose.
-
-    Attributes:
-        joints: whether a joint has a pose, (N,) bool.
-        arrows: arrows of the joints, (N,) bool.
-        billboards: billboards of the joints, including those with an arrow's exact values,
-            (N,) bool.
-        axes: axes of the frames, (M,) bool.
-        frame_names: names of the frames, (M,) bool.
-        vectors: smart arrows, (K,) bool.
-        cards: cards of the smart arrows, (K,) bool.
-    """
+class ShownItems:
+    """Items to draw in one frame, as boolean arrays: they are switched on and have a pose."""
 
     joints: Bools
     arrows: Bools
@@ -62,19 +51,8 @@ class Toggles:
     """Which features are switched on: initially as declared, changed by users and packets.
 
     Attributes:
-        arrows: arrows of the joints, (N,) bool.
         arrow_quantity: quantity of the arrows, index in `ARROW_QUANTITIES`, (N,).
-        billboards: billboards of the joints, (N,) bool.
         clicked: joints whose billboards are shown before others where not all are, (N,) bool.
-        details: whether a joint's billboard has the exact values of its arrow, (N,) bool.
-        frame_names: names of the frames, (M,) bool.
-        axes: axes of the frames, (M,) bool.
-        vectors: smart arrows, (K,) bool.
-        cards: cards of the smart arrows, with their values, (K,) bool.
-        doubles: doubles, including paths, (D,) bool.
-        legend: whether the legend of the arrows is shown.
-        status: whether faults of the sources are shown.
-        flange_checks: whether received flange frames are compared with the robots' own.
         contacts: points where the model's geoms touch, and the forces there if they are known.
         inertias: boxes with the mass and the inertia of every link.
         joint_axes: the model's joints, as MuJoCo draws them.
@@ -111,7 +89,6 @@ class Toggles:
         self.reset()
 
     def reset(self) -> None:
-        """Resets the toggles to those of the scene."""
         world, scene = self._world, self._world.scene
         declared = [part.declared for part in world.owners.values()]
 
@@ -140,12 +117,10 @@ class Toggles:
         self._last = np.full(len(self._switches), np.nan)  # routed toggles keep their value
 
     def snapshot(self) -> dict[str, Any]:
-        """Returns a copy of the toggles, for `restore`."""
         state = {key: value for key, value in vars(self).items() if not key.startswith("_")}
         return copy.deepcopy(state)
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restores the toggles of a snapshot."""
         vars(self).update(copy.deepcopy(snapshot))
 
     def apply_inputs(self, data: mujoco.MjData) -> None:
@@ -185,7 +160,7 @@ class Toggles:
             feature = {"show_arrows": self.arrows, "show_billboards": self.billboards}[item.key]
             feature[world.owners[item.name].joints] = on
 
-    def shown(self, data: mujoco.MjData) -> Shown:
+    def shown(self, data: mujoco.MjData) -> ShownItems:
         """Returns the items to draw; doubles without data and frames not received have no pose."""
         has = data.userdata[self._world.frames.has] > 0
         frames = has | (self._world.frames.has < 0)
@@ -198,7 +173,7 @@ class Toggles:
         # An arrow has a pose only if the frames that it acts at and is expressed in have one.
         anywhere = np.append(frames, True)[self._world.arrows.frames].all(axis=1)
         vectors = self.vectors & anywhere
-        return Shown(
+        return ShownItems(
             joints=joints,
             arrows=self.arrows & joints,
             billboards=(self.billboards | self.details) & joints,
@@ -209,7 +184,6 @@ class Toggles:
         )
 
     def hidden_geoms(self) -> Bools | None:
-        """Returns the geoms of doubles that are switched off, (ngeom,) bool; None for none."""
         if self.doubles.all():
             return None
         hidden = np.zeros(self._world.model.ngeom, bool)

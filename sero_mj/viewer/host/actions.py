@@ -18,10 +18,7 @@ class Actions:
     """The actions of a host and of its tools by name, and the keys that perform them.
 
     Args:
-        own: the host's, by the names in `interaction.HOST_KEYS`; `switch_a` for the key `a` of
-            `interaction.KEYS`.
         tools: whose actions and keys are added to these; they replace none.
-        say: shows a text; the second argument is whether it is an error.
     """
 
     def __init__(
@@ -38,7 +35,6 @@ class Actions:
         return self._tools.call(tool, lambda _: act())
 
     def _take_actions(self, name: str, tool: Tool) -> None:
-        """Adds what a tool does; reports names that are in use."""
         for action, act in (self._tools.call(tool, lambda tool: tool.actions()) or {}).items():
             if action in self._actions:
                 log.warning(
@@ -49,7 +45,6 @@ class Actions:
             self._actions[action] = partial(self._act, tool, act)
 
     def _take_keys(self, name: str, tool: Tool) -> None:
-        """Lets keys do what a tool does; reports those that are in use, or have no action."""
         for key, entry in tool.keys.items():
             action = entry[0]
             if key in self._keys:
@@ -59,22 +54,15 @@ class Actions:
             self._keys.setdefault(key, Key(*entry))
 
     def add(self, own: Mapping[str, Action]) -> None:
-        """Adds actions that only one kind of host has."""
         self._actions.update(own)
 
     def press(self, key: str, *, is_repeat: bool = False) -> None:
-        """Performs the action of a key, if it has one.
-
-        Args:
-            key: see `input.Event`.
-            is_repeat: whether it is an automatic repetition.
-        """
+        """Performs the action of a key, if it has one."""
         found = self._keys.get(key)
         if found is not None and found.action in self._actions and found.repeats >= is_repeat:
             self.perform(found.action)
 
     def perform(self, action: str) -> None:
-        """Performs an action by its name; an error is shown."""
         try:
             message = self._actions[action]()
         except SeroError as error:

@@ -6,36 +6,32 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import mujoco
 
 from ...base.errors import SeroError
-from ...base.frames import Array
 from ...base.paths import without_temporary
 from ...data.drive.mirror import LiveWorld
 from ..decor.quantities import joint_name
 from ..decor.toggles import Toggles
+from ..image.camera import Navigator
 from ..image.clicks import KEYS, press_toggle
 from ..image.film import Pixels
+from ..image.picture_options import DEFAULT_SIZE
+from ..image.sampling import recorded_poses
 from ..image.scene_decor import SceneDecor
 from ..panels.message import Message
 from ..panels.robot_panel import RobotPanel
 from ..panels.status_line import SourcesPanel
-from ..session.clock import Clock, Tick
-from ..session.status_line import Piece
-from ..session.tool import (
-    Action,
-    DrawnTool,
-    Tool,
-    Tools,
-)
+from ..session.clock import Clock
+from ..session.tool import Action, DrawnTool, Tools
 from ..session.view_state import ViewState, view_state_of
 from ..session.widgets import Widgets
 from .actions import Actions
+from .camera_control import CameraControl
 from .other_scenes import OtherScenes
 from .pointer import Pointer
 
@@ -50,36 +46,27 @@ class LiveHost(ABC):
     """Shows a mirror, and passes user input to clock, switches and tools.
 
     Args:
-        mirror: must be open; driven by the host's clock.
         folder: of saved files, pictures and films; the current one when None.
 
     Attributes:
-        mirror: the mirror.
-        world: the compiled scene.
-        data: its state.
-        toggles: visibility of features.
-        clock: pause, speed and time line.
-        tools: by name.
-        actions: of keys and menus.
-        pointer: mouse or finger.
-        others: scenes to be shown instead.
-        folder: as given.
         joint: the selected joint, its index in the world.
         command: arguments of a command that shows this scene: its name or file, and options; from
             the scene when None.
-        decor: of the last frame; pixels of the pointer are those of its picture, y up.
         notice: the last message to the user.
         folds: see `Widgets`; the same for all panels.
-        shows_status: whether status line or panel are shown.
-        shows_help: whether the help is shown.
         work: time spent by sero-mj for the last frame, s: input, sources, decor, plots and panels,
             without rendering.
     """
 
     decor: SceneDecor
 
-    def __init__(self, mirror: LiveWorld, folder: Path | None = None) -> None:
+    def __init__(
+        self, mirror: LiveWorld, folder: Path | None = None, camera: str | None = None
+    ) -> None:
         world = mirror.world
+        self.navigator = Navigator(world, camera)
+        # Before anything listens to packets.
+        self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
         self.mirror, self.world, self.data = mirror, world, mirror.data
         self.toggles = Toggles(world)
         self.clock = clock = Clock(mirror)
@@ -90,15 +77,16 @@ class LiveHost(ABC):
         self.command: Sequence[str] | None = None
         self.notice = Message()
         self.folds: dict[str, bool] = {}
-        self.shows_status, self.shows_help = True, False
+        self.shows_status, self.shows_help, self.shows_panel = True, False, False
         self.work = 0.0
         self._advanced = time.monotonic()
         self._sources = SourcesPanel()
         self._robots = RobotPanel(world, self.toggles)
         self._robots.on_select = self.select
         self.tools: Tools = Tools(self)
+        self.camera_control = CameraControl(self.navigator, self.data, lambda: self.decor, self.say)
         self.pointer = Pointer(self)
-        self.others = OtherScenes(self._tell, self.request_close)
+        self.others = OtherScenes(self.say, self.request_close)
         own: dict[str, Action] = {
             "pause": clock.pause,
             "step": clock.step,
@@ -112,37 +100,32 @@ class LiveHost(ABC):
             "next_joint": lambda: self._select(1),
             "last_joint": lambda: self._select(-1),
             "follow": self.pointer.follow,
-            "help": self.toggle_help,
-            "status_line": self.toggle_status,
-            **{f"camera_{number}": partial(self.choose_camera, number) for number in range(10)},
+            "help": partial(self.toggle, "shows_help"),
+            "status_line": partial(self.toggle, "shows_status"),
+            "panel": partial(self.toggle, "shows_panel"),
+            **{
+                f"camera_{number}": partial(self.camera_control.choose, number)
+                for number in range(10)
+            },
             **{f"switch_{key}": partial(self._switch, key) for key in KEYS},
         }
-        self.actions = Actions(own, self.tools, self._tell)
-
-    def _tell(self, text: str, is_bad: bool) -> None:
-        self.say(text, is_bad=is_bad)
+        self.actions = Actions(own, self.tools, self.say)
 
     @property
     @abstractmethod
-    def is_open(self) -> bool:
-        """Whether the user has not closed it."""
+    def is_open(self) -> bool: ...
 
     @property
     def is_seen(self) -> bool:
-        """Whether anybody may see it now."""
         return True
 
     @property
     @abstractmethod
-    def is_due(self) -> bool:
-        """Whether it is time for the next frame."""
+    def is_due(self) -> bool: ...
 
     @abstractmethod
     def frame(self, *, wait: bool = True) -> bool:
         """Shows one frame.
-
-        Args:
-            wait: whether to wait until it is due.
 
         Returns:
             whether it is still open.
@@ -150,61 +133,40 @@ class LiveHost(ABC):
 
     @property
     @abstractmethod
-    def picture_size(self) -> tuple[int, int]:
-        """Width and height of screenshots and films, pixels."""
+    def picture_size(self) -> tuple[int, int]: ...
 
     @abstractmethod
     def picture(self) -> Pixels:
         """Returns the current picture, (height, width, 3), uint8, without the host's own text."""
 
-    @abstractmethod
-    def choose_camera(self, number: int) -> str:
-        """Selects a camera by number, 1 for the first, 0 for the initial view."""
-
-    @abstractmethod
-    def follow(self, frame: str | None) -> str:
-        """Starts following a frame with the camera, or stops; returns a message for the user."""
-
-    @abstractmethod
-    def centre(self, point: Array) -> None:
-        """Makes a point (3,), m, the camera's look-at point."""
-
     @property
-    @abstractmethod
     def view_camera(self) -> mujoco.MjvCamera:
-        """The camera of the view; can be changed."""
+        return self.navigator.camera
 
     @property
-    @abstractmethod
     def is_following(self) -> bool:
-        """Whether the camera follows a frame."""
+        return self.navigator.following is not None
 
     @abstractmethod
-    def to_clipboard(self, text: str) -> None:
-        """Copies a text to the user's clipboard."""
+    def to_clipboard(self, text: str) -> None: ...
 
     @abstractmethod
-    def request_close(self) -> None:
-        """Requests to close after the next frame."""
+    def request_close(self) -> None: ...
 
     def close(self) -> None:
-        """Closes the host, after its tools have."""
         self.tools.ask(lambda tool: tool.close())
 
     # ---- frames
 
     def run(self) -> None:
-        """Shows frames until the user closes it."""
         while self.frame():
             pass
 
     def _use(self, decor: SceneDecor) -> None:
-        """Adds the tools to a decor; called when it is created."""
         for tool in self.tools.values():
             decor.add(DrawnTool(tool, self.tools))
 
     def _advance(self, advance: Callable[[], object]) -> None:
-        """Updates the mirror to the current time; errors pause it and are shown."""
         now = time.monotonic()
         passed, self._advanced = now - self._advanced, now
         self.pointer.dragging.advance()
@@ -221,59 +183,28 @@ class LiveHost(ABC):
             self._watch()
         found = self.tools.first(lambda tool: tool.next_message())
         if found is not None:
-            text, is_bad = found[1]
-            self.say(text, is_bad=is_bad)
+            self.say(*found[1])
 
     def _watch(self) -> None:
         self.tools.ask(lambda tool: tool.watch())
 
-    @property
-    def ticks(self) -> list[Tick]:
-        """What is marked on the time line."""
-        return [tick for ticks in self.tools.ask(lambda tool: tool.ticks()) for tick in ticks]
-
     # ---- messages, panel and keys
 
-    def say(self, text: str, *, is_bad: bool = False) -> None:
+    def say(self, text: str, is_bad: bool = False) -> None:
         """Shows a message for a few seconds; errors are shown longer, an empty one not at all."""
         seconds = (_ERROR_TIME if is_bad else _MESSAGE_TIME) if text else 0.0
         self.notice = Message(without_temporary(text), is_bad, time.monotonic() + seconds)
 
-    def toggle_help(self) -> None:
-        """Shows or hides the help."""
-        self.shows_help = not self.shows_help
-
-    @abstractmethod
-    def open_panel(self) -> None:
-        """Shows the panel."""
-
-    def toggle_status(self) -> None:
-        """Shows or hides status line or panel."""
-        self.shows_status = not self.shows_status
+    def toggle(self, part: str) -> None:
+        """Shows or hides a part: `shows_help`, `shows_status` or `shows_panel`."""
+        setattr(self, part, not getattr(self, part))
 
     @property
     def has_time_line(self) -> bool:
-        """Whether there is a time to go back to."""
         return self.clock.is_playing and self.clock.can_go_back
 
-    @property
-    def areas(self) -> list[Tool]:
-        """The tools that show an area of their own, in their order."""
-        return [tool for tool in self.tools.values() if tool.area and tool.shows_area]
-
-    @property
-    def ongoing(self) -> Piece | None:
-        """Words over the picture of what goes on, and their mood; None for none."""
-        found = self.tools.first(lambda tool: tool.ongoing())
-        return None if found is None else found[1]
-
     def build_panel(self, ui: Widgets, *, unfolds_sources: bool) -> None:
-        """Builds what the panels of all hosts have in common.
-
-        Args:
-            ui: takes it.
-            unfolds_sources: whether sources are unfolded at first: no status line tells of them.
-        """
+        """Builds what the panels of all hosts have in common."""
         sources = self.mirror.sources.values()
         self._sources.build(ui, self.clock, sources, is_open=unfolds_sources)
         self.others.build(ui)
@@ -291,59 +222,26 @@ class LiveHost(ABC):
         return f"selected: {joint_name(self.world, self.joint)}"
 
     def select(self, joint: int) -> None:
-        """Selects a joint: it is highlighted, and its torques are plotted."""
         self.joint = self.toggles.selected = joint
-
-    @property
-    def takes_pictures(self) -> bool:
-        """Whether a tool takes pictures at this time."""
-        return any(self.tools.ask(lambda tool: tool.takes_pictures))
-
-    def _give_picture(self, draw: Callable[[], Pixels]) -> None:
-        """Gives the current picture to the tools that want it."""
-        now = time.monotonic()
-        wants = self.tools.ask(lambda tool: tool if tool.wants_picture(now) else None)
-        wanting = [tool for tool in wants if tool is not None]
-        if wanting:
-            pixels = draw()
-            for each in wanting:
-                self.tools.call(each, lambda tool: tool.take_picture(pixels, now))
 
     # ---- the view, as it is kept
 
     @property
     def layout(self) -> dict[str, bool]:
-        """Visible parts of the window or page, by name, and the panel's unfolded sections."""
         areas = {name: tool.shows_area for name, tool in self.tools.items() if tool.area}
         sections = {f"{SECTION}{name}": is_open for name, is_open in self.folds.items()}
-        return {"status": self.shows_status, **areas, **sections}
+        return {"status": self.shows_status, "panel": self.shows_panel, **areas, **sections}
 
     def show_layout(self, layout: Mapping[str, bool]) -> None:
-        """Restores the visible parts."""
         self.shows_status = layout.get("status", self.shows_status)
+        self.shows_panel = layout.get("panel", self.shows_panel)
         for name, tool in self.tools.items():
             tool.shows_area = layout.get(name, tool.shows_area)
         for name, is_open in layout.items():
             if name.startswith(SECTION):
                 self.folds[name.removeprefix(SECTION)] = is_open
 
-    @property
-    def kept(self) -> dict[str, Any]:
-        """What tools keep of the scene, by their names."""
-        found = {
-            name: self.tools.call(tool, lambda tool: tool.kept) for name, tool in self.tools.items()
-        }
-        return {name: kept for name, kept in found.items() if kept is not None}
-
-    def show_kept(self, kept: Mapping[str, Any]) -> None:
-        """Hands tools what they have kept; what does not fit is left out."""
-        for name, of_tool in kept.items():
-            with suppress(TypeError, ValueError, KeyError, AttributeError, IndexError):
-                if name in self.tools:
-                    self.tools[name].take_kept(of_tool)
-
     def view_state(self) -> ViewState:
-        """The user's settings of the view, as text; a free camera to 0.1 mm and 1e-4 deg."""
         return view_state_of(self.world, self.view_camera, self.toggles, self.clock)
 
     def render_words(self) -> list[str]:

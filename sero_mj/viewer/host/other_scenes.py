@@ -18,10 +18,6 @@ log = logging.getLogger(__name__)
 class OtherScenes:
     """Ends a window or page where the user opens another scene.
 
-    Args:
-        say: shows a message, and whether it is an error.
-        close: ends the window or page.
-
     Attributes:
         offers: makes of other scenes, by the label of a button; None of what is no scene.
         opener: returns the mirror of a dropped file; None if files cannot be opened.
@@ -40,7 +36,6 @@ class OtherScenes:
         self._say, self._close = say, close
 
     def build(self, ui: Widgets) -> None:
-        """Builds a button for each offer."""
         for label in self.offers:
             if ui.button(label):
                 self.take(label)
@@ -51,7 +46,6 @@ class OtherScenes:
         """Shows the dialog of a file that asks to run programs.
 
         Args:
-            request: what it asks for.
             allowed: returns the mirror that simulates the file once its request is allowed.
         """
         self.request, self._allowed, self.asks = request, allowed, True
@@ -64,7 +58,6 @@ class OtherScenes:
             )
 
     def dismiss(self) -> None:
-        """Closes the dialog; the panel can show it again."""
         self.asks = False
 
     def allow(self) -> None:

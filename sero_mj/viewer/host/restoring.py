@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from ...base.errors import UsageError
 from ..image.camera import copy_camera
-from ..session.kept_views import find_view, keep_view
+from ..session.recent_views import find_view, keep_view
 from ..session.view_state import ViewState, apply_state
 from .live import LiveHost
 
 
 def keep(host: LiveHost) -> None:
     """Saves camera, switches, selection, layout, and what tools keep."""
-    keep_view(host.world.scene, host.view_state(), host.layout, host.kept)
+    keep_view(host.world.scene, host.view_state(), host.layout, host.tools.kept)
 
 
 def restore(host: LiveHost, *, with_camera: bool = True) -> None:
-    """Restores the saved view of a scene, if any.
-
-    Args:
-        host: that shows it.
-        with_camera: whether to restore its camera.
-    """
+    """Restores the saved view of a scene, if any."""
     try:
         found = find_view(host.world.scene)
     except UsageError as error:
@@ -30,7 +25,7 @@ def restore(host: LiveHost, *, with_camera: bool = True) -> None:
         state, layout, kept = found
         show_state(host, state if with_camera else state._replace(camera=""))
         host.show_layout(layout)
-        host.show_kept(kept)
+        host.tools.take_kept(kept)
 
 
 def show_state(host: LiveHost, state: ViewState) -> None:

@@ -20,7 +20,8 @@ from ...base.errors import SeroError
 from ...base.frames import Array, Ints
 from ...base.paths import model_name, without_temporary
 from ...data.drive.mirror import Mirror
-from ...data.receive.source import QUIET_AFTER, Source, make_source
+from ...data.receive.reception import QUIET_AFTER
+from ...data.receive.source import Source, make_source
 from ...data.receive.structure import Rows
 from ..panels.message import Message
 from ..session.recent_views import RecentView, recent_views
@@ -51,8 +52,6 @@ class Tile(NamedTuple):
     """An item that can be opened.
 
     Attributes:
-        view: that it opens.
-        title: its name.
         about: a line about it.
         picture: a file; None for none.
     """
@@ -98,7 +97,6 @@ def _tile(name: str) -> Tile:
 
 
 def _group_tile(name: str, *, is_hidden: bool) -> Tile:
-    """The tile of a group of robots, by its file if a scene has the same name."""
     file = paths.models_dir() / name / paths.GROUP_FILE
     view = RecentView(str(file) if is_hidden else name)
     return Tile(view, name, _about(file), _shipped_picture(name))
@@ -123,7 +121,6 @@ def _shipped_picture(name: str) -> Path | None:
 
 
 def _about(file: Path | None) -> str:
-    """The description of a shipped file."""
     if file is None:
         return ""
     text = file.read_text(encoding="utf-8")
@@ -136,7 +133,6 @@ class ExpectedPackets(NamedTuple):
     """Packets that scenes can show, at one address.
 
     Attributes:
-        where: network address, or shared memory.
         views: that show packets of a size, by that size, bytes.
         rates: of received packets, packets/s, by their size.
         trouble: why none can be received; empty for none.
@@ -165,7 +161,6 @@ class ExpectedPackets(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The received packets."""
         if self.trouble:
             return self.trouble
         if not self.rates:
@@ -178,14 +173,12 @@ class ExpectedPackets(NamedTuple):
 
     @property
     def mood(self) -> Mood:
-        """The mood of the text."""
         if self.trouble or not self.rates.keys() <= self.views.keys():
             return "bad"
         return "good" if self.rates else "plain"
 
     @property
     def shown(self) -> list[RecentView]:
-        """The views of the received packets."""
         return [view for size, views in self.views.items() if size in self.rates for view in views]
 
 
@@ -227,11 +220,7 @@ class _Place:
 
 
 class PortMonitor:
-    """Monitors the ports of scenes for packets; a context manager.
-
-    Args:
-        views: of the scenes.
-    """
+    """Monitors the ports of scenes for packets; a context manager."""
 
     def __init__(self, views: list[RecentView]) -> None:
         self._places: dict[object, _Place] = {}
@@ -267,7 +256,6 @@ def listening() -> PortMonitor:
 
 
 def _sources(scene: str) -> list[Source]:
-    """The sources of a scene's file; empty if it is invalid, which opening it reports."""
     path = paths.shipped_file(scene) or Path(scene)
     if path.suffix != ".toml":
         return []
@@ -287,12 +275,7 @@ def _sources(scene: str) -> list[Source]:
 class StartPage:
     """What the start page offers, and does with what its user chooses.
 
-    Args:
-        opener: returns what shows what was chosen.
-        listening: hears the data that is awaited.
-
     Attributes:
-        notice: the last message to the user.
         chosen: the scene that was opened; None for none so far.
         tiles: all that can be opened.
     """
@@ -306,7 +289,6 @@ class StartPage:
         self._wanted: queue.SimpleQueue[RecentView | Path] = queue.SimpleQueue()
 
     def awaited(self) -> list[ExpectedPackets]:
-        """Returns what is awaited, see `PortMonitor`."""
         return self._listening.awaited()
 
     def found(self, words: str) -> list[Section]:
@@ -326,7 +308,6 @@ class StartPage:
 
     @property
     def is_opening(self) -> bool:
-        """Whether something was chosen that is not open yet."""
         return not self._wanted.empty()
 
     def open_next(self, patience: float) -> bool:

@@ -24,28 +24,13 @@ _MOST_GEOMS = 4  # of the surroundings; MuJoCo draws the floor as one
 def added_surroundings(
     world: WorldView, context: mujoco.MjrContext | None
 ) -> AddedSurroundings | None:
-    """Returns the surroundings that a host adds to every frame; None if the world has its own.
-
-    Args:
-        world: what is shown.
-        context: of the host, whose OpenGL context must be current; None for a host without.
-    """
+    """Returns the surroundings that a host adds to every frame; None if the world has its own."""
     own = world.surroundings()
     return None if own is None else AddedSurroundings(own, world.model, context)
 
 
 class AddedSurroundings:
-    """A floor, sky and lights that are added to a scene.
-
-    Args:
-        own: the model of the surroundings.
-        model: the model that is shown.
-        context: of the host, made from that model; its OpenGL context must be current. None for a
-            host without.
-
-    Attributes:
-        model: of the surroundings.
-    """
+    """A floor, sky and lights that are added to a scene."""
 
     def __init__(
         self, own: mujoco.MjModel, model: mujoco.MjModel, context: mujoco.MjrContext | None
@@ -60,7 +45,6 @@ class AddedSurroundings:
         mujoco.mjv_updateScene(own, data, option, None, camera, _ALL, self._scene)
 
     def add(self, scene: mujoco.MjvScene) -> None:
-        """Adds them to a scene that MuJoCo has filled; its own lights are replaced, if any."""
         own = self._scene
         if own.nlight:
             scene.nlight = own.nlight
@@ -78,17 +62,12 @@ class AddedSurroundings:
 
 
 def _copy(source: Any, target: Any) -> None:
-    """Copies all fields of a light or geom."""
     for name in dir(source):
         if not name.startswith("_"):
             setattr(target, name, getattr(source, name))
 
 
 def _lend_textures(own: mujoco.MjModel, model: mujoco.MjModel, context: mujoco.MjrContext) -> int:
-    """Makes the textures and planes of one model those of a context; returns the material's id.
-
-    The context frees them with its own.
-    """
     buffer = context.currentBuffer
     own.vis.global_.offwidth = own.vis.global_.offheight = 16
     own.vis.quality.shadowsize = own.vis.quality.offsamples = 0

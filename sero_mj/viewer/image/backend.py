@@ -117,12 +117,10 @@ class _LazyFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> types.ModuleType:
         return _LazyBackend(spec.name)
 
-    def exec_module(self, module: types.ModuleType) -> None:
-        """Does nothing: the placeholder has no code."""
+    def exec_module(self, module: types.ModuleType) -> None: ...
 
 
 def _real(name: str) -> Any:
-    """The module itself, in the place of its placeholder."""
     import mujoco
 
     if isinstance(sys.modules.get(name), _LazyBackend):
@@ -162,7 +160,6 @@ def adopt_backend() -> None:
 
 
 def _has_glfw_failed() -> bool:
-    """Whether GLFW was asked for a window that it could not make; asking clears it."""
     if "glfw" not in sys.modules:
         return False
     import glfw
@@ -190,7 +187,7 @@ def _headless_backend() -> str:
 
 
 def has_egl() -> bool:
-    """Whether EGL, OpenGL and a driver are installed; `doctor` tests whether they work."""
+    """Whether EGL, OpenGL and a driver are installed; `check` tests whether they work."""
     libraries = _libraries()
     # In addition to EGL, PyOpenGL loads GL functions from one of these two.
     has_gl = "libOpenGL.so.0" in libraries or "libGL.so.1" in libraries
@@ -211,7 +208,6 @@ def library_files(name: str) -> list[str]:
 
 @cache
 def _libraries() -> dict[str, str]:
-    """Returns the paths of the loader's shared libraries by file name; empty if unavailable."""
     try:
         listing = subprocess.run(
             ["ldconfig", "-p"],

@@ -1,4 +1,4 @@
-"""Cameras: the scene's named ones, a free one by azimuth, elevation and distance, moved ones."""
+"""Cameras: named ones of the scene, free ones, ones that a user moves, ones that follow a robot."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from ...base.errors import Problem, UnknownName, UsageError
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
-from .following import Follower
+from ...robots.declared.mounts import carrier
 from .framing import MARGIN, Framing, axes, bounding_sphere, declared_data
 
 _DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
@@ -31,13 +31,11 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
     """Returns a camera for rendering.
 
     Args:
-        world: the compiled scene.
         wanted: a camera's name; `azimuth,elevation,distance` (degrees, degrees, m), and if it does
-            not look at the middle `,x,y,z` (m) of what it looks at; or None for the scene's `view`.
-            In a narrow picture it stands farther away, see `needed_aspect`.
+            not look at the middle `,x,y,z` (m) of what it looks at; or None for the scene's
+            `view`. In a narrow picture it stands farther away, see `needed_aspect`.
 
     Raises:
-        UnknownName: no camera of that name.
         UsageError: not a text, neither three nor six numbers, or the distance is not positive.
     """
     if wanted is not None and not isinstance(wanted, str):
@@ -88,12 +86,7 @@ class Navigator:
 
     Drags are in units of the window's height, so that they act the same at all sizes.
 
-    Args:
-        world: the compiled scene.
-        wanted: see `find_camera`.
-
     Attributes:
-        camera: of the renderer.
         following: the robot, group or frame that it follows; None for none.
 
     Raises:
@@ -112,10 +105,6 @@ class Navigator:
         """Moves the initial view so that robots are in it in all of some poses, if there are any.
 
         One that follows something stays; see `Framing.hold`.
-
-        Args:
-            poses: states with frames up to date.
-            size: of the picture, pixels.
         """
         if self.following is not None or (first := next(poses, None)) is None:
             return
@@ -125,11 +114,9 @@ class Navigator:
 
     @property
     def needed(self) -> float:
-        """Width over height of a picture that the initial view needs, see `needed_aspect`."""
         return self._framing.needed
 
     def _follow_as_declared(self) -> None:
-        """Follows what the scene's view does, from where that is declared."""
         self.following = followed(self._world, self.camera)
         self._follower: Follower | None = None
         if self.following is not None:
@@ -137,7 +124,6 @@ class Navigator:
             self._follower = Follower(self._world, self.following, data)
 
     def orbit(self, right: float, down: float) -> None:
-        """Rotates about the look-at point by a drag, in window heights."""
         camera = self.camera
         azimuth = camera.azimuth - _DEGREES_PER_HEIGHT * right
         camera.azimuth = (azimuth + 180.0) % 360.0 - 180.0
@@ -153,10 +139,7 @@ class Navigator:
         """Moves parallel to the picture, so that the look-at point follows the pointer.
 
         Args:
-            right: of the drag, in window heights.
-            down: likewise.
             tan_half_fovy: tangent of half the vertical field of view.
-            depth: of the look-at point, m.
         """
         camera = self.camera
         _, to_right, to_up = axes(camera.azimuth, camera.elevation)
@@ -169,12 +152,7 @@ class Navigator:
         self.camera.distance = float(np.clip(distance, _NEAREST, _FARTHEST))
 
     def free(self, position: Array, forward: Array) -> None:
-        """Replaces a fixed camera of the scene by a free one with the same pose.
-
-        Args:
-            position: of the camera, (3,), m.
-            forward: unit vector (3,).
-        """
+        """Replaces a fixed camera of the scene by a free one with the same pose."""
         if self.camera.type == _FREE:
             return
         self.camera.type = _FREE
@@ -184,11 +162,7 @@ class Navigator:
         self.camera.lookat = position + self.camera.distance * forward
 
     def choose(self, number: int) -> str:
-        """Selects a camera by number, 1 for the first; 0 for the scene's own view.
-
-        Returns:
-            a message for the user.
-        """
+        """Selects a camera by number, 1 for the first; 0 for the scene's own view."""
         names = list_cameras(self._world)
         if number == 0:
             self.camera = find_camera(self._world, self._start)
@@ -210,9 +184,6 @@ class Navigator:
     def follow(self, data: mujoco.MjData, frame: str | None) -> str:
         """Starts following a robot, group or frame; stops for None, or the one that it follows.
 
-        Returns:
-            a message for the user.
-
         Raises:
             UnknownName: nothing has this name.
         """
@@ -227,9 +198,6 @@ class Navigator:
         """Moves with what it follows, see `Follower`.
 
         As long as nobody has moved the camera, it moves back where robots are out of the picture.
-
-        Args:
-            data: the state, with frames up to date.
         """
         if self.following is None or self._follower is None:
             self._framing.fit(self.camera, data)
@@ -262,3 +230,60 @@ def copy_camera(camera: mujoco.MjvCamera, to: mujoco.MjvCamera) -> None:
     to.type, to.fixedcamid, to.trackbodyid = camera.type, camera.fixedcamid, camera.trackbodyid
     to.lookat[:], to.distance = camera.lookat, camera.distance
     to.azimuth, to.elevation = camera.azimuth, camera.elevation
+
+
+TIME_CONSTANT = 0.4  # s, by which the camera is late
+_JUMP = 1.0  # s; over a longer time, or back in time, it moves at once
+
+
+def roots(world: WorldView, name: str) -> list[str]:
+    """Returns the robots whose bases move a robot or group: those placed in the world.
+
+    Empty for a name of neither.
+    """
+    members = world.scene.members(name) or [name]
+    robots = {each: world.robots[each].robot for each in members if each in world.robots}
+    return [each for each, robot in robots.items() if carrier(robot) not in robots]
+
+
+class Follower:
+    """Computes how a camera moves with something, by a low-pass filter of first order.
+
+    Where time stands still or jumps, the camera moves at once.
+
+    Args:
+        name: of a robot or group, whose base is followed, or of a frame (`lwr/flange`).
+
+    Raises:
+        UnknownName: nothing has this name.
+    """
+
+    def __init__(self, world: WorldView, name: str, data: mujoco.MjData) -> None:
+        self._world, self._name = world, name
+        self._roots = [int(world.robots[each].bodies[0]) for each in roots(world, name)]
+        if not self._roots and world.scene.frame_name(name) not in world.frames.names:
+            scene = world.scene
+            names = [*scene.robots, *scene.groups, *world.frames.names]
+            raise UnknownName("robot, group or frame", name, names)
+        self._last = self._position(data)
+        self._time: float | None = None
+        self._late = np.zeros(3)  # m, what the camera has still to move
+
+    def _position(self, data: mujoco.MjData) -> Array:
+        if not self._roots:
+            return np.array(self._world.frame(data, self._name)[:3, 3])
+        return np.asarray(self._world.state(data).xpos[self._roots].mean(axis=0))
+
+    def displacement(self, data: mujoco.MjData, now: float | None = None) -> Array:
+        """Returns by how much the camera moves since the last call, (3,), m."""
+        position, now = self._position(data), float(data.time) if now is None else now
+        if not np.isfinite(position).all():
+            return np.zeros(3)
+        moved, self._last = position - self._last, position
+        passed = 0.0 if self._time is None else now - self._time
+        self._time = now
+        if not 0.0 < passed <= _JUMP:
+            return moved
+        late = (self._late + moved) * np.exp(-passed / TIME_CONSTANT)
+        moved, self._late = self._late + moved - late, late
+        return np.asarray(moved)

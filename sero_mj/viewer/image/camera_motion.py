@@ -52,9 +52,6 @@ class CameraPath:
     Args:
         keys: in the order of their times.
 
-    Attributes:
-        has_look_at: whether a key gives a point to look at.
-
     Raises:
         DeclarationError: there is no key, or their times do not increase.
     """
@@ -122,7 +119,6 @@ def orbit(camera: mujoco.MjvCamera, degrees: float, duration: float) -> CameraMo
     """Returns a motion about the look-at point, at constant speed, from where a camera is now.
 
     Args:
-        camera: a free one.
         degrees: by which its azimuth increases; less than 0 for the other way round.
         duration: s, after which it has turned by them.
     """
@@ -138,12 +134,8 @@ def monotone_cubic(times: Array, values: Array, at: float) -> Array:
     """Interpolates by cubic polynomials that do not overshoot, with slopes of 0 at both ends.
 
     Args:
-        times: ascending, (n,).
-        values: at these times, (n,) or (n, k).
         at: a time; before the first it is the first value, behind the last one the last.
 
-    Returns:
-        the value there, () or (k,).
     Source: Fritsch and Butland, "A method for constructing local monotone piecewise cubic
     interpolants", SIAM J. Sci. Stat. Comput. 5(2), 1984.
     """

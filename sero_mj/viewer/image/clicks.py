@@ -30,19 +30,16 @@ def _item(world: WorldView, picked: Picked) -> int:
 
 
 def _joints(world: WorldView, picked: Picked) -> slice:
-    """Returns all joints of the robot or double of an item."""
     return world.owners[picked.owner].joints
 
 
 def _frames(world: WorldView, picked: Picked) -> Any:
-    """Returns all frames of the owner of an item, or a frame without owner."""
     if picked.owner not in world.owners:
         return [picked.index]
     return world.frames.owner == list(world.owners).index(picked.owner)
 
 
 def _limb(world: WorldView, picked: Picked) -> Ints:
-    """Returns the joints of the limb of an item, of a robot that branches, else its joint."""
     limb, owner = world.joints.limb, world.joints.owner
     mine = limb == limb[picked.index]
     branches = (owner[~mine] == owner[picked.index]).any()
@@ -54,8 +51,6 @@ def _everything(world: WorldView, picked: Picked) -> slice:
 
 
 def _flip(field: str, rows: Rows = _item) -> Action:
-    """Returns an action that hides features if any of them is shown, else shows them."""
-
     def act(world: WorldView, toggles: Toggles, picked: Picked) -> None:
         shown, where = getattr(toggles, field), rows(world, picked)
         shown[where] = not shown[where].any()
@@ -72,14 +67,12 @@ def _hide(fields: tuple[str, ...], rows: Rows = _item) -> Action:
 
 
 def _flip_limb(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    """Shows the billboards of a limb before others, or hides them where they are."""
     rows = _limb(world, picked)
     show = not (toggles.billboards[rows].all() and (len(rows) == 1 or toggles.clicked[rows].all()))
     toggles.billboards[rows] = toggles.clicked[rows] = show
 
 
 def _card_limb(world: WorldView, picked: Picked) -> Ints:
-    """Returns the joints that the card of a limb stands for."""
     return card_limbs(world).joints_of(picked.index)
 
 
@@ -97,8 +90,7 @@ def _hide_checks(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.flange_checks = False
 
 
-def _do_nothing(world: WorldView, toggles: Toggles, picked: Picked) -> None:
-    """Changes no toggles."""
+def _do_nothing(world: WorldView, toggles: Toggles, picked: Picked) -> None: ...
 
 
 _BILLBOARD = ("billboards", "details")
@@ -138,15 +130,6 @@ def click(
     """Performs the action of a gesture on an item, see `CLICKS`.
 
     A double click on the background resets the toggles to those of the scene.
-
-    Args:
-        world: the compiled scene.
-        toggles: changed in place.
-        picked: the item; None for the background (sky and floor).
-        gesture: a click, one with Shift held, or a double click.
-
-    Returns:
-        whether the table has an entry for it.
     """
     if picked is None:
         if gesture == "double":
@@ -163,13 +146,7 @@ def click(
 
 
 def hover(toggles: Toggles, picked: Picked | None, pixel: Pixel) -> None:
-    """Shows the name of the item under the pointer beside it, from the next frame on.
-
-    Args:
-        toggles: changed in place.
-        picked: the item; None for none.
-        pixel: x to the right and y up from the lower left corner of the picture.
-    """
+    """Shows the name of the item under the pointer beside it, from the next frame on."""
     # A billboard shows its name already, and the label would hide its values.
     name = "" if picked is None or picked.kind in ("billboard", "limb") else picked.own_name
     toggles.hover = (name, pixel) if name else None
@@ -222,12 +199,6 @@ KEYS: dict[str, KeyAction] = {
 def press_toggle(key: str, world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str:
     """Performs the action of a key of `KEYS`.
 
-    Args:
-        key: one of `KEYS`.
-        world: the compiled scene.
-        data: its state.
-        toggles: changed in place.
-
     Returns:
         a message with the new state.
     """
@@ -245,7 +216,6 @@ def press_toggle(key: str, world: WorldView, data: mujoco.MjData, toggles: Toggl
 
 
 def _arrows_text(world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str:
-    """Returns a message with the quantity of the arrows and whether they are shown."""
     quantity = toggles.arrow_quantity
     if not len(quantity):
         return "no arrows in this scene"

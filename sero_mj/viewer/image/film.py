@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ...base.errors import Problem, RenderError, reason_of
-from .film_kinds import FILMS
+from .picture_options import FILMS
 
 if TYPE_CHECKING:  # importing it takes 0.1 s, and only films need it
     import av
@@ -39,16 +39,7 @@ def check_writable(path: Path) -> None:
 
 
 def save_picture(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
-    """Writes a picture in the format of the file name extension.
-
-    Args:
-        path: the file; its folder is created if necessary.
-        pixels: (height, width, 3), uint8.
-        dpi: dots per inch that the file says; WebP cannot.
-
-    Raises:
-        RenderError: the file cannot be written, or the format is unknown.
-    """
+    """Writes a picture in the format of the file name extension."""
     check_writable(path)
     resolution: dict[str, Any] = {} if dpi is None else {"dpi": (dpi, dpi)}
     with writing_to(path):
@@ -83,16 +74,6 @@ class FilmWriter:
 
     The film is written to a temporary file and renamed when it is complete, so that an incomplete
     film never has the final name. After an interrupt (KeyboardInterrupt) the film so far is kept.
-
-    Attributes:
-        frames: number of frames added.
-
-    Args:
-        path: an .mp4, .webm or .gif file; its folder is created if necessary.
-        width: of the frames, pixels, at least 2; H.264 and VP9 subsample colours, so an odd last
-            column is dropped.
-        height: likewise.
-        fps: frames per second; at most 50 for a GIF.
 
     Raises:
         RenderError: the file cannot be written, has another extension, the size is too small, or
@@ -131,7 +112,6 @@ class FilmWriter:
         self._palettes = _Palettes(self._width, self._height, rate) if kind.has_palette else None
 
     def add(self, pixels: Pixels) -> None:
-        """Appends a frame, (height, width, 3), uint8."""
         import av
 
         frame = av.VideoFrame.from_ndarray(
@@ -172,11 +152,6 @@ class _Palettes:
     """Computes a palette of 256 colours for every frame of a GIF.
 
     A common palette would require all frames before the first is written.
-
-    Args:
-        width: of the frames, pixels.
-        height: likewise.
-        rate: frames per second.
     """
 
     def __init__(self, width: int, height: int, rate: Fraction) -> None:
@@ -199,7 +174,6 @@ class _Palettes:
         graph.configure()
 
     def follow(self, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:
-        """Adds a frame, or the end (None), and yields the frames that are ready."""
         import av
 
         if frame is not None:
@@ -223,12 +197,9 @@ class Picture(np.ndarray):
     def save(self, path: Path | str) -> None:
         """Writes the picture in the format of the file name extension: .png, .jpg, .webp.
 
-        Args:
-            path: the file; its folder is created if necessary.
-
         Raises:
-            RenderError: the file cannot be written, the format is unknown, or this slice is not
-                a picture.
+            RenderError: the file cannot be written, the format is unknown, or this slice is not a
+                picture.
         """
         if not self._is_picture:
             found = f"{' x '.join(map(str, self.shape))} numbers of type {self.dtype}"
@@ -244,7 +215,6 @@ class Picture(np.ndarray):
         )
 
     def _repr_png_(self) -> bytes | None:
-        """Returns the picture as PNG, for notebooks; None if it is not a picture."""
         if not self._is_picture:
             return None
         file = io.BytesIO()

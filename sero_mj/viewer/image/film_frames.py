@@ -1,4 +1,4 @@
-"""The frames of a film: states of a mirror, a camera that may move, and a shutter."""
+"""The frames of a video: states of a mirror, a camera that may move, and motion blur."""
 
 from __future__ import annotations
 
@@ -7,20 +7,33 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ...base.errors import Problem, UsageError
 from ...base.frames import Array
 from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
+from ..decor.picture_view import PictureView
 from .camera_motion import CameraMotion, orbit, read_camera_path
 from .film import Pixels
-from .motion_blur import SHUTTER, SUBFRAMES
 from .picture_options import FilmOptions
 from .sampling import known_poses, sampled_states
 
 _TURNS = 24  # of a turntable, by which the camera is placed
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+SUBFRAMES = 8
+SHUTTER = 0.5  # open, of the time between two frames
+_LEAST_SHIFT = 0.5  # pixels; what moves less is not drawn again
+_LEVELS = 1 << 16  # of linear light, fine enough to distinguish the darkest two of 256 levels
+# Source: IEC 61966-2-1 (sRGB).
+_CODES = np.arange(256) / 255
+_LINEAR = np.where(
+    _CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4
+).astype(np.float32)  # fmt: skip
+_LIGHT = np.arange(_LEVELS) / (_LEVELS - 1)
+_CODE_OF = np.where(_LIGHT <= 0.0031308, 12.92 * _LIGHT, 1.055 * _LIGHT ** (1 / 2.4) - 0.055)
+_SRGB = np.round(255 * _CODE_OF).astype(np.uint8)
 OnState = Callable[[mujoco.MjData], None]
 
 
@@ -28,26 +41,22 @@ class FilmRenderer(Protocol):
     """What draws a film: a `HeadlessRenderer`.
 
     Attributes:
-        world: that it draws.
         camera: may be moved between frames.
-        size: width and height, pixels.
     """
 
     world: WorldView
     camera: mujoco.MjvCamera
     size: tuple[int, int]
 
-    def follow_nothing(self) -> None:
-        """Lets the camera stay where it is put."""
+    def follow_nothing(self) -> None: ...
 
-    def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None:
-        """Moves the camera so that robots are in the picture in all of some poses."""
+    def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None: ...
 
-    def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
-        """Renders one frame."""
+    def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels: ...
 
-    def render_blurred(self, moments: Iterable[mujoco.MjData], out: Pixels | None = None) -> Pixels:
-        """Renders one frame as the mean of moments."""
+    def render_blurred(
+        self, moments: Iterable[mujoco.MjData], out: Pixels | None = None
+    ) -> Pixels: ...
 
 
 def film_frames(
@@ -59,21 +68,7 @@ def film_frames(
     on_first: OnState = lambda data: None,
     on_state: OnState = lambda data: None,
 ) -> Iterator[Pixels]:
-    """Draws the state at the time of every frame, always into the same array.
-
-    Args:
-        mirror: open.
-        renderer: of its world.
-        count: of the frames.
-        fps: frames per second.
-        options: of the film.
-        on_first: called with the first state before it is drawn.
-        on_state: called with every state before it is drawn, and before `on_first`.
-
-    Raises:
-        DeclarationError: errors of the camera's path.
-        UsageError: the camera is to move, and cannot.
-    """
+    """Draws the state at the time of every frame, always into the same array."""
     _check_motion(renderer, options)
     path = None if options.camera_path is None else read_camera_path(options.camera_path)
     if path is not None and path.has_look_at:
@@ -94,7 +89,6 @@ def _draw(
     on_first: OnState,
     on_state: OnState,
 ) -> Iterator[Pixels]:
-    """Draws the frames, see `film_frames`, with a camera on its way, or one that may turn."""
     world, data = mirror.world, mirror.world.make_data()
     is_placed = motion is not None
     if not mirror.is_live and not is_placed:
@@ -132,7 +126,6 @@ def _moments(
     move: Callable[[float], None],
     on_state: OnState,
 ) -> Iterator[mujoco.MjData]:
-    """Yields the data with every state of a frame, by their times, s; moves the camera before."""
     for time, state in states:
         restore(world, data, state)
         move(time)
@@ -141,7 +134,6 @@ def _moments(
 
 
 def _opened(mirror: Mirror, count: int, fps: float, subframes: int) -> Iterator[list[Array]]:
-    """Yields the states of every frame while its shutter is open."""
     if subframes == 1:
         yield from ([state] for state in sampled_states(mirror, count, fps))
         return
@@ -154,7 +146,6 @@ def _opened(mirror: Mirror, count: int, fps: float, subframes: int) -> Iterator[
 
 
 def _turns(options: FilmOptions) -> list[float]:
-    """Angles that a turntable passes, degrees."""
     if options.orbit is None:
         return [0.0]
     end = min(max(options.orbit, -360.0), 360.0)
@@ -162,7 +153,6 @@ def _turns(options: FilmOptions) -> list[float]:
 
 
 def _check_motion(renderer: FilmRenderer, options: FilmOptions) -> None:
-    """Raises UsageError where a camera is to move that cannot, or to two places at once."""
     names = ("orbit", "camera_path")
     moved = [options.spelled(name) for name in names if getattr(options, name) is not None]
     if len(moved) > 1:
@@ -171,3 +161,48 @@ def _check_motion(renderer: FilmRenderer, options: FilmOptions) -> None:
         name = renderer.world.model.camera(renderer.camera.fixedcamid).name
         expected = "the free camera, azimuth,elevation,distance or the scene's view"
         raise UsageError(Problem(moved[0], "cannot move camera", found=name, expected=expected))
+
+
+class Exposure:
+    """Collects the pictures of a frame, of moments at equal intervals.
+
+    A moment in which nothing has moved since the last one needs no picture: that one counts again.
+    """
+
+    def __init__(self) -> None:
+        self._seen: tuple[Array, Array] | None = None  # pixels and depths of points, when drawn
+        self._last: NDArray[np.float32] | None = None
+        self._sum: NDArray[np.float32] | None = None
+        self._count = 0
+
+    def moves(self, view: PictureView, points: Array) -> bool:
+        """Whether a moment needs a picture of its own, for `add`.
+
+        Args:
+            view: of the camera at that moment.
+            points: of all that may move, (..., 3), m.
+        """
+        pixels, depth = view.project(points)
+        if self._seen is not None:
+            before, depth_before = self._seen
+            seen = view.sees(pixels, depth) | view.sees(before, depth_before)
+            shift = np.abs(pixels - before)[seen]
+            if not len(shift) or shift.max() < _LEAST_SHIFT:
+                return False
+        self._seen = pixels, depth
+        return True
+
+    def add(self, picture: Pixels | None = None) -> None:
+        if picture is not None:
+            self._last = _LINEAR[picture]
+        assert self._last is not None
+        if self._sum is None:
+            self._sum = self._last.copy()
+        else:
+            self._sum += self._last
+        self._count += 1
+
+    def picture(self) -> Pixels:
+        assert self._sum is not None
+        mean = self._sum * ((_LEVELS - 1) / self._count) + 0.5
+        return np.asarray(_SRGB[mean.astype(np.int32).clip(0, _LEVELS - 1)])

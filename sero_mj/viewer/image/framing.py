@@ -51,14 +51,12 @@ def declared_data(world: WorldView) -> mujoco.MjData:
 
 
 def _boxes(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Lowest and highest corners of boxes about what stands in the picture, (k, 3) each, m."""
     solid = world.geoms_in_view() & _is_in_sight(data)
     lows, highs = geom_boxes(world.model, data)
     return lows[solid], highs[solid]
 
 
 def _is_in_sight(data: mujoco.MjData) -> Bools:
-    """Whether geoms are where one could see them; doubles without a pose are far away, (ngeom,)."""
     return np.asarray(data.geom_xpos[:, 2] > OUT_OF_SIGHT[2] / 2)
 
 
@@ -81,14 +79,6 @@ class Framing:
     it; and only until the camera is moved, on one that neither the scene nor the user has placed.
     `hold` is for poses that are known before the first picture; only a camera that the user has
     placed stays where it is.
-
-    Args:
-        world: the compiled scene.
-        camera: as returned by `find_camera`.
-        wanted: as it was called with.
-
-    Attributes:
-        needed: width over height of a picture that the camera needs, see `needed_aspect`.
     """
 
     def __init__(
@@ -106,12 +96,7 @@ class Framing:
         self._moved = np.zeros(world.model.nq + len(self._bases), bool)
 
     def fit(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
-        """Moves the camera where a state needs it.
-
-        Args:
-            camera: changed in place.
-            data: the state, with frames up to date.
-        """
+        """Moves the camera where a state needs it."""
         if not self._acts:
             return
         at = (each.mocap_pos[self._bases] for each in (data, self._declared))
@@ -147,12 +132,6 @@ class Framing:
 
         What the view of the declared pose leaves out may stay out. Nothing happens if all is in the
         picture, or the camera has been placed by the user.
-
-        Args:
-            camera: changed in place.
-            poses: states with frames up to date; the same object may come again with another one.
-            size: of the picture, pixels.
-            turns: by which the camera turns about what it looks at, degrees.
         """
         if self._is_wanted or camera.type != _FREE or _pose(camera) != self._placed:
             return
@@ -190,12 +169,10 @@ class _Eye:
         self._axes = np.stack([right, up, forward], axis=1)
 
     def look(self, points: Array) -> Array:
-        """Returns points (..., 3), m, in its coordinates."""
         return np.asarray(points @ self._axes)
 
 
 def _is_inside(at: Array, distance: float, tangent: float, aspect: float) -> Bools:
-    """Whether points in coordinates of the eye are in a picture, (...,) bool."""
     depth = distance + at[..., 2]
     high = tangent * depth
     return np.asarray(
@@ -204,22 +181,16 @@ def _is_inside(at: Array, distance: float, tangent: float, aspect: float) -> Boo
 
 
 def _distance(at: Array, tangent: float, aspect: float) -> float:
-    """Distance from which points (k, 3) in coordinates of the eye are in a picture, m."""
     across = np.maximum(np.abs(at[:, 0]) / aspect, np.abs(at[:, 1]))
     return float((MARGIN * across / tangent - at[:, 2]).max())
 
 
 def _needed(at: Array, distance: float, tangent: float) -> float:
-    """Width over height that points (k, 3) need, also from farther away, see `standing_back`.
-
-    What is behind the look-at point becomes smaller more slowly than what is before it.
-    """
     depth = np.minimum(distance, np.maximum(distance + at[:, 2], 1e-3 * distance))
     return float((np.abs(at[:, 0]) / (tangent * depth)).max())
 
 
 def _of_robots(world: WorldView) -> Bools:
-    """Returns the geoms of robots and doubles, (ngeom,) bool."""
     model = world.model
     of_robot = robots_of_bodies(model, world.robots) >= 0
     for double in world.doubles.values():
@@ -238,11 +209,6 @@ def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None
     view may be of a part. Distances are those of pictures that are as wide; in narrower ones the
     camera stands back. A scene's own view is for pictures of 1280x800, whose robots it shows in
     narrower ones as well.
-
-    Args:
-        world: the compiled scene.
-        camera: as returned by `find_camera`.
-        wanted: as it was called with.
     """
     data, tangent = declared_data(world), _tan_half_fovy(world)
     centre, radius = _sphere(*_boxes(world, data))
@@ -260,28 +226,14 @@ def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None
 
 
 def standing_back(width: float, height: float, needed: float) -> float:
-    """Returns by how much farther away a free camera stands in a narrow picture; 1 in others.
-
-    Args:
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        needed: as returned by `needed_aspect`.
-    """
+    """Returns by how much farther away a free camera stands in a narrow picture; 1 in others."""
     return max(needed * height / max(width, 1.0), 1.0)
 
 
 def stand_back(
     scene: mujoco.MjvScene, camera: mujoco.MjvCamera, width: float, height: float, needed: float
 ) -> None:
-    """Moves the camera of a scene back for a narrow picture, see `standing_back`.
-
-    Args:
-        scene: that `mjv_updateScene` has filled.
-        camera: with which it has; only a free one is moved.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        needed: as returned by `needed_aspect`.
-    """
+    """Moves the camera of a scene back for a narrow picture, see `standing_back`."""
     back = (standing_back(width, height, needed) - 1.0) * camera.distance
     if back > 0.0 and camera.type == _FREE:
         for eye in scene.camera:

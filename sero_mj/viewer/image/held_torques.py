@@ -24,10 +24,6 @@ log = logging.getLogger(__name__)
 class HeldTorques:
     """Writes gravity torques into a world's state while arrows or billboards are on.
 
-    Args:
-        mirror: open.
-        toggles: of what is shown; `modelled` says which torques are these.
-
     Attributes:
         note: why no gravity torque is shown; empty if it is.
     """
@@ -48,7 +44,6 @@ class HeldTorques:
 
     @property
     def torques(self) -> dict[str, Array]:
-        """Torques of the model that are shown, (n,), Nm or N, by robot."""
         return {name: each for name, each in self._written.items() if each is not None}
 
     def _has_torques(self, data: mujoco.MjData, name: str) -> bool:
@@ -58,7 +53,6 @@ class HeldTorques:
         """Writes the torques of the pose, once somebody looks at torques.
 
         Args:
-            data: the world's state, with frames up to date.
             wait: whether to wait until the model is compiled: of a robot with many meshes it takes
                 a second.
         """

@@ -15,7 +15,6 @@ _EXPECTED = "4.0"
 
 
 def _private(owner: Any, name: str, wanted_for: str) -> Any:
-    """A private part; raises RenderError where this MuJoCo has none."""
     try:
         return getattr(owner, name)
     except AttributeError:

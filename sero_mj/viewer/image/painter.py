@@ -25,9 +25,7 @@ class Painter(ABC):
     """Draws a world into pictures, and handles clicks on them; a context manager.
 
     Attributes:
-        world: the world.
         decor: of the last frame.
-        size: width and height, pixels.
     """
 
     world: WorldView
@@ -37,7 +35,6 @@ class Painter(ABC):
 
     @property
     def toggles(self) -> Toggles:
-        """What is shown; can be set to the toggles of another host."""
         return self.decor.toggles
 
     @toggles.setter
@@ -47,14 +44,7 @@ class Painter(ABC):
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
     ) -> Picked | None:
-        """Returns the item at a pixel, counted from the upper left corner; None for no item.
-
-        Args:
-            data: the world's state, with frames up to date.
-            x: to the right, 0 to width.
-            y: down, 0 to height.
-            tolerance: see `picking.pick`.
-        """
+        """Returns the item at a pixel, counted from the upper left corner; None for no item."""
         return self._lay_out(data).pick(data, self._pixel(x, y), tolerance)
 
     def click(
@@ -65,15 +55,7 @@ class Painter(ABC):
         gesture: Gesture = "click",
         tolerance: float = 0.0,
     ) -> Picked | None:
-        """Clicks on a pixel, see `pick`, and returns the item there.
-
-        Args:
-            data: the world's state, with frames up to date.
-            x: to the right, 0 to width.
-            y: down, 0 to height.
-            gesture: a click, one with Shift held, or a double click.
-            tolerance: see `picking.pick`.
-        """
+        """Clicks on a pixel, see `pick`, and returns the item there."""
         return self._lay_out(data).click(data, self._pixel(x, y), gesture, tolerance)
 
     def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
@@ -81,7 +63,6 @@ class Painter(ABC):
         return self._lay_out(data).hover(data, self._pixel(x, y))
 
     def _pixel(self, x: float, y: float) -> Pixel:
-        """The pixel of decor at one of the picture."""
         return self.decor.from_above(x, y)
 
     def _lay_out(self, data: mujoco.MjData) -> SceneDecor:
@@ -89,15 +70,12 @@ class Painter(ABC):
         return self.decor
 
     @abstractmethod
-    def render(self, data: mujoco.MjData) -> Pixels:
-        """Renders one frame of a world's state, with frames up to date."""
+    def render(self, data: mujoco.MjData) -> Pixels: ...
 
     @abstractmethod
-    def _look(self, data: mujoco.MjData) -> PictureView:
-        """Updates the renderer's scene; returns how it is seen."""
+    def _look(self, data: mujoco.MjData) -> PictureView: ...
 
     def close(self) -> None:
-        """Frees the OpenGL context."""
         self._renderer.close()
 
     def __enter__(self) -> Self:

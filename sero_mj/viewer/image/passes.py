@@ -1,21 +1,33 @@
-"""Pictures of what is where: the part at every pixel, and its depth; decor is in neither.
+"""Segmentation and depth: the part at every pixel, and its distance; decor is in neither.
 
-They are drawn without multisampling: a pixel at an edge is of one part or of the other, never of a
-mixture of their numbers.
+They are drawn without multisampling: a pixel at an edge belongs to one part or the other.
+
+- Segmentation as .png: a palette image whose index is the part's number, as in PASCAL VOC; with
+  more than 256 parts, 16 bits of grey. As .npy: int32. NAME.parts.json names the parts.
+- Depth as .png: 16 bits of grey, mm, 0 for nothing or more than 65.535 m, as ROS (REP 118) and
+  depth cameras have it. As .npy: float32, m, infinite for the sky.
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
+from ...base.errors import Problem, RenderError
 from ...base.frames import Array, Ints
 from ...robots.assemble.world_view import WorldView
 from ..decor.geom_buffer import GeomBuffer
 from ..decor.scene_writer import SceneWriter
+from .film import Pixels, check_writable, writing_to
 from .picking import picked_drawn, picked_geom
+from .picture_options import PASS_ENDINGS
 
 BACKGROUND, FLOOR = "background", "floor"
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -33,9 +45,6 @@ _AT_INFINITY = 1.0 - 1e-5  # of the distance of the far plane, beyond which noth
 
 class Parts:
     """The parts that pictures of a world tell apart, by number.
-
-    Args:
-        world: the compiled scene.
 
     Attributes:
         names: by number: `background` (the sky) is 0; then links (`lwr/link3`, or as the robot's
@@ -63,12 +72,7 @@ class Parts:
         return self._numbers.setdefault(name, len(self._numbers))
 
     def of(self, geom: mujoco.MjvGeom, double: str | None = None) -> int | None:
-        """Returns the part of a geom in a scene; None for decor.
-
-        Args:
-            geom: as MuJoCo has laid it out.
-            double: the one that it is drawn for, if it is not compiled in.
-        """
+        """Returns the part of a geom in a scene; None for decor."""
         if double is not None:
             return self._of_double.get((double, geom.objid))
         if geom.type == _PLANE and geom.objtype == _UNKNOWN:  # of surroundings of our own
@@ -87,16 +91,7 @@ def _geom_name(world: WorldView, geom: int) -> str:
 
 
 class PassRenderer:
-    """Renders the parts and the depths of a world.
-
-    Args:
-        world: the compiled scene.
-        renderer: of its model, without multisampling; is closed with it.
-
-    Attributes:
-        parts: that its pictures tell apart.
-        scene: to be filled with the world as a camera sees it, before a pass is rendered.
-    """
+    """Renders the parts and the depths of a world."""
 
     def __init__(self, world: WorldView, renderer: mujoco.Renderer) -> None:
         self.parts = Parts(world)
@@ -106,24 +101,13 @@ class PassRenderer:
         self._far = float(world.model.vis.map.zfar * world.model.stat.extent)
 
     def segmentation(self, buffer: GeomBuffer) -> Ints:
-        """Returns the part at every pixel, (height, width), int32.
-
-        Args:
-            buffer: of the decor of the same frame: which geoms are hidden, and the doubles.
-        """
+        """Returns the part at every pixel, (height, width), int32."""
         self._mark(buffer)
         self._renderer.enable_segmentation_rendering()
         shown = self._renderer.render()[..., 0]
         return np.asarray(np.maximum(shown, 0))  # it is -1 where there is nothing
 
     def depth(self, buffer: GeomBuffer) -> Array:
-        """Returns the depth at every pixel, (height, width), float32, m; infinite for the sky.
-
-        It is the distance from the camera along the viewing direction, as of depth cameras.
-
-        Args:
-            buffer: see `segmentation`.
-        """
         self._mark(buffer)
         self._renderer.enable_depth_rendering()
         depth: Array = self._renderer.render()
@@ -131,11 +115,9 @@ class PassRenderer:
         return depth
 
     def close(self) -> None:
-        """Frees the OpenGL context."""
         self._renderer.close()
 
     def _mark(self, buffer: GeomBuffer) -> None:
-        """Gives every geom of a filled scene the number of its part, and leaves decor out."""
         scene = self.scene
         scene.flags[_WIREFRAME] = False
         self._writer.mark(buffer)
@@ -154,3 +136,101 @@ class PassRenderer:
                 geom.segid, geom.objid = i, part
                 geom.rgba[3] = 1.0  # what is transparent leaves no depth
             start = end
+
+
+_MOST_COLOURS = 256  # of a palette
+_MOST_MM = 65_535
+
+
+def check_pass_file(path: Path) -> None:
+    """Raises RenderError if the extension is not that of a segmentation or depth picture."""
+    if path.suffix.lower() not in PASS_ENDINGS:
+        expected = f"a name that ends in {', '.join(PASS_ENDINGS)}: others change numbers"
+        raise RenderError(Problem(file=str(path), found=path.suffix, expected=expected))
+
+
+def palette(count: int) -> Pixels:
+    """Returns colours that tell numbers apart, (count, 3); black for 0.
+
+    Source: `VOClabelcolormap` of the development kit of the PASCAL Visual Object Classes Challenge
+    2012, which spreads the bits of a number over red, green and blue.
+    """
+    numbers = np.arange(count)
+    colours = np.zeros((count, 3), np.uint8)
+    for bit in range(8):
+        for channel in range(3):
+            of_number = (numbers >> (3 * bit + channel)) & 1
+            colours[:, channel] |= (of_number << (7 - bit)).astype(np.uint8)
+    return colours
+
+
+def save_segmentation(path: Path, parts: Ints, names: Sequence[str]) -> Path:
+    """Writes which part every pixel shows, and NAME.parts.json beside it.
+
+    Args:
+        path: .png or .npy.
+
+    Returns:
+        the file with the names: `parts`, each with `id`, `name`, `colour` (as in the picture, red,
+        green, blue; null without a palette) and its count of `pixels`.
+
+    Raises:
+        RenderError: a file cannot be written, or has another extension.
+    """
+    check_pass_file(path)
+    has_palette = path.suffix.lower() == ".png" and len(names) <= _MOST_COLOURS
+    colours = palette(len(names))
+    if path.suffix.lower() == ".npy":
+        _save_array(path, parts.astype(np.int32))
+    elif has_palette:
+        picture = Image.fromarray(parts.astype(np.uint8))
+        picture.putpalette(colours.tobytes())
+        _save_png(path, picture, f"numbers of parts, named in {path.stem}.parts.json")
+    else:
+        picture = Image.fromarray(parts.astype(np.uint16))
+        _save_png(path, picture, f"numbers of parts, named in {path.stem}.parts.json")
+    counts = np.bincount(parts.ravel(), minlength=len(names)).tolist()
+    legend: list[dict[str, Any]] = [
+        {"id": i, "name": name, "colour": colours[i].tolist() if has_palette else None,
+         "pixels": counts[i]}
+        for i, name in enumerate(names)
+    ]  # fmt: skip
+    beside = path.with_suffix(".parts.json")
+    check_writable(beside)
+    with writing_to(beside):
+        rows = ",\n  ".join(json.dumps(row) for row in legend)
+        text = f'{{"picture": {json.dumps(path.name)}, "parts": [\n  {rows}\n]}}\n'
+        beside.write_text(text, encoding="utf-8")
+    return beside
+
+
+def save_depth(path: Path, depth: Array) -> None:
+    """Writes how far away every pixel is.
+
+    Args:
+        path: .png or .npy.
+
+    Raises:
+        RenderError: the file cannot be written, or has another extension.
+    """
+    check_pass_file(path)
+    if path.suffix.lower() == ".npy":
+        _save_array(path, depth.astype(np.float32))
+        return
+    mm = np.round(1000.0 * np.where(np.isfinite(depth), depth, 0.0))
+    found = np.where(mm <= _MOST_MM, mm, 0.0).astype(np.uint16)
+    _save_png(path, Image.fromarray(found), "depth, mm; 0 for none")
+
+
+def _save_array(path: Path, array: np.ndarray) -> None:
+    check_writable(path)
+    with writing_to(path):
+        np.save(path, array, allow_pickle=False)
+
+
+def _save_png(path: Path, picture: Image.Image, description: str) -> None:
+    check_writable(path)
+    about = PngInfo()
+    about.add_text("Description", description)
+    with writing_to(path):
+        picture.save(path, pnginfo=about)

@@ -52,12 +52,10 @@ class Picked:
     """The item at a pixel.
 
     Attributes:
-        kind: kind of item.
         name: e.g. `lwr/A4` for a joint's arrow or billboard, `lwr/link3`, `table`.
         owner: the robot or double it belongs to; empty for other items.
         index: joint of the world for links, doubles, arrows and billboards, frame for axes and
             names, smart arrow for vectors and cards, robot for checks; -1 for objects and paths.
-        distance: from the camera, m.
         own_name: of a link, with its name in the robot's own file; as `name` else.
     """
 
@@ -84,10 +82,7 @@ def pick(
     """Returns the item at a pixel, or None for the sky and the floor.
 
     Args:
-        world: the compiled scene.
-        data: its state, frames up to date.
         buffer: the decor of the displayed frame.
-        view: of that frame.
         pixel: x to the right and y up from the lower left corner of the picture.
         tolerance: maximum distance from decor if none is hit exactly, pixels; see
             `TOUCH_TOLERANCE`.
@@ -104,7 +99,6 @@ def pick(
 
 
 def _through(view: PictureView, pixel: Pixel) -> Array:
-    """Returns the unit vector (3,) from the camera through a pixel, in the world."""
     direction = view.at(np.array(pixel, float), 1.0) - view.position
     return np.asarray(direction / np.linalg.norm(direction))
 
@@ -112,15 +106,7 @@ def _through(view: PictureView, pixel: Pixel) -> Array:
 def point_at(
     world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: PictureView, pixel: Pixel
 ) -> Array | None:
-    """Returns the world point (3,), m, at a pixel, including the floor; None for the sky.
-
-    Args:
-        world: the compiled scene.
-        data: its state, frames up to date.
-        buffer: see `pick`.
-        view: see `pick`.
-        pixel: see `pick`.
-    """
+    """Returns the world point (3,), m, at a pixel, including the floor; None for the sky."""
     direction = _through(view, pixel)
     picked = pick(world, data, buffer, view, pixel)
     if picked is not None:
@@ -136,13 +122,6 @@ def link_at(
     """Returns the frame of the robot's link at a pixel, and the world point there, (3,), m.
 
     It looks through decor and doubles; None for anything else in front.
-
-    Args:
-        world: the compiled scene.
-        data: its state, frames up to date.
-        buffer: see `pick`.
-        view: see `pick`.
-        pixel: see `pick`.
     """
     direction = _through(view, pixel)
     model = world.model
@@ -159,14 +138,7 @@ def link_at(
 def handle_at(
     buffer: GeomBuffer, view: PictureView, pixel: Pixel, tolerance: float = 0.0
 ) -> int | None:
-    """Returns the handle at a pixel, see `viewer.decor.handles`; None for none.
-
-    Args:
-        buffer: see `pick`.
-        view: see `pick`.
-        pixel: see `pick`.
-        tolerance: see `pick`.
-    """
+    """Returns the handle at a pixel, see `viewer.decor.handles`; None for none."""
     handles = buffer.kinds[: buffer.count] == Kind.HANDLE
     if not handles.any():
         return None
@@ -199,9 +171,6 @@ def picked_of(world: WorldView, kind: Kind, item: int, distance: float = 0.0) ->
     """Returns what was clicked on, by the kind and index of an item of decor.
 
     Args:
-        world: the compiled scene.
-        kind: of the item, not `Kind.NONE`.
-        item: its index, see `Kind`.
         distance: from the camera, m.
 
     Raises:
@@ -231,16 +200,7 @@ def _nearest_decor(
     direction: Array,
     tolerance: float,
 ) -> tuple[int, float] | None:
-    """Returns the row of the nearest box, triangle or arrow along a ray, and its distance, m.
-
-    Args:
-        among: which rows to look at, (count,).
-        buffer: see `pick`.
-        view: see `pick`.
-        origin: of the ray, (3,), m.
-        direction: unit vector (3,).
-        tolerance: see `pick`.
-    """
+    """Returns the row of the nearest box, triangle or arrow along a ray, and its distance, m."""
     rows = buffer.rows[: buffer.count]
     types = rows["type"]
     is_solid = (types == _BOX) | (types == _TRIANGLE) | (types == _ARROW)
@@ -265,7 +225,6 @@ def _nearest_decor(
 
 
 def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
-    """Returns name and owner of a decor item."""
     if kind in (Kind.AXES, Kind.NAME):
         name = world.frames.names[item]
         return name, name.partition("/")[0] if "/" in name else ""
@@ -281,15 +240,7 @@ def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
 
 
 def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: Array) -> Array:
-    """Returns the distance along a ray to boxes (k,), m, inf for a miss (slab method).
-
-    Args:
-        origin: of the ray, (3,), m.
-        direction: unit vector (3,).
-        centre: of the boxes, (k, 3), m.
-        mat: their rotations, (k, 3, 3).
-        half: half their lengths, (k, 3), m.
-    """
+    """Returns the distance along a ray to boxes (k,), m, inf for a miss (slab method)."""
     start = np.einsum("kij,ki->kj", mat, origin - centre)
     along = np.einsum("kij,i->kj", mat, direction)
     along = np.where(np.abs(along) < 1e-12, 1e-12, along)
@@ -309,10 +260,6 @@ def ray_triangles(
     intersection", Journal of Graphics Tools 2(1), 1997.
 
     Args:
-        origin: of the ray, (3,), m.
-        direction: unit vector (3,).
-        corner: of the triangles, (k, 3), m.
-        edges: columns from there to the other two corners, (k, 3, 2), m.
         margin: how far the ray may pass beside them, (k,), m.
     """
     u, v, start = edges[..., 0], edges[..., 1], origin - corner
@@ -345,10 +292,6 @@ def ray_arrow(
     """Returns the distance along a ray to an arrow geom, m, inf for a miss.
 
     Args:
-        origin: of the ray, (3,), m.
-        direction: unit vector (3,).
-        start: of the arrow, (3,), m.
-        mat: its rotation (3, 3); it points along z.
         size: as in `MjvGeom`: radii of the shaft, and length times `ARROW_SIZE_OF_LENGTH`, m.
         margin: by which it is thicker and longer, m.
     """
@@ -382,13 +325,7 @@ def _pick_solid(
 
 
 def picked_geom(world: WorldView, geom: int, distance: float = 0.0) -> Picked:
-    """Returns what a geom of the model is part of: a link, a double's link, or an object.
-
-    Args:
-        world: the compiled scene.
-        geom: its id.
-        distance: from the camera, m.
-    """
+    """Returns what a geom of the model is part of: a link, a double's link, or an object."""
     model = world.model
     body = int(model.geom_bodyid[geom])
     for name, double in world.doubles.items():
@@ -411,7 +348,6 @@ def picked_geom(world: WorldView, geom: int, distance: float = 0.0) -> Picked:
 
 
 def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | None:
-    """Returns the name of the robot's link that a body belongs to, and its joint from 0."""
     while body:  # children of a link belong to it
         found = (part.bodies == body).nonzero()[0]
         if len(found):
@@ -426,7 +362,6 @@ def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | 
 def _pick_drawn_double(
     world: WorldView, buffer: GeomBuffer, origin: Array, direction: Array
 ) -> Picked | None:
-    """Returns the nearest double along a ray, of those that are not compiled in."""
     nearest = None
     for drawn in buffer.drawn_doubles:
         hit, distance = _ray(drawn.model, drawn.data, drawn.opacity == 0, origin, direction)
@@ -437,14 +372,7 @@ def _pick_drawn_double(
 
 
 def picked_drawn(world: WorldView, name: str, geom: int, distance: float = 0.0) -> Picked | None:
-    """Returns the link of a double that a geom is part of, see `picked_geom`; None for none.
-
-    Args:
-        world: the compiled scene.
-        name: of a double that is not compiled in.
-        geom: of the model it is drawn from.
-        distance: from the camera, m.
-    """
+    """Returns the link of a double that a geom is part of, see `picked_geom`; None for none."""
     double = world.doubles[name]
     link = _link_of(world, double.of, int(world.model.geom_bodyid[geom]))
     if link is None:
@@ -461,7 +389,6 @@ def _ray(
     origin: Array,
     direction: Array,
 ) -> tuple[int, float]:
-    """Returns the first geom along a ray that is not hidden, -1 for none, and its distance, m."""
     geom = np.full(1, -1, np.int32)
     travelled = 0.0
     for _ in range(_MAX_HIDDEN):

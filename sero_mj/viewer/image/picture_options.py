@@ -1,7 +1,9 @@
-"""Options of pictures and films, in Python and in commands."""
+"""Options of images and videos, in Python and in commands; their file name extensions."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,7 +20,6 @@ _GESTURES = ("shift", "double", "hover")
 
 
 def _click(value: Any) -> Any:
-    """X,Y or X,Y,HOW as a click."""
     if not isinstance(value, str):
         return value
     x, y, *how = value.split(",")
@@ -29,7 +30,6 @@ def _click(value: Any) -> Any:
 
 
 def _switches(value: Any) -> Any:
-    """NAME=DIGITS of each option as a mapping."""
     if not isinstance(value, list):
         return {} if value is None else value
     parts = [text.partition("=") for text in value]
@@ -61,7 +61,7 @@ class SizeOptions(Options):
         size: width and height, pixels.
         quality: draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is
             software; fine: for print, with 300 dots per inch; its films blur what moves.
-        renderer: classic: OpenGL; or one of an extension, of which `doctor` tells (default: one
+        renderer: classic: OpenGL; or one of an extension, of which `check` tells (default: one
             with soft shadows for --quality fine where it runs, else classic).
     """
 
@@ -138,3 +138,32 @@ class FilmOptions(PictureOptions, MotionOptions):
 
     duration: Duration = 5.0
     fps: Rate | None = None
+
+
+@dataclass(frozen=True)
+class FilmKind:
+    """Encoding of films with one file name extension.
+
+    Attributes:
+        codec: of FFmpeg.
+        options: of the codec; chosen to be fast compared to rendering.
+        has_palette: whether frames are limited to 256 colours.
+        fps: default frames per second.
+        most_fps: maximum frames per second that programs can show.
+    """
+
+    codec: str
+    options: Mapping[str, str]
+    has_palette: bool = False
+    fps: float = 30.0
+    most_fps: float = float("inf")
+
+
+_VP9 = {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "5", "row-mt": "1"}
+FILMS = {
+    ".mp4": FilmKind("libx264", {"crf": "18", "preset": "veryfast"}),
+    ".webm": FilmKind("libvpx-vp9", _VP9),
+    ".gif": FilmKind("gif", {}, has_palette=True, fps=20.0, most_fps=50.0),
+}
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+PASS_ENDINGS = (".png", ".npy")  # of segmentation and depth

@@ -28,22 +28,14 @@ from ..decor.font import line_height
 from ..decor.picture_view import PictureView
 from .added_surroundings import added_surroundings
 from .backend import adopt_backend, backend_problem
-from .camera import find_camera, followed
+from .camera import Follower, find_camera, followed
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
-from .film_frames import film_frames
-from .following import Follower
-from .framing import (
-    Framing,
-    bounding_sphere,
-    declared_data,
-    stand_back,
-)
+from .film_frames import SUBFRAMES, Exposure, film_frames
+from .framing import Framing, bounding_sphere, declared_data, stand_back
 from .held_torques import HeldTorques
-from .motion_blur import SUBFRAMES, Exposure
 from .mujoco_private import context_of
 from .painter import Painter, perform_clicks
-from .pass_files import check_pass_file, save_depth, save_segmentation
-from .passes import PassRenderer
+from .passes import PassRenderer, check_pass_file, save_depth, save_segmentation
 from .picking import Pixel
 from .picture_options import (
     DEFAULT_SIZE,
@@ -56,12 +48,7 @@ from .picture_options import (
 )
 from .renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
 from .scene_decor import SceneDecor
-from .stereo import (
-    anaglyph,
-    check_stereo,
-    each_eye,
-    looked_at,
-)
+from .stereo import anaglyph, check_stereo, each_eye, looked_at
 from .switches import apply_switches
 from .textures import upload_textures, without_textures
 from .typesetting import Typesetter, compose
@@ -76,11 +63,6 @@ PRINT_DPI = 300
 
 def check_size(what: str, width: int, height: int) -> None:
     """Checks the size of a picture or window.
-
-    Args:
-        what: of what it is the size, for messages.
-        width: pixels.
-        height: pixels.
 
     Raises:
         RenderError: the size is out of range.
@@ -106,10 +88,6 @@ def offscreen_size(
 
     Args:
         model: changed temporarily.
-        width: pixels.
-        height: pixels.
-        samples: of every pixel; the model's when None.
-        is_draft: whether there are neither multisampling nor shadows.
     """
     size, quality = model.vis.global_, model.vis.quality
     before = size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
@@ -127,18 +105,13 @@ def offscreen_size(
 class ClassicRenderer(mujoco.Renderer):  # type: ignore[misc]
     """A `SceneRenderer` that is MuJoCo's renderer on OpenGL."""
 
-    def follow(self, data: mujoco.MjData) -> None:
-        """Does nothing: its scene holds all that it draws."""
+    def follow(self, data: mujoco.MjData) -> None: ...
 
 
 class HeadlessRenderer(Painter):
     """Renders a world into arrays.
 
     Args:
-        world: what to render.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        camera: see `find_camera`.
         quality: `draft` is quick where OpenGL is software, `fine` is for print.
         stereo: `side-by-side` for a half of the picture for each eye, the left one on the left;
             `anaglyph` for red-cyan glasses.
@@ -148,14 +121,6 @@ class HeadlessRenderer(Painter):
         renderer: `classic` for OpenGL, or the name of a `Renderer` of an extension; None for one
             that is meant for the quality `fine`, if asked for, else `classic`. Where it does not
             run, the classic renderer draws, and a warning is logged that says why.
-        frames: about how many will be drawn.
-
-    Attributes:
-        world: the world.
-        renderer: which one draws.
-        decor: of the last frame.
-        camera: can be changed between frames.
-        size: width and height, pixels.
 
     Raises:
         RenderError: no OpenGL, the size or the eyes' distance is out of range, or there is no such
@@ -232,11 +197,7 @@ class HeadlessRenderer(Painter):
         """Renders one frame.
 
         Args:
-            data: the world's state, with frames up to date (`data.drive.place.follow`).
             out: output array, (height, width, 3), uint8; None for a new one.
-
-        Returns:
-            picture (height, width, 3), uint8; a notebook displays it.
         """
         self.decor.draw(data, self._look(data), self._renderer.scene)
         self._renderer.follow(data)
@@ -263,23 +224,15 @@ class HeadlessRenderer(Painter):
         """Moves the camera so that robots are in the picture in all of some poses.
 
         One that follows something stays; see `Framing.hold`.
-
-        Args:
-            poses: states with frames up to date.
-            turns: by which the camera will turn about what it looks at, degrees.
         """
         if self._follower is None:
             self._framing.hold(self.camera, poses, self._half, turns)
 
     def follow_nothing(self) -> None:
-        """Lets the camera stay where it is put, also where the scene's view follows something."""
         self._follower = None
 
     def segmentation(self, data: mujoco.MjData) -> Ints:
         """Renders which part every pixel shows, with neither decor nor stereo.
-
-        Args:
-            data: the world's state, with frames up to date.
 
         Returns:
             numbers of parts (height, width), int32, top row first; `part_names` names them.
@@ -288,9 +241,6 @@ class HeadlessRenderer(Painter):
 
     def depth(self, data: mujoco.MjData) -> Array:
         """Renders the depth of every pixel, with neither decor nor stereo.
-
-        Args:
-            data: the world's state, with frames up to date.
 
         Returns:
             distances from the camera along the viewing direction (height, width), float32, m, top
@@ -304,7 +254,6 @@ class HeadlessRenderer(Painter):
         return self._pass_renderer().parts.names
 
     def _pass_renderer(self) -> PassRenderer:
-        """Made when the first pass is asked for: it has an OpenGL context of its own."""
         if self._passes is None:
             self._passes = PassRenderer(
                 self.world, make_renderer(self.world, *self.size, is_draft=True)
@@ -318,7 +267,6 @@ class HeadlessRenderer(Painter):
         return passes
 
     def close(self) -> None:
-        """Frees the OpenGL contexts."""
         if self._passes is not None:
             self._passes.close()
         super().close()
@@ -327,14 +275,6 @@ class HeadlessRenderer(Painter):
         """Renders one frame as the mean of moments, as an open shutter sees what moves.
 
         Text is that of the first moment, and stays sharp. There is one eye.
-
-        Args:
-            moments: states with frames up to date; the same object may come again with another
-                one, and `camera` may be moved for each.
-            out: see `render`.
-
-        Returns:
-            see `render`.
         """
         exposure, text, scene = Exposure(), None, self._renderer.scene
         for data in moments:
@@ -352,14 +292,12 @@ class HeadlessRenderer(Painter):
         return pixels if out is not None else pixels.view(Picture)
 
     def _drawn(self) -> Pixels:
-        """The picture of the scene's camera; panels are set into it in its own size."""
         drawn: Pixels = self._renderer.render()
         if self._scale == 1:
             return drawn
         return np.array(Image.fromarray(drawn).reduce(self._scale))
 
     def _eyes(self) -> list[Pixels]:
-        """The pictures of the left and the right eye."""
         scene = self._renderer.scene
         distance = looked_at(scene, self.camera, self._centre)
         return [self._drawn() for _ in each_eye(scene, self._eye_distance, distance)]
@@ -374,14 +312,12 @@ class HeadlessRenderer(Painter):
         return PictureView.of_scene(scene, *self._half, self._typesetter.font)
 
     def _fill(self, scene: mujoco.MjvScene, data: mujoco.MjData, size: tuple[int, int]) -> None:
-        """Fills a scene with the world, for a picture of a size."""
         self.decor.fill(data, self.camera, scene)
         stand_back(scene, self.camera, *size, self._framing.needed)
         if self._surroundings is not None:
             self._surroundings.add(scene)
 
     def _pixel(self, x: float, y: float) -> Pixel:
-        """The pixel of decor, between those of both eyes, at one of the picture."""
         width = self._half[0]
         is_right = self._stereo == "side-by-side" and x >= width
         return self.decor.from_above(x - width if is_right else x, y)
@@ -389,12 +325,6 @@ class HeadlessRenderer(Painter):
 
 def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) -> Any:
     """Returns MuJoCo's renderer with an OpenGL context for pictures of a size.
-
-    Args:
-        world: what to render.
-        width: pixels.
-        height: pixels.
-        is_draft: without multisampling and shadows.
 
     Raises:
         RenderError: there is no OpenGL, or no picture so large.
@@ -410,7 +340,7 @@ def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) 
         upload_textures(model, context_of(renderer), textures)
         return renderer
     except Exception as error:  # every GL backend raises errors of its own
-        doctor = "`sero-mj doctor` lists what is missing"
+        doctor = "`sero-mj check` lists what is missing"
         why = backend_problem() or f"{error or type(error).__name__}; {doctor}"
         raise RenderError(f"no picture of {width}x{height} can be made: {why}") from error
 
@@ -432,11 +362,7 @@ def render_picture(
     """Renders a picture of the current state of a scene.
 
     Args:
-        scene: what to show.
         path: the file; .png, or another format of Pillow.
-        options: of the picture; when None they are made of keywords.
-        at: time of recordings and simulations, s after their start.
-        painter: makes what draws the world of a mirror.
         **keywords: of `PictureOptions`: `size` (width, height), `quality`, `camera`, `stereo`,
             `eye_distance`, `follow`, `clicks`, `shown`, `selected`, `render_pass`, `wait`.
 
@@ -470,7 +396,6 @@ def render_picture(
 
 
 def _save_pass(path: Path, drawn: Painter, data: mujoco.MjData, which: Pass) -> None:
-    """Writes segmentation or depth instead of a picture."""
     if not isinstance(drawn, HeadlessRenderer):
         raise UsageError(f"--pass {which} is for pictures of a scene, not over photos")
     if which == "segmentation":
@@ -490,10 +415,7 @@ def render_film(
     """Renders a film of a scene, in real time when it has live sources.
 
     Args:
-        scene: what to show.
         path: the file; .mp4, .webm or .gif.
-        options: of the film; when None they are made of keywords.
-        on_progress: called with the number of rendered frames and of all frames.
         **keywords: of `FilmOptions`: `duration` (s), `fps`, `orbit` (degrees), `camera_path` (a
             file), and all of `render_picture`; clicks are performed before the first frame.
 
@@ -534,16 +456,6 @@ def write_film(
     on_progress: OnProgress | None,
 ) -> list[str]:
     """Writes frames that a painter draws as a film.
-
-    Args:
-        mirror: of the scene.
-        painter: what is on when the first frame is drawn is set before.
-        path: the file.
-        frames: that are drawn one after the other.
-        fps: frames per second.
-        count: of the frames, as far as it is known.
-        options: what is shown, and for how long the first packets are waited for.
-        on_progress: see `render_film`.
 
     Returns:
         names of the sources without data.

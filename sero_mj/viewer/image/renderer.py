@@ -37,18 +37,15 @@ class SceneRenderer(Protocol):
     def follow(self, data: mujoco.MjData) -> None:
         """Takes from a state what the geoms of a scene do not tell: shapes of skins and flexes."""
 
-    def render(self, out: Pixels | None = None) -> Pixels:
-        """Draws the scene; returns (height, width, 3), uint8, which is `out` if given."""
+    def render(self, out: Pixels | None = None) -> Pixels: ...
 
-    def close(self) -> None:
-        """Frees its memory and its context."""
+    def close(self) -> None: ...
 
 
 class Renderer(ABC):
     """A kind of renderer. Objects are made without arguments.
 
     Attributes:
-        title: its name in messages.
         is_for_fine: whether pictures of the quality `fine` take it where none is asked for.
         packages: of Debian and Ubuntu, which it needs.
     """
@@ -58,22 +55,13 @@ class Renderer(ABC):
     packages: ClassVar[str] = ""
 
     @abstractmethod
-    def problem(self, width: int, height: int) -> str | None:
-        """Returns why it cannot draw pictures of a size here, in pixels; None where it can."""
+    def problem(self, width: int, height: int) -> str | None: ...
 
     @abstractmethod
     def make(
         self, world: WorldView, width: int, height: int, quality: Quality, *, frames: int = 1
     ) -> tuple[SceneRenderer, AddedSurroundings | None]:
-        """Returns a renderer for a world, and the surroundings that it adds, if any.
-
-        Args:
-            world: what to render.
-            width: pixels.
-            height: pixels.
-            quality: of the picture.
-            frames: about how many will be drawn.
-        """
+        """Returns a renderer for a world, and the surroundings that it adds, if any."""
 
 
 @cache
@@ -85,20 +73,15 @@ def renderers() -> dict[str, Renderer]:
 def choose_renderer(wanted: str | None, quality: Quality, width: int, height: int) -> str:
     """Returns the renderer of a picture; logs in a line where it is not the wanted one.
 
-    Args:
-        wanted: its name; None for the one that is for the quality `fine` where that is asked for
-            and the renderer works here, else for the classic one.
-        quality: of the picture.
-        width: of what is drawn, pixels.
-        height: likewise.
-
     Raises:
         RenderError: there is no such renderer.
     """
+    if wanted == CLASSIC or (wanted is None and quality != "fine"):
+        return CLASSIC  # without importing the others
     known = renderers()
-    if wanted is None and quality == "fine":
-        wanted = next((name for name, each in known.items() if each.is_for_fine), None)
-    if wanted is None or wanted == CLASSIC:
+    if wanted is None:
+        wanted = next((name for name, each in known.items() if each.is_for_fine), CLASSIC)
+    if wanted == CLASSIC:
         return CLASSIC
     if wanted not in known:
         raise RenderError(Problem("renderer", found=wanted, expected=", ".join([CLASSIC, *known])))

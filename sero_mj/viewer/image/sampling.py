@@ -30,11 +30,6 @@ def known_poses(mirror: LiveWorld, begin: float, end: float) -> Iterator[mujoco.
 
     Args:
         mirror: open; it is at the begin afterwards.
-        begin: s.
-        end: s.
-
-    Yields:
-        the data of the mirror, again and again.
     """
     # Backwards: recordings jump back without reading what is between.
     for now in np.linspace(end, begin, _POSES if mirror.sources else 1).tolist():
@@ -46,12 +41,6 @@ def sampled_states(mirror: Mirror, count: int, fps: float, begin: float = 0.0) -
     """Yields the state at the time of every frame, sampled on a thread if sources are live.
 
     What is done with them may take longer than the time between two.
-
-    Args:
-        mirror: open.
-        count: of the frames.
-        fps: frames per second.
-        begin: time of the first frame, s; ignored where sources are live.
     """
     if not mirror.is_live:
         for k in range(count):

@@ -27,18 +27,12 @@ class SceneDecor:
     """The decor of a world in a host.
 
     Args:
-        world: the compiled scene.
         toggles: what is shown; the scene's own when None.
-        capacity: maximum number of geoms that the host takes.
-        arrow_geoms: maximum number of geoms of a round arrow.
         with_text: whether scenes get panels and labels; otherwise the host sets `panels`.
 
     Attributes:
-        world: the compiled scene.
-        toggles: what is shown.
         view: of the last frame; None before the first.
         dropped: number of geoms of the last frame that exceeded the scene's capacity.
-        drawing: draws the model.
     """
 
     def __init__(
@@ -62,11 +56,9 @@ class SceneDecor:
 
     @property
     def buffer(self) -> GeomBuffer:
-        """The geoms of the last frame."""
         return self._decor.buffer
 
     def add(self, feature: Drawn) -> None:
-        """Draws something more in every frame, after its own features."""
         self._decor.features.append(feature)
 
     @property
@@ -76,29 +68,17 @@ class SceneDecor:
 
     @property
     def panels(self) -> list[Panels]:
-        """The panels of the last frame, in drawing order."""
         return self._decor.panels
 
     def fill(self, data: mujoco.MjData, camera: mujoco.MjvCamera, scene: mujoco.MjvScene) -> None:
-        """Lets MuJoCo fill a scene with the world, before decor is drawn, see `ModelDrawing`."""
         self.drawing.fill(data, self.toggles, camera, scene)
 
     def lay_out(self, data: mujoco.MjData, view: PictureView) -> None:
-        """Lays out one frame, see `draw`."""
         self.view = view
         self._decor.draw(data, self.toggles, view)
 
     def draw(self, data: mujoco.MjData, view: PictureView, scene: mujoco.MjvScene) -> int:
-        """Lays out one frame and adds it to a scene that MuJoCo has filled.
-
-        Args:
-            data: the world's state, with frames up to date.
-            view: camera and picture size.
-            scene: takes the geoms.
-
-        Returns:
-            number of geoms that exceeded the scene's capacity, which is logged once.
-        """
+        """Lays out one frame and adds it to a scene that MuJoCo has filled."""
         self.lay_out(data, view)
         if self._host is None or self._host[0] is not scene:
             self._host = (scene, SceneWriter(scene))
@@ -122,28 +102,23 @@ class SceneDecor:
         """Returns the item at a pixel of the last frame; None for no item.
 
         Args:
-            data: the world's state, with frames up to date.
             pixel: x to the right and y up from the lower left corner.
-            tolerance: see `picking.pick`.
         """
         if self.view is None:
             return None
         return pick(self.world, data, self.buffer, self.view, pixel, tolerance)
 
     def point_at(self, data: mujoco.MjData, pixel: Pixel) -> Array | None:
-        """Returns the world point (3,), m, at a pixel, y up; None for the sky."""
         if self.view is None:
             return None
         return point_at(self.world, data, self.buffer, self.view, pixel)
 
     def link_at(self, data: mujoco.MjData, pixel: Pixel) -> tuple[str, Array] | None:
-        """Returns a robot's link at a pixel and the point there, see `picking.link_at`."""
         if self.view is None:
             return None
         return link_at(self.world, data, self.buffer, self.view, pixel)
 
     def handle_at(self, pixel: Pixel, tolerance: float = 0.0) -> int | None:
-        """Returns the handle at a pixel of the last frame, see `picking.handle_at`."""
         if self.view is None:
             return None
         return handle_at(self.buffer, self.view, pixel, tolerance)
@@ -155,13 +130,11 @@ class SceneDecor:
         gesture: Gesture = "click",
         tolerance: float = 0.0,
     ) -> Picked | None:
-        """Clicks on a pixel of the last frame, see `pick`, and returns the item there."""
         picked = self.pick(data, pixel, tolerance)
         click(self.world, self.toggles, picked, gesture)
         return picked
 
     def hover(self, data: mujoco.MjData, pixel: Pixel) -> Picked | None:
-        """Moves the pointer to a pixel, see `pick`; the next frames name the item there."""
         picked = self.pick(data, pixel)
         hover(self.toggles, picked, pixel)
         return picked

@@ -35,7 +35,6 @@ def shown(light: Array) -> Array:
 
 
 def _grey(rgb: Rgb) -> float:
-    """Returns linear light without a tint: colours are to look as they are declared."""
     return float(linear(np.array(rgb)) @ _LUMINANCE)
 
 

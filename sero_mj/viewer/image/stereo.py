@@ -41,7 +41,6 @@ def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> It
 
     Args:
         scene: that `mjv_updateScene` and decor have filled; afterwards it is as before.
-        eye_distance: between the eyes, m.
         distance: along the viewing direction, m, of points at the same pixel for both.
     """
     first = scene.camera[0]
@@ -74,8 +73,6 @@ def looked_at(
     """Returns the distance of what a camera looks at, m.
 
     Args:
-        scene: that `mjv_updateScene` has filled with this camera.
-        camera: free, or one of the model.
         centre: of the scene, (3,), m; used for a camera of the model.
     """
     near = float(scene.camera[0].frustum_near)

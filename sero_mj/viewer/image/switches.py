@@ -43,12 +43,9 @@ def apply_switches(
     """Sets switches.
 
     Args:
-        world: the compiled scene.
-        toggles: changed in place.
         given: by name, see `SWITCH_NAMES`: a digit for each item (joint, frame, ...), or one for
             all; 1 is on, `arrow_quantity` counts the quantities from 0, and `part_names` is an
             index of `PART_NAMES`.
-        selected: the joint to select, `lwr/A2`; unchanged when None.
 
     Raises:
         UsageError: no such switch, other digits, or not as many as there are items.

@@ -44,13 +44,7 @@ def without_textures(model: mujoco.MjModel) -> Iterator[Ints]:
 
 
 def upload_textures(model: mujoco.MjModel, context: mujoco.MjrContext, textures: Ints) -> None:
-    """Uploads textures with all their mipmaps.
-
-    Args:
-        model: compiled.
-        context: made from it; its OpenGL context must be current.
-        textures: ids, of `without_textures`.
-    """
+    """Uploads textures with all their mipmaps."""
     from OpenGL import GL
 
     GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
@@ -74,7 +68,6 @@ def upload_textures(model: mujoco.MjModel, context: mujoco.MjrContext, textures:
 
 
 def _halved(faces: Pixels) -> Pixels:
-    """Returns images (k, 2 n, 2 n, 3) of half the size: the mean of every four pixels."""
     count, side = faces.shape[:2]
     blocks = faces.reshape(count, side // 2, 2, side // 2, 2, 3)
     return np.asarray(blocks.mean(axis=(2, 4)).round(), np.uint8)

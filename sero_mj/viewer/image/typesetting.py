@@ -15,15 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from ..decor.font import (
-    FONTS,
-    Font,
-    drawable,
-    font_with,
-    open_face,
-)
+from ..decor.font import FONTS, Font, ValueLine, drawable, font_with, open_face, value_columns
 from ..decor.panels import BAR_RGBA, PADDING, Panels
-from ..decor.value_columns import Value, value_columns
 
 Bytes = NDArray[np.uint8]
 Rgb = tuple[float, float, float]
@@ -43,15 +36,11 @@ _PANELS_KEPT, _TEXTS_KEPT = 128, 512
 
 
 @dataclass(frozen=True)
-class Text:
+class PlacedText:
     """A line of text in a panel.
 
     Attributes:
-        x: of its left end, from the panel's left edge, pixels.
-        y: of the lower edge of its line, from the panel's lower edge, pixels.
         text: characters that no font has are shown as question marks.
-        rgb: its colour.
-        is_strong: whether it is semibold.
     """
 
     x: float
@@ -62,12 +51,10 @@ class Text:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedPanel:
     """A panel at its place in a picture.
 
     Attributes:
-        left: of its left edge, pixels.
-        bottom: of its lower edge, pixels from the lower edge of the picture.
         pixels: (height, width, 4), premultiplied RGBA, top row first.
     """
 
@@ -77,14 +64,7 @@ class Placed:
 
 
 class Typesetter:
-    """Sets text of one size.
-
-    Args:
-        line: height of a line, pixels.
-
-    Attributes:
-        font: the widths of its characters, for layout.
-    """
+    """Sets text of one size."""
 
     def __init__(self, line: int) -> None:
         size = _EM * line
@@ -106,7 +86,6 @@ class Typesetter:
         self._last: dict[Hashable, Bytes] = {}  # panels of the last frame
 
     def _figure(self, character: str, cell: int) -> Bytes:
-        """Returns the coverage of a character in a cell of its own, (line, cell)."""
         glyph = self._coverage(_MINUS if character == "-" else character, True)
         out = np.zeros((self._line, cell), np.uint8)
         skip = max((cell - glyph.shape[1]) // 2, 0)
@@ -114,7 +93,6 @@ class Typesetter:
         return out
 
     def _draw(self, text: str, is_strong: bool) -> Bytes:
-        """Returns the coverage of a text by its letters, (line, width), 0 to 255."""
         runs = [
             (face, "".join(characters))
             for face, characters in groupby(text, lambda c: self._face_of(c, is_strong))
@@ -129,16 +107,13 @@ class Typesetter:
         return np.asarray(picture)
 
     def _face_of(self, character: str, is_strong: bool) -> ImageFont.FreeTypeFont:
-        """Returns the face that has a character."""
         file = None if character.isascii() or character == _MINUS else font_with(character)
         return self._faces[is_strong] if file is None else _more_face(file, self._size)
 
     def _width(self, character: str) -> float:
-        """Returns the width of a character that is not ASCII, pixels."""
         return float(self._face_of(character, False).getlength(character))
 
-    def place(self, groups: Sequence[Panels]) -> list[Placed]:
-        """Returns the panels of a picture, in drawing order."""
+    def place(self, groups: Sequence[Panels]) -> list[PlacedPanel]:
         placed, last = [], self._last
         self._last = {}
         for group in groups:
@@ -153,62 +128,57 @@ class Typesetter:
                     set_lines = self._values if group.has_values else self._lines
                     pixels = set_lines((size[0], size[1]), tuple(rgba), lines)
                 self._last[key] = pixels
-                placed.append(Placed(left, bottom, pixels))
+                placed.append(PlacedPanel(left, bottom, pixels))
             for left, bottom, *size in [] if group.bars is None else np.rint(group.bars).tolist():
                 bar = self.panel((int(size[0]), int(size[1])), BAR_RGBA, (), False)
-                placed.append(Placed(int(left), int(bottom), bar))
+                placed.append(PlacedPanel(int(left), int(bottom), bar))
         return placed
 
     def _lines(self, size: Size, rgba: Rgba, lines: list[bytes]) -> Bytes:
-        """Returns a panel with lines of text."""
         pad = PADDING * self._line
         first = size[1] - pad / 2 - self._line
         return self.panel(
             size,
             rgba,
             tuple(
-                Text(pad, first - k * self._line, text.decode("utf-8", "replace"))
+                PlacedText(pad, first - k * self._line, text.decode("utf-8", "replace"))
                 for k, text in enumerate(lines)
             ),
         )
 
     def _values(self, size: Size, rgba: Rgba, lines: list[bytes]) -> Bytes:
-        """Returns a panel with values in columns."""
         line, pad = self._line, PADDING * self._line
         found = value_columns(lines, self.font.width)
         right = size[0] - pad
         point = round(right - found.tail)
-        texts: list[Text] = []
+        texts: list[PlacedText] = []
         numbers: list[tuple[int, float, Bytes]] = []
         for k, row in enumerate(found.rows):
             y = size[1] - pad / 2 - (k + 1) * line
-            if not isinstance(row, Value):
-                texts.append(Text(pad, y, row, _NAME if k == 0 else _QUIET))
+            if not isinstance(row, ValueLine):
+                texts.append(PlacedText(pad, y, row, _NAME if k == 0 else _QUIET))
                 continue
-            texts += Text(pad, y, row.name), Text(pad + found.label, y, row.label, _QUIET)
+            texts += (
+                PlacedText(pad, y, row.name),
+                PlacedText(pad + found.label, y, row.label, _QUIET),
+            )
             if row.is_missing:
                 x = right - self.font.width(row.whole)
-                texts.append(Text(x, y, row.whole, _QUIET))
+                texts.append(PlacedText(x, y, row.whole, _QUIET))
                 continue
             cells = [self._figures[c] for c in row.whole + row.rest]
             start = point - sum(cell.shape[1] for cell in cells[: len(row.whole)])
             strip = np.concatenate(cells, axis=1)
-            texts.append(Text(start + strip.shape[1], y, row.unit, _QUIET))
+            texts.append(PlacedText(start + strip.shape[1], y, row.unit, _QUIET))
             numbers.append((start, y, strip))
         out = self.panel(size, rgba, tuple(texts)).copy()
         for start, y, strip in numbers:
             _blend(out, strip, start, round(size[1] - y - line), _NUMBER)
         return out
 
-    def _set(self, size: Size, rgba: Rgba, texts: tuple[Text, ...], is_round: bool = True) -> Bytes:
-        """Returns a panel, (height, width, 4), premultiplied RGBA, top row first.
-
-        Args:
-            size: width and height, pixels.
-            rgba: of the panel.
-            texts: in the panel; what is outside of it is cut off.
-            is_round: whether its corners are round and it has an outline.
-        """
+    def _set(
+        self, size: Size, rgba: Rgba, texts: tuple[PlacedText, ...], is_round: bool = True
+    ) -> Bytes:
         out = _background(size, rgba, _RADIUS * self._line if is_round else 0.0).copy()
         for item in texts:
             text = "".join(c if drawable(c) else "?" for c in item.text)
@@ -229,7 +199,6 @@ def _more_face(file: str, size: float) -> ImageFont.FreeTypeFont:
 
 @lru_cache(maxsize=64)
 def _background(size: tuple[int, int], rgba: Rgba, radius: float) -> Bytes:
-    """Returns an empty panel with antialiased corners."""
     width, height = size
     x = np.abs(np.arange(width) + 0.5 - width / 2) - width / 2
     y = np.abs(np.arange(height) + 0.5 - height / 2)[:, None] - height / 2
@@ -244,7 +213,6 @@ def _background(size: tuple[int, int], rgba: Rgba, radius: float) -> Bytes:
 
 
 def _blend(out: Bytes, coverage: Bytes, left: int, top: int, rgb: Rgb) -> None:
-    """Lays letters over a panel, in place; what is outside of it is cut off."""
     x, y = max(left, 0), max(top, 0)
     letters = coverage[y - top :, x - left :]
     letters = letters[: max(out.shape[0] - y, 0), : max(out.shape[1] - x, 0)]
@@ -254,7 +222,7 @@ def _blend(out: Bytes, coverage: Bytes, left: int, top: int, rgb: Rgb) -> None:
     below[:] = (below * (255 - cover) + ink.astype(np.uint16) * cover + 127) // 255
 
 
-def compose(picture: Bytes, panels: Sequence[Placed]) -> None:
+def compose(picture: Bytes, panels: Sequence[PlacedPanel]) -> None:
     """Lays panels over a picture (height, width, 3), top row first, in place."""
     height, width = picture.shape[:2]
     for placed in panels:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...base.frames import Array
 from ..session.status_line import Mood
-from ..session.widgets import Plot
+from ..session.widgets import Plot, Ticks
 
 Node = dict[str, Any]
 
@@ -212,13 +212,7 @@ class DomWidgets(_Tree):
         return False, index
 
     def slide(
-        self,
-        label: str,
-        value: float,
-        low: float,
-        high: float,
-        text: str,
-        ticks: Sequence[tuple[float, Mood, str]] = (),
+        self, label: str, value: float, low: float, high: float, text: str, ticks: Ticks = ()
     ) -> tuple[bool, float]:
         shown = (text % value if "%" in text else text) if text else ""
         ends = {"low": float(low), "high": float(high)}

@@ -13,12 +13,7 @@ _HOW = 9.6  # width of what the user does, likewise
 
 
 def build_help(ui: Widgets, columns: Sequence[Sequence[Row]]) -> None:
-    """Builds the help; see `interaction.help_columns`.
-
-    Args:
-        ui: takes it.
-        columns: of rows; one without an effect is a title.
-    """
+    """Builds the help; see `interaction.help_columns`."""
     is_wide = ui.room()[0] >= 0.9 * WIDTH
     if not ui.table("##help", (0.0,) * (len(columns) if is_wide else 1)):
         return

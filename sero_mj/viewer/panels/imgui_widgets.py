@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..session.status_line import Mood
-from ..session.widgets import Line, Plot, Rgb
+from ..session.widgets import Plot, PlotLine, Rgb, Ticks
 
 # On light themes and on dark ones. Contrast with the window is at least 4.5 (WCAG).
 MOODS: dict[Mood, tuple[Rgb, Rgb]] = {
@@ -28,12 +28,7 @@ _TIP = 22.0  # width from which on a tip is wrapped, of the text's height
 
 
 class ImguiWidgets:
-    """See `Widgets`.
-
-    Args:
-        imgui: Dear ImGui by the names of imgui-bundle.
-        implot: ImPlot likewise.
-    """
+    """See `Widgets`."""
 
     points, interval = 980, 0.0
 
@@ -52,22 +47,18 @@ class ImguiWidgets:
         return float(self._imgui.get_font_size())
 
     def _rgba(self, mood: Mood) -> Any:
-        """The colour of a mood on the current theme."""
         imgui = self._imgui
         is_dark = imgui.get_style_color_vec4(imgui.Col_.window_bg).y < 0.5
         return imgui.ImVec4(*MOODS[mood][is_dark], 1.0)
 
     def room(self) -> tuple[float, float]:
-        """Returns what is left."""
         room = self._imgui.get_content_region_avail()
         return room.x / self._unit, room.y / self._unit
 
     def wide(self, words: str) -> float:
-        """Returns the width of a text."""
         return float(self._imgui.calc_text_size(words).x) / self._unit
 
     def text(self, words: str, mood: Mood = "plain") -> None:
-        """Writes a text."""
         imgui = self._imgui
         if mood != "plain":
             imgui.push_style_color(imgui.Col_.text, self._rgba(mood))
@@ -78,29 +69,24 @@ class ImguiWidgets:
             imgui.pop_style_color(1)
 
     def label(self, words: str) -> None:
-        """Writes a text beside a field."""
         self._imgui.align_text_to_frame_padding()
         self._imgui.text_unformatted(words)
 
     def title(self, words: str) -> None:
-        """Writes a heading."""
         imgui = self._imgui
         imgui.push_style_color(imgui.Col_.text, self._rgba("title"))
         imgui.separator_text(words)
         imgui.pop_style_color(1)
 
     def scope(self, name: str) -> None:
-        """Begins a scope."""
         self._imgui.push_id(name)
         self._scopes.append(name)
 
     def end_scope(self) -> None:
-        """Ends a scope."""
         self._imgui.pop_id()
         self._scopes.pop()
 
     def header(self, label: str, *, is_open: bool = False) -> bool:
-        """Begins a section."""
         imgui, id_ = self._imgui, "/".join([*self._scopes, label])
         wanted = self.folds.get(id_, is_open)
         if self._unfolded.get(id_) != wanted:
@@ -112,11 +98,9 @@ class ImguiWidgets:
         return is_unfolded
 
     def tree(self, label: str) -> bool:
-        """Begins a node."""
         return bool(self._imgui.tree_node(label))
 
     def table(self, name: str, widths: Sequence[float]) -> bool:
-        """Begins a table."""
         imgui = self._imgui
         if not imgui.begin_table(name, len(widths)):
             return False
@@ -127,15 +111,12 @@ class ImguiWidgets:
         return True
 
     def same_line(self, left: float = 0.0, gap: float = -1.0) -> None:
-        """Goes on in the same line."""
         self._imgui.same_line(left * self._unit, gap * self._unit)
 
     def width(self, width: float) -> None:
-        """Sets the next width."""
         self._imgui.set_next_item_width(width * self._unit or -1.0)
 
     def tip(self, words: str) -> None:
-        """Explains the last widget."""
         imgui = self._imgui
         if imgui.begin_item_tooltip():
             imgui.push_text_wrap_pos(_TIP * self._unit)
@@ -144,37 +125,25 @@ class ImguiWidgets:
             imgui.end_tooltip()
 
     def disable(self, *, is_off: bool) -> None:
-        """Begins what takes no input."""
         self._imgui.begin_disabled(is_off)
 
     def button(self, label: str, width: float = 0.0) -> bool:
-        """Builds a button."""
         return bool(self._imgui.button(label, self._imgui.ImVec2(width * self._unit, 0.0)))
 
     def select(self, label: str, *, is_lit: bool) -> bool:
-        """Builds a text that can be clicked on."""
         self._imgui.align_text_to_frame_padding()
         return bool(self._imgui.selectable(label, is_lit)[0])
 
     def search(self, label: str, text: str, hint: str) -> str:
-        """Builds a field for a text."""
         return str(self._imgui.input_text_with_hint(label, hint, text)[1])
 
     def choose(self, label: str, index: int, names: Sequence[str]) -> tuple[bool, int]:
-        """Builds a list."""
         changed, now = self._imgui.combo(label, index, list(names))
         return changed, now
 
     def slide(
-        self,
-        label: str,
-        value: float,
-        low: float,
-        high: float,
-        text: str,
-        ticks: Sequence[tuple[float, Mood, str]] = (),
+        self, label: str, value: float, low: float, high: float, text: str, ticks: Ticks = ()
     ) -> tuple[bool, float]:
-        """Builds a slider."""
         imgui = self._imgui
         grab = _GRAB * self._unit
         told = _told(ticks, value, high - low)
@@ -194,19 +163,16 @@ class ImguiWidgets:
         return changed, now
 
     def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
-        """Builds a field for a number."""
         typed = self._imgui.InputTextFlags_.enter_returns_true
         changed, now = self._imgui.input_double(label, value, 0.0, 0.0, text, typed)
         return changed, now
 
     def lines(self, label: str, text: str, count: int) -> None:
-        """Shows text to copy from."""
         imgui = self._imgui
         size = imgui.ImVec2(-1.0, (count + 0.6) * imgui.get_text_line_height())
         imgui.input_text_multiline(label, text, size, imgui.InputTextFlags_.read_only)
 
     def plot(self, plot: Plot, height: float) -> None:
-        """Builds a plot."""
         implot, imgui, unit = self._implot, self._imgui, self._unit
         padding = imgui.ImVec2(_BESIDE * unit, 0.3 * unit)
         implot.push_style_var(implot.StyleVar_.plot_padding, padding)
@@ -230,18 +196,16 @@ class ImguiWidgets:
                 implot.tag_y(limit, red, "limit")
         implot.end_plot()
 
-    def _plot_line(self, line: Line) -> None:
+    def _plot_line(self, line: PlotLine) -> None:
         spec = self._implot.Spec()
         spec.line_color, spec.line_weight = self._imgui.ImVec4(*line.rgb, 1.0), _LINE
         self._implot.plot_line(line.name, line.x, line.y, spec)
 
     def copy(self, text: str) -> None:
-        """Puts a text onto the clipboard."""
         self._imgui.set_clipboard_text(text)
 
 
 def _told(ticks: Sequence[tuple[float, Mood, str]], value: float, length: float) -> str:
-    """Returns what is told of the tick that is nearest to a value, as `js/src/ticks.js` does."""
     near = _NEAR * length
     there = [each for each in ticks if -near <= value - each[0] <= max(near, _AFTER)]
     return min(there, key=lambda each: abs(value - each[0]))[2] if there else ""

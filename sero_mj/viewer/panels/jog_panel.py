@@ -9,8 +9,7 @@ import numpy as np
 from ...base.frames import Array, frame, inverse, rotation_from_rpy, rpy_from_rotation
 from ...robots.assemble.world_view import WorldView
 from ..decor.card_names import card_names
-from ..session.joint_goal import JointGoal
-from ..session.pose_text import as_command, as_python, as_toml
+from ..session.joint_goal import JointGoal, as_command, as_python, as_toml
 from ..session.widgets import Widgets
 
 UNITS = ("deg", "rad")
@@ -26,10 +25,7 @@ def build_each(
     """Builds a section for every robot, or where they are many a tree in one section.
 
     Args:
-        ui: takes them.
         verb: what is done with the robots there.
-        names: of the robots.
-        build: what is in it.
     """
     are_many = len(names) > _MOST_SECTIONS
     if are_many and not ui.header(f"{verb} {len(names)} robots"):
@@ -57,7 +53,6 @@ class JointSliders:
         self.unit = 0
 
     def build(self, ui: Widgets, goal: JointGoal) -> None:
-        """Builds them; what is changed is a wish to the goal."""
         limbs = goal.robot.limb_joints
         for limb, joints in limbs.items():
             if len(limbs) == 1:
@@ -109,8 +104,6 @@ def build_flange(ui: Widgets, label: str, goal: JointGoal, base: Array) -> None:
     """Builds a tree with the pose of a flange from its base, m and degrees, in number fields.
 
     Args:
-        ui: takes them.
-        label: of the tree.
         goal: moves to the pose that is typed.
         base: T_world_base (4, 4), m.
     """
@@ -140,13 +133,7 @@ def build_flange(ui: Widgets, label: str, goal: JointGoal, base: Array) -> None:
 
 
 class JogPanel:
-    """The panel of robots that are moved by hand.
-
-    Args:
-        world: that is shown.
-        goals: where the robots are wanted, by name.
-        base: returns T_world_base (4, 4) of a robot.
-    """
+    """The panel of robots that are moved by hand."""
 
     def __init__(
         self, world: WorldView, goals: Mapping[str, JointGoal], base: Callable[[str], Array]
@@ -156,12 +143,7 @@ class JogPanel:
         self._copied = ""
 
     def build(self, ui: Widgets, note: str) -> None:
-        """Builds a section for every robot, of many a tree in one section.
-
-        Args:
-            ui: takes them.
-            note: for each of them.
-        """
+        """Builds a section for every robot, of many a tree in one section."""
         goals = self._goals
         build_each(ui, "Move", goals, lambda name: self._robot(ui, name, goals[name], note))
 

@@ -17,7 +17,6 @@ class Message(NamedTuple):
 
     @property
     def is_shown(self) -> bool:
-        """Whether it is still to be shown."""
         return time.monotonic() < self.until
 
     @property

@@ -17,7 +17,6 @@ _MAX_SHOWN = 2000  # characters of an action
 
 
 def _shortened(text: str) -> str:
-    """Returns a text that cannot hide its end: without a long middle."""
     line = without_temporary(text)
     if len(line) <= _MAX_SHOWN:
         return line
@@ -36,11 +35,7 @@ def build_request(
     """Builds the dialog.
 
     Args:
-        ui: takes it.
-        request: what the file asks for.
         can_allow: whether who has control may allow it: only on the machine that would run it.
-        allow: called when the user allows the request.
-        dismiss: called when the user closes the dialog.
     """
     ui.text(f"{printable(without_temporary(str(request.file)))} is shown without simulating it.")
     ui.text("Its simulation would do this on your computer, with all your rights:")

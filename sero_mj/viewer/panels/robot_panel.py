@@ -48,12 +48,7 @@ def tree_of_owners(world: WorldView) -> tuple[dict[str, list[str]], list[str]]:
 
 
 def build_handle(ui: Widgets, key: str) -> bool:
-    """Builds the button that opens the panel; returns whether it was pressed.
-
-    Args:
-        ui: takes it.
-        key: that opens it as well.
-    """
+    """Builds the button that opens the panel; returns whether it was pressed."""
     is_pressed = ui.button("panel")
     ui.tip(f"switches, sources and sizes: {key}")
     return is_pressed
@@ -66,7 +61,6 @@ class RobotPanel:
 
     Args:
         world: the compiled scene; its tables of sizes are changed in place.
-        toggles: changed in place.
 
     Attributes:
         on_select: called with a joint that was clicked on.
@@ -87,7 +81,6 @@ class RobotPanel:
         ]
 
     def build(self, ui: Widgets) -> None:
-        """Builds the part of the panel with robots, doubles and the scene."""
         world, toggles = self._world, self._toggles
         if len(world.joints.names) > _MOST_WITHOUT_SEARCH or len(world.owners) > 1:
             ui.width(0)
@@ -115,7 +108,6 @@ class RobotPanel:
             ui.tip("resets toggles and sizes to those that the scene declares")
 
     def _found(self, ui: Widgets) -> None:
-        """Builds the joints whose names, or whose robot's, have what is searched for in them."""
         wanted = self._wanted.lower()
         names = [joint_name(self._world, i) for i in range(len(self._world.joints.names))]
         joints = [i for i, name in enumerate(names) if wanted in name.lower()]
@@ -125,7 +117,6 @@ class RobotPanel:
                 self.on_select(joint)
 
     def _entry(self, ui: Widgets, name: str) -> None:
-        """Builds the toggles of a robot or double, or of a group with the tree of its members."""
         owners = self._owners_in(name)
         self._switches(ui, owners)
         if name in self._world.owners and ui.tree("joints"):
@@ -138,19 +129,16 @@ class RobotPanel:
                 ui.end_tree()
 
     def _owners_in(self, name: str) -> list[str]:
-        """Returns the robots and doubles in a group, or the one of that name."""
         if name not in self._members:
             return [name]
         return [owner for each in self._members[name] for owner in self._owners_in(each)]
 
     def _rows(self, owners: Sequence[str]) -> tuple[Ints, Ints]:
-        """Returns the rows of all joints and of all frames of robots and doubles."""
         indices = [list(self._world.owners).index(name) for name in owners]
         joints, frames = self._world.joints.owner, self._world.frames.owner
         return np.isin(joints, indices).nonzero()[0], np.isin(frames, indices).nonzero()[0]
 
     def _switches(self, ui: Widgets, owners: Sequence[str]) -> None:
-        """Builds the toggles of robots and doubles together."""
         toggles = self._toggles
         joints, frames = self._rows(owners)
         shown = set(toggles.arrow_quantity[joints].tolist())
@@ -171,7 +159,6 @@ class RobotPanel:
             self._check(ui, "names of axes", toggles.frame_names, frames)
 
     def _sizes(self, ui: Widgets, owners: Sequence[str]) -> None:
-        """Builds the sliders of sizes of robots and doubles together."""
         if ui.tree("sizes"):
             rows = dict(zip(("joints", "frames"), self._rows(owners), strict=True))
             for words, array, which, declared in self._scaled:
@@ -180,7 +167,6 @@ class RobotPanel:
             ui.end_tree()
 
     def _limbs(self, ui: Widgets, owner: Owner) -> None:
-        """Builds the toggles of all joints, in a tree of the limbs of a robot that branches."""
         limbs = owner.robot.limb_joints
         rows = {limb: owner.joints.start + np.array(joints) for limb, joints in limbs.items()}
         if len(rows) == 1:
@@ -197,7 +183,6 @@ class RobotPanel:
                 ui.end_tree()
 
     def _joints(self, ui: Widgets, joints: Ints) -> None:
-        """Builds the toggles of arrow and billboard of joints."""
         if not ui.table(f"##joints{joints[0]}", (0, 0, 0)):
             return
         for joint in joints.tolist():

@@ -7,14 +7,9 @@ from collections.abc import Collection
 
 import numpy as np
 
-from ..session.signals import Signal, Signals
-from ..session.widgets import (
-    Line,
-    Plot,
-    Rgb,
-    Widgets,
-)
-from .time_plots import time_plot, with_gaps
+from ..session.signals import PlotSignal, PlotSignals
+from ..session.widgets import Plot, PlotLine, Rgb, Widgets
+from .torque_plots import time_plot, with_gaps
 
 # Distinct for the colour-blind, on a dark background (after Okabe and Ito).
 _COLOURS: tuple[Rgb, ...] = (
@@ -31,34 +26,25 @@ _LEAST_HEIGHT = 8.0  # of a plot, likewise; what finds no room is reached by scr
 
 
 class SignalPlots:
-    """Plots of signals, and the lists by which signals are put into them and taken out.
+    """Plots of signals, and the lists by which signals are put into them and taken out."""
 
-    Args:
-        signals: all that can be plotted.
-
-    Attributes:
-        shown: the signals of every plot, from top to bottom.
-    """
-
-    def __init__(self, signals: Signals) -> None:
+    def __init__(self, signals: PlotSignals) -> None:
         self._signals = signals
-        self.shown: list[list[Signal]] = []
+        self.shown: list[list[PlotSignal]] = []
         self._target, self._group = 0, 0  # chosen in the lists
         self._plots: list[Plot] = []
-        self._built: list[list[Signal]] = []  # what these show
+        self._built: list[list[PlotSignal]] = []  # what these show
         self._when = float("-inf")
 
     @property
-    def wanted(self) -> Collection[Signal]:
-        """All signals that are plotted."""
+    def wanted(self) -> Collection[PlotSignal]:
         return {signal for plot in self.shown for signal in plot}
 
-    def add(self, signal: Signal) -> None:
-        """Adds a plot of a signal, where there is room for one and none has it."""
+    def add(self, signal: PlotSignal) -> None:
         if signal not in self.wanted and len(self.shown) < MOST_PLOTS:
             self.shown.append([signal])
 
-    def toggle(self, plot: int, signal: Signal) -> str:
+    def toggle(self, plot: int, signal: PlotSignal) -> str:
         """Puts a signal into a plot, a new one behind the last, or takes it out of it.
 
         Returns:
@@ -80,14 +66,7 @@ class SignalPlots:
         return ""
 
     def build_choice(self, ui: Widgets) -> str:
-        """Builds the lists of plots, groups and signals.
-
-        Args:
-            ui: takes them.
-
-        Returns:
-            a message for the user; empty for none.
-        """
+        """Builds the lists of plots, groups and signals."""
         groups = self._signals.groups
         if not groups:
             return ""
@@ -100,21 +79,16 @@ class SignalPlots:
         group = [*groups][self._group]
         lines = self.shown[self._target] if self._target < len(self.shown) else []
         names = groups[group]
-        labels = [_HINT, *(name + _SHOWN * (Signal(group, name) in lines) for name in names)]
+        labels = [_HINT, *(name + _SHOWN * (PlotSignal(group, name) in lines) for name in names)]
         ui.same_line()
         ui.width(0)
         changed, chosen = ui.choose("##signal", 0, labels)
         if not changed or chosen == 0:
             return ""
-        return self.toggle(self._target, Signal(group, names[chosen - 1]))
+        return self.toggle(self._target, PlotSignal(group, names[chosen - 1]))
 
     def build(self, ui: Widgets, now: float) -> None:
-        """Builds the plots, all as high as there is room for.
-
-        Args:
-            ui: takes them.
-            now: displayed time, s.
-        """
+        """Builds the plots, all as high as there is room for."""
         if not self.shown:
             return
         passed = time.monotonic() - self._when
@@ -128,11 +102,11 @@ class SignalPlots:
             ui.plot(plot, height)
             ui.end_scope()
 
-    def _plot(self, shown: list[Signal], now: float, points: int) -> Plot:
+    def _plot(self, shown: list[PlotSignal], now: float, points: int) -> Plot:
         lines, names = [], [signal.name for signal in shown]
         for signal, colour in zip(shown, _COLOURS, strict=False):
             times, values = with_gaps(*self._signals.of(signal, now, points))
             is_one = names.count(signal.name) == 1
             name = signal.name if is_one else f"{signal.group} {signal.name}"
-            lines.append(Line(name, colour, times, values))
+            lines.append(PlotLine(name, colour, times, values))
         return time_plot(f"plot {self.shown.index(shown) + 1}", lines, np.inf, _LEAST)

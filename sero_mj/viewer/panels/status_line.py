@@ -1,4 +1,4 @@
-"""The status line: time, sources, frame rate; and the sources in a panel, with their counters."""
+"""Status line, timeline, and the section of the panel with the sources and their counters."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 
 from ...data.receive.report import describe, error_text, report
 from ...data.receive.source import Source
-from ..session.clock import Clock
-from ..session.status_line import Piece, clock_text, source_text
+from ..session.clock import SPEEDS, Clock, Tick, time_text
+from ..session.status_line import Mood, Piece, clock_text, source_text
 from ..session.widgets import Widgets
 
 _GAP = 1.4  # between parts, of the text's height
@@ -20,9 +20,7 @@ def build_status_line(ui: Widgets, pieces: Sequence[Piece], hint: str) -> None:
     """Builds the status line, without the parts that do not fit.
 
     Args:
-        ui: takes it.
         pieces: parts, the most important first.
-        hint: text at the right end, if it fits.
     """
     width, _ = ui.room()
     end = 0.0  # of what is written
@@ -49,14 +47,7 @@ class SourcesPanel:
     def build(
         self, ui: Widgets, clock: Clock, sources: Collection[Source], *, is_open: bool
     ) -> None:
-        """Builds it.
-
-        Args:
-            ui: takes it.
-            clock: of what is shown.
-            sources: all of them.
-            is_open: whether it is unfolded at first.
-        """
+        """Builds it."""
         if not ui.header("Sources", is_open=is_open):
             return
         ui.text(*clock_text(clock))
@@ -82,10 +73,60 @@ class SourcesPanel:
             ui.end_tree()
 
     def _report(self, source: Source) -> dict[str, Any]:
-        """Returns the report of a source, updated a few times a second so that it is readable."""
         now = time.monotonic()
         when, found = self._reports.get(source.name, (float("-inf"), {}))
         if now - when >= _READABLE:
             found = report(source)
             self._reports[source.name] = now, found
         return found
+
+
+# Widths, of the text's height.
+_PAUSE, _SPEED = 3.4, 4.6
+_NARROW = 30.0  # in what is narrower there is no choice of the speed
+
+
+def build_time_line(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
+    """Builds the time line in one line."""
+    is_wide = ui.room()[0] >= _NARROW
+    stands = clock.is_paused or clock.is_at_end
+    if ui.button(f"{'play' if stands else 'pause'}###pause", _PAUSE):
+        clock.pause()
+    for label, tip, act in (
+        ("|<", "to the start", clock.reset),
+        ("<", "a step back", lambda: clock.step(-1)),
+        (">", "a step on", clock.step),
+    ):
+        ui.same_line()
+        if ui.button(label):
+            act()
+        ui.tip(tip)
+    if is_wide:
+        ui.same_line()
+        ui.width(_SPEED)
+        nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - clock.speed))
+        changed, chosen = ui.choose("##speed", nearest, [f"x {speed:g}" for speed in SPEEDS])
+        if changed:
+            clock.faster(chosen - nearest)
+    if clock.end:
+        ui.same_line()
+        ui.width(0.0)
+        marked: list[tuple[float, Mood, str]] = [
+            (tick.time, "title" if tick.is_mark else "bad", _told(clock, tick)) for tick in ticks
+        ]
+        text = _text(clock, clock.end)
+        moved, wanted = ui.slide("##time", clock.time, clock.begin, clock.end, text, marked)
+        if moved:
+            clock.seek(wanted)
+            # Who goes to what happened wants to see it, as by the keys for that.
+            clock.is_paused |= any(wanted == tick.time for tick in ticks)
+
+
+def _told(clock: Clock, tick: Tick) -> str:
+    return tick.text if clock.is_live else f"{time_text(tick.time)}: {tick.text}"
+
+
+def _text(clock: Clock, end: float) -> str:
+    if not clock.is_live:
+        return f"{time_text(clock.time)} / {time_text(end)}"
+    return f"{time_text(end - clock.time)} ago; End is live" if clock.is_past else "live"

@@ -1,21 +1,18 @@
-"""`TorquePlots`: measured and commanded torques of a joint over time, and their error."""
+"""Plots over time; `TorquePlots`: measured and commanded torques of a joint, and their error."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 
+from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
 from ..decor.quantities import joint_name, torque_and_unit, torque_text
-from ..session.torque_history import TorqueHistory
-from ..session.widgets import (
-    Line,
-    Plot,
-    Rgb,
-    Widgets,
-)
-from .time_plots import time_plot, with_gaps
+from ..session.binned_history import SPAN
+from ..session.torque_history import TorqueHistory, split_at_gaps
+from ..session.widgets import Plot, PlotLine, Rgb, Widgets
 
 # Light blue and orange: distinct for the colour-blind and on a dark background.
 _MEASURED: Rgb = (0.45, 0.78, 1.0)
@@ -31,13 +28,7 @@ _NOTE = 2.2  # height of the words in place of that of the error, two lines of t
 
 
 class TorquePlots:
-    """Plots the history of one joint, with its limits.
-
-    Args:
-        world: the compiled scene.
-        points: of a line, at most, about.
-        interval: between two updates, s.
-    """
+    """Plots the history of one joint, with its limits."""
 
     def __init__(self, world: WorldView, points: int, interval: float = 0.0) -> None:
         self._world, self._points, self._interval = world, points, interval
@@ -50,9 +41,6 @@ class TorquePlots:
         """Builds the plots of a joint and returns the joint that the user has selected.
 
         Args:
-            ui: takes them.
-            history: the torques.
-            joint: index in the world.
             height: at most, of the text's height.
         """
         ui.width(max(min(_NAMES, ui.room()[0] - _BESIDE), 1.0))
@@ -83,16 +71,15 @@ class TorquePlots:
         return joint
 
     def plots(self, history: TorqueHistory, joint: int) -> list[Plot]:
-        """Returns the plots of a joint: its torques, and their error."""
         times, (measured, commanded, error) = history.of(joint, self._points)
         joints = self._world.joints
         limit = np.inf if joints.is_largest[joint] else float(joints.torque_limit[joint])
         what, (factor, unit) = torque_and_unit(self._world, joint)
         torques = [
-            Line("measured", _MEASURED, *with_gaps(times, factor * measured)),
-            Line("commanded", _COMMANDED, *with_gaps(times, factor * commanded)),
+            PlotLine("measured", _MEASURED, *with_gaps(times, factor * measured)),
+            PlotLine("commanded", _COMMANDED, *with_gaps(times, factor * commanded)),
         ]
-        errors = [Line("commanded - measured", _ERROR, *with_gaps(times, factor * error))]
+        errors = [PlotLine("commanded - measured", _ERROR, *with_gaps(times, factor * error))]
         return [
             time_plot(f"{what} [{unit}]", torques, factor * limit, _LEAST),
             time_plot(f"error [{unit}]", errors, np.inf, _LEAST),
@@ -100,9 +87,52 @@ class TorquePlots:
 
 
 def _without(what: str, torques: Plot) -> str:
-    """Returns why there is no error to plot; empty where there is one."""
     missing = [line.name for line in torques.lines if not len(line.x)]
     if not missing:
         return ""
     which = f"{missing[0]} " if len(missing) < len(torques.lines) else ""
     return f"no {which}{what}s are received, so there is no error to plot"
+
+
+_NEAR = 0.8  # fraction of the limit from which on it is in the visible range
+_MARGIN = 1.15  # of the range over that of the values
+_NARROWEST = 1e-3  # half a range, of its middle
+
+
+def time_plot(label: str, lines: Sequence[PlotLine], limit: float, least: float) -> Plot:
+    """Returns a plot of the last seconds."""
+    values = np.concatenate([line.y for line in lines]) if lines else np.zeros(0)
+    return Plot("s", label, lines, (-SPAN, 0.0), y_range(values, limit, least), (limit, -limit))
+
+
+def with_gaps(times: Array, values: Array) -> tuple[Array, Array]:
+    """Returns the samples of a line, with one NaN in every gap."""
+    values = values.astype(float)
+    x, y = [times[:0]], [values[:0]]
+    for piece in split_at_gaps(times, values):
+        if len(x) > 1:
+            x.append(times[piece[:1]])
+            y.append(np.array([np.nan]))
+        x.append(times[piece])
+        y.append(values[piece])
+    return np.concatenate(x), np.concatenate(y)
+
+
+def y_range(values: Array, limit: float, least: float) -> tuple[float, float]:
+    """Returns lower and upper end of a plot, rounded so that they rarely change.
+
+    Args:
+        limit: of their magnitude, inf for none; it is in the range when values come close to it.
+    """
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    if np.isfinite(limit):
+        high = max(high, limit) if high > _NEAR * limit else high
+        low = min(low, -limit) if low < -_NEAR * limit else low
+    middle = (low + high) / 2
+    half = max((high - low) / 2 * _MARGIN, least, _NARROWEST * abs(middle))
+    step = 10.0 ** np.floor(np.log10(half)) / 2
+    return (
+        float(np.floor((middle - half) / step) * step),
+        float(np.ceil((middle + half) / step) * step),
+    )

@@ -27,7 +27,7 @@ class UserWidget(Protocol[Value]):
     """
 
     @property
-    def label(self) -> str: ...  # noqa: D102
+    def label(self) -> str: ...
 
     def checked(self, value: object) -> Value:
         """Returns a value as it is shown; raises UsageError if it is none of this widget."""
@@ -44,7 +44,6 @@ class _ValueWidget(Generic[Value]):
     label: str
 
     def calls(self, before: Value, now: Value) -> Sequence[tuple[Value, ...]]:
-        """One call with the latest value: those in between are skipped."""
         return [(now,)]
 
 
@@ -72,13 +71,12 @@ def to_number(label: str, value: object) -> float:
 
 
 @dataclass(frozen=True)
-class Number(_ValueWidget[float]):
+class NumberWidget(_ValueWidget[float]):
     """A field for a number.
 
     Attributes:
         low: least value, -inf for none.
         high: greatest value, inf for none.
-        unit: behind the number.
     """
 
     low: float = -math.inf
@@ -86,7 +84,6 @@ class Number(_ValueWidget[float]):
     unit: str = ""
 
     def checked(self, value: object) -> float:
-        """See `UserWidget`."""
         number = to_number(self.label, value)
         if not self.low <= number <= self.high:
             raise UsageError(f"{self.label}: found {number:g}; expected {self._range}")
@@ -102,22 +99,19 @@ class Number(_ValueWidget[float]):
 
     @property
     def _format(self) -> str:
-        """Of printf."""
         return f"%.5g {self.unit.replace('%', '%%')}".rstrip()
 
     def build(self, ui: Widgets, value: float) -> object:
-        """See `UserWidget`."""
         ui.width(_WIDTH)
         changed, now = ui.number(self.label, value, self._format)
         return now if changed else None
 
 
 @dataclass(frozen=True)
-class Slider(Number):
+class SliderWidget(NumberWidget):
     """A number that is set by a slider."""
 
     def build(self, ui: Widgets, value: float) -> object:
-        """See `UserWidget`."""
         ui.width(_WIDTH)
         changed, now = ui.slide(self.label, value, self.low, self.high, self._format)
         # A typed number may be out of range.
@@ -125,73 +119,61 @@ class Slider(Number):
 
 
 @dataclass(frozen=True)
-class Check(_ValueWidget[bool]):
+class CheckWidget(_ValueWidget[bool]):
     """A check box."""
 
     def checked(self, value: object) -> bool:
-        """See `UserWidget`."""
         if value not in (True, False):
             raise UsageError(f"{self.label}: found {shown(value)}; expected True or False")
         return bool(value)
 
     def build(self, ui: Widgets, value: bool) -> object:
-        """See `UserWidget`."""
         changed, now = ui.check(self.label, value)
         return now if changed else None
 
 
 @dataclass(frozen=True)
-class Choice(_ValueWidget[str]):
-    """One of several names.
-
-    Attributes:
-        names: all of them.
-    """
+class ChoiceWidget(_ValueWidget[str]):
+    """One of several names."""
 
     names: tuple[str, ...]
 
     def checked(self, value: object) -> str:
-        """See `UserWidget`."""
         if value not in self.names:
             near = did_you_mean(str(value), self.names)
             raise UsageError(f"{self.label}: found {shown(value)}{near}")
         return str(value)
 
     def build(self, ui: Widgets, value: str) -> object:
-        """See `UserWidget`."""
         ui.width(_WIDTH)
         changed, now = ui.choose(self.label, self.names.index(value), self.names)
         return self.names[now] if changed else None
 
 
 @dataclass(frozen=True)
-class Text(_ValueWidget[str]):
+class TextWidget(_ValueWidget[str]):
     """A text, which only the program changes."""
 
     def checked(self, value: object) -> str:
-        """See `UserWidget`."""
         return str(value)
 
     def build(self, ui: Widgets, value: str) -> object:
-        """See `UserWidget`."""
         ui.text(value)
         return None
 
 
 @dataclass(frozen=True)
-class Button:
+class ButtonWidget:
     """A button; its value is how often it was pressed."""
 
     label: str
 
     def checked(self, value: object) -> int:
-        """See `UserWidget`."""
         if not isinstance(value, int):
             raise UsageError(f"{self.label}: found {shown(value)}; expected a number of presses")
         return value
 
     def build(self, ui: Widgets, value: int) -> object:
-        """See `UserWidget`."""
         return value + 1 if ui.button(self.label) else None
 
     def calls(self, before: int, now: int) -> Sequence[tuple[int, ...]]:
@@ -204,12 +186,10 @@ TOOL = "user_panels"  # that shows them
 Place = tuple[str, str]  # of a widget: the panel's title, and its label there
 
 
-class Placed(NamedTuple):
+class WidgetState(NamedTuple):
     """A widget as the viewer is told of it.
 
     Attributes:
-        widget: what it is.
-        value: what it shows.
         number: of the last change by the program.
         order: of the widgets in their panel.
     """

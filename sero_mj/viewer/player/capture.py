@@ -1,14 +1,13 @@
 """Collects what a player shows of a scene: poses, values and decor of every frame, without OpenGL.
 
-Bodies, joints and decor are those that windows draw. What depends on the camera, such as places of
-cards, is left to the player.
+What depends on the camera, such as places of cards, is left to the player.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -16,29 +15,26 @@ import numpy as np
 from ...base.errors import RenderError
 from ...base.frames import Array, Bools, Ints
 from ...data.drive.mirror import Mirror, restore
-from ...robots.assemble.parts import DoublePart, DrawnDouble
 from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 from ...robots.declared.scene import Scene
-from ..decor.billboards import Line, has_chosen_lines, joint_formats, shows_errors
+from ..decor.billboards import LineFormat, has_chosen_lines, joint_formats, shows_errors
 from ..decor.draw import Decor
-from ..decor.feature import Frame
-from ..decor.geom_buffer import GEOM, GeomBuffer, Kind
-from ..decor.legend import SCALE, Legend
+from ..decor.geom_buffer import GEOM, Kind
+from ..decor.legend import Legend
 from ..decor.picture_view import PictureView
 from ..decor.quantities import joint_name
 from ..decor.toggles import Toggles
-from ..image.camera import find_camera, followed
-from ..image.following import Follower
+from ..image.camera import Follower, find_camera, followed
 from ..image.framing import Framing, declared_data, needed_aspect
 from ..image.held_torques import HeldTorques
 from ..image.picture_options import DEFAULT_SIZE
 from ..image.sampling import known_poses, sampled_states
-from .copied_bodies import CopiedBodies, CopiedBody
-from .labels import labels_of
-from .model import drawn_bodies, visible_geoms
-from .soft import Soft, SoftFrame, SoftParts, bytes_of_frame, soft_of
+from .copied_bodies import CopiedBody
+from .frame import CapturedFrame, FrameTaker, body_poses, shown_bodies
+from .model import visible_geoms
+from .soft import Soft, SoftParts, bytes_of_frame, soft_of
 
 DEFAULT_FPS = 30.0
 DEFAULT_SECONDS = 10.0  # of what has no end
@@ -50,14 +46,14 @@ _SIZE = (1280, 800)  # pixels; some decor asks for a picture
 
 @dataclass(frozen=True)
 class Mark:
-    """Something on the time line.
+    """An event on the timeline.
 
     Attributes:
-        begin: s since the start of the page.
-        end: s; the same for a moment.
-        text: what.
-        kind: `push` and `fault` were done, `finding` was found by a monitor, `bookmark` was set by
-            a user, an expectation has `held` or `failed`.
+        begin: time since the start of the page, s.
+        end: the same as `begin` for an instant, s.
+        text: description.
+        kind: `push` or `fault` of a scenario, `finding` of a monitor, `bookmark` of a user, or
+            whether an expectation has `held` or `failed`.
     """
 
     begin: float
@@ -67,12 +63,12 @@ class Mark:
 
 
 @dataclass(frozen=True, eq=False)
-class Item:
-    """A geom of decor through all frames.
+class DecorItem:
+    """A geom of decor through F frames.
 
     Attributes:
-        kind: of what it shows.
-        item: index of that, see `Kind`.
+        kind: kind of item that it belongs to.
+        item: index of that item, see `Kind`.
         rows: the geom in every frame, (F,) of `GEOM`.
         visible: whether it is drawn, (F,) bool.
     """
@@ -84,40 +80,26 @@ class Item:
 
 
 @dataclass(eq=False)
-class Capture:
-    """What a player shows of a scene, F frames long.
+class CapturedRun:
+    """What a player shows of a scene in F frames; arrays as in `CapturedFrame`, frames first.
 
     Attributes:
-        world: the compiled scene.
         fps: frames per second.
         begin: time of the first frame, s.
-        toggles: what is shown at first.
-        camera: of the first picture.
+        toggles: initial switches.
+        camera: initial camera.
         lines: of the card of every joint, (N,).
-        details: lines of the values of every joint, (N,).
+        details: lines of all values of every joint, (N,).
         bodies: ids of the bodies that carry something visible, (B,).
-        positions: of the bodies, (F, B, 3), m.
-        rotations: of the bodies, unit quaternions (F, B, 4).
-        opacity: of the bodies, 0 where they are out of sight, (F, B).
-        grey: whether bodies are drawn grey, because their data are stale, (F, B) bool.
-        values: of the joints by name, (F, N); NaN for no data.
-        arrows: what the round arrows show, (F, N).
+        copies: bodies of doubles, (G,), which follow the others in poses, opacity and greyness.
         limit: value of an arrow of full width, (N,); inf for none.
-        stale: joints without fresh data, (F, N) bool.
-        soft: tendons and flexes.
-        items: decor besides arrows of joints, and text.
-        labels: text at places, see `labels_of`.
-        notes: text in the corners, by frame, without the legend.
-        legend: what arrows mean, by frame: of those that are seen there, if they are switched on.
-        cards: of the smart arrows: index to text by frame, empty where there is none.
-        marks: on the time line.
+        cards: texts by frame of each smart arrow's card.
+        marks: on the timeline.
         silent: names of the sources without data.
-        meanings: of labels on cards, by label: the file that `A` is, say.
-        copies: G more bodies, of doubles; poses, opacity and greyness have them after the B.
-        needed: width over height of a picture that the camera needs, see `needed_aspect`; that of
-            the declared pose when None.
-        path: by how far the free camera has moved with what it follows, (F, 3), m; None where it
-            follows nothing.
+        meanings: meaning of labels on cards, such as the file that `A` is.
+        needed: aspect ratio that the camera needs, see `needed_aspect`; that of the declared pose
+            if None.
+        path: displacement of the free camera with what it follows, (F, 3), m; None for none.
     """
 
     world: WorldView
@@ -125,8 +107,8 @@ class Capture:
     begin: float
     toggles: Toggles
     camera: mujoco.MjvCamera
-    lines: list[list[Line]]
-    details: list[list[Line]]
+    lines: list[list[LineFormat]]
+    details: list[list[LineFormat]]
     bodies: Ints
     positions: Array
     rotations: Array
@@ -137,7 +119,7 @@ class Capture:
     limit: Array
     stale: np.ndarray
     soft: Soft
-    items: list[Item]
+    items: list[DecorItem]
     labels: list[Any]
     notes: list[str]
     legend: list[str]
@@ -151,64 +133,21 @@ class Capture:
 
     @property
     def frames(self) -> int:
-        """How many frames there are."""
         return len(self.positions)
 
     @property
     def joint_names(self) -> list[str]:
-        """Name of every joint with its robot, `lwr/A4`, (N,)."""
         return [joint_name(self.world, i) for i in range(len(self.world.joints.names))]
 
     @property
     def geoms(self) -> Ints:
-        """Ids of the geoms of the model that are drawn, without our floor."""
         return visible_geoms(self.world.model)
 
 
-class CapturedFrame(NamedTuple):
-    """What a player shows of one state; arrays as of `Capture`, without the axis of frames.
-
-    Attributes:
-        poses: of the bodies, place and unit quaternion, (B + G, 7).
-        opacity: of the bodies, (B + G,).
-        soft: tendons and flexes.
-        values: of the joints by name, (N,) each.
-        arrows: what the round arrows show, (N,).
-        limit: value of an arrow of full width, (N,).
-        stale: joints without fresh data, (N,) bool.
-        geoms: of decor: rows, kinds and items, see `player_geoms`.
-        labels: see `labels_of`.
-        note: text in the corners, without the legend.
-        legend: what arrows mean.
-        cards: text of the smart arrows, by their index.
-    """
-
-    poses: Array
-    opacity: Array
-    soft: SoftFrame
-    values: dict[str, Array]
-    arrows: Array
-    limit: Array
-    stale: Bools
-    geoms: tuple[np.ndarray, np.ndarray, np.ndarray]
-    labels: dict[Any, Any]
-    note: str
-    legend: str
-    cards: dict[int, str]
-
-
 class FrameCapturer:
-    """Captures states of a world one by one.
+    """Captures states of a world one by one, by a decor of its own.
 
-    It is the last feature of a decor of its own, and takes what all others have made; the player
-    itself draws the arrows of joints.
-
-    Args:
-        world: the compiled scene.
-        camera: of the first picture.
-
-    Attributes:
-        toggles: of what is captured.
+    The player makes all arrows of joints.
     """
 
     def __init__(self, world: WorldView, camera: mujoco.MjvCamera) -> None:
@@ -220,59 +159,34 @@ class FrameCapturer:
         for feature in self._decor.features:
             if isinstance(feature, Legend):
                 feature.is_steady = False
-        self._decor.features.append(self)
+        self._taker = FrameTaker(world, np.ones(len(world.joints.names), bool))
+        self._decor.features.append(self._taker)
         self._view: PictureView | None = None
-        self._bodies, self._copies = shown_bodies(world), CopiedBodies(world)
-        self._soft = SoftParts(world.model)
-        self._note, self._legend, self._cards = "", "", dict[int, str]()
-        self._frame: Frame | None = None
-
-    def lay_out(self, frame: Frame) -> None:
-        """Takes texts; places of panels are left to the player."""
-        self._note, self._legend = (
-            "\n\n".join(
-                "\n".join(map(line_text, lines))
-                for group in frame.corners
-                if group.of_arrows == of_arrows
-                for lines in group.texts
-            )
-            for of_arrows in (False, True)
-        )
-        self._cards = {
-            int(item): "\n".join(map(line_text, lines))
-            for group in frame.cards
-            if group.kind == Kind.CARD
-            for item, lines in zip(group.items, group.texts, strict=True)
-        }
-        for groups in (frame.corners, frame.cards, frame.panels):
-            groups.clear()
-
-    def draw(self, frame: Frame) -> None:
-        """Takes the frame, with all geoms."""
-        self._frame = frame
 
     def take(self, data: mujoco.MjData) -> CapturedFrame:
-        """Captures a state, with everything up to date that is drawn of it."""
-        world, bodies = self._world, self._bodies
         if self._view is None:
-            self._view = _view(world.model, data, self._camera)
-        buffer = self._decor.draw(data, self.toggles, self._view)
-        frame = self._frame
-        assert frame is not None  # `draw` has just been called
-        places, turns, faint = body_poses(data, bodies, self._copies, buffer.drawn_doubles)
+            self._view = _view(self._world.model, data, self._camera)
+        self._decor.draw(data, self.toggles, self._view)
+        return self._taker.take(data)
+
+    def pose(self, data: mujoco.MjData) -> CapturedFrame:
+        count, taker = len(self._world.joints.names), self._taker
+        nothing = np.full(count, np.nan)
+        poses, faint = body_poses(data, taker.bodies, taker.copies, None)
         return CapturedFrame(
-            poses=np.hstack([places, turns]),
-            opacity=np.concatenate([body_opacity(world.model, buffer)[bodies], faint]),
-            soft=self._soft.take(data),
-            values=frame.values,
-            arrows=frame.arrow_values,
-            limit=frame.arrow_limit,
-            stale=frame.stale_joints,
-            geoms=player_geoms(frame.buffer, np.ones(len(world.joints.names), bool)),
-            labels=labels_of(world, frame),
-            note=self._note,
-            legend=self._legend,
-            cards=self._cards,
+            poses=poses,
+            opacity=np.concatenate([np.ones(len(taker.bodies)), faint]),
+            grey=np.zeros(len(poses), bool),
+            soft=SoftParts(self._world.model).take(data),
+            values={"joint_angles": nothing, "torques": nothing},
+            arrows=nothing,
+            limit=self._world.joints.torque_limit,
+            stale=np.zeros(count, bool),
+            geoms=(np.zeros(0, GEOM), np.zeros(0, int), np.zeros(0, int)),
+            labels={},
+            note="",
+            legend="",
+            cards={},
         )
 
     def result(
@@ -285,35 +199,18 @@ class FrameCapturer:
         silent: Sequence[str] = (),
         toggles: Toggles | None = None,
         needed: float | None = None,
-    ) -> Capture:
-        """Returns frames as one; at least one.
-
-        Args:
-            frames: of this world, in their order.
-            fps: of them.
-            begin: time of the first one, s.
-            marks: on the time line.
-            silent: names of the sources without data.
-            toggles: what is shown at first; as declared when None.
-            needed: see `Capture`.
-        """
-        world, bodies = self._world, self._bodies
+    ) -> CapturedRun:
+        """Returns one or more frames as a run; without toggles it begins as declared."""
+        world = self._world
         poses = np.array([each.poses for each in frames])
         opacity = np.array([each.opacity for each in frames])
-        _hide_far_away(poses, opacity)
+        _keep_last(poses, poses[..., 2] < OUT_OF_SIGHT[2] / 2)
         values = {key: np.array([f.values[key] for f in frames]) for key in frames[0].values}
         if toggles is None:
             toggles = Toggles(world)
             toggles.modelled[:] = self.toggles.modelled
         lines, details = _lines(world, values, toggles)
-        stale = np.array([each.stale for each in frames], bool)
-        grey = np.zeros(opacity.shape, bool)
-        of_body = grey[:, : len(bodies)]
-        for part in world.owners.values():
-            if part.joints.stop > part.joints.start and not isinstance(part, DoublePart):
-                is_stale = np.all(stale[:, part.joints], axis=1)
-                of_body[:, np.isin(bodies, part.bodies)] = np.asarray(is_stale)[:, None]
-        return Capture(
+        return CapturedRun(
             world=world,
             fps=fps,
             begin=begin,
@@ -321,15 +218,15 @@ class FrameCapturer:
             camera=self._camera,
             lines=lines,
             details=details,
-            bodies=bodies,
+            bodies=self._taker.bodies,
             positions=poses[..., :3],
             rotations=_continuous(poses[..., 3:]),
             opacity=opacity,
-            grey=grey,
+            grey=np.array([each.grey for each in frames]),
             values={key: each for key, each in values.items() if np.isfinite(each).any()},
             arrows=np.array([each.arrows for each in frames]),
             limit=frames[0].limit,
-            stale=stale,
+            stale=np.array([each.stale for each in frames], bool),
             soft=soft_of([each.soft for each in frames]),
             items=_items([each.geoms for each in frames]),
             labels=[each.labels for each in frames],
@@ -338,69 +235,9 @@ class FrameCapturer:
             cards=_cards([each.cards for each in frames]),
             marks=marks,
             silent=list(silent),
-            copies=self._copies.each,
+            copies=self._taker.copies.each,
             needed=needed,
         )
-
-
-def player_geoms(buffer: GeomBuffer, own: Bools) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns what a player draws geom by geom: all but text and the arrows that it makes itself.
-
-    Args:
-        buffer: of a frame.
-        own: joints whose arrows it makes from their values, (N,).
-
-    Returns:
-        rows (k,) of `GEOM`, and kind and item of each, (k,).
-    """
-    kinds, items = buffer.kinds[: buffer.count], buffer.items[: buffer.count]
-    is_arrow = kinds == Kind.ARROW
-    kept = ~is_arrow
-    kept[is_arrow] = ~own[items[is_arrow]]
-    # Panels stand in front of the camera, and are laid out by the player.
-    kept[buffer.text] = False
-    kept &= buffer.rows["type"][: buffer.count] != _LABEL
-    index = kept.nonzero()[0]
-    return buffer.rows[index], kinds[index], items[index]
-
-
-def body_poses(
-    data: mujoco.MjData, bodies: Ints, copies: CopiedBodies, drawn: Sequence[DrawnDouble]
-) -> tuple[Array, Array, Array]:
-    """Returns the poses of bodies, and after them of their copies.
-
-    Args:
-        data: the state, with frames up to date.
-        bodies: ids, (B,).
-        copies: of doubles, G of them.
-        drawn: the doubles of the frame.
-
-    Returns:
-        positions (B + G, 3), m, unit quaternions (B + G, 4), and the opacity of the copies, (G,).
-    """
-    places, turns, opacity = copies.poses(drawn)
-    return (
-        np.concatenate([data.xpos[bodies], places]),
-        np.concatenate([data.xquat[bodies], turns]),
-        opacity,
-    )
-
-
-def body_opacity(model: mujoco.MjModel, buffer: GeomBuffer) -> Array:
-    """Returns by how much every body is faded in a frame, (nbody,): 0 where it is not drawn."""
-    found = np.ones(model.nbody)
-    if buffer.opacity is not None:
-        np.minimum.at(found, model.geom_bodyid, buffer.opacity)
-    if buffer.hidden is not None:
-        found[model.geom_bodyid[buffer.hidden]] = 0.0
-    return found
-
-
-def line_text(line: bytes) -> str:
-    """A line as text; the legend's scale has bars, of which only the last one has a name."""
-    text = line.decode("latin-1").rstrip()
-    scale = "".join(SCALE)
-    return f"full width: {text.removeprefix(scale)}" if text.startswith(scale) else text
 
 
 def capture(
@@ -414,19 +251,19 @@ def capture(
     wait: float = 2.0,
     marks: Sequence[Mark] = (),
     on_progress: Callable[[int, int], None] | None = None,
-) -> Capture:
-    """Collects a scene as it moves; live sources in real time, others as fast as it goes.
+) -> CapturedRun:
+    """Collects a scene as it moves; live sources in real time, others as fast as possible.
 
     Args:
         scene: what to show.
-        seconds: how long, at most to the end of its sources; to there when None.
+        seconds: maximum duration; to the end of the sources if None.
         begin: time of the first frame, s; 0 for live sources.
         fps: frames per second.
         camera: see `find_camera`.
-        follow: what the free camera moves with, see `Follower`; what the view does when None.
-        wait: how long to wait for the first packet of every source, s.
-        marks: on the time line.
-        on_progress: called with the number of frames until now, and of all frames.
+        follow: what the free camera follows, see `Follower`; as the scene's view declares if None.
+        wait: maximum time to wait for the first packet of every source, s.
+        marks: on the timeline.
+        on_progress: called with the number of finished frames and of all frames.
 
     Raises:
         SeroError: a problem of the scene, its sources or the camera; or it is too long for a page.
@@ -466,56 +303,19 @@ def capture_pose(
     data: mujoco.MjData,
     camera: mujoco.MjvCamera,
     needed: float | None = None,
-) -> Capture:
-    """Collects one pose without decor and values, which a live page is sent for every picture.
-
-    Args:
-        world: the compiled scene.
-        data: its state, with frames up to date.
-        camera: of the first picture.
-        needed: see `Capture`.
-    """
-    joints, bodies, copies = world.joints, shown_bodies(world), CopiedBodies(world)
-    places, turns, faint = body_poses(data, bodies, copies, [])
-    formats = joint_formats(world)
-    count = len(joints.names)
-    nothing = np.full((1, count), np.nan)
-    return Capture(
-        world=world,
-        fps=DEFAULT_FPS,
-        begin=0.0,
-        toggles=Toggles(world),
-        camera=camera,
-        lines=formats.declared,
-        details=formats.details,
-        bodies=bodies,
-        positions=places[None],
-        rotations=turns[None],
-        opacity=np.concatenate([np.ones(len(bodies)), faint])[None],
-        grey=np.zeros((1, len(places)), bool),
-        values={"joint_angles": nothing},
-        arrows=nothing,
-        limit=joints.torque_limit,
-        stale=np.zeros((1, count), bool),
-        soft=soft_of([SoftParts(world.model).take(data)]),
-        items=[],
-        labels=[{}],
-        notes=[""],
-        legend=[""],
-        cards={},
-        copies=copies.each,
-        needed=needed,
-    )
+) -> CapturedRun:
+    """Collects one pose without decor and values, which a server sends for every frame."""
+    capturer = FrameCapturer(world, camera)
+    return capturer.result([capturer.pose(data)], fps=DEFAULT_FPS, needed=needed)
 
 
 def longest(world: World, fps: float) -> float:
-    """Returns how long a page of a world may be, s."""
+    """Returns the maximum duration of a page of a world, s."""
     of_frame = 28 * len(shown_bodies(world)) + 32 * len(world.joints.names) + 64
     return MAX_BYTES / (of_frame + bytes_of_frame(world.model)) / fps
 
 
 def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float) -> int:
-    """How many frames there are; raises RenderError where they are too many."""
     ends = [source.end for source in mirror.sources.values() if source.end is not None]
     left = max(ends) - begin if ends else None
     if ends and max(ends) <= 0:
@@ -536,7 +336,6 @@ def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float
 
 
 def _view(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera) -> PictureView:
-    """Returns a view of a state, for decor that depends on a picture's."""
     scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 64)
     everything = int(mujoco.mjtCatBit.mjCAT_ALL)
     option, perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
@@ -544,19 +343,8 @@ def _view(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera) 
     return PictureView.of_scene(scene, *_SIZE)
 
 
-def shown_bodies(world: WorldView) -> Ints:
-    """Returns ids of the bodies that something is drawn at, (B,)."""
-    model = world.model
-    own = [drawn_bodies(model), model.cam_bodyid]
-    if world.has_sites:
-        own.append(model.site_bodyid[world.joints.centre_site])
-    return np.unique(np.concatenate(own)).astype(np.intp)
-
-
-def _hide_far_away(poses: Array, opacity: Array) -> None:
-    """Hides bodies without a pose, which stay at their last or next one instead of far away."""
-    far = np.asarray(poses[..., 2] < OUT_OF_SIGHT[2] / 2)
-    opacity[far] = 0.0
+def _keep_last(poses: Array, far: Bools) -> None:
+    """Lets bodies without a pose stay at their last or next one instead of far away."""
     for b in np.flatnonzero(far.any(axis=0)):
         there = np.flatnonzero(~far[:, b])
         if not len(there):
@@ -575,10 +363,10 @@ def _continuous(rotations: Array) -> Array:
 
 def _lines(
     world: WorldView, values: dict[str, Array], toggles: Toggles
-) -> tuple[list[list[Line]], list[list[Line]]]:
-    """The lines of the cards of all joints, and those of what arrows show.
+) -> tuple[list[list[LineFormat]], list[list[LineFormat]]]:
+    """Returns the lines of the cards of all joints, and of all their values.
 
-    Angles give way to torques where there are some, and these to what arrows show.
+    Angles give way to torques if there are some, and these to what arrows show.
     """
     are_errors = shows_errors(toggles)
     formats = joint_formats(world)
@@ -594,9 +382,9 @@ def _lines(
     return declared, formats.details
 
 
-def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[Item]:
-    """Sorts the geoms of all frames by what they show, so that each has a place of its own."""
-    found: dict[tuple[int, int, int, int], Item] = {}
+def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[DecorItem]:
+    """Sorts the geoms of all frames by their item."""
+    found: dict[tuple[int, int, int, int], DecorItem] = {}
     for k, (geoms, kinds, items) in enumerate(rows):
         count: dict[tuple[int, int, int], int] = {}
         for row, kind, item in zip(geoms, kinds.tolist(), items.tolist(), strict=True):
@@ -604,7 +392,9 @@ def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[Item]:
             number = count[key] = count.get(key, -1) + 1
             place = found.get((*key, number))
             if place is None:
-                place = Item(Kind(kind), item, np.zeros(len(rows), GEOM), np.zeros(len(rows), bool))
+                place = DecorItem(
+                    Kind(kind), item, np.zeros(len(rows), GEOM), np.zeros(len(rows), bool)
+                )
                 found[*key, number] = place
             place.rows[k], place.visible[k] = row, True
     return list(found.values())
@@ -615,7 +405,7 @@ def _cards(cards: list[dict[int, str]]) -> dict[int, list[str]]:
     return {item: [each.get(item, "") for each in cards] for item in items}
 
 
-def eye(capture: Capture) -> dict[str, Any]:
+def eye(capture: CapturedRun) -> dict[str, Any]:
     """Returns the first camera of a page, as JSON."""
     camera, world, needed = capture.camera, capture.world, capture.needed
     fixed = int(camera.fixedcamid) if camera.type == mujoco.mjtCamera.mjCAMERA_FIXED else -1

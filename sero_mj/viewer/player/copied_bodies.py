@@ -17,11 +17,11 @@ class CopiedBody(NamedTuple):
     """A body of a double.
 
     Attributes:
-        name: `goal/lower`.
+        name: such as `goal/lower`.
         double: index of the double.
-        row: of a path; 0 of a single double.
+        row: row of a path; 0 of a single double.
         body: id of the robot's body, whose geoms it has.
-        rgba: of these, (4,).
+        rgba: their color, (4,).
     """
 
     name: str
@@ -32,14 +32,7 @@ class CopiedBody(NamedTuple):
 
 
 class CopiedBodies:
-    """The bodies of all doubles that decor draws, G of them; none where doubles are compiled in.
-
-    Args:
-        world: the compiled scene.
-
-    Attributes:
-        each: the bodies, (G,).
-    """
+    """The G bodies of all doubles that are not compiled into the model."""
 
     def __init__(self, world: WorldView) -> None:
         model, self.each = world.model, list[CopiedBody]()
@@ -61,13 +54,13 @@ class CopiedBodies:
                     self.each.append(CopiedBody(label, double, row, body, rgba))
 
     def poses(self, drawn: Sequence[DrawnDouble]) -> tuple[Array, Array, Array]:
-        """Returns their poses in a frame, and how opaque they are.
+        """Returns the poses of all in a frame.
 
         Args:
-            drawn: the doubles of the frame; the rows of a path follow each other.
+            drawn: doubles of the frame; the rows of a path follow each other.
 
         Returns:
-            positions (G, 3), m, unit quaternions (G, 4), and factors (G,), 0 where not drawn.
+            positions (G, 3), m, unit quaternions (G, 4), and opacity factors (G,), 0 if not drawn.
         """
         count = len(self.each)
         places, turns, opacity = np.zeros((count, 3)), np.zeros((count, 4)), np.zeros(count)

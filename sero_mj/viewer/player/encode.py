@@ -13,16 +13,16 @@ from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ..decor import round_arrows
-from ..decor.billboards import Line, has_chosen_lines
+from ..decor.billboards import LineFormat, has_chosen_lines
 from ..decor.geom_buffer import GREY, Kind
 from ..decor.legend import arrows_line
 from ..decor.quantities import QUANTITY_NAMES, torque_and_unit
 from ..decor.ribbons import ribbon_shape
-from .capture import Capture, eye
+from .capture import CapturedRun, eye
 from .items import poses
 from .labels import labels_head
 from .model import Look
-from .packing import Parts, rounded
+from .packing import PackedArrays, rounded
 from .surroundings import surroundings_head
 
 VERSION = 1
@@ -31,14 +31,9 @@ ROTATION_STEP = 1 / 16384  # of a component of a unit quaternion
 _BY_TURNS = ("torques", "torque_error")  # what arrows can show by turns in a page
 
 
-def encode(capture: Capture, title: str) -> bytes:
-    """Returns the bytes of a run, not compressed.
-
-    Args:
-        capture: the run.
-        title: what it is, for people.
-    """
-    parts = Parts()
+def encode(capture: CapturedRun, title: str) -> bytes:
+    """Returns the bytes of a run with a title, not compressed."""
+    parts = PackedArrays()
     frames = capture.frames
     opacity = np.round(capture.opacity * 255)
     look = Look(capture.world.model, parts, lambda body: _index(capture, body))
@@ -69,7 +64,7 @@ def encode(capture: Capture, title: str) -> bytes:
         "items": _items(capture, parts),
         **labels_head(capture.labels, parts, METRE_STEP),
         "notes": _texts(capture.notes, parts),
-        "legend": _texts(capture.legend, parts),
+        "legend": _legend(capture, parts),
         "cards": [
             {"item": item, "name": capture.world.arrows.names[item], **_texts(texts, parts)}
             for item, texts in capture.cards.items()
@@ -85,8 +80,7 @@ def encode(capture: Capture, title: str) -> bytes:
     return b"".join([len(text).to_bytes(4, "little"), text, *parts.arrays])
 
 
-def _look(capture: Capture, look: Look) -> dict[str, Any]:
-    """The looks of the model, and of the bodies that are there twice."""
+def _look(capture: CapturedRun, look: Look) -> dict[str, Any]:
     found = look.head()
     of_geoms = capture.world.model.geom_bodyid
     for number, copied in enumerate(capture.copies, len(capture.bodies)):
@@ -99,14 +93,14 @@ def _finite(number: float) -> float | None:
     return float(number) if math.isfinite(number) else None
 
 
-def _index(capture: Capture, body: int) -> int:
+def _index(capture: CapturedRun, body: int) -> int:
     return int(np.searchsorted(capture.bodies, body))
 
 
-def _bodies(capture: Capture) -> list[dict[str, Any]]:
-    """Name of every body, the joint that moves it and the double that it is part of; else -1.
+def _bodies(capture: CapturedRun) -> list[dict[str, Any]]:
+    """Returns name, joint and double of every body, -1 for none.
 
-    `moves` says whether anything can move it, as MuJoCo understands that.
+    `moves` is whether anything can move it, as MuJoCo understands that.
     """
     world, found = capture.world, []
     doubles = list(world.doubles)
@@ -132,7 +126,7 @@ def _bodies(capture: Capture) -> list[dict[str, Any]]:
     return found
 
 
-def _cameras(capture: Capture) -> list[dict[str, Any]]:
+def _cameras(capture: CapturedRun) -> list[dict[str, Any]]:
     model = capture.world.model
     return [
         {
@@ -146,7 +140,7 @@ def _cameras(capture: Capture) -> list[dict[str, Any]]:
     ]
 
 
-def _joints(capture: Capture) -> list[dict[str, Any]]:
+def _joints(capture: CapturedRun) -> list[dict[str, Any]]:
     world, joints = capture.world, capture.world.joints
     doubles, owners = list(world.doubles), list(world.owners)
     looks = arrow_looks(world, capture.limit)
@@ -177,8 +171,7 @@ def _joints(capture: Capture) -> list[dict[str, Any]]:
     return found
 
 
-def _place(capture: Capture, site: int) -> dict[str, Any]:
-    """Body and pose of a joint's centre; of the world where the model has no site there."""
+def _place(capture: CapturedRun, site: int) -> dict[str, Any]:
     if not capture.world.has_sites:
         return {"body": 0, "pos": [0, 0, 0], "quat": [1, 0, 0, 0]}
     model = capture.world.model
@@ -190,12 +183,7 @@ def _place(capture: Capture, site: int) -> dict[str, Any]:
 
 
 def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
-    """Returns what the arrow of every joint follows from, as `widthOf` of the player takes it.
-
-    Args:
-        world: the compiled scene.
-        limit: value of an arrow of full width, (N,); inf for none.
-    """
+    """Returns what the arrow of every joint follows from, as `widthOf` of the player takes it."""
     joints = world.joints
     has_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(has_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
@@ -214,8 +202,7 @@ def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
     ]
 
 
-def _lines(lines: list[Line]) -> list[dict[str, Any]]:
-    """What a card says: label, value, and how it is written."""
+def _lines(lines: list[LineFormat]) -> list[dict[str, Any]]:
     title = lines[0].head.split("  ")[0] if lines else ""
     return [
         {
@@ -230,8 +217,7 @@ def _lines(lines: list[Line]) -> list[dict[str, Any]]:
     ]
 
 
-def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
-    """Shapes and colours of round arrows, their values where these are not torques, and others."""
+def _arrows(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
     shape = ribbon_shape(round_arrows.ARROW_GEOMS)
     names = ("middle", "half_angle", "rings", "own", "flare", "triangles")
     torques = capture.values.get("torques")
@@ -251,11 +237,11 @@ def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
     }
 
 
-def _quantities(capture: Capture) -> list[dict[str, str]]:
-    """What arrows can show by turns, that of the capture first; empty where there is no choice.
+def _quantities(capture: CapturedRun) -> list[dict[str, str]]:
+    """Returns what arrows can show in turn, first what they show; nothing if there is no choice.
 
-    Torque and its error: both follow from values that are there, and have one limit. That of two
-    runs is no error.
+    Torque and its error both follow from values that are there, and have one limit. The error
+    between two runs is none.
     """
     joints, toggles = capture.world.joints, capture.toggles
     lines = [line for owner in capture.world.owners.values()
@@ -274,8 +260,7 @@ def _quantities(capture: Capture) -> list[dict[str, str]]:
     ]
 
 
-def _items(capture: Capture, parts: Parts) -> dict[str, Any]:
-    """Decor as it stands in an `MjvScene`: type, pose, size, colour, of every frame."""
+def _items(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
     items = capture.items
     if not items:
         return {"of": []}
@@ -301,16 +286,23 @@ def _type(item: Any) -> int:
     return int(item.rows["type"][item.visible.argmax()])
 
 
-def _texts(texts: list[str], parts: Parts) -> dict[str, Any]:
-    """Texts once each, and which one every frame has."""
+def _legend(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
+    """The lines of every frame, with None for the line of the quantity that arrows show."""
+    own = {quantity["line"] for quantity in _quantities(capture)[:1]}
+    found = _texts(capture.legend, parts)
+    texts = [text.split("\n") if text else [] for text in found["texts"]]
+    return found | {"texts": [[None if line in own else line for line in each] for each in texts]}
+
+
+def _texts(texts: list[str], parts: PackedArrays) -> dict[str, Any]:
+    """Returns each text once, and the number of the text of every frame."""
     unique = list(dict.fromkeys(texts))
     number = {text: k for k, text in enumerate(unique)}
     at = np.array([[number[text]] for text in texts])
     return {"texts": unique, "at": parts.moving(at, 1)}
 
 
-def _switches(capture: Capture) -> dict[str, bool]:
-    """What is on at first."""
+def _switches(capture: CapturedRun) -> dict[str, bool]:
     toggles = capture.toggles
     return {
         "arrows": bool(toggles.arrows.any())

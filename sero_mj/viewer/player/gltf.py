@@ -11,7 +11,7 @@ import numpy as np
 
 from ...base.errors import UsageError
 from ...base.frames import Array
-from .capture import Capture
+from .capture import CapturedRun
 from .model import field_corners, geom_colours, mesh_corners
 
 _FLOAT, _UINT = 5126, 5125
@@ -23,13 +23,11 @@ _SMALLEST = 1e-6  # scale of what is out of sight: glTF has no switch for it
 
 
 class _Blob:
-    """The binary part and what describes it."""
-
     def __init__(self, gltf: Any) -> None:
         self.gltf, self.data = gltf, bytearray()
 
     def put(self, array: np.ndarray, component: int, kind: str, *, bounds: bool = False) -> int:
-        """Adds an array; returns the number of its accessor."""
+        """Adds an array and returns the number of its accessor."""
         import pygltflib
 
         self.data += bytes(-len(self.data) % 4)
@@ -48,12 +46,8 @@ class _Blob:
         return len(gltf.accessors) - 1
 
 
-def write_glb(captured: Capture, path: Path) -> None:
-    """Writes bodies and their motion; arrows and text are for pages and films.
-
-    Args:
-        captured: the run.
-        path: the file; .glb.
+def write_glb(captured: CapturedRun, path: Path) -> None:
+    """Writes bodies and their motion as a .glb file.
 
     Raises:
         UsageError: pygltflib is not installed, or the file cannot be written.
@@ -106,9 +100,8 @@ def write_glb(captured: Capture, path: Path) -> None:
 
 
 def _add_body(
-    captured: Capture, blob: _Blob, animation: Any, clock: int, body: int, children: list[int]
+    captured: CapturedRun, blob: _Blob, animation: Any, clock: int, body: int, children: list[int]
 ) -> int:
-    """Adds the node of a body, and how it moves; returns its number."""
     import pygltflib
 
     positions = captured.positions[:, body].astype(np.float32)
@@ -141,7 +134,6 @@ def _add_body(
 
 
 def _metal(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
-    """Metallic and roughness of a geom, by its material where that has them."""
     material = int(model.geom_matid[geom])
     if material < 0:
         return _METALLIC, _ROUGHNESS
@@ -202,11 +194,11 @@ def _corners(model: mujoco.MjModel, geom: int) -> tuple[Array, Array, Any] | Non
     kind, (a, b, c) = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
     data = int(model.geom_dataid[geom])
     if kind in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF):
-        points, normals, index = mesh_corners(model, data)
+        points, normals, index, _ = mesh_corners(model, data)
         lengths = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         return points, normals / lengths, index
     if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
-        return field_corners(model, data)
+        return field_corners(model, data)[:3]
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         shape = trimesh.creation.icosphere(radius=a)
     elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:

@@ -13,13 +13,10 @@ _TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 
 
 def poses(rows: np.ndarray) -> tuple[Array, Array]:
-    """Returns rotations and sizes of geoms.
+    """Returns rotations and sizes of geoms, rows of `GEOM`.
 
     The sides of a triangle are not at right angles. Its x is along its first side; its sizes are
-    that side's length, how far the second side goes along y, and how far along x.
-
-    Args:
-        rows: (k,) of `GEOM`.
+    the length of that side, and the extent of the second side along y and along x.
 
     Returns:
         quaternions, scalar first (k, 4), and sizes (k, 3), m.

@@ -12,19 +12,14 @@ from ...robots.assemble.world_view import WorldView
 from ..decor.card_names import frame_titles
 from ..decor.feature import Frame
 from ..decor.part_names import named_parts
-from .packing import Parts
+from .packing import PackedArrays
 
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 _Key = tuple[str, int]
 
 
 def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
-    """Returns text and place, (3,), m, of all that a frame shows, once its geoms are drawn.
-
-    Args:
-        world: what is shown.
-        frame: of its decor.
-    """
+    """Returns text and place, (3,), m, of all labels of a frame whose geoms are drawn."""
     frames, buffer = world.frames, frame.buffer
     found: dict[_Key, tuple[str, Array]] = {}
     titles = frame_titles(tuple(frames.names))
@@ -41,15 +36,9 @@ def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
 
 
 def labels_head(
-    frames: list[dict[_Key, tuple[str, Array]]], parts: Parts, step: float
+    frames: list[dict[_Key, tuple[str, Array]]], parts: PackedArrays, step: float
 ) -> dict[str, Any]:
-    """Returns what the head of a page has of labels; nothing where there are none.
-
-    Args:
-        frames: see `labels_of`.
-        parts: where arrays go.
-        step: of places, m.
-    """
+    """Returns what the head of a page has of labels, with places in steps of so many meters."""
     keys = list(dict.fromkeys(key for each in frames for key in each))
     if not keys:
         return {}

@@ -1,7 +1,7 @@
 """What a model looks like in a player: geoms, sites, meshes, materials, textures, skins, lights.
 
-Meshes and textures that are equal are there once; of both there is only what something visible
-needs. Height fields become meshes.
+Equal meshes and textures are stored once, those of invisible geoms never. Height fields become
+meshes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Bools, Ints
-from .packing import Parts, differing, rounded
+from .packing import PackedArrays, differing, rounded
 
 _GROUPS = 3  # of geoms and sites, that MuJoCo shows unless told otherwise
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)  # of geoms whose material has the colour
@@ -33,9 +33,12 @@ _NORMAL_STEPS = 127
 _OUR_LIGHT = "key"
 _OUR_FLOOR = "floor"
 
+# Vertices (n, 3), m, normals (n, 3), corners of triangles (3 m,), and places in a texture (n, 2).
+Corners = tuple[Array, Array, Ints, Array | None]
+
 
 def visible_geoms(model: mujoco.MjModel) -> Ints:
-    """Returns the ids of the geoms that MuJoCo draws unless told otherwise, without our floor."""
+    """Returns the ids of the geoms that MuJoCo draws by default, without our floor."""
     shown = (model.geom_group < _GROUPS) & (geom_colours(model)[:, 3] > 0)
     shown &= model.geom_type <= _SDF
     floor = our_floor(model)
@@ -81,18 +84,11 @@ def our_floor(model: mujoco.MjModel) -> int | None:
 
 
 def _has_own_lights(model: mujoco.MjModel) -> bool:
-    """Whether it has other lights than those that a scene without any is given."""
     return [model.light(i).name for i in range(model.nlight)] != [_OUR_LIGHT]
 
 
-def mesh_corners(model: mujoco.MjModel, mesh: int) -> tuple[Array, Array, Ints]:
-    """Returns vertices (n, 3), m, normals (n, 3), and the triangles' corners (3 m,) of a mesh."""
-    points, normals, _, index = _mesh_corners(model, mesh, is_textured=False)
-    return points, normals, index
-
-
-def field_corners(model: mujoco.MjModel, field: int) -> tuple[Array, Array, Ints]:
-    """Returns vertices, normals and corners of a height field, see `mesh_corners`: with sides."""
+def field_corners(model: mujoco.MjModel, field: int) -> Corners:
+    """Returns a height field as a mesh with sides."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     begin = model.hfield_adr[field]
     wide, deep, high, under = model.hfield_size[field]
@@ -122,13 +118,12 @@ def field_corners(model: mujoco.MjModel, field: int) -> tuple[Array, Array, Ints
                             [wide, -deep, -under]]))  # fmt: skip
     facing.append(np.tile((0.0, 0.0, -1.0), (4, 1)))
     index.append(start + np.array([0, 1, 2, 0, 2, 3]))
-    return np.concatenate(points), np.concatenate(facing), np.concatenate(index).astype(np.intp)
+    corners = np.concatenate(index).astype(np.intp)
+    return np.concatenate(points), np.concatenate(facing), corners, None
 
 
-def _mesh_corners(
-    model: mujoco.MjModel, mesh: int, *, is_textured: bool
-) -> tuple[Array, Array, Array | None, Ints]:
-    """As `mesh_corners`, with places in a texture (n, 2)."""
+def mesh_corners(model: mujoco.MjModel, mesh: int, *, is_textured: bool = False) -> Corners:
+    """Returns a mesh, with places in its texture if it has one."""
     vertex, normal = model.mesh_vertadr[mesh], model.mesh_normaladr[mesh]
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
     columns = [model.mesh_face[faces].ravel(), model.mesh_facenormal[faces].ravel()]
@@ -147,7 +142,7 @@ def _mesh_corners(
     uv = None
     if is_textured:
         uv = model.mesh_texcoord[model.mesh_texcoordadr[mesh] + corners[:, 2]].astype(float)
-    return points, normals, uv, rank[index.ravel()]
+    return points, normals, rank[index.ravel()], uv
 
 
 class Look:
@@ -155,12 +150,12 @@ class Look:
 
     Args:
         model: compiled.
-        parts: where arrays go.
-        body_index: from the id of a body to its number on the page.
+        parts: stores the arrays.
+        body_index: returns the number on the page of a body's id.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, parts: Parts, body_index: Callable[[int], int]
+        self, model: mujoco.MjModel, parts: PackedArrays, body_index: Callable[[int], int]
     ) -> None:
         self._model, self._parts, self._index = model, parts, body_index
         self._meshes: list[dict[str, Any]] = []
@@ -169,12 +164,12 @@ class Look:
         self._known: dict[Any, int] = {}
 
     def head(self) -> dict[str, Any]:
-        """Returns what the head has of it; what is in no scene of ours only where there is any."""
+        """Returns the entries of the head, those that are rare only if they are not empty."""
         model = self._model
         found: dict[str, Any] = {
             "meshes": self._meshes,
             "geoms": [self._geom(i) for i in visible_geoms(model).tolist()]
-            + [self._site(i) for i in _visible_sites(model).tolist()],
+            + [self._shape("site", i) for i in _visible_sites(model).tolist()],
         }
         if self._is_endless():
             found["reach"] = round(float(model.vis.map.zfar * model.stat.extent), 3)
@@ -187,18 +182,15 @@ class Look:
         return found | {key: each for key, each in extra.items() if each}
 
     def _is_endless(self) -> bool:
-        """Whether there is a plane without an end that is drawn."""
         model, shown = self._model, visible_geoms(self._model)
         planes = shown[model.geom_type[shown] == _PLANE]
         return bool((model.geom_size[planes, :2] <= 0).any())
 
     @cached_property
     def shown_flexes(self) -> Bools:
-        """Which flexes are drawn, (nflex,)."""
         return shown_flexes(self._model)
 
     def material(self, material: int) -> int:
-        """Returns the number of a material on the page; -1 for none."""
         if material < 0:
             return -1
         key = ("material", material)
@@ -219,7 +211,6 @@ class Look:
         return self._known[key]
 
     def _physical(self, material: int) -> dict[str, float]:
-        """Roughness and metallic of a material, if it has them."""
         numbers = {"roughness": self._model.mat_roughness, "metallic": self._model.mat_metallic}
         return {
             name: round(float(each[material]), 3)
@@ -228,48 +219,32 @@ class Look:
         }
 
     def _geom(self, i: int) -> dict[str, Any]:
-        """Shape, place, body, colour and material of a geom."""
         model = self._model
         found = self._shape("geom", i)
         kind, data = int(model.geom_type[i]), int(model.geom_dataid[i])
         if kind == _HFIELD:
-            found |= {"type": _MESH, "mesh": self._mesh(("field", data), self._field_of(data))}
+            found["type"] = _MESH
+            found["mesh"] = self._mesh(("field", data), lambda: field_corners(model, data))
         elif kind in (_MESH, _SDF):
             found["type"] = _MESH
             is_textured = self._is_flat(found) and bool(model.mesh_texcoordadr[data] >= 0)
-            corners = _mesh_corners(model, data, is_textured=is_textured)
-            found["mesh"] = self._mesh((data, is_textured), lambda: corners)
+            found["mesh"] = self._mesh(
+                (data, is_textured), lambda: mesh_corners(model, data, is_textured=is_textured)
+            )
         return found
 
     def copied(self, geom: int, body: int, rgba: Array) -> dict[str, Any]:
-        """Returns a geom of the model once more, in one colour.
-
-        Args:
-            geom: its id.
-            body: number of a body on the page, to which it is fixed as to its own one.
-            rgba: its colour, (4,).
-        """
+        """Returns a geom once more, in one color and fixed to a body of the page."""
         found = self._geom(geom)
         found.pop("material", None)
         return found | {"body": body, "rgba": np.round(rgba * 255).astype(int).tolist()}
-
-    def _field_of(self, field: int) -> Callable[[], Any]:
-        def corners() -> Any:
-            points, normals, index = field_corners(self._model, field)
-            return points, normals, None, index
-
-        return corners
 
     def _is_flat(self, found: dict[str, Any]) -> bool:
         """Whether the material of a geom has a texture that is not a cube's."""
         texture = self._materials[found["material"]]["texture"] if "material" in found else -1
         return texture >= 0 and not self._textures[texture]["cube"]
 
-    def _site(self, i: int) -> dict[str, Any]:
-        return self._shape("site", i)
-
     def _shape(self, what: str, i: int) -> dict[str, Any]:
-        """What geoms and sites have in common."""
         model = self._model
 
         def of(name: str) -> Any:
@@ -287,51 +262,34 @@ class Look:
         material = self.material(int(of("matid")[i]))
         return found | ({"material": material} if material >= 0 else {})
 
-    def _mesh(self, name: Any, corners: Callable[[], Any]) -> int:
-        """The number of a mesh on the page, (points, normals, texture places, corners)."""
+    def _mesh(self, name: Any, corners: Callable[[], Corners]) -> int:
         known = self._known
         if name in known:
             return known[name]
-        points, normals, uv, index = corners()
+        points, normals, index, uv = corners()
         digest = hashlib.sha256(points.tobytes() + normals.tobytes() + index.tobytes())
         digest.update(b"" if uv is None else uv.tobytes())
         key = digest.digest()
         if key not in known:
             known[key] = len(self._meshes)
-            mesh = self._points(points)
+            mesh = self._steps(points, "vertices")
             mesh["normals"] = self._parts.put(_octahedral(normals))
-            mesh["triangles"] = self._triangles(index)
+            mesh["triangles"] = self._parts.put(differing(index))
             if uv is not None:
-                mesh["uv"] = self._uv(uv)
+                mesh["uv"] = self._steps(uv, "places")
             self._meshes.append(mesh)
         known[name] = known[key]
         return known[name]
 
-    def _points(self, points: Array) -> dict[str, Any]:
-        low = points.min(axis=0)
-        step = max(float(np.ptp(points, axis=0).max()) / _MESH_STEPS, 1e-9)
-        places = np.round((points - low) / step).astype(np.int64)
-        return {
-            "low": low.tolist(),
-            "step": step,
-            "vertices": self._parts.put(_differences(places.T).astype(np.uint16)),
-        }
-
-    def _triangles(self, index: Ints) -> list[Any]:
-        return self._parts.put(differing(index))
-
-    def _uv(self, uv: Array) -> dict[str, Any]:
-        """Places in a texture, (n, 2)."""
-        low = uv.min(axis=0)
-        step = max(float(np.ptp(uv, axis=0).max()) / _MESH_STEPS, 1e-9)
-        places = np.round((uv - low) / step).astype(np.int64)
-        return {
-            "low": low.tolist(), "step": step,
-            "places": self._parts.put(_differences(places.T).astype(np.uint16)),
-        }  # fmt: skip
+    def _steps(self, places: Array, name: str) -> dict[str, Any]:
+        """Places (n, dimensions) as steps from the lowest one."""
+        low = places.min(axis=0)
+        step = max(float(np.ptp(places, axis=0).max()) / _MESH_STEPS, 1e-9)
+        whole = np.round((places - low) / step).astype(np.int64)
+        packed = self._parts.put(_differences(whole.T).astype(np.uint16))
+        return {"low": low.tolist(), "step": step, name: packed}
 
     def _texture(self, texture: int) -> int:
-        """The number of a texture on the page; -1 for none."""
         if texture < 0:
             return -1
         model = self._model
@@ -357,7 +315,7 @@ class Look:
         return self._known[key]
 
     def _skin(self, i: int) -> dict[str, Any]:
-        """Vertices as the bones are at first, and how much each bone moves them."""
+        """Returns vertices in the initial pose of the bones, and the weight of each bone."""
         model, parts = self._model, self._parts
         begin, count = int(model.skin_vertadr[i]), int(model.skin_vertnum[i])
         faces = slice(model.skin_faceadr[i], model.skin_faceadr[i] + model.skin_facenum[i])
@@ -369,10 +327,10 @@ class Look:
         moved = np.concatenate([model.skin_bonevertid[each] for each in of_bones])
         weights = np.concatenate([model.skin_bonevertweight[each] for each in of_bones])
         found = self._soft(model.skin_rgba[i], int(model.skin_matid[i]))
-        found |= self._points(model.skin_vert[begin : begin + count].astype(float))
+        found |= self._steps(model.skin_vert[begin : begin + count].astype(float), "vertices")
         found |= {
             "inflate": round(float(model.skin_inflate[i]), 6),
-            "triangles": self._triangles(model.skin_face[faces].ravel()),
+            "triangles": self._parts.put(differing(model.skin_face[faces].ravel())),
             "bones": [
                 {
                     "body": self._index(int(model.skin_bonebodyid[b])),
@@ -387,11 +345,12 @@ class Look:
         }
         first = int(model.skin_texcoordadr[i])
         if first >= 0:
-            found["uv"] = self._uv(model.skin_texcoord[first : first + count].astype(float))
+            found["uv"] = self._steps(
+                model.skin_texcoord[first : first + count].astype(float), "places"
+            )
         return found
 
     def _soft(self, rgba: Array, material: int) -> dict[str, Any]:
-        """Colour and material of a skin or a flex."""
         ids = np.array([material])
         (colour,) = _colours(self._model, np.asarray(rgba)[None], ids)
         found: dict[str, Any] = {"rgba": np.round(colour * 255).astype(int).tolist()}
@@ -399,7 +358,6 @@ class Look:
         return found | ({"material": number} if number >= 0 else {})
 
     def _flex(self, i: int) -> dict[str, Any]:
-        """Triangles or lines between vertices, which `Soft` has for every frame."""
         model = self._model
         dim, shown = int(model.flex_dim[i]), self.shown_flexes
         before = int(model.flex_vertnum[:i][shown[:i]].sum())
@@ -413,18 +371,18 @@ class Look:
         found = self._soft(model.flex_rgba[i], int(model.flex_matid[i])) | {
             "dim": dim, "radius": round(float(model.flex_radius[i]), 6), "first": before,
             "count": int(model.flex_vertnum[i]), "flat": bool(model.flex_flatskin[i]),
-            "triangles": self._triangles(triangles), "edges": self._triangles(edges),
+            "triangles": self._parts.put(differing(triangles)),
+            "edges": self._parts.put(differing(edges)),
         }  # fmt: skip
         place = int(model.flex_texcoordadr[i])
         own = model.flex_elemtexcoord[first : first + len(elements)]
         if place >= 0 and dim == 2 and self._is_flat(found):
             uv = np.zeros((found["count"], 2))
             uv[elements] = model.flex_texcoord[place + own]
-            found["uv"] = self._uv(uv)
+            found["uv"] = self._steps(uv, "places")
         return found
 
     def _lights(self) -> dict[str, Any]:
-        """The headlight and all others that are on; directions and places in their bodies."""
         model = self._model
         head, on = model.vis.headlight, model.light_active.astype(bool)
         is_fixed = model.light_mode == int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
@@ -459,7 +417,7 @@ class Look:
 
 
 def shown_flexes(model: mujoco.MjModel) -> Bools:
-    """Returns which flexes MuJoCo draws unless told otherwise, (nflex,)."""
+    """Returns which flexes MuJoCo draws by default, (nflex,)."""
     if not model.nflex:
         return np.zeros(0, bool)
     return np.asarray(model.flex_group < _GROUPS)
@@ -470,7 +428,7 @@ def _differences(places: Array) -> Array:
 
 
 def _octahedral(normals: Array) -> np.ndarray:
-    """Unit vectors (n, 3) on the square to which an octahedron unfolds, (2, n)."""
+    """Returns unit vectors (n, 3) on the square to which an octahedron unfolds, (2, n)."""
     normals = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-12)
     over = (1 - np.abs(normals[:, 1::-1])) * np.where(normals[:, :2] >= 0, 1, -1)
     square = np.where(normals[:, 2:] < 0, over, normals[:, :2])
@@ -478,7 +436,7 @@ def _octahedral(normals: Array) -> np.ndarray:
 
 
 def _halved(picture: np.ndarray) -> np.ndarray:
-    """Pictures (k, h, w, c) at half their size, or at half their longer side."""
+    """Halves pictures (k, h, w, c), or their longer side, until they are small enough."""
     for axis in (1, 2):
         size = picture.shape[axis] // 2 * 2
         if size > _MOST_PIXELS:
@@ -490,10 +448,9 @@ def _halved(picture: np.ndarray) -> np.ndarray:
 
 
 def _filtered(rows: np.ndarray) -> tuple[int, np.ndarray]:
-    """A picture (h, w, c), or differences of neighbours, whichever deflate packs best.
+    """Returns a picture (h, w, c) or differences of neighbors, whichever deflate packs best.
 
-    Returns:
-        axis of the differences, -1 for none, and numbers (h, w, c).
+    The first value is the axis of the differences, -1 for none.
     """
     tries = {-1: rows}
     for axis in (0, 1):

@@ -13,14 +13,14 @@ import numpy as np
 from ...base.frames import Ints
 
 
-class Parts:
+class PackedArrays:
     """Arrays behind the head, known by their number."""
 
     def __init__(self) -> None:
         self.arrays: list[bytes] = []
 
     def put(self, array: np.ndarray) -> list[Any]:
-        """Adds an array; returns its number, the type of its numbers, and how many there are."""
+        """Adds an array; returns its number, the type of its numbers, and their count."""
         array = np.ascontiguousarray(array)
         planes = array.reshape(-1).view(np.uint8).reshape(-1, array.itemsize).T
         self.arrays.append(planes.tobytes())

@@ -13,7 +13,7 @@ from typing import Any
 
 from ...base.errors import UsageError
 from ...robots.declared.scene import Scene
-from .capture import Capture, Mark, capture
+from .capture import CapturedRun, Mark, capture
 from .encode import encode
 
 # Adds the player, which is compressed as the run is; the policy knows its hash.
@@ -29,6 +29,14 @@ _LOADER = (
 
 _RUN = '<script type="text/plain" id="run">%%RUN%%</script>\n'
 _PLAYER = '<script type="text/plain" id="player">%%PLAYER%%</script>\n<script>%%LOADER%%</script>\n'
+_LINKS = """\
+<link rel="icon" href="data:,">
+<link rel="stylesheet" href="/uploads.css">
+<link rel="stylesheet" href="/player.css">
+<script src="/access.js" defer></script>
+<script src="/uploads.js" defer></script>
+<script src="/player.js" defer></script>
+"""
 
 
 def export_html(
@@ -44,10 +52,10 @@ def export_html(
 
     Args:
         scene: what to show, see `load_scene`.
-        path: the file; .html.
-        title: of the page; the scene's name when empty.
-        marks: on the time line.
-        meanings: of labels on cards, by label: the file that `A` is, say.
+        path: path of the .html file.
+        title: title of the page; the scene's name if empty.
+        marks: on the timeline.
+        meanings: meaning of labels on cards, such as the file that `A` is.
         **keywords: of `capture`: `seconds` and `begin` (s), `fps`, `camera`, `follow`,
             `wait` (s), `on_progress`.
 
@@ -63,21 +71,18 @@ def export_html(
     return captured.silent
 
 
-def write_page(captured: Capture, path: Path, title: str = "") -> None:
-    """Writes a run that was collected as a page.
-
-    Args:
-        captured: the run.
-        path: the file.
-        title: of the page; the scene's name when empty.
+def write_page(captured: CapturedRun, path: Path, title: str = "") -> None:
+    """Writes a run as a page; its title is the scene's name if empty.
 
     Raises:
-        UsageError: it cannot be written.
+        UsageError: the file cannot be written.
     """
     title = title or captured.world.scene.name
     look = look_asked_for(captured.world.scene)
     try:
-        path.write_text(_page(encode(captured, title), title, look), encoding="utf-8")
+        run = packed(encode(captured, title))
+        page = _page_alone(_RUN + _PLAYER, RUN=run, TITLE=title, LOOK=look)
+        path.write_text(page, encoding="utf-8")
     except OSError as error:
         raise UsageError(f"cannot write {path}: {error.strerror}") from error
 
@@ -87,22 +92,22 @@ def look_asked_for(scene: Scene) -> str:
     return scene.view.look if "look" in scene.view.model_fields_set else ""
 
 
-def cell_page(cell: str, title: str, look: str) -> str:
-    """Returns a page for a cell of a notebook: live, or the run that its notebook has kept.
+def live_page(look: str) -> str:
+    """Returns the page of a server, which also serves `player_files`."""
+    return _filled(KIND=" data-live", TITLE="sero-mj", LOOK=look, STYLE=_LINKS)
 
-    Args:
-        cell: id, which the page tells its kernel, see `web/notebook.py`.
-        title: of the page.
-        look: see `look_asked_for`.
+
+def player_files() -> dict[str, bytes]:
+    """Returns the script and the style of pages by name."""
+    return {name: _static(name).encode() for name in ("player.js", "player.css")}
+
+
+def cell_page(cell: str, title: str, look: str) -> str:
+    """Returns a page for a cell of a notebook: live, or the run that its notebook has stored.
+
+    The page sends the id of the cell to its kernel, see `web/notebook.py`.
     """
-    bodies = "".join(
-        f'<template id="{name}">{_body(template)}</template>\n'
-        for name, template in (("live", "live.html"), ("file", "page.html"))
-    )
-    head, _, _ = _static("page.html").partition("<body>")
-    head = head.replace("<html", f'<html data-cell="{html.escape(cell)}"')
-    page = f"{head}<body>\n{bodies}{_PLAYER}</body>\n</html>\n"
-    return _filled(page, TITLE=html.escape(title), LOOK=look)
+    return _page_alone(_PLAYER, KIND=f' data-cell="{html.escape(cell)}"', TITLE=title, LOOK=look)
 
 
 def packed(data: bytes) -> str:
@@ -111,39 +116,37 @@ def packed(data: bytes) -> str:
     return base64.b64encode(deflate.compress(data) + deflate.flush()).decode()
 
 
-def _page(run: bytes, title: str, look: str) -> str:
-    page = _static("page.html").replace("</body>", f"{_RUN}{_PLAYER}</body>")
-    return _filled(page, TITLE=html.escape(title), RUN=packed(run), LOOK=look)
+def _page_alone(scripts: str, **values: str) -> str:
+    """Returns a page that makes no requests."""
+    script, style = _static("player.js"), _static("player.css")
+    policy = (
+        f"default-src 'none'; script-src {_hash(_LOADER)} {_hash(script)}; "
+        f"style-src {_hash(style)}; img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
+    values["TITLE"] = html.escape(values["TITLE"])
+    return _filled(
+        POLICY=f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n',
+        STYLE=f"<style>{style}</style>\n",
+        SCRIPT=_replaced(scripts, {"PLAYER": packed(script.encode()), "LOADER": _LOADER, **values}),
+        **values,
+    )
 
 
 def _static(name: str) -> str:
     return (files(__package__) / "static" / name).read_text(encoding="utf-8")
 
 
-def _body(name: str) -> str:
-    """Returns what is in the body of a page."""
-    return _static(name).partition("<body")[2].partition(">")[2].partition("</body>")[0]
+def _filled(**values: str) -> str:
+    licences = html.escape(_static("LICENCES.txt"))
+    nothing = {"POLICY": "", "SCRIPT": "", "KIND": ""}
+    return _replaced(_static("page.html"), {"LICENCES": licences, **nothing, **values})
 
 
-def _filled(page: str, **values: str) -> str:
-    """Returns a page with its placeholders filled in, which may stand in values as well."""
-    script, style = _static("player.js"), _static("player.css")
-    policy = (
-        f"default-src 'none'; script-src {_hash(_LOADER)} {_hash(script)}; "
-        f"style-src {_hash(style)}; img-src data: blob:; base-uri 'none'; form-action 'none'"
-    )
-    filled = {
-        "POLICY": policy,
-        "STYLE": style,
-        "LICENCES": html.escape(_static("LICENCES.txt")),
-        "PLAYER": packed(script.encode()),
-        "LOADER": _LOADER,
-        **values,
-    }
-    before, *parts = page.split("%%")
-    for name, after in zip(parts[::2], parts[1::2], strict=True):
-        before += filled[name] + after
-    return before
+def _replaced(text: str, values: Mapping[str, str]) -> str:
+    """Returns a text with its placeholders replaced; placeholders in values stay."""
+    parts = text.split("%%")
+    parts[1::2] = [values[name] for name in parts[1::2]]
+    return "".join(parts)
 
 
 def _hash(text: str) -> str:

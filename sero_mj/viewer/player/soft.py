@@ -13,7 +13,7 @@ from ...base.frames import Array, Ints
 from ..decor.geom_buffer import GEOM
 from ..decor.scene_writer import struct_view
 from .model import shown_flexes
-from .packing import Parts, rounded
+from .packing import PackedArrays, rounded
 
 _TENDON = int(mujoco.mjtObj.mjOBJ_TENDON)
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
@@ -23,13 +23,13 @@ _MOST_PIECES = 4000  # of tendons; a scene has the geoms of the model as well
 
 @dataclass(frozen=True, eq=False)
 class Soft:
-    """What is soft in F frames: S pieces of tendons, and V vertices of all flexes that are drawn.
+    """F frames of S pieces of tendons, and of the V vertices of all drawn flexes.
 
     Attributes:
         vertices: (F, V, 3), m.
         ends: of every straight piece of a tendon, (F, S, 2, 3), m.
-        radius: of the pieces, (F, S), m; 0 where there is none.
-        colours: of the pieces, (S, 4); a page has one through all frames.
+        radius: of the pieces, (F, S), m; 0 for none.
+        colours: of the pieces in all frames, (S, 4).
     """
 
     vertices: Array
@@ -37,13 +37,8 @@ class Soft:
     radius: Array
     colours: Array
 
-    def head(self, parts: Parts, step: float) -> dict[str, Any]:
-        """Returns what the head of a page has of it; nothing where there is nothing.
-
-        Args:
-            parts: where arrays go.
-            step: of places, m.
-        """
+    def head(self, parts: PackedArrays, step: float) -> dict[str, Any]:
+        """Returns what the head of a page has of it, with places in steps of so many meters."""
         frames = len(self.radius)
         found: dict[str, Any] = {}
         if self.vertices.size:
@@ -58,23 +53,14 @@ class Soft:
 
 
 class SoftFrame(NamedTuple):
-    """What is soft in one state.
-
-    Attributes:
-        vertices: of all flexes that are drawn, (V, 3), m.
-        tendons: rows of `GEOM` of their pieces.
-    """
+    """Vertices of flexes, (V, 3), m, and rows of `GEOM` of pieces of tendons, in one state."""
 
     vertices: Array
     tendons: np.ndarray
 
 
 class SoftParts:
-    """The tendons and flexes of a model.
-
-    Args:
-        model: compiled.
-    """
+    """The tendons and flexes of a model."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -84,7 +70,6 @@ class SoftParts:
         self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
 
     def take(self, data: mujoco.MjData) -> SoftFrame:
-        """Returns what is soft in a state, with everything up to date that is drawn of it."""
         return SoftFrame(data.flexvert_xpos[self._vertices].copy(), self._pieces(data))
 
     def _pieces(self, data: mujoco.MjData) -> np.ndarray:
@@ -128,7 +113,6 @@ def soft_of(found: Sequence[SoftFrame]) -> Soft:
 
 
 def _flex_vertices(model: mujoco.MjModel) -> Ints:
-    """Returns the rows of `flexvert_xpos` that belong to flexes that are drawn, (V,)."""
     if not model.nflex:
         return np.zeros(0, np.intp)
     owner = np.repeat(np.arange(model.nflex), model.flex_vertnum)

@@ -36,7 +36,7 @@ def _looks() -> dict[str, dict[str, Any]]:
 
 
 def _look(palette: Palette) -> dict[str, Any]:
-    """A palette, with its light relative to white, for each linear colour channel alike.
+    """Returns a palette, with its light relative to white, for each linear color channel.
 
     `fill` is (a, b, c) of `SkyLight.irradiance`; `reflections` has a row for every roughness.
     """

@@ -42,11 +42,10 @@ class SharedArrays:
 
     Args:
         lengths: of the arrays.
-        path: of the memory that another process has made; None to make it. The process that
-            takes it up removes its name, so nothing is left behind however the two end.
+        path: of the memory that another process has made; None to make it. The process that takes
+            it up removes its name, so nothing is left behind however the two end.
 
     Attributes:
-        path: of the memory.
         written: how often this process has written each array, (K,).
         numbers: how often each array had been written when it was last read, (K,).
     """
@@ -78,7 +77,6 @@ class SharedArrays:
         self._heads = np.array(self._starts)
 
     def remove_name(self) -> None:
-        """Removes the name of the memory, which stays for as long as a process has it."""
         with suppress(OSError):  # on Windows while it is in use
             self.path.unlink()
 
@@ -95,7 +93,6 @@ class SharedArrays:
         return int(self._cells[self._starts[index]])
 
     def changed(self) -> list[int]:
-        """Returns the arrays that were written since they were last read."""
         return np.flatnonzero(self._cells[self._heads] != self.numbers).tolist()
 
     def read(self, index: int) -> Array | None:
@@ -117,9 +114,7 @@ class ViewerMemory(Protocol):
     The viewer calls `set` and `sync`, the process that shows calls `apply` and `show`.
 
     Attributes:
-        data: the state of the world.
         is_read: whether `sync` has to take over what is shown into `data`.
-        arrays: where it lies.
     """
 
     data: mujoco.MjData
@@ -127,8 +122,7 @@ class ViewerMemory(Protocol):
     arrays: SharedArrays
 
     @property
-    def pictures(self) -> int:
-        """How many pictures have been shown."""
+    def pictures(self) -> int: ...
 
     def set(self, target: str, values: Any) -> None:
         """Sets an input of the viewer's world and hands it on; raises as `set_input` does."""
@@ -136,11 +130,9 @@ class ViewerMemory(Protocol):
     def sync(self) -> None:
         """Hands on what the viewer's data has, and takes over what was shown."""
 
-    def apply(self) -> None:
-        """Takes over what was handed on since the last time."""
+    def apply(self) -> None: ...
 
-    def show(self) -> None:
-        """Says that a picture was shown, and what of."""
+    def show(self) -> None: ...
 
 
 class SceneMemory:
@@ -152,8 +144,6 @@ class SceneMemory:
 
     Args:
         world: the compiled scene; the two processes have equal ones.
-        data: its state.
-        path: see `SharedArrays`.
     """
 
     def __init__(self, world: WorldView, data: mujoco.MjData, path: Path | None = None) -> None:
@@ -171,7 +161,6 @@ class SceneMemory:
         self._setter = self._inputs_of_numbers()
 
     def _inputs_of_numbers(self) -> Any:
-        """Returns the input that sets each number of the fields, -1 for none."""
         world, setter = self._world, [np.full(field.shape, -1) for field in self._fields]
         qpos, mocap_pos, mocap_quat, userdata = setter
         for index, item in enumerate(self._inputs):
@@ -187,11 +176,9 @@ class SceneMemory:
 
     @property
     def pictures(self) -> int:
-        """See `ViewerMemory`."""
         return self.arrays.number(-1)
 
     def set(self, target: str, values: Any) -> None:
-        """See `ViewerMemory`."""
         shares = self._world.shares(target, values)
         for each, share in shares.items():
             self._world.set_input(self.data, each, share)
@@ -199,7 +186,6 @@ class SceneMemory:
             self.arrays.write(self._index[each], to_array(self._world.inputs[each], share))
 
     def sync(self) -> None:
-        """See `ViewerMemory`."""
         shown = self.arrays.read(len(self._inputs)) if self.is_read else None
         if shown is None:
             return
@@ -212,26 +198,19 @@ class SceneMemory:
         follow(self._world.model, self.data)
 
     def apply(self) -> None:
-        """See `ViewerMemory`."""
         for index in self.arrays.changed():
             if index < len(self._inputs) and (values := self.arrays.read(index)) is not None:
                 item = self._inputs[index]
                 self._world.set_input(self.data, item.target, values.reshape(item.shape))
 
     def show(self) -> None:
-        """See `ViewerMemory`."""
         numbers = self.arrays.numbers[: len(self._inputs)]
         shown = np.concatenate([[self.data.time], *self._flat, numbers])
         self.arrays.write(len(self._inputs), shown)
 
 
 class OverlayMemory:
-    """The state of a user's model, and the inputs of its overlay.
-
-    Args:
-        world: of the overlay; that of the viewer has the user's data.
-        path: see `SharedArrays`.
-    """
+    """The state of a user's model, and the inputs of its overlay."""
 
     def __init__(self, world: ModelWorld, path: Path | None = None) -> None:
         self._world, self.data, self.is_read = world, world.data, False
@@ -245,16 +224,13 @@ class OverlayMemory:
 
     @property
     def pictures(self) -> int:
-        """See `ViewerMemory`."""
         return self.arrays.number(-1)
 
     def set(self, target: str, values: Any) -> None:
-        """See `ViewerMemory`."""
         self._world.set_input(self.data, target, values)
         self.sync()
 
     def sync(self) -> None:
-        """See `ViewerMemory`."""
         world = self._world
         mujoco.mj_getState(world.model, self.data, self._state, _STATE)
         for part, field in zip(self._parts, self._fields, strict=True):
@@ -265,7 +241,6 @@ class OverlayMemory:
             self.arrays.write(1, world.input_state())
 
     def apply(self) -> None:
-        """See `ViewerMemory`."""
         world, data = self._world, self.data
         if (inputs := self.arrays.read(1)) is not None:
             world.set_input_state(inputs)
@@ -279,5 +254,4 @@ class OverlayMemory:
                 field[:] = part
 
     def show(self) -> None:
-        """See `ViewerMemory`."""
         self.arrays.write(2, np.empty(0))

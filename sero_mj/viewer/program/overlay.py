@@ -41,9 +41,7 @@ class Overlay:
     """Decor for the user's model and data, which are never changed.
 
     Attributes:
-        model: the user's.
         data: the user's; frames show its current state, so call `mj_step` or `mj_forward` before.
-        world: the robots and frames found in the model.
     """
 
     def __init__(self, world: ModelWorld) -> None:
@@ -55,22 +53,18 @@ class Overlay:
 
     @property
     def toggles(self) -> Toggles:
-        """What is shown."""
         return self._decor.toggles
 
     @property
     def view(self) -> PictureView | None:
-        """View of the last frame; None before the first."""
         return self._drawn.view
 
     @property
     def dropped(self) -> int:
-        """Number of geoms of the last frame that exceeded the scene's capacity."""
         return self._drawn.dropped
 
     @property
     def robots(self) -> dict[str, list[str]]:
-        """Joint names of every robot that was found, by robot."""
         return {name: part.robot.names for name, part in self.world.robots.items()}
 
     @property
@@ -122,7 +116,6 @@ class Overlay:
                 `MjvScene`.
             camera: where the scene has none: an `MjvCamera`, a camera's name, or
                 `azimuth,elevation,distance` (degrees, degrees, m).
-            size: width and height of the picture, pixels; of an `MjvScene` 640 x 480.
 
         Returns:
             number of geoms that exceeded the scene's capacity; also in `dropped`.
@@ -152,12 +145,7 @@ class Overlay:
         """Returns the item at a pixel of the last frame, counted from the upper left corner.
 
         Args:
-            x: to the right, pixels.
-            y: down, pixels.
             tolerance: maximum distance from decor if none is hit exactly, pixels.
-
-        Returns:
-            the item; None for the background.
 
         Raises:
             UsageError: nothing was drawn yet.
@@ -167,18 +155,9 @@ class Overlay:
     def click(
         self, x: float, y: float, gesture: Gesture = "click", tolerance: float = 0.0
     ) -> Picked | None:
-        """Clicks on a pixel and returns the item there; the next frame shows the effect.
-
-        Args:
-            x: to the right, pixels.
-            y: down, pixels.
-            gesture: `click`, `shift` or `double`.
-            tolerance: see `pick`.
-        """
         return self._drawn.click(self.data, self._from_above(x, y), gesture, tolerance)
 
     def hover(self, x: float, y: float) -> Picked | None:
-        """Moves the pointer to a pixel: the next frames show the name of the item there."""
         return self._drawn.hover(self.data, self._from_above(x, y))
 
     def _from_above(self, x: float, y: float) -> Pixel:
@@ -195,8 +174,6 @@ class Overlay:
         """Renders a picture without a window; notebooks display it, `.save("out.png")` writes it.
 
         Args:
-            width: pixels.
-            height: pixels.
             camera: a camera's name, `azimuth,elevation,distance` (degrees, degrees, m), an
                 `MjvCamera`, or None for a view of all robots.
 
@@ -231,16 +208,13 @@ class Overlay:
             )
 
     def _repr_png_(self) -> bytes | None:
-        """Returns a picture as PNG, for notebooks."""
         return self.image(*_NOTEBOOK_SIZE)._repr_png_()
 
     def __repr__(self) -> str:
-        """Returns the robots with their numbers of joints."""
         found = ", ".join(f"{name} ({len(joints)} joints)" for name, joints in self.robots.items())
         return f"Overlay of {found}"
 
     def close(self) -> None:
-        """Frees the OpenGL context of `image`."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -253,7 +227,6 @@ class Overlay:
 
 
 def _canvas_of(target: Any) -> tuple[mujoco.MjvScene, Font, Any, tuple[int, int]]:
-    """Returns the scene of an object to draw on, the font, and its own camera and size, pixels."""
     if isinstance(target, mujoco.MjvScene):
         return target, DEFAULT_FONT, None, _SCENE_SIZE
     if isinstance(target, mujoco.Renderer):

@@ -16,16 +16,16 @@ from typing import Any, Generic
 from ...base.errors import RenderError, UsageError, shown
 from ..panels.user_widgets import (
     TOOL,
-    Button,
-    Check,
-    Choice,
-    Number,
+    ButtonWidget,
+    CheckWidget,
+    ChoiceWidget,
+    NumberWidget,
     Place,
-    Placed,
-    Slider,
-    Text,
+    SliderWidget,
+    TextWidget,
     UserWidget,
     Value,
+    WidgetState,
     check_label,
     check_range,
     to_number,
@@ -34,18 +34,13 @@ from .outbox import Outbox
 
 
 class WidgetHandle(Generic[Value]):
-    """A widget of a panel; made by `UserPanel`.
-
-    Attributes:
-        place: where it is.
-        placed: what it is.
-    """
+    """A widget of a panel; made by `UserPanel`."""
 
     def __init__(
         self,
         panels: UserPanels,
         place: Place,
-        placed: Placed,
+        placed: WidgetState,
         callback: Callable[..., object] | None,
     ) -> None:
         self._panels, self._callback = panels, callback
@@ -66,7 +61,6 @@ class WidgetHandle(Generic[Value]):
         self._panels.change(self, self.placed.widget.checked(value))
 
     def call(self, before: Value) -> None:
-        """Calls the callback after a change from a value to the current one."""
         if self._callback is not None:
             for arguments in self.placed.widget.calls(before, self.value):
                 self._callback(*arguments)
@@ -99,16 +93,13 @@ class UserPanel:
         """Adds a slider.
 
         Args:
-            label: beside it.
             low: value at its left end.
             high: value at its right end.
             value: where it is at first; `low` when None.
-            unit: shown behind the number.
-            on_change: called with the new value.
         """
         low, high = to_number(label, low), to_number(label, high)
         check_range(label, low, high)
-        widget = Slider(label, low, high, unit)
+        widget = SliderWidget(label, low, high, unit)
         return self._add(widget, low if value is None else value, on_change, "on_change")
 
     def number(
@@ -124,15 +115,11 @@ class UserPanel:
         """Adds a field for a number.
 
         Args:
-            label: beside it.
-            value: at first.
             low: least value.
             high: greatest value.
-            unit: shown behind the number.
-            on_change: called with the new value.
         """
         check_range(label, low, high)
-        return self._add(Number(label, low, high, unit), value, on_change, "on_change")
+        return self._add(NumberWidget(label, low, high, unit), value, on_change, "on_change")
 
     def check(
         self,
@@ -141,14 +128,8 @@ class UserPanel:
         value: bool = False,
         on_change: Callable[[bool], object] | None = None,
     ) -> WidgetHandle[bool]:
-        """Adds a check box.
-
-        Args:
-            label: beside it.
-            value: whether it is on at first.
-            on_change: called with the new value.
-        """
-        return self._add(Check(label), value, on_change, "on_change")
+        """Adds a check box."""
+        return self._add(CheckWidget(label), value, on_change, "on_change")
 
     def choice(
         self,
@@ -161,36 +142,27 @@ class UserPanel:
         """Adds a list to choose a name from.
 
         Args:
-            label: beside it.
             names: to choose from, all different.
-            value: chosen at first; the first one when None.
-            on_change: called with the chosen name.
         """
         names = [names] if isinstance(names, str) else [*names]
         for name in names:
             check_label(f"{label}: names", name)
         if len({*names}) < max(len(names), 1):
             raise UsageError(f"{label}: found the names {shown(names)}; expected different ones")
-        widget = Choice(label, tuple(names))
+        widget = ChoiceWidget(label, tuple(names))
         return self._add(widget, names[0] if value is None else value, on_change, "on_change")
 
     def button(
         self, label: str, *, on_click: Callable[[], object] | None = None
     ) -> WidgetHandle[int]:
-        """Adds a button; its value is how often it was pressed.
-
-        Args:
-            label: on it.
-            on_click: called for every press.
-        """
-        return self._add(Button(label), 0, on_click, "on_click")
+        """Adds a button; its value is how often it was pressed."""
+        return self._add(ButtonWidget(label), 0, on_click, "on_click")
 
     def text(self, text: str) -> WidgetHandle[str]:
         """Adds a text; its value is the text, which can be changed."""
-        return self._add(Text(f"text {len(self._labels)}"), text, None, "")
+        return self._add(TextWidget(f"text {len(self._labels)}"), text, None, "")
 
     def clear(self) -> None:
-        """Removes all widgets."""
         for label in self._labels:
             self._panels.remove((self._title, label))
         self._labels.clear()
@@ -223,7 +195,6 @@ class UserPanels:
         is_open: returns whether the viewer is open.
 
     Attributes:
-        is_open: as given.
         has_changes: whether `call` has something to do.
     """
 
@@ -238,7 +209,6 @@ class UserPanels:
         self._before: dict[WidgetHandle[Any], Any] = {}  # values at the last `call`
 
     def panel(self, title: str) -> UserPanel:
-        """Returns the panel with a title, a new one if there is none."""
         check_label("panel", title)
         if not self.is_open():
             raise RenderError(f"panel '{title}': the viewer is closed")
@@ -253,11 +223,10 @@ class UserPanels:
         value: Value,
         callback: Callable[..., object] | None,
     ) -> WidgetHandle[Value]:
-        """Adds a widget behind all others of its panel."""
         with self._lock:
             number = next(self._numbers)
             handle = WidgetHandle[Value](
-                self, place, Placed(widget, value, number, number), callback
+                self, place, WidgetState(widget, value, number, number), callback
             )
             self._handles[place] = handle
             self._unsent.add(place)
@@ -279,8 +248,7 @@ class UserPanels:
             self._unsent.add(place)
         self._outbox.wake()
 
-    def _take_unsent(self) -> dict[Place, Placed | None] | None:
-        """Returns what has changed, None in it for what was removed; None for nothing."""
+    def _take_unsent(self) -> dict[Place, WidgetState | None] | None:
         with self._lock:
             unsent, self._unsent = self._unsent, set()
             handles = self._handles

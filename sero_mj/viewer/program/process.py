@@ -47,9 +47,6 @@ class ViewerProcess:
 
     It begins to load while this process compiles the scene; then comes `describe`, then `open`.
 
-    Args:
-        is_window: whether it opens a window, else a page.
-
     Attributes:
         clicks: what was clicked on and how, oldest first; whoever handles them takes them out.
         is_open: whether it shows, or is about to.
@@ -78,7 +75,6 @@ class ViewerProcess:
         self._send(sys.path)
 
     def _send(self, message: Any) -> bool:
-        """Sends a message; returns whether the process was there to receive it."""
         assert self._process.stdin is not None
         try:
             with self._sending:
@@ -106,7 +102,6 @@ class ViewerProcess:
 
         Args:
             memory: path of what is shared with it.
-            options: of the host.
 
         Raises:
             SeroError: as raised there.
@@ -130,7 +125,6 @@ class ViewerProcess:
             self._take(kind, rest)
 
     def _listen(self) -> None:
-        """Takes what the process sends until it ends, on a thread of its own."""
         stdout = self._process.stdout
         assert stdout is not None
         with suppress(EOFError, OSError, ValueError, pickle.UnpicklingError):
@@ -160,7 +154,6 @@ class ViewerProcess:
             self._is_closing, self.is_open = True, False
 
     def _ending(self) -> str:
-        """Returns how the process has ended, and the last that it wrote."""
         try:
             self._process.wait(_CLOSE_TIMEOUT)
         except subprocess.TimeoutExpired:  # it lives, and says nothing that can be understood
@@ -196,7 +189,6 @@ class ViewerProcess:
         raise RenderError("no picture: the viewer is closed")
 
     def close(self, *, at_once: bool = False) -> None:
-        """Ends the process, after it has closed what it shows unless it is to be `at_once`."""
         if os.getpid() != self._owner:
             return  # a copy of the process that started it, see `os.fork`
         self._is_closing, self.is_open = True, False
@@ -225,7 +217,6 @@ class _Pickler(pickle.Pickler):
     """Pickles what scenes are made of."""
 
     def reducer_override(self, item: Any) -> Any:
-        """Returns how a piece of MJCF is made anew, which does not pickle by itself."""
         if isinstance(item, type) or not is_mjcf_object(item):
             return NotImplemented
         spec = as_spec(item, Path())

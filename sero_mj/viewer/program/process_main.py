@@ -59,12 +59,7 @@ def main() -> None:
 
 
 class _User:
-    """The process that uses the viewer.
-
-    Attributes:
-        messages: from it, in their order; None once it is gone.
-        is_shown: whether it was told that all is shown.
-    """
+    """The process that uses the viewer."""
 
     def __init__(self) -> None:
         self.is_shown = False
@@ -86,11 +81,9 @@ class _User:
 
     @property
     def is_gone(self) -> bool:
-        """Whether it has ended. Its copies, if it has forked, keep the messages from ending."""
         return os.getppid() != self._process
 
     def receive(self, kind: str) -> tuple[Any, ...]:
-        """Waits for a message and returns what it holds; raises SystemExit if none comes."""
         message = self.messages.get()
         if message is None:
             raise SystemExit
@@ -98,21 +91,17 @@ class _User:
         return message[1:]
 
     def send(self, *message: Any) -> None:
-        """Sends a message."""
         with suppress(OSError), self._sending:  # it is gone; `_listen` hears of it as well
             self._out.write(pickle.dumps(message))
             self._out.flush()
 
 
 class _LogSender(logging.Handler):
-    """Hands log records to the user's process."""
-
     def __init__(self, user: _User) -> None:
         super().__init__()
         self._user = user
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Sends a record, without its traceback."""
         self._user.send("log", record.name, record.levelno, record.getMessage())
 
 
@@ -122,7 +111,6 @@ class _SceneMirror(Mirror):
     take: Callable[[], None]
 
     def advance(self, now: float | None = None) -> bool:
-        """See `Mirror`."""
         self.take()
         return super().advance(now)
 
@@ -133,7 +121,6 @@ class _OverlayMirror(Watch):
     take: Callable[[], None]
 
     def advance(self, now: float | None = None) -> bool:
-        """See `Watch`."""
         self.take()
         return super().advance(now)
 
@@ -162,7 +149,6 @@ def _show(user: _User) -> None:
 
 
 def _mirror_of(pickled: bytes) -> tuple[Any, Callable[[Path], ViewerMemory]]:
-    """Returns what is shown, and what makes its memory."""
     try:
         shown = pickle.loads(pickled)
     except (AttributeError, ImportError) as error:
@@ -198,7 +184,6 @@ def _open_host(mirror: LiveWorld, options: dict[str, Any]) -> LiveHost:
 
 
 def _serve(user: _User, host: LiveHost, memory: ViewerMemory) -> None:
-    """Shows frames until the host is closed or the user is gone."""
     while host.frame() and not user.is_gone:
         memory.show()
         for name, tool in host.tools.items():
@@ -216,7 +201,6 @@ def _serve(user: _User, host: LiveHost, memory: ViewerMemory) -> None:
 
 
 def _take(message: tuple[Any, ...], user: _User, host: LiveHost, memory: ViewerMemory) -> None:
-    """Does what a message asks for while it is shown."""
     kind, *rest = message
     if kind == "tell":
         name, words = rest

@@ -19,15 +19,12 @@ class HasInputs(Protocol):
     """A viewer or an overlay."""
 
     @property
-    def world(self) -> WorldView:
-        """Its robots and inputs."""
+    def world(self) -> WorldView: ...
 
     @property
-    def data(self) -> mujoco.MjData:
-        """The state of the world."""
+    def data(self) -> mujoco.MjData: ...
 
-    def set(self, target: str, values: Any) -> None:
-        """Sets an input by its full name."""
+    def set(self, target: str, values: Any) -> None: ...
 
 
 class JointInput:
@@ -38,18 +35,15 @@ class JointInput:
     """
 
     def __set_name__(self, owner: type, name: str) -> None:
-        """Stores the name of the attribute, which is that of the input."""
         self._key = name
 
     def __get__(self, robot: RobotInputs, owner: type) -> Array:
-        """Returns a copy of the current values."""
         world = robot._of.world
         values = joint_values(world, robot._of.data)[self._key]
         members = world.scene.members(robot._name) or [robot._name]
         return np.concatenate([values[world.owners[name].joints] for name in members])
 
     def __set__(self, robot: RobotInputs, values: ArrayLike | Mapping[str, float]) -> None:
-        """Sets all values."""
         robot.set(self._key, values)
 
 
@@ -58,10 +52,6 @@ class RobotInputs:
 
     Additional inputs that a robot declares (`inputs = ["temperatures"]`), frames and toggles are
     set by `set`, or as attributes too.
-
-    Args:
-        of: what has the robot.
-        name: of the robot, double or group.
 
     Attributes:
         joint_angles: (n,), rad or m; those of an overlay's robot are read-only.
@@ -96,15 +86,10 @@ class RobotInputs:
     else:
 
         def __setattr__(self, key: str, values: Any) -> None:
-            """Sets an input; so a mistyped attribute is an error that suggests the nearest one."""
             self.set(key, values)
 
     def set(self, key: str, values: Any) -> None:
         """Sets an input by name.
-
-        Args:
-            key: `torques`, `temperatures`, `base_frame`, `show_axes`, ...
-            values: of the input's shape, SI units.
 
         Raises:
             UnknownName: no such input; suggests the nearest one.

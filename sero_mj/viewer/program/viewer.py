@@ -24,12 +24,11 @@ from ..image.film import Picture
 from ..image.picture_options import DEFAULT_SIZE
 from ..panels.user_widgets import TOOL as PANELS
 from .memory import OverlayMemory, SceneMemory, ViewerMemory
-from .outbox import Outbox
+from .outbox import Outbox, UserSignals
 from .overlay import Overlay
 from .panels import UserPanel, UserPanels
 from .process import ViewerProcess
 from .robot_inputs import RobotInputs
-from .signals import UserSignals
 
 if TYPE_CHECKING:
     from ..web.host import WebHost
@@ -46,7 +45,6 @@ class Viewer:
     process ends. Can be used as a context manager.
 
     Attributes:
-        world: the compiled scene.
         urls: all addresses of the page, including those for other machines; empty for a window.
         url: of the page for browsers on this machine; None for a window.
     """
@@ -68,7 +66,6 @@ class Viewer:
 
     @property
     def is_open(self) -> bool:
-        """Whether its user has not closed it, and its process is alive."""
         return self._process.is_open
 
     @property
@@ -85,7 +82,6 @@ class Viewer:
 
     @property
     def pictures(self) -> int:
-        """Number of pictures shown."""
         return self._memory.pictures
 
     def set(self, target: str, values: Any) -> None:
@@ -136,9 +132,6 @@ class Viewer:
     def on_click(self, callback: OnClick) -> None:
         """Registers `callback(picked, gesture)`, called by `sync` for every click until then.
 
-        Args:
-            callback: takes the clicked item, None for the sky and the floor, and the gesture.
-
         Raises:
             UsageError: it is not callable.
         """
@@ -154,9 +147,6 @@ class Viewer:
 
         `stiffness.value` is what its user has set; see `UserPanel`.
 
-        Args:
-            title: of the section; the same title returns the same section.
-
         Raises:
             UsageError: no title.
             RenderError: it is closed.
@@ -170,7 +160,6 @@ class Viewer:
         and the greatest value of every 2 ms are shown. A closed viewer ignores it.
 
         Args:
-            name: of the signal; 100 at most.
             value: now; NaN for a gap.
 
         Raises:
@@ -181,9 +170,6 @@ class Viewer:
     def picture(self) -> Picture:
         """Returns a picture of the values set so far, without status line and messages.
 
-        Returns:
-            (height, width, 3), uint8.
-
         Raises:
             RenderError: it is closed, or no picture can be made.
         """
@@ -192,7 +178,6 @@ class Viewer:
         return picture
 
     def close(self) -> None:
-        """Closes window or page, and the scene's sources; otherwise done at exit."""
         if self._cells is not None and self.is_open:
             self._cells.keep_last()
         self._end()
@@ -206,7 +191,6 @@ class Viewer:
         self._process.close()
 
     def _ipython_display_(self) -> None:
-        """Shows the page in a notebook's cell; tells where it is elsewhere."""
         from ..player.page import look_asked_for
         from ..web.notebook import Cells, has_channel, in_notebook, show_address
 
@@ -267,16 +251,13 @@ def view(
     Args:
         scene: a scene; a TOML file or the name of a shipped scene, scenario or robot; or an
             `overlay`, whose data the caller steps; its model is shown as it is now.
-        web: True for a page, whose address is printed; None for a page only if there is no
-            display for a window.
-        camera: see `find_camera`.
+        web: True for a page, whose address is printed; None for a page only if there is no display
+            for a window.
         look: `light` or `dark`, overrides the scene's; not for an overlay.
-        size: of the window, in screen coordinates; None for 1280 x 800.
-        full_screen: whether the window covers the screen.
         host: address that the page is served at; None for this machine only.
         port: of the page; None for the first free one from 8080 on.
-        token: whether the page needs a secret token, which the printed address contains; a page for
-            other machines always does.
+        token: whether the page needs a secret token, which the printed address contains; a page
+            for other machines always does.
 
     Raises:
         UsageError: arguments contradict each other, or have a wrong type.
@@ -309,7 +290,6 @@ def view(
 
 
 def _open(shown: Scene | ModelWorld, process: ViewerProcess, options: dict[str, Any]) -> Viewer:
-    """Opens a viewer in a process, which compiles the scene as well, at the same time."""
     memory: ViewerMemory
     if isinstance(shown, Scene):
         process.describe(shown)
@@ -329,11 +309,6 @@ def _open(shown: Scene | ModelWorld, process: ViewerProcess, options: dict[str, 
 
 
 def _replace(scene: Scene, options: dict[str, Any]) -> None:
-    """Closes the viewer that is opened again; a page gets its port, but a token of its own.
-
-    While no page is served there, another user's program can listen at the port and receive the
-    token that browsers have stored.
-    """
     for viewer in list(_shown):
         other = viewer.world.scene
         is_same = other.name == scene.name and [*other.robots] == [*scene.robots]
@@ -349,10 +324,6 @@ def _replace(scene: Scene, options: dict[str, Any]) -> None:
 def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
     """Serves a web page of a mirror.
 
-    Args:
-        mirror: must be open.
-        options: see `WebHost`.
-
     Raises:
         RenderError: the page cannot be served there.
         UnknownName: no camera of that name.
@@ -363,7 +334,6 @@ def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
 
 
 def _to_show(scene: Scene | Overlay | Path | str, look: Look | None) -> Scene | ModelWorld:
-    """Returns a scene with a look, without changing the user's, or the world of an overlay."""
     if look is not None and look not in get_args(Look):
         raise UsageError(f"look: found {shown(look)}{did_you_mean(str(look), get_args(Look))}")
     if isinstance(scene, Overlay):

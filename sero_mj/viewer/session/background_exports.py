@@ -37,7 +37,6 @@ class BackgroundExports:
         return len(self._waiting) - 1 + (self._made is not None)
 
     def add_page(self, recording: Path) -> int:
-        """Adds the page of a recording, beside it; see `add`."""
         return self.add(["export", str(recording)], recording.with_suffix(".html"))
 
     def advance(self) -> tuple[str, bool] | None:
@@ -57,7 +56,6 @@ class BackgroundExports:
         return said
 
     def _end(self) -> tuple[str, bool]:
-        """Waits for the file that is made; returns what to tell of it."""
         assert self._made is not None
         child, _, path = self._made
         code, errors = child.process.wait(), child.lines()

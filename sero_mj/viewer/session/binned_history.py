@@ -17,11 +17,7 @@ class BinnedHistory:
     """Keeps the extremes of all samples, so that no peak is lost, however many there are.
 
     Args:
-        shape: of a sample.
         kept: duration that is kept, s.
-
-    Attributes:
-        newest: time of the newest sample, s.
     """
 
     def __init__(self, shape: tuple[int, ...] = (), kept: float = SPAN) -> None:
@@ -33,14 +29,12 @@ class BinnedHistory:
         self.newest = 0.0
 
     def restart(self) -> None:
-        """Forgets everything with the next sample."""
         self._last = None
 
     def add(self, times: Array, values: Array) -> None:
         """Adds samples.
 
         Args:
-            times: (n,), s, rising, n >= 1; may be before those of earlier samples.
             values: (n, ...), NaN for no data.
         """
         bins = np.floor(times / _BIN + 1e-6).astype(np.intp)
@@ -68,7 +62,6 @@ class BinnedHistory:
             self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
 
     def forget(self, since: Array) -> None:
-        """Forgets values after times that broadcast to a sample's shape, s; inf for none."""
         with np.errstate(invalid="ignore"):
             past = self._times.reshape(-1, *(1,) * np.ndim(since)) > since
         for extremes in (self._low, self._high):

@@ -22,10 +22,7 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
     The file may be written later, by another thread.
 
     Args:
-        folder: of the file.
-        scene: name of the scene, for the beginning of the file name.
         ending: extension with its dot.
-        now: the date and time.
     """
     safe = "".join(c if c.isalnum() or c in "-_" else "_" for c in scene) or "scene"
     stem = f"{safe}_{now:%Y-%m-%d_%H-%M-%S}"
@@ -39,25 +36,12 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
 
 
 def due_frames(seconds: float, sent: int) -> int:
-    """Returns how often to add the current picture, so that the film shows real time.
-
-    Args:
-        seconds: since the start of the film.
-        sent: number of frames so far.
-    """
+    """Returns how often to add the current picture, so that the film shows real time."""
     return max(int(seconds * FPS) + 1 - sent, 0)
 
 
-class Capture:
-    """Writes screenshots and films.
-
-    Args:
-        scene: name of the scene, for file names.
-        folder: of the files; the current one when None.
-
-    Attributes:
-        seconds: duration of the film so far, s.
-    """
+class PictureWriter:
+    """Writes screenshots and films."""
 
     def __init__(self, scene: str, folder: Path | None = None) -> None:
         self.seconds = 0.0
@@ -74,21 +58,15 @@ class Capture:
 
     @property
     def is_filming(self) -> bool:
-        """Whether a film is being recorded."""
         return self._film is not None
 
     def picture(self, pixels: Pixels) -> None:
-        """Writes a screenshot, (height, width, 3)."""
         path = unused_name(self._folder, self._scene, ".png", datetime.now())
         future = self._pool.submit(save_picture, path, pixels)
         self._pending.append((future, "screenshot", path))
 
     def start(self, size: tuple[int, int], time: float) -> str:
-        """Starts a film and returns a message for the user.
-
-        Raises:
-            RenderError: the file cannot be written.
-        """
+        """Starts a film and returns a message for the user."""
         path = unused_name(self._folder, self._scene, ".mp4", datetime.now())
         self._film, self._film_path = FilmWriter(path, *size, FPS), path
         self._size, self._begin, self._sent = size, time, 0
@@ -96,7 +74,6 @@ class Capture:
         return f"filming to {path}"
 
     def wants(self, time: float) -> bool:
-        """Whether the film needs a picture at this time, s."""
         return self.is_filming and due_frames(time - self._begin, self._sent) > 0
 
     def add(self, pixels: Pixels, time: float) -> None:
@@ -143,6 +120,5 @@ class Capture:
         return None
 
     def close(self) -> None:
-        """Stops the film and waits until all files are written."""
         self.stop()
         self._pool.shutdown()

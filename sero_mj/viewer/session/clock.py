@@ -46,16 +46,11 @@ class Clock:
     Live sources run in real time. They can be paused, and the last minute can be replayed while
     they continue; packets received meanwhile are kept.
 
-    Args:
-        mirror: driven by the clock; must be open.
-
     Attributes:
         is_live: whether a source follows the real time.
         is_past: whether it is live, and shows the past.
         is_playing: whether there is a source with a speed; else the user sets all inputs.
-        is_paused: whether it is paused.
         speed: displayed s per real s.
-        time: displayed, s since the start.
         begin: of the time line, s.
         end: of the time line, s; None if a source has no end. For live sources and endless
             simulations the newest time.
@@ -95,22 +90,18 @@ class Clock:
 
     @property
     def is_at_end(self) -> bool:
-        """Whether it is at the end of the time line."""
         return self._has_end and self.end is not None and self.time >= self.end
 
     @property
     def _has_end(self) -> bool:
-        """Whether the time line has an end."""
         return not (self.is_live or self._growing)
 
     def _move_line(self) -> None:
-        """Updates the ends of a moving time line."""
         if self._growing:
             self.begin = max(source.begin for source in self._growing)
             self.end = max(source.newest or 0.0 for source in self._growing)
 
     def _stop_at_failure(self) -> None:
-        """Ends the time line where a simulation could not go on."""
         failed = [s.now() for s in self._mirror.sources.values() if s.error and not s.is_live]
         if failed:
             self._growing = []
@@ -123,11 +114,7 @@ class Clock:
         return not self.is_live or self._history is not None
 
     def advance(self, passed: float) -> bool:
-        """Advances by a real time, s, and updates the mirror.
-
-        Returns:
-            whether the picture may have changed.
-        """
+        """Advances by a real time, s, and updates the mirror."""
         if self.is_live:
             return self._follow(passed)
         if self.is_paused or self.is_at_end:
@@ -146,7 +133,6 @@ class Clock:
         return changed
 
     def _follow(self, passed: float) -> bool:
-        """Updates a live mirror, and shows it or its past."""
         history = self._history
         if history is None:
             if not self.is_paused:
@@ -174,7 +160,6 @@ class Clock:
         return True
 
     def go_live(self) -> str:
-        """Shows live data, or the end of the time line; returns a message."""
         if not self.is_live:
             if self.end is None:
                 return "no end"
@@ -207,7 +192,6 @@ class Clock:
         return True
 
     def _moments(self, goal: float, *, jumps: bool) -> list[float]:
-        """The times to show until then: more than a frame's end if `on_moment` is set."""
         if self.on_moment is None:
             return [goal]
         passed = goal - (goal if self._shown is None else self._shown)
@@ -220,7 +204,6 @@ class Clock:
         return [goal - passed * k / count for k in range(count - 1, -1, -1)]
 
     def _simulate(self, goal: float) -> float:
-        """Simulates until then, or for the maximum time of a frame; returns the time reached."""
         begin = clock.monotonic()
         max_wait = max(_MAX_WAIT, self._passed - self._simulating)
         while self._simulated < goal and clock.monotonic() - begin < max_wait:
@@ -233,7 +216,6 @@ class Clock:
         return self._simulated
 
     def pause(self) -> str:
-        """Pauses or resumes; returns a message."""
         if self.is_at_end:
             self.seek(0.0)
             self.is_paused = False
@@ -244,7 +226,6 @@ class Clock:
         return "paused" if self.is_paused else "goes on"
 
     def step(self, count: int = 1) -> str:
-        """Pauses after some steps forward (or back); returns a message."""
         self.is_paused = True
         if self.is_live and self._history is None:
             self._mirror.advance()
@@ -262,7 +243,6 @@ class Clock:
         return f"at {self.time:.3f} s"
 
     def faster(self, times: int) -> str:
-        """Changes the speed by entries of `SPEEDS`; returns a message."""
         if self.is_live and not self.is_past:
             return "live: the speed is the robot's"
         nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - self.speed))
@@ -270,7 +250,6 @@ class Clock:
         return f"speed {self.speed:g}"
 
     def reset(self) -> str:
-        """Returns to the start; returns a message."""
         if self.is_live:
             is_paused = self.is_paused
             self.go_live()

@@ -19,13 +19,10 @@ class Event:
     Attributes:
         kind: `press` and `release` of a button, `move`, `scroll`, `key`, `drop` of a file.
         x: pixels of the framebuffer from its left edge; wheel steps to the right for `scroll`.
-        y: pixels up from its lower edge; wheel steps away from the user for `scroll`.
         time: on the clock of `time.monotonic`, s.
         button: `LEFT`, `RIGHT`, `MIDDLE`.
         key: a character in lower case, or a name: `f1`, `left`, `escape`; of a `drop` the path.
         shift: whether Shift or Control was held.
-        control: whether Control was held.
-        is_repeat: whether the event is an automatic repetition of a key.
     """
 
     kind: Literal["press", "release", "move", "scroll", "key", "drop"]
@@ -44,9 +41,6 @@ class Moved:
     """A drag of the pointer, or a turn of the wheel.
 
     Attributes:
-        how: its effect on the camera.
-        right: pixels; zero for `zoom`.
-        down: pixels; wheel steps for `zoom`.
         pulls_from: pixel at which the left button was pressed with Control, for which a link there
             is pulled and the camera stays; None otherwise.
         pressed: pixel at which the left button was pressed; None for other buttons.
@@ -61,15 +55,7 @@ class Moved:
 
 @dataclass(frozen=True)
 class Clicked:
-    """A click: a button was pressed and released at the same position.
-
-    Attributes:
-        x: pixels from the left.
-        y: pixels from below.
-        time: of the press, s.
-        shift: whether a modifier was held.
-        centre: whether it is a double click of the right button, which centres the view.
-    """
+    """A click: a button was pressed and released at the same position."""
 
     x: float
     y: float
@@ -83,7 +69,6 @@ class Mouse:
 
     Attributes:
         position: of the pointer, pixels; None before its first event.
-        is_down: whether a button is held.
     """
 
     def __init__(self) -> None:
@@ -94,7 +79,6 @@ class Mouse:
 
     @property
     def is_down(self) -> bool:
-        """Whether a button is held."""
         return self._pressed is not None
 
     def hold(self, pulls: Callable[[tuple[float, float]], bool]) -> bool:
@@ -110,7 +94,6 @@ class Mouse:
         return True
 
     def take(self, event: Event) -> Moved | Clicked | None:
-        """Handles an event and returns the drag or click that it completes, if any."""
         if event.kind == "scroll":
             return Moved("zoom", 0.0, event.y)
         if event.kind == "key":

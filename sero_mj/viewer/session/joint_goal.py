@@ -1,7 +1,8 @@
-"""`JointGoal`: where the user of a window or page wants the joints of a robot to be."""
+"""`JointGoal`: where a user wants the joints of a robot to be; poses as text."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -15,6 +16,7 @@ from ...robots.declared.inverse_kinematics import (
     reach,
 )
 from ...robots.declared.robot import SerialRobot
+from ...robots.declared.scene import Scene
 
 _FAR = 0.005  # m, from which on it is shown where a frame was wanted
 _TURNED = np.deg2rad(2.0)  # rad, likewise
@@ -27,12 +29,7 @@ class JointGoal:
 
     Angles stay within the position limits. What cannot be is approached, and `trouble` says why.
 
-    Args:
-        robot: its declaration.
-        angles: (n,), to begin with, rad or m.
-
     Attributes:
-        robot: as given.
         trouble: why the last wish is not fulfilled; empty where it is.
         mark: where a frame was wanted and where it is, (2, 3), m; None where that is one.
         is_led: whether a program sets the angles just now, so that no wish would last.
@@ -50,7 +47,6 @@ class JointGoal:
 
     @property
     def angles(self) -> Array:
-        """(n,), rad or m."""
         return self._coupled.positions(self._free)
 
     def range_of(self, joint: int) -> tuple[float, float]:
@@ -59,16 +55,13 @@ class JointGoal:
         return low, high
 
     def follow(self, angles: Array) -> None:
-        """Takes over angles that somebody else has set, (n,)."""
         self._free = np.array(angles, float)[self._coupled.independent]
         self.trouble, self.mark = "", None
 
     def set_all(self, angles: Array) -> None:
-        """Sets all angles, (n,), rad or m; joints stay within their limits."""
         self._set(np.array(angles, float)[self._coupled.independent])
 
     def set_joint(self, joint: int, angle: float) -> None:
-        """Sets the angle of an independent joint, rad or m."""
         free = self._free.copy()
         index = int(np.flatnonzero(self._coupled.independent == joint)[0])
         free[index] = angle
@@ -98,19 +91,13 @@ class JointGoal:
         self._posture = self._free.copy()
 
     def flange(self, base: Array) -> Array:
-        """T_world_flange (4, 4) at these angles.
-
-        Args:
-            base: T_world_base (4, 4), m.
-        """
+        """T_world_flange (4, 4) at these angles."""
         return np.asarray(base @ self.robot.fwd_kin_base_to_flange(self.angles))
 
     def move_flange(self, base: Array, pose: Array, *, at_once: bool = False) -> None:
         """Moves the flange to a pose, or as near as it gets.
 
         Args:
-            base: T_world_base (4, 4), m.
-            pose: T_world_flange (4, 4), m.
             at_once: whether the pose was typed: only what is reached counts then.
         """
         if not np.isfinite(pose).all():
@@ -135,10 +122,7 @@ class JointGoal:
         """Moves a point of a link to another place, or as near as it gets.
 
         Args:
-            base: T_world_base (4, 4), m.
             link: that carries the point, 0 for the base, up to n.
-            point: (3,), in the link's frame, m.
-            wanted: (3,), in the world, m.
         """
         place = frame_place(self.robot, base, link, frame(np.eye(3), point))
         goal = frame(np.eye(3), wanted)
@@ -172,7 +156,6 @@ class JointGoal:
         self.mark = np.array([wanted, there])
 
     def let_go(self) -> None:
-        """Forgets what could not be reached, at the end of a drag."""
         self.trouble, self.mark = "", None
 
 
@@ -181,3 +164,31 @@ def set_goals(goals: Mapping[str, JointGoal], angles: Iterable[tuple[str, bytes]
     for name, wanted in angles:
         if name in goals and goals[name].angles.tobytes() != wanted:
             goals[name].set_all(np.frombuffer(wanted))
+
+
+_DIGITS = 6  # of rad and m
+
+
+def as_toml(robot: str, angles: Array) -> str:
+    """Returns a table of a scene: `[robots.lwr]` with `joint_angles`, rad or m."""
+    return f"[robots.{robot}]\njoint_angles = [{_listed(angles)}]  # rad or m\n"
+
+
+def as_python(robot: str, angles: Array) -> str:
+    """Returns a line for a loop with `sero_mj.view`, rad or m."""
+    return f'viewer.robot("{robot}").joint_angles = [{_listed(angles)}]\n'
+
+
+def as_command(scene: Scene, robot: str, angles: Array) -> str:
+    """Returns the command that shows the scene with a robot like that."""
+    given = setting(robot, angles)
+    return f"sero-mj view {shlex.quote(scene.argument)} --set {given}\n"
+
+
+def setting(robot: str, values: Array, field: str = "joint_angles") -> str:
+    """Returns what `--set` takes for a field of a robot with a number for each joint."""
+    return f"{robot}.{field}={_listed(values, ',')}"
+
+
+def _listed(angles: Array, separator: str = ", ") -> str:
+    return separator.join(f"{round(float(angle), _DIGITS) + 0.0:g}" for angle in angles)

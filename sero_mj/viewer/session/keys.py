@@ -12,9 +12,7 @@ class Key(NamedTuple):
     """What a key does.
 
     Attributes:
-        action: name of the action.
         text: for the help; empty to omit it from the help.
-        repeats: whether the action is repeated while the key is held down.
     """
 
     action: str
@@ -95,7 +93,6 @@ def help_columns(of_tools: Mapping[str, Key], *, on_page: bool = False) -> list[
     """Returns columns of rows of input and effect; headings have no effect.
 
     Args:
-        of_tools: see `tool.tool_keys`.
         on_page: whether to omit actions that a browser provides itself.
     """
     of_host = {**HOST_KEYS, **{key: entry for key, entry in of_tools.items() if entry.text}}

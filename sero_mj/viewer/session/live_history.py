@@ -19,10 +19,6 @@ class LiveHistory:
     """The states of a live mirror in the last minute, about 30 per second, and the newest one.
 
     While an older one is shown the mirror continues: call `put_back` before advancing it.
-
-    Args:
-        mirror: of the data.
-        span: duration kept, s.
     """
 
     def __init__(self, mirror: LiveWorld, span: float = SPAN) -> None:
@@ -39,12 +35,10 @@ class LiveHistory:
 
     @property
     def begin(self) -> float:
-        """The time of the oldest state, s."""
         known = self._times[self._times >= self.end - self._span]
         return float(known.min()) if len(known) else self.end
 
     def add(self) -> None:
-        """Keeps the current state; a time before the last one restarts the history."""
         time = float(self._data.time)
         if time < self.end:
             self._times[:] = np.nan
@@ -60,7 +54,6 @@ class LiveHistory:
         self._times[self._row], self._states[self._row] = self.end, self._newest
 
     def put_back(self) -> None:
-        """Restores the newest state in the data."""
         mujoco.mj_setState(self._model, self._data, self._newest, _STATE)
 
     def show(self, time: float) -> None:

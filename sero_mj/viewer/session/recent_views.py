@@ -1,18 +1,24 @@
-"""Recent views with their last pictures, in the user's state folder."""
+"""Recent views with their last images, and the saved view of every scene."""
 
 from __future__ import annotations
 
 import hashlib
 import io
 import json
+import logging
+import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from PIL import Image
+from platformdirs import user_state_path
 
 from ...base import paths
+from ...base.errors import UsageError
+from ...robots.declared.scene import Scene
 from ..image.film import Pixels
-from .kept_views import state_folder, write_state
+from .view_state import ViewState
 
 MOST = 8
 PICTURE_SIZE = (480, 300)  # pixels
@@ -31,18 +37,15 @@ class RecentView(NamedTuple):
 
     @property
     def picture(self) -> Path:
-        """The file of its last picture, if there is one."""
         digest = hashlib.sha256("\n".join(self).encode()).hexdigest()[:16]
         return state_folder() / "recent" / f"{digest}.jpg"
 
     @property
     def is_shipped(self) -> bool:
-        """Whether the scene is shipped with sero-mj."""
         return paths.shipped_file(self.scene) is not None
 
     @property
     def is_there(self) -> bool:
-        """Whether its files still exist."""
         files = [Path(name) for name in self if name]
         return all(file.exists() for file in (files[1:] if self.is_shipped else files))
 
@@ -53,12 +56,7 @@ def recent_views() -> list[RecentView]:
 
 
 def remember_view(view: RecentView, pixels: Pixels | None) -> None:
-    """Saves a view as the latest.
-
-    Args:
-        view: the view.
-        pixels: its picture, (height, width, 3), uint8; None to keep the existing one.
-    """
+    """Saves a view as the latest."""
     before = [each for each in _read() if each != view]
     kept = [view, *before[: MOST - 1]]
     if pixels is not None:
@@ -83,10 +81,71 @@ def _file() -> Path:
 
 
 def _read() -> list[RecentView]:
-    """The saved views; empty if the file is damaged, which the next view repairs."""
     try:
         found = json.loads(_file().read_bytes())
         views = [RecentView(str(each["scene"]), str(each["replay"])) for each in found]
     except (OSError, ValueError, KeyError, TypeError):
         return []
     return [view for view in views if "\0" not in view.scene + view.replay][:MOST]
+
+
+log = logging.getLogger(__name__)
+
+_MAX_BYTES = 1_000_000  # that are read, so no more are written
+
+
+def file_of(scene: Scene) -> Path:
+    """Returns the file of a scene's view: by its file or name, and its robots."""
+    name = scene.name if scene.file is None else str(scene.file.resolve())
+    name = "\n".join([name, *scene.robots, *scene.doubles])
+    digest = hashlib.sha256(name.encode()).hexdigest()[:16]
+    stem = "".join(c if c.isalnum() else "_" for c in Path(scene.argument).stem)[:40]
+    return state_folder() / "views" / f"{stem}-{digest}.json"
+
+
+def state_folder() -> Path:
+    """Returns the user's state folder."""
+    return user_state_path("sero-mj", appauthor=False)
+
+
+def write_state(path: Path, data: bytes) -> None:
+    """Writes a file of that folder atomically; logs failures."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}")
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        log.info("not kept: %s: %s", path, error)
+
+
+def keep_view(
+    scene: Scene, state: ViewState, layout: Mapping[str, bool], tools: Mapping[str, Any]
+) -> None:
+    """Saves a view for the next start, without what tools keep if it is too long; logs failures."""
+    view = state._replace(time=None).to_text()
+    path, kept = file_of(scene), {"view": view, "layout": dict(layout), "tools": dict(tools)}
+    if len(text := json.dumps(kept).encode()) > _MAX_BYTES:
+        log.warning("%s: the state of tools is not saved: it is too long", path)
+        text = json.dumps({**kept, "tools": {}}).encode()
+    write_state(path, text)
+
+
+def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool], dict[str, Any]] | None:
+    """Returns a saved view, the layout, and what tools have kept; None for none.
+
+    Raises:
+        UsageError: the file is damaged.
+    """
+    path = file_of(scene)
+    try:
+        with path.open("rb") as file:
+            text = file.read(_MAX_BYTES)
+    except OSError:
+        return None
+    try:
+        found = json.loads(text)
+        layout = {str(name): bool(on) for name, on in found["layout"].items()}
+        return ViewState.from_text(found["view"]), layout, dict(found.get("tools", {}))
+    except (ValueError, KeyError, TypeError, AttributeError, UsageError) as error:
+        raise UsageError(f"{path}: found no view ({error}); --fresh makes a new one") from None

@@ -1,4 +1,4 @@
-"""`Signals`: all that can be plotted over time, and the history of what is plotted.
+"""`PlotSignals`: all that can be plotted over time, and the history of what is plotted.
 
 Signals are values of the displayed joints, numbers of the sources' packets (for recordings and
 runs as well, whose packets have the columns of their log), and what a program plots.
@@ -29,11 +29,10 @@ _LATE = 0.1  # s that the displayed time may be behind the clock, by slow frames
 _WENT_BACK = 1.0  # s by which the time of a program's samples has to go back to begin anew
 
 
-class Signal(NamedTuple):
+class PlotSignal(NamedTuple):
     """A signal.
 
     Attributes:
-        group: the program, a robot or double, or a source.
         name: in its group: `A2.torques`, `values0[3]`.
     """
 
@@ -41,11 +40,10 @@ class Signal(NamedTuple):
     name: str
 
 
-class Signals:
+class PlotSignals:
     """The signals of a view.
 
     Args:
-        mirror: what is shown.
         torques: of its joints.
     """
 
@@ -54,24 +52,23 @@ class Signals:
         self._joints = dict(_joint_signals(mirror.world))
         self._numbers = dict(_numbers(mirror.sources))
         self._staleness = Staleness(mirror.world)
-        self._program: dict[Signal, BinnedHistory] = {}
-        self._followed: dict[Signal, BinnedHistory] = {}
+        self._program: dict[PlotSignal, BinnedHistory] = {}
+        self._followed: dict[PlotSignal, BinnedHistory] = {}
         self._is_listening = False
         self._offset = 0.0  # of the displayed time to that of `time.monotonic`, s
 
     @property
     def groups(self) -> dict[str, list[str]]:
-        """Names of all signals, by group."""
         found: dict[str, list[str]] = {}
         for signal in (*self._program, *self._joints, *self._numbers):
             found.setdefault(signal.group, []).append(signal.name)
         return found
 
-    def may_have(self, signal: Signal) -> bool:
+    def may_have(self, signal: PlotSignal) -> bool:
         """Whether there is such a signal, or a program may plot it."""
         return signal.group == PROGRAM or signal in self._joints or signal in self._numbers
 
-    def follow(self, wanted: Collection[Signal]) -> bool:
+    def follow(self, wanted: Collection[PlotSignal]) -> bool:
         """Keeps the history of these signals, besides torques and those of a program.
 
         Returns:
@@ -87,12 +84,10 @@ class Signals:
             self._mirror.listen(self._hear, to_all=True)
         return bool(new)
 
-    def _has_torque(self, signal: Signal) -> bool:
-        """Whether the history of torques has it, with all packets of live sources."""
+    def _has_torque(self, signal: PlotSignal) -> bool:
         return signal in self._joints and self._joints[signal][1] in ROWS
 
     def watch(self) -> None:
-        """Adds a new state of the world."""
         world, data = self._mirror.world, self._mirror.data
         offset = data.time - time.monotonic()
         if offset > self._offset or offset < self._offset - _LATE:
@@ -107,7 +102,6 @@ class Signals:
             self._add(signal, np.array([data.time]), np.array([value]))
 
     def _hear(self, source: str, packets: Packets) -> None:
-        """Adds packets, each at its arrival."""
         now = self._mirror.sources[source].now()
         times = self._mirror.data.time - now + packets.arrivals
         for signal in self._followed:
@@ -116,13 +110,13 @@ class Signals:
                 values = packets.values[event].reshape(len(packets), -1)[:, index]
                 self._add(signal, times, values)
 
-    def _add(self, signal: Signal, times: Array, values: Array) -> None:
+    def _add(self, signal: PlotSignal, times: Array, values: Array) -> None:
         history = self._followed[signal]
         if self._mirror.data.time < history.newest - 1e-9:
             history.restart()
         history.add(times, np.where(np.isfinite(values), values, np.nan))
 
-    def hear_program(self, samples: Mapping[str, Array]) -> list[Signal]:
+    def hear_program(self, samples: Mapping[str, Array]) -> list[PlotSignal]:
         """Adds samples of a program: (n, 2), times on the clock of `time.monotonic` and values.
 
         Returns:
@@ -130,7 +124,7 @@ class Signals:
         """
         new = []
         for name, rows in samples.items():
-            signal = Signal(PROGRAM, name)
+            signal = PlotSignal(PROGRAM, name)
             if signal not in self._program:
                 self._program[signal] = BinnedHistory((), _KEPT)
                 new.append(signal)
@@ -140,13 +134,8 @@ class Signals:
             history.add(times, np.where(np.isfinite(rows[:, 1]), rows[:, 1], np.nan))
         return new
 
-    def of(self, signal: Signal, until: float, points: int) -> tuple[Array, Array]:
+    def of(self, signal: PlotSignal, until: float, points: int) -> tuple[Array, Array]:
         """Returns a signal in the last `SPAN`, oldest first.
-
-        Args:
-            signal: one that is followed, or of a program.
-            until: displayed time, s.
-            points: about as many are returned at most.
 
         Returns:
             times (k,), s, relative to `until`, and values (k,), NaN for no data.
@@ -162,21 +151,19 @@ class Signals:
         return times - until, values
 
 
-def _joint_signals(world: WorldView) -> Iterator[tuple[Signal, tuple[int, str]]]:
-    """All signals of joints: index of the joint, and key in `joint_values`."""
+def _joint_signals(world: WorldView) -> Iterator[tuple[PlotSignal, tuple[int, str]]]:
     slots = world.joints.slots
     for name, owner in world.owners.items():
         for joint in range(owner.joints.start, owner.joints.stop):
             label = world.joints.names[joint].removeprefix(f"{name}/")
             has = [key for key in slots if slots[key][joint] >= 0]
             for key in dict.fromkeys(["joint_angles", *has, "torque_error"]):
-                yield Signal(name, f"{label}.{key}"), (joint, key)
+                yield PlotSignal(name, f"{label}.{key}"), (joint, key)
 
 
-def _numbers(sources: Mapping[str, Source]) -> Iterator[tuple[Signal, tuple[str, int]]]:
-    """All numbers in the packets of sources: their event, and flat index in it."""
+def _numbers(sources: Mapping[str, Source]) -> Iterator[tuple[PlotSignal, tuple[str, int]]]:
     for name, source in sources.items():
         for event, shape in source.events.items():
             for index, place in enumerate(np.ndindex(*shape)):
                 where = "".join(f"[{i}]" for i in place) if np.prod(shape) > 1 else ""
-                yield Signal(name, f"{event}{where}"), (event, index)
+                yield PlotSignal(name, f"{event}{where}"), (event, index)

@@ -19,12 +19,7 @@ _SLOW = 0.85  # fraction of the selected speed below which the actual speed is s
 
 
 def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
-    """Returns a short description of a source, and its mood.
-
-    Args:
-        found: as returned by `report`.
-        is_live: whether the source follows real time.
-    """
+    """Returns a short description of a source, and its mood."""
     name = found["source"]
     if not is_live:
         return str(found["about"]), "plain"
@@ -75,13 +70,7 @@ def clock_text(clock: Clock) -> Piece:
 
 
 def status_pieces(sources: Iterable[Source], clock: Clock, frame_rate: float) -> list[Piece]:
-    """Returns all parts of the status line, the most important first.
-
-    Args:
-        sources: of the mirror.
-        clock: of the mirror.
-        frame_rate: of the window, frames/s.
-    """
+    """Returns all parts of the status line, the most important first."""
     pieces = [clock_text(clock)]
     for source in sources:
         if error := error_text(source):

@@ -10,8 +10,9 @@ in its pyproject.toml:
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
@@ -45,68 +46,45 @@ class Shown(Protocol):
 
     Attributes:
         mirror: the displayed mirror, with its sources and routes.
-        world: the compiled scene.
         data: its state; frames are up to date when `draw` and the pointer's methods are called.
-        toggles: visibility of features.
         clock: pause, speed and time line.
         decor: of the last frame: items at pixels, and the camera's view.
-        folder: of the user's files; the current folder when None.
         joint: the selected joint, its index in the world.
-        view_camera: the camera; can be changed.
-        is_following: whether the camera follows a frame.
-        picture_size: width and height of screenshots, pixels.
-        tools: all of them by name.
     """
 
-    @property
-    def mirror(self) -> LiveWorld: ...  # noqa: D102
-    @property
-    def world(self) -> WorldView: ...  # noqa: D102
-    @property
-    def data(self) -> mujoco.MjData: ...  # noqa: D102
-    @property
-    def toggles(self) -> Toggles: ...  # noqa: D102
-    @property
-    def clock(self) -> Clock: ...  # noqa: D102
-    @property
-    def decor(self) -> SceneDecor: ...  # noqa: D102
-    @property
-    def folder(self) -> Path | None: ...  # noqa: D102
-    @property
-    def joint(self) -> int: ...  # noqa: D102
-    @property
-    def view_camera(self) -> mujoco.MjvCamera: ...  # noqa: D102
-    @property
-    def is_following(self) -> bool: ...  # noqa: D102
-    @property
-    def picture_size(self) -> tuple[int, int]: ...  # noqa: D102
-    @property
-    def tools(self) -> Tools: ...  # noqa: D102
+    mirror: LiveWorld
+    world: WorldView
+    data: mujoco.MjData
+    toggles: Toggles
+    clock: Clock
+    decor: SceneDecor
+    folder: Path | None
+    joint: int
+    tools: Tools
+    shows_panel: bool
 
-    def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Shows a message for a few seconds."""
+    @property
+    def view_camera(self) -> mujoco.MjvCamera: ...
+    @property
+    def is_following(self) -> bool: ...
+    @property
+    def picture_size(self) -> tuple[int, int]: ...
 
-    def select(self, joint: int) -> None:
-        """Selects a joint: it is highlighted, and its torques are plotted."""
+    def say(self, text: str, is_bad: bool = False) -> None: ...
 
-    def view_state(self) -> ViewState:
-        """Camera, switches, selection and time, as text."""
+    def select(self, joint: int) -> None: ...
 
-    def render_words(self) -> list[str]:
-        """Scene, camera, switches and selected joint as arguments of `sero-mj render`."""
+    def view_state(self) -> ViewState: ...
 
-    def to_clipboard(self, text: str) -> None:
-        """Copies a text to the user's clipboard."""
+    def render_words(self) -> list[str]: ...
 
-    def open_panel(self) -> None:
-        """Shows the panel."""
+    def to_clipboard(self, text: str) -> None: ...
 
 
 class Grab(NamedTuple):
     """The effect of a drag that begins at a pixel.
 
     Attributes:
-        text: for the user.
         is_refused: whether the text says why nothing is dragged there.
     """
 
@@ -114,48 +92,11 @@ class Grab(NamedTuple):
     is_refused: bool = False
 
 
-class Tool:
-    """A tool of one window or page; override the methods of the events it needs.
-
-    Pixels are those of the picture, y up.
-
-    Args:
-        shown: where it works.
-
-    Attributes:
-        order: of panels from top to bottom, and of priority for drags and keys. Those of sero-mj
-            have 10 to 90.
-        keys: what keys do: `Key`, or name of an action and text for the help.
-        area: title of an area of its own beside the picture; empty for none.
-        shows_area: whether that is shown; users see it again at the next start.
-    """
-
-    order: ClassVar[int] = 100
-    keys: ClassVar[Mapping[str, Key | tuple[str, str]]] = {}
-    area: str = ""
-    shows_area: bool = False
-
-    def __init__(self, shown: Shown) -> None:
-        self.shown = shown
-
-    def actions(self) -> Mapping[str, Action]:
-        """Actions of keys and menus, by the names in `keys`."""
-        return {}
-
-    @property
-    def active(self) -> Collection[str]:
-        """Names of the actions that are switched on, which menus mark."""
-        return ()
-
-    # ---- the pointer
+class PointerEvents:
+    """What a tool does with the pointer; pixels are those of the picture, y up."""
 
     def click(self, picked: Picked | None, at: Pixel) -> str | None:
-        """Handles a click; returns a message, or None to leave it to others.
-
-        Args:
-            picked: the item there; None for the background.
-            at: the pixel.
-        """
+        """Handles a click; returns a message, or None to leave it to others."""
         return None
 
     def hover(self, at: Pixel | None) -> bool:
@@ -178,19 +119,69 @@ class Tool:
         """Describes what `grab` would do there."""
         return None
 
-    def move(self, at: Pixel) -> None:
-        """Moves the pointer of the drag."""
+    def move(self, at: Pixel) -> None: ...
 
     def drag(self) -> str:
         """Applies the drag, in every frame; returns what obstructs it, or an empty text."""
         return ""
 
-    def release(self) -> None:
-        """Ends the drag."""
+    def release(self) -> None: ...
 
     def wheel(self, notches: float) -> str | None:
         """Handles the wheel while this tool drags; returns a message, or None to zoom as usual."""
         return None
+
+
+class KeptState:
+    """What of a tool is undone, seen again at the next start, and rendered."""
+
+    @property
+    def state(self) -> Any:
+        """The state for undo; equal states count as one."""
+        return ()
+
+    def restore(self, state: Any) -> None:
+        """Restores an earlier state."""
+
+    @property
+    def kept(self) -> Any:
+        """What its user sees again at the next start of this scene, for JSON; None for nothing."""
+        return None
+
+    def take_kept(self, kept: Any) -> None:
+        """Takes over what was kept, as far as it fits; raises TypeError or so where it does not."""
+
+    def render_words(self) -> list[str]:
+        """Arguments of `sero-mj render` that reproduce its changes in a picture."""
+        return []
+
+
+class Tool(PointerEvents, KeptState):
+    """A tool of one window or page; override the methods of the events it needs.
+
+    Attributes:
+        order: of panels from top to bottom, and of priority for drags and keys. Those of sero-mj
+            have 10 to 90.
+        keys: what keys do: `Key`, or name of an action and text for the help.
+        shows_area: whether that is shown; users see it again at the next start.
+    """
+
+    order: ClassVar[int] = 100
+    keys: ClassVar[Mapping[str, Key | tuple[str, str]]] = {}
+    area: str = ""
+    shows_area: bool = False
+
+    def __init__(self, shown: Shown) -> None:
+        self.shown = shown
+
+    def actions(self) -> Mapping[str, Action]:
+        """Actions of keys and menus, by the names in `keys`."""
+        return {}
+
+    @property
+    def active(self) -> Collection[str]:
+        """Names of the actions that are switched on, which menus mark."""
+        return ()
 
     # ---- frames
 
@@ -205,24 +196,19 @@ class Tool:
         """Whether it needs states of recordings and simulations between frames, too."""
         return False
 
-    def lay_out(self, frame: Frame) -> None:
-        """Adds panels to a frame, see `decor.feature.Feature`."""
+    def lay_out(self, frame: Frame) -> None: ...
 
-    def draw(self, frame: Frame) -> None:
-        """Adds geoms to a frame, see `decor.feature.Feature`."""
+    def draw(self, frame: Frame) -> None: ...
 
-    def build(self, ui: Widgets) -> None:
-        """Builds its part of the panel."""
+    def build(self, ui: Widgets) -> None: ...
 
-    def build_area(self, ui: Widgets) -> None:
-        """Builds the area of its own."""
+    def build_area(self, ui: Widgets) -> None: ...
 
     def ongoing(self) -> Piece | None:
         """Words over the picture while something goes on, and their mood; None for none."""
         return None
 
     def ticks(self) -> Sequence[Tick]:
-        """What is marked on the time line."""
         return ()
 
     def next_message(self) -> tuple[str, bool] | None:
@@ -251,28 +237,6 @@ class Tool:
 
     def take_picture(self, pixels: Pixels, now: float) -> None:
         """Takes the picture of this frame, (height, width, 3), and its time, s."""
-
-    # ---- what is kept
-
-    @property
-    def state(self) -> Any:
-        """The state for undo; equal states count as one."""
-        return ()
-
-    def restore(self, state: Any) -> None:
-        """Restores an earlier state."""
-
-    @property
-    def kept(self) -> Any:
-        """What its user sees again at the next start of this scene, for JSON; None for nothing."""
-        return None
-
-    def take_kept(self, kept: Any) -> None:
-        """Takes over what was kept, as far as it fits; raises TypeError or so where it does not."""
-
-    def render_words(self) -> list[str]:
-        """Arguments of `sero-mj render` that reproduce its changes in a picture."""
-        return []
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
         """The goal moved by the sticks of a gamepad: its name, it, and T_world_base (4, 4)."""
@@ -309,7 +273,6 @@ class Tools(Mapping[str, Tool]):
 
     @contextmanager
     def _guarding(self, name: str, kind: type[Tool]) -> Iterator[None]:
-        """Catches errors of a tool of another package."""
         try:
             yield
         except Exception as error:
@@ -336,7 +299,6 @@ class Tools(Mapping[str, Tool]):
         return answers
 
     def first(self, act: Callable[[Tool], Found | None]) -> tuple[Tool, Found] | None:
-        """The first tool with a result, and the result; None for none."""
         for name, tool in [*self._tools.items()]:
             with self._guarding(name, type(tool)):
                 answer = act(tool)
@@ -344,25 +306,61 @@ class Tools(Mapping[str, Tool]):
                     return tool, answer
         return None
 
+    @property
+    def areas(self) -> list[Tool]:
+        """The tools that show an area of their own."""
+        return [tool for tool in self.values() if tool.area and tool.shows_area]
+
+    @property
+    def ticks(self) -> list[Tick]:
+        return [tick for ticks in self.ask(lambda tool: tool.ticks()) for tick in ticks]
+
+    @property
+    def ongoing(self) -> Piece | None:
+        """Words over the picture of what goes on, and their mood; None for none."""
+        found = self.first(lambda tool: tool.ongoing())
+        return None if found is None else found[1]
+
+    @property
+    def takes_pictures(self) -> bool:
+        """Whether a tool takes pictures at this time."""
+        return any(self.ask(lambda tool: tool.takes_pictures))
+
+    def give_picture(self, draw: Callable[[], Pixels]) -> None:
+        """Gives the current picture to the tools that want it; draws it only for these."""
+        now = time.monotonic()
+        wants = self.ask(lambda tool: tool if tool.wants_picture(now) else None)
+        wanting = [tool for tool in wants if tool is not None]
+        if wanting:
+            pixels = draw()
+            for each in wanting:
+                self.call(each, lambda tool: tool.take_picture(pixels, now))
+
+    @property
+    def kept(self) -> dict[str, Any]:
+        """What tools keep of the scene, by their names."""
+        found = {name: self.call(tool, lambda tool: tool.kept) for name, tool in self.items()}
+        return {name: kept for name, kept in found.items() if kept is not None}
+
+    def take_kept(self, kept: Mapping[str, Any]) -> None:
+        """Hands tools what they have kept; what does not fit is left out."""
+        for name, of_tool in kept.items():
+            with suppress(TypeError, ValueError, KeyError, AttributeError, IndexError):
+                if name in self:
+                    self[name].take_kept(of_tool)
+
 
 class DrawnTool:
-    """Lets a tool draw in every frame; one that fails is reported and removed.
-
-    Args:
-        tool: of these.
-        tools: all of them.
-    """
+    """Lets a tool draw in every frame; one that fails is reported and removed."""
 
     def __init__(self, tool: Tool, tools: Tools) -> None:
         self._tool, self._tools = tool, tools
 
     def lay_out(self, frame: Frame) -> None:
-        """See `Tool`."""
         if self._tool in self._tools.values():
             self._tools.call(self._tool, lambda tool: tool.lay_out(frame))
 
     def draw(self, frame: Frame) -> None:
-        """See `Tool`."""
         if self._tool in self._tools.values():
             self._tools.call(self._tool, lambda tool: tool.draw(frame))
 

@@ -29,7 +29,6 @@ class TorqueHistory:
     later samples are deleted.
 
     Args:
-        world: the compiled scene.
         routes: those whose packets are added by `add_packets`.
         kept: s that are kept.
 
@@ -70,8 +69,6 @@ class TorqueHistory:
 
         Args:
             data: the world's state before the last packet is applied; `data.time` is now.
-            source: its name.
-            packets: of the source, in order.
             now: on the clock of their arrivals, s.
         """
         routes = self._routes.get(source)
@@ -95,7 +92,6 @@ class TorqueHistory:
         self._history.add(data.time - now + packets.arrivals, values)
 
     def _received(self, data: mujoco.MjData) -> Array:
-        """Returns measured and commanded torques and their error, (3, N)."""
         found = joint_values(self._world, data)
         return np.array([found["torques"], found["commanded_torques"], found["torque_error"]])
 
@@ -103,7 +99,6 @@ class TorqueHistory:
         """Returns the torques of a joint, oldest first.
 
         Args:
-            joint: index in the world.
             points: about as many are returned at most, two at least; each stands for the least or
                 the greatest value of its stretch of time.
 
@@ -120,9 +115,7 @@ class TorqueHistory:
         """Returns a torque of a joint until `until`, oldest first.
 
         Args:
-            joint: index in the world.
             key: one of `ROWS`.
-            points: see `of`.
 
         Returns:
             times (k,), s, and values (k,), Nm or N, NaN for no data.
@@ -137,9 +130,6 @@ def split_at_gaps(times: Array, values: Array) -> list[Ints]:
     Args:
         times: (k,), s, rising.
         values: (k,), NaN for no data; gaps shorter than `GAP` are ignored.
-
-    Returns:
-        indices of the samples of each piece; none is NaN.
     """
     there = np.isfinite(values).nonzero()[0]
     if not len(there):

@@ -15,12 +15,7 @@ from ...robots.assemble.world_view import WorldView
 from ..decor.quantities import joint_name
 from ..decor.toggles import Toggles
 from ..image.camera import find_camera
-from ..image.switches import (
-    SWITCH_NAMES,
-    apply_switches,
-    find_joint,
-    switches_text,
-)
+from ..image.switches import SWITCH_NAMES, apply_switches, find_joint, switches_text
 from .clock import Clock
 
 _DECIMALS = 4  # of degrees and m
@@ -47,7 +42,6 @@ class ViewState(NamedTuple):
     Attributes:
         camera: in the format of `find_camera`; empty for the scene's own view.
         switches: those that differ from the scene's, in the format of `apply_switches`.
-        joint: selected, `lwr/A2`; empty for none.
         time: displayed, s; None for live sources.
     """
 
@@ -111,7 +105,6 @@ def apply_state(
 
     Args:
         world: the compiled scene, which may have changed since.
-        toggles: changed in place.
         state: what was set.
 
     Returns:
@@ -145,8 +138,6 @@ class ViewSnapshot(NamedTuple):
     Attributes:
         camera: type, ids of camera and body, azimuth, elevation and distance.
         lookat: (3,), m; None if the camera follows something.
-        switches: of `SWITCH_NAMES`, then the clicked billboards, as bytes.
-        selected: joint.
     """
 
     camera: tuple[float, ...]
@@ -156,7 +147,6 @@ class ViewSnapshot(NamedTuple):
 
     @classmethod
     def of(cls, camera: mujoco.MjvCamera, toggles: Toggles, *, follows: bool) -> ViewSnapshot:
-        """The current state of a camera and toggles; `follows`: whether it follows a frame."""
         return cls(
             tuple(getattr(camera, name) for name in _CAMERA),
             None if follows else tuple(camera.lookat.tolist()),
@@ -165,7 +155,6 @@ class ViewSnapshot(NamedTuple):
         )
 
     def show(self, camera: mujoco.MjvCamera, toggles: Toggles) -> None:
-        """Applies the state to a camera and toggles."""
         for name, value in zip(_CAMERA, self.camera, strict=True):
             setattr(camera, name, value)
         if self.lookat is not None:

@@ -14,13 +14,14 @@ from ...base.frames import Array
 from .status_line import Mood
 
 Rgb = tuple[float, float, float]
+# Values that a slider marks, how, and what is shown while the value is near.
+Ticks = Sequence[tuple[float, Mood, str]]
 
 
-class Line(NamedTuple):
+class PlotLine(NamedTuple):
     """A line of a plot.
 
     Attributes:
-        name: in the legend.
         rgb: its colour, red, green and blue from 0 to 1, where the host can set it.
         x: (k,), rising.
         y: (k,), NaN for a gap.
@@ -33,20 +34,14 @@ class Line(NamedTuple):
 
 
 class Plot(NamedTuple):
-    """A plot.
+    """A plot with its lines and the ranges of its axes.
 
-    Attributes:
-        x_unit: of the axis below.
-        y_label: of the axis at the left.
-        lines: that are plotted.
-        x_range: ends of the axis below.
-        y_range: ends of the axis at the left.
-        limits: values of y that are marked as limits, in the range or not.
+    `limits`: values of y that are marked, in the range or not.
     """
 
     x_unit: str
     y_label: str
-    lines: Sequence[Line]
+    lines: Sequence[PlotLine]
     x_range: tuple[float, float]
     y_range: tuple[float, float]
     limits: Sequence[float]
@@ -66,100 +61,72 @@ class Widgets(Protocol):
     interval: float
     folds: dict[str, bool]
 
-    def room(self) -> tuple[float, float]:
-        """Returns the width that is left in this line, and the height below its upper edge."""
+    def room(self) -> tuple[float, float]: ...
 
-    def wide(self, words: str) -> float:
-        """Returns the width of a text."""
+    def wide(self, words: str) -> float: ...
 
-    def text(self, words: str, mood: Mood = "plain") -> None:
-        """Writes a text, wrapped at the panel's width."""
+    def text(self, words: str, mood: Mood = "plain") -> None: ...
 
-    def label(self, words: str) -> None:
-        """Writes a text at the height of that of fields beside it."""
+    def label(self, words: str) -> None: ...
 
-    def title(self, words: str) -> None:
-        """Writes a heading with a line."""
+    def title(self, words: str) -> None: ...
 
     def header(self, label: str, *, is_open: bool = False) -> bool:
         """Begins a section that can be folded; returns whether it is unfolded.
 
         Args:
-            label: of the section.
             is_open: whether it is unfolded as long as the user has said nothing, see `folds`.
         """
 
     def tree(self, label: str) -> bool:
         """Begins a node of a tree; returns whether it is unfolded, which `end_tree` then ends."""
 
-    def end_tree(self) -> None:
-        """Ends a node that is unfolded."""
+    def end_tree(self) -> None: ...
 
     def table(self, name: str, widths: Sequence[float]) -> bool:
         """Begins a table; returns whether it is seen, which `end_table` then ends.
 
         Args:
-            name: of the table, not shown.
             widths: of the columns; 0 for one that takes what is left, or its share of it.
         """
 
-    def row(self) -> None:
-        """Begins a row of a table."""
+    def row(self) -> None: ...
 
-    def cell(self) -> None:
-        """Begins a cell of a row."""
+    def cell(self) -> None: ...
 
-    def end_table(self) -> None:
-        """Ends a table that is seen."""
+    def end_table(self) -> None: ...
 
-    def scope(self, name: str) -> None:
-        """Begins a scope, in which labels are other ones than outside."""
+    def scope(self, name: str) -> None: ...
 
-    def end_scope(self) -> None:
-        """Ends a scope."""
+    def end_scope(self) -> None: ...
 
     def same_line(self, left: float = 0.0, gap: float = -1.0) -> None:
         """Puts the next widget beside the last one.
 
         Args:
-            left: distance from the panel's left edge; 0 for after the last one.
             gap: distance from the last one; -1 for the usual.
         """
 
     def width(self, width: float) -> None:
         """Sets the width of the next widget; 0 for all that is left."""
 
-    def tip(self, words: str) -> None:
-        """Explains the last widget while the pointer is over it."""
+    def tip(self, words: str) -> None: ...
 
     def disable(self, *, is_off: bool) -> None:
         """Begins widgets that are greyed and take no input, if `is_off`; `enable` ends them."""
 
-    def enable(self) -> None:
-        """Ends what `disable` has begun."""
+    def enable(self) -> None: ...
 
     def button(self, label: str, width: float = 0.0) -> bool:
-        """Builds a button; returns whether it was pressed.
-
-        Args:
-            label: on it.
-            width: of it; 0 for that of its label.
-        """
+        """Builds a button; returns whether it was pressed."""
 
     def select(self, label: str, *, is_lit: bool) -> bool:
-        """Builds a text that can be clicked on; returns whether it was.
-
-        Args:
-            label: the text.
-            is_lit: whether it is selected.
-        """
+        """Builds a text that can be clicked on; returns whether it was."""
 
     def search(self, label: str, text: str, hint: str) -> str:
         """Builds a field for a text; returns what is in it.
 
         Args:
-            label: of the field.
-            text: that is in it.
             hint: what it shows while it is empty.
         """
 
@@ -167,48 +134,23 @@ class Widgets(Protocol):
         """Builds a check box; returns whether it was changed, and whether it is on."""
 
     def choose(self, label: str, index: int, names: Sequence[str]) -> tuple[bool, int]:
-        """Builds a list to choose from; returns whether it was changed, and the chosen index.
-
-        Args:
-            label: of the list.
-            index: of what is chosen; -1 for nothing.
-            names: of all there is to choose.
-        """
+        """Builds a list to choose from; returns whether it was changed, and the chosen index."""
 
     def slide(
-        self,
-        label: str,
-        value: float,
-        low: float,
-        high: float,
-        text: str,
-        ticks: Sequence[tuple[float, Mood, str]] = (),
+        self, label: str, value: float, low: float, high: float, text: str, ticks: Ticks = ()
     ) -> tuple[bool, float]:
         """Builds a slider; returns whether it was moved, and its value.
 
         Args:
-            label: of the slider.
-            value: where it stands.
-            low: the value at its left end.
-            high: the value at its right end.
             text: printf's format of the value, `%.1f deg`; empty to show none.
             ticks: values that are marked, how, and what is told while the value is near.
         """
 
-    def plot(self, plot: Plot, height: float) -> None:
-        """Builds a plot as wide as there is room."""
+    def plot(self, plot: Plot, height: float) -> None: ...
 
     def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
-        """Builds a field for a number; returns whether one was typed to the end, and it.
+        """Builds a field for a number; returns whether one was typed to the end, and it."""
 
-        Args:
-            label: of the field.
-            value: what it shows while nothing is typed.
-            text: printf's format of the value.
-        """
+    def lines(self, label: str, text: str, count: int) -> None: ...
 
-    def lines(self, label: str, text: str, count: int) -> None:
-        """Shows so many lines of text to copy from."""
-
-    def copy(self, text: str) -> None:
-        """Puts a text onto the clipboard of the user's machine."""
+    def copy(self, text: str) -> None: ...

@@ -19,13 +19,6 @@ def dragged(pose: Array, handle: int, view: PictureView, begin: Pixel, now: Pixe
     An arrow moves it by what the point of its axis nearest to the line of sight moves; a ring turns
     it by the angle about its centre, in its plane, or where that is seen from the side by the way
     along its edge; the cube moves it in the plane of the picture.
-
-    Args:
-        pose: T_world_frame (4, 4) when the drag began, m.
-        handle: see `viewer.decor.handles.HANDLE_NAMES`.
-        view: of the picture.
-        begin: pixel at which the drag began.
-        now: pixel where the pointer is.
     """
     found = pose.copy()
     origin = pose[:3, 3]
@@ -43,7 +36,6 @@ def dragged(pose: Array, handle: int, view: PictureView, begin: Pixel, now: Pixe
 
 
 def _ray(view: PictureView, pixel: Pixel) -> Array:
-    """Unit vector (3,) of the line of sight through a pixel."""
     ray = view.at(np.array(pixel, float), 1.0) - view.position
     return np.asarray(ray / np.linalg.norm(ray))
 
@@ -54,7 +46,6 @@ def _in_picture(view: PictureView, origin: Array, pixel: Pixel) -> Array:
 
 
 def _along(view: PictureView, origin: Array, axis: Array, pixel: Pixel) -> float:
-    """Where on the line of an axis it is nearest to the line of sight, m from the origin."""
     ray = _ray(view, pixel)
     across = float(ray @ axis)
     apart = 1.0 - across**2
@@ -65,7 +56,6 @@ def _along(view: PictureView, origin: Array, axis: Array, pixel: Pixel) -> float
 
 
 def _about(view: PictureView, origin: Array, axis: Array, begin: Pixel, now: Pixel) -> float:
-    """By which angle about an axis the pointer has moved, rad."""
     sight = (origin - view.position) / np.linalg.norm(origin - view.position)
     if abs(float(sight @ axis)) < _EDGE_ON:
         # The nearer side of the ring goes along this line of the picture.
@@ -83,7 +73,6 @@ def _about(view: PictureView, origin: Array, axis: Array, begin: Pixel, now: Pix
 
 
 def _rotation(axis: Array, angle: float) -> Array:
-    """Rotation (3, 3) by an angle about a unit vector (Rodrigues)."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
@@ -93,10 +82,7 @@ def target_of(eye: Array, forward: Array, point: Array, ray: Array) -> Array:
     """Returns where a ray meets the plane through a point that is parallel to the picture.
 
     Args:
-        eye: position of the camera, (3,), m.
-        forward: its direction, unit vector (3,).
         point: of the plane, (3,), m.
-        ray: any other point of the ray from the eye, (3,), m.
     """
     depth = (point - eye) @ forward
     return eye + (ray - eye) * (depth / ((ray - eye) @ forward))

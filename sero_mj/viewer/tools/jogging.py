@@ -18,8 +18,7 @@ from ..image.held_torques import HeldTorques, unrouted
 from ..image.picking import Pixel
 from ..image.switches import MODELLED
 from ..panels.jog_panel import JogPanel
-from ..session.joint_goal import JointGoal, set_goals
-from ..session.pose_text import setting
+from ..session.joint_goal import JointGoal, set_goals, setting
 from ..session.tool import Grab, Shown, Tool
 from ..session.widgets import Widgets
 from .handle_drag import target_of
@@ -31,12 +30,8 @@ _LED = 1.0  # s: a program that sets angles again within this time leads the rob
 class Jogging(Tool):
     """The robots of a mirror that are moved by hand.
 
-    Args:
-        shown: where it works.
-
     Attributes:
         goals: where the robots are wanted, by name; empty where all have data.
-        held: shows what their joints hold.
     """
 
     order: ClassVar[int] = 20
@@ -65,7 +60,6 @@ class Jogging(Tool):
 
     @property
     def is_on(self) -> bool:
-        """Whether a link is dragged."""
         return self._dragged is not None
 
     def base(self, name: str) -> Array:
@@ -94,7 +88,6 @@ class Jogging(Tool):
         self.held.update(data, wait=False)
 
     def grab(self, at: Pixel) -> Grab | None:
-        """Grabs the link at a pixel."""
         found = self._found(at)
         if found is None:
             return None
@@ -108,12 +101,10 @@ class Jogging(Tool):
         return Grab(f"moves {frame_name}")
 
     def announce(self, at: Pixel) -> Grab | None:
-        """Says what a drag from there would move."""
         found = self._found(at)
         return None if found is None else Grab(f"drag to move {found[2]}")
 
     def _found(self, at: Pixel) -> tuple[str, int, str, Array] | None:
-        """Returns robot, link, frame and point at a pixel; None where nothing is moved by hand."""
         found = self.shown.decor.link_at(self._mirror.data, at)
         if found is None:
             return None
@@ -124,11 +115,9 @@ class Jogging(Tool):
         return name, link_number(self.goals[name].robot, label), frame_name, point
 
     def move(self, at: Pixel) -> None:
-        """Moves the pointer."""
         self._at = at
 
     def drag(self) -> str:
-        """Moves the dragged link to the pointer; returns why it cannot, or nothing."""
         view = self.shown.decor.view
         if self._dragged is None or view is None:
             return ""
@@ -143,23 +132,19 @@ class Jogging(Tool):
         return goal.trouble
 
     def release(self) -> None:
-        """Lets go."""
         if self._dragged is not None:
             self.goals[self._dragged[0]].let_go()
             self._dragged = None
             self._toggles.handles = None
 
     def build(self, ui: Widgets) -> None:
-        """Builds the sliders of all robots."""
         self._panel.build(ui, self.held.note)
 
     @property
     def state(self) -> tuple[tuple[str, bytes], ...]:
-        """Where the robots are wanted."""
         return tuple((name, goal.angles.tobytes()) for name, goal in self.goals.items())
 
     def restore(self, state: tuple[tuple[str, bytes], ...]) -> None:
-        """Wants the robots to be there again."""
         set_goals(self.goals, state)
 
     def render_words(self) -> list[str]:
@@ -177,21 +162,13 @@ class Jogging(Tool):
         return words
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
-        """The first robot."""
         for name, goal in self.goals.items():
             return name, goal, self.base(name)
         return None
 
 
 def approached(shown: Array, wanted: Array, passed: float, fastest: Array) -> Array:
-    """Returns angles that go to the wanted ones smoothly, and are then equal to them.
-
-    Args:
-        shown: (n,), rad or m.
-        wanted: (n,).
-        passed: time since then, s.
-        fastest: (n,), per second.
-    """
+    """Returns angles that go to the wanted ones smoothly, and are then equal to them."""
     way = wanted - shown
     step = np.clip(way * (1.0 - np.exp(-passed / _TIME)), -fastest * passed, fastest * passed)
     return np.asarray(np.where(np.abs(way) < 1e-5, wanted, shown + step))

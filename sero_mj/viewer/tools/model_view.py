@@ -33,7 +33,6 @@ class ModelView(Tool):
     order: ClassVar[int] = 75
 
     def build(self, ui: Widgets) -> None:
-        """See `Tool`."""
         if not ui.header("Model"):
             return
         toggles = self.shown.toggles

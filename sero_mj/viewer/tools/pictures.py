@@ -1,13 +1,14 @@
-"""`Pictures`: screenshots and films of what is shown."""
+"""Screenshots and videos of what is shown, and the command that renders it."""
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Collection, Mapping
 from typing import ClassVar
 
 from ..image.film import Pixels
-from ..session.capture import Capture
+from ..session.capture import PictureWriter
 from ..session.clock import time_text
 from ..session.keys import Key
 from ..session.status_line import Piece
@@ -15,14 +16,7 @@ from ..session.tool import Action, Shown, Tool
 
 
 class Pictures(Tool):
-    """F2 and F3.
-
-    Args:
-        shown: where it works.
-
-    Attributes:
-        capture: writes the files.
-    """
+    """F2 and F3."""
 
     order: ClassVar[int] = 88
     keys: ClassVar[Mapping[str, Key]] = {
@@ -32,11 +26,10 @@ class Pictures(Tool):
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
-        self.capture = Capture(shown.world.scene.name, shown.folder)
+        self.capture = PictureWriter(shown.world.scene.name, shown.folder)
         self._is_screenshot_due = False
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`."""
         return {"screenshot": self._take_screenshot, "film": self._toggle_film}
 
     def _take_screenshot(self) -> None:
@@ -50,34 +43,51 @@ class Pictures(Tool):
 
     @property
     def active(self) -> Collection[str]:
-        """See `Tool`."""
         return ["film"] if self.capture.is_filming else []
 
     @property
     def takes_pictures(self) -> bool:
-        """See `Tool`."""
         return self._is_screenshot_due or self.capture.is_filming
 
     def wants_picture(self, now: float) -> bool:
-        """See `Tool`."""
         return self._is_screenshot_due or self.capture.wants(now)
 
     def take_picture(self, pixels: Pixels, now: float) -> None:
-        """See `Tool`."""
         if self._is_screenshot_due:
             self.capture.picture(pixels)
         self.capture.add(pixels, now)
         self._is_screenshot_due = False
 
     def ongoing(self) -> Piece | None:
-        """See `Tool`: for how long a film is recorded."""
         capture = self.capture
         return (f"filming {time_text(capture.seconds)}", "bad") if capture.is_filming else None
 
     def next_message(self) -> tuple[str, bool] | None:
-        """See `Tool`."""
         return self.capture.next_message()
 
     def close(self) -> None:
-        """Waits until all files are written."""
         self.capture.close()
+
+
+class CopyCommand(Tool):
+    """Ctrl+C: the command, on the clipboard."""
+
+    order: ClassVar[int] = 85
+    keys: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "ctrl+c": ("copy", "copy the command that renders this picture")
+    }
+
+    def actions(self) -> Mapping[str, Action]:
+        return {"copy": self._copy}
+
+    def _copy(self) -> str:
+        shown = self.shown
+        if shown.decor.fixed:
+            return f"{shown.decor.fixed}; no command makes this picture, F2 keeps it"
+        state, (width, height) = shown.view_state(), shown.picture_size
+        words = ["sero-mj", "render", *shown.render_words()]
+        words += [] if state.time is None else ["--at", f"{state.time:g}"]
+        words += ["--size", f"{width}x{height}", "-o", "picture.png"]
+        shown.to_clipboard(shlex.join(words))
+        live = "; what is live will have gone on" if shown.clock.is_live else ""
+        return f"copied: the command that renders this picture{live}"

@@ -12,7 +12,7 @@ from ..panels.torque_plots import TorquePlots
 from ..session import live_history
 from ..session.binned_history import SPAN
 from ..session.keys import Key
-from ..session.signals import Signal, Signals
+from ..session.signals import PlotSignal, PlotSignals
 from ..session.tool import Action, Shown, Tool
 from ..session.torque_history import TorqueHistory
 from ..session.widgets import Widgets
@@ -23,17 +23,7 @@ _SHARE = 0.4  # of the height, for these
 
 
 class Plots(Tool):
-    """The key p.
-
-    Args:
-        shown: where it works.
-
-    Attributes:
-        history: the torques.
-        signals: all that can be plotted.
-        plots: of these.
-        shows_torques: whether those of the selected joint are plotted.
-    """
+    """The key p."""
 
     order: ClassVar[int] = 15
     keys: ClassVar[Mapping[str, Key]] = {"p": Key("plot", "torques of the selected joint, signals")}
@@ -45,7 +35,7 @@ class Plots(Tool):
         kept = SPAN + live_history.SPAN if clock.is_live and clock.can_go_back else SPAN
         routes = mirror.routes if mirror.is_live else ()
         self.history = TorqueHistory(shown.world, routes, kept)
-        self.signals = Signals(mirror, self.history)
+        self.signals = PlotSignals(mirror, self.history)
         self.plots = SignalPlots(self.signals)
         self._has_joints = self.shows_torques = bool(shown.world.joints.names)
         self.area = _AREA if self.signals.groups else ""
@@ -54,7 +44,6 @@ class Plots(Tool):
         self._torques: TorquePlots | None = None
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`."""
         return {"plot": self._toggle}
 
     def _toggle(self) -> str:
@@ -63,16 +52,13 @@ class Plots(Tool):
 
     @property
     def active(self) -> Collection[str]:
-        """See `Tool`."""
         return ["plot"] if self.shows_area else []
 
     @property
     def watches_closely(self) -> bool:
-        """See `Tool`: while something is plotted."""
         return bool(self.area and self.shows_area)
 
     def watch(self) -> None:
-        """Adds a new state."""
         self.history.add(self.shown.data)
         self.signals.watch()
 
@@ -91,7 +77,6 @@ class Plots(Tool):
             self.plots.add(signal)
 
     def build_area(self, ui: Widgets) -> None:
-        """See `Tool`."""
         message = self.plots.build_choice(ui)
         if message:
             self.shown.say(message, is_bad=True)
@@ -117,18 +102,15 @@ class Plots(Tool):
             shown.select(joint)
 
     @property
-    def state(self) -> tuple[bool, tuple[tuple[Signal, ...], ...]]:
-        """What is plotted."""
+    def state(self) -> tuple[bool, tuple[tuple[PlotSignal, ...], ...]]:
         return self.shows_torques, tuple(tuple(lines) for lines in self.plots.shown)
 
-    def restore(self, state: tuple[bool, tuple[tuple[Signal, ...], ...]]) -> None:
-        """Plots that again."""
+    def restore(self, state: tuple[bool, tuple[tuple[PlotSignal, ...], ...]]) -> None:
         self.shows_torques = state[0]
         self.plots.shown = [[*lines] for lines in state[1]]
 
     @property
     def kept(self) -> Any:
-        """What is plotted, but for nothing but torques."""
         if not self.plots.shown:
             return None
         plots = [[[*signal] for signal in lines] for lines in self.plots.shown]
@@ -136,7 +118,7 @@ class Plots(Tool):
 
     def take_kept(self, kept: Any) -> None:
         """Plots that again, as far as there are such signals, or a program may have them."""
-        plots = [[Signal(*map(str, signal)) for signal in lines] for lines in kept["plots"]]
+        plots = [[PlotSignal(*map(str, signal)) for signal in lines] for lines in kept["plots"]]
         known = [[each for each in lines if self.signals.may_have(each)] for lines in plots]
         self.plots.shown = [lines for lines in known if lines]
         self.shows_torques = bool(kept["torques"])

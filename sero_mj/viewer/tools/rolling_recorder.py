@@ -28,11 +28,7 @@ _SIGNALS_RATE = 100.0  # Hz of decoded values: of a minute they would take secon
 class RollingRecorder(Tool):
     """Remembers the packets of a mirror's live sources, and writes those of the last minute.
 
-    Args:
-        shown: where it works.
-
     Attributes:
-        is_on: whether there are live sources.
         finishes_films: whether `close` waits for the pages and films that are not finished.
     """
 
@@ -62,15 +58,9 @@ class RollingRecorder(Tool):
         self._recorder.on_event = self._on_event
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`."""
         return {"keep": self._keep} if self.is_on else {}
 
     def _keep(self) -> str:
-        """Writes what came in the last minute; returns what to tell the user.
-
-        Raises:
-            SeroError: an earlier one could not be written; nothing is remembered since.
-        """
         if self._recorder.error is not None:
             raise SeroError(f"nothing is kept any more: {self._recorder.error}")
         if not self._recorder.statistics.packets:
@@ -83,7 +73,6 @@ class RollingRecorder(Tool):
         return f"keeps the last minute: {path.name}"
 
     def _on_event(self, event: RecordedEvent) -> None:
-        """Called on the recorder's thread, when an event begins, and when it is complete."""
         if math.isnan(event.ended):
             return
         text = f"kept {event.ended - event.began:.1f} s: {event.path.name}"
@@ -96,7 +85,6 @@ class RollingRecorder(Tool):
         self._said.put((text, False))
 
     def next_message(self) -> tuple[str, bool] | None:
-        """What to tell the user, and whether it is an error; None for nothing."""
         return self._exports.advance() or (None if self._said.empty() else self._said.get())
 
     def close(self) -> None:

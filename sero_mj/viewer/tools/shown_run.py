@@ -10,8 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..decor.feature import Frame
-from ..player.capture import CapturedFrame, FrameCapturer
+from ..player.capture import FrameCapturer
 from ..player.encode import encode
+from ..player.frame import CapturedFrame
 from ..player.page import packed
 from ..session.tool import Shown, Tool
 
@@ -22,11 +23,7 @@ _INTERVAL = 10.0  # s between two runs
 
 
 class ShownRun(Tool):
-    """Captures what is shown, once its program has asked for it.
-
-    Args:
-        shown: where it works.
-    """
+    """Captures what is shown, once its program has asked for it."""
 
     order: ClassVar[int] = 80
 
@@ -87,8 +84,6 @@ class ShownRun(Tool):
 
 
 def _are_equal(one: CapturedFrame, other: CapturedFrame) -> bool:
-    """Whether two frames show the same."""
-
     def same(a: Any, b: Any) -> bool:
         return bool(np.array_equal(a, b, equal_nan=True))
 

@@ -17,12 +17,7 @@ _MOST = 200
 
 
 class Undo(Generic[State]):
-    """Watches a state from frame to frame; what changes without a rest is one step.
-
-    Args:
-        read: returns the state; equal ones are one.
-        write: sets it.
-    """
+    """Watches a state from frame to frame; what changes without a rest is one step."""
 
     def __init__(self, read: Callable[[], State], write: Callable[[State], None]) -> None:
         self._read, self._write = read, write
@@ -33,20 +28,14 @@ class Undo(Generic[State]):
 
     @property
     def count(self) -> int:
-        """How many steps can be taken back."""
         return len(self._past)
 
     @property
     def is_settled(self) -> bool:
-        """Whether nothing has changed since the last step."""
         return self._read() == self._kept
 
     def watch(self, now: float | None = None) -> None:
-        """Looks at the state; call it in every frame.
-
-        Args:
-            now: s on the clock of `time.monotonic`; the time when None.
-        """
+        """Looks at the state; call it in every frame."""
         now = time.monotonic() if now is None else now
         state = self._read()
         if state != self._seen:
@@ -55,9 +44,9 @@ class Undo(Generic[State]):
             self._settle()
 
     def _settle(self) -> None:
-        """Makes a step of what has changed since the last one."""
         if self._seen != self._kept:
-            self._past = [*self._past, self._kept][-_MOST:]
+            self._past.append(self._kept)
+            del self._past[:-_MOST]
             self._future.clear()
             self._kept = self._seen
 
@@ -65,25 +54,22 @@ class Undo(Generic[State]):
         """Takes the last step back; returns what to tell the user."""
         self._seen = self._read()
         self._settle()
-        if not self._past:
-            return "nothing to undo"
-        self._future.append(self._kept)
-        self._go(self._past.pop())
-        return "undone; Ctrl+Y does it again"
+        done = self._step(self._past, self._future)
+        return "undone; Ctrl+Y does it again" if done else "nothing to undo"
 
     def redo(self) -> str:
         """Does again what was undone; returns what to tell the user."""
         self._seen = self._read()
         self._settle()
-        if not self._future:
-            return "nothing to do again"
-        self._past.append(self._kept)
-        self._go(self._future.pop())
-        return "done again"
+        return "done again" if self._step(self._future, self._past) else "nothing to do again"
 
-    def _go(self, state: State) -> None:
-        self._write(state)
+    def _step(self, source: list[State], target: list[State]) -> bool:
+        if not source:
+            return False
+        target.append(self._kept)
+        self._write(source.pop())
         self._kept = self._seen = self._read()
+        return True
 
 
 class UndoTool(Tool):
@@ -96,7 +82,6 @@ class UndoTool(Tool):
     }
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`."""
         return {"undo": self._take_back, "redo": self._do_again}
 
     def _take_back(self) -> str:
@@ -107,11 +92,9 @@ class UndoTool(Tool):
 
     @cached_property
     def undo(self) -> Undo[tuple[ViewSnapshot, dict[str, Any]]]:
-        """Watches from the first frame on."""
         return Undo(self._read, self._write)
 
     def advance(self, passed: float) -> None:
-        """Looks at what has changed."""
         self.undo.watch()
 
     def _read(self) -> tuple[ViewSnapshot, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""`UserPanels`: shows the widgets that the program of a viewer has added to it.
+"""`UserPanelsTool`: shows the widgets that the program of a viewer has added to it.
 
 Their other side is `program/panels.py`, which says what is sent.
 """
@@ -9,41 +9,34 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from ...base.errors import UsageError
-from ..panels.user_widgets import Place, Placed
+from ..panels.user_widgets import Place, WidgetState
 from ..session.tool import Shown, Tool
 from ..session.widgets import Widgets
 
 
-class UserPanels(Tool):
-    """A section of the panel for each panel of the program.
-
-    Args:
-        shown: where it works.
-    """
+class UserPanelsTool(Tool):
+    """A section of the panel for each panel of the program."""
 
     order: ClassVar[int] = 10
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
-        self._placed: dict[Place, Placed] = {}
+        self._placed: dict[Place, WidgetState] = {}
         self._changes: dict[Place, tuple[Any, int]] = {}
 
-    def hear(self, message: Mapping[Place, Placed | None]) -> None:
-        """Takes over what the program has added, changed and removed."""
+    def hear(self, message: Mapping[Place, WidgetState | None]) -> None:
         if not self._placed:
-            self.shown.open_panel()
+            self.shown.shows_panel = True
         now = {**self._placed, **message}
         there = [(place, placed) for place, placed in now.items() if placed is not None]
         self._placed = dict(sorted(there, key=lambda each: each[1].order))
 
     def answer(self) -> dict[Place, tuple[Any, int]] | None:
-        """Returns what the user has changed since the last call; None for nothing."""
         changes, self._changes = self._changes, {}
         return changes or None
 
     def build(self, ui: Widgets) -> None:
-        """Builds all panels in the order in which they were added."""
-        panels: dict[str, list[tuple[Place, Placed]]] = {}
+        panels: dict[str, list[tuple[Place, WidgetState]]] = {}
         for place, placed in self._placed.items():
             panels.setdefault(place[0], []).append((place, placed))
         for title, widgets in panels.items():
@@ -53,7 +46,7 @@ class UserPanels(Tool):
                     self._build(ui, place, placed)
             ui.end_scope()
 
-    def _build(self, ui: Widgets, place: Place, placed: Placed) -> None:
+    def _build(self, ui: Widgets, place: Place, placed: WidgetState) -> None:
         found = placed.widget.build(ui, placed.value)
         if found is None:
             return

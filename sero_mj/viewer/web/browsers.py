@@ -1,4 +1,4 @@
-"""`Browsers`: all browsers that show a page. One of them has control, the others only see it."""
+"""`Browsers`: all browsers that show a page, of which one has control."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.protocol import State
 
 from .guard import is_local, same_text
-from .messages import MAX_BYTES, Control, Got, Left, PageSize, Reader, Said, Sender
+from .messages import MAX_BYTES, Control, Got, Left, MessageReader, MessageSender, PageSize, Said
 from .sections import Sections, message_of
 
 # Messages on the way to a browser: with more, a slow one would lag behind.
@@ -33,7 +33,7 @@ class Browsers:
 
     Args:
         sections: the state that they are sent.
-        kinds: the messages that they may send, see `Reader`.
+        kinds: the messages that they may send, see `MessageReader`.
 
     Attributes:
         sent: number of states that were sent to any of them.
@@ -41,7 +41,7 @@ class Browsers:
     """
 
     def __init__(self, sections: Sections, kinds: Any) -> None:
-        self._sections, self._reader = sections, Reader(kinds)
+        self._sections, self._reader = sections, MessageReader(kinds)
         self._lock = threading.Lock()
         self._browsers: dict[int, _Browser] = {}  # in the order in which they came
         self._last_id = 0
@@ -52,17 +52,14 @@ class Browsers:
 
     @property
     def are_there(self) -> bool:
-        """Whether any browser is connected."""
         return bool(self._browsers)
 
     @property
     def holder(self) -> int | None:
-        """Id of the browser in control; None without browsers."""
         return self._holder
 
     @property
     def holder_is_local(self) -> bool | None:
-        """Whether the browser in control is on this machine; None without browsers."""
         browser = self._browsers.get(self._holder or 0)
         return None if browser is None else browser.sender.is_local
 
@@ -72,7 +69,6 @@ class Browsers:
         return browser is not None and same_text(key, browser.key)
 
     def take(self) -> Iterator[Said]:
-        """Yields the messages of the browser in control since the last call, oldest first."""
         while self._said:
             yield self._said.popleft()
 
@@ -84,14 +80,12 @@ class Browsers:
             browser.events.append(json.dumps(event))
 
     def wake(self) -> None:
-        """Sends what has changed; on the server's thread."""
         for browser in [*self._browsers.values()]:
             browser.wake.set()
 
     # ---- on the server's thread
 
     async def talk(self, connection: ServerConnection) -> None:
-        """Sends a browser the state of the page, and reads its messages, until it goes."""
         if len(self._browsers) >= _MOST_BROWSERS:
             reason = f"{_MOST_BROWSERS} browsers show this page already"
             await connection.close(_TRY_LATER, reason)
@@ -112,7 +106,6 @@ class Browsers:
             self._leave(browser)
 
     async def _wait_for_room(self, browser: _Browser) -> None:
-        """Lets a browser wait that sends too much; its messages stay in its connection."""
         while (
             len(self._said) >= _MOST_SAID
             and browser.id == self._holder
@@ -127,7 +120,6 @@ class Browsers:
             await asyncio.sleep(browser.second + 1.0 - now)
 
     async def _send_all(self, browser: _Browser) -> None:
-        """Sends what changes, as fast as a browser answers."""
         send, seen = browser.connection.send, 0
         you = {"id": browser.id, "isLocal": browser.sender.is_local, "key": browser.key}
         try:
@@ -192,15 +184,9 @@ class Browsers:
 
 
 class _Browser:
-    """A connection, and what is on its way to it.
-
-    Attributes:
-        key: shows that an upload comes from the same page as this connection.
-    """
-
     def __init__(self, id_: int, connection: ServerConnection) -> None:
         self.id, self.connection = id_, connection
-        self.sender = Sender(id_, is_local(connection))
+        self.sender = MessageSender(id_, is_local(connection))
         self.key = secrets.token_urlsafe(16)
         self.wake = asyncio.Event()
         self.wake.set()

@@ -30,12 +30,7 @@ class CompressedResponses:
         self._kept: collections.OrderedDict[tuple[int, int], bytes] = collections.OrderedDict()
 
     def compress(self, request: Request, response: Response) -> None:
-        """Replaces the body of a response by a compressed one where that helps.
-
-        Args:
-            request: of the browser.
-            response: status 200, or it is left as it is.
-        """
+        """Replaces the body of a response of status 200 by a compressed one, if that helps."""
         body, headers = response.body, response.headers
         if response.status_code != 200 or not body or len(body) < _SMALLEST:
             return
@@ -65,7 +60,6 @@ class CompressedResponses:
 
 
 def _only(headers: Headers, name: str) -> str:
-    """Returns a header of a request; empty without one, or with several."""
     try:
         return headers.get(name, "") or ""
     except MultipleValuesError:

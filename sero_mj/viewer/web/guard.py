@@ -93,13 +93,10 @@ class Guard:
     """Checks every request, and prevents other sites from reading the responses.
 
     Args:
-        bound: the IP address that the server listens on.
-        host: the address or name that the user specified for it.
-        token: required token; None for none.
+        bound: IP address that the server listens on.
+        host: address or name that the user specified for it.
+        token: required token, if any.
         public: paths of the page's own files, which need no token.
-
-    Attributes:
-        refused: number of refused requests.
     """
 
     def __init__(
@@ -113,7 +110,6 @@ class Guard:
         self._names = {"localhost", host.lower(), self._machine} - {""}
 
     def refusal(self, request: Request) -> Response | None:
-        """Returns a refusal of a request; None for one that may be answered."""
         path, _, query = request.path.partition("?")
         reason = self._refusal(request.headers, path, query)
         return None if reason is None else self._refuse(path, reason)
@@ -129,7 +125,6 @@ class Guard:
             headers["Content-Security-Policy"] = _POLICY
 
     def _refusal(self, headers: Headers, path: str, query: str) -> str | None:
-        """Returns why a request is refused, or None."""
         reason = self._cross_site_reason(headers, path)
         if reason is not None:
             return reason
@@ -146,7 +141,6 @@ class Guard:
         return None
 
     def _cross_site_reason(self, headers: Headers, path: str) -> str | None:
-        """Returns how a request differs from one of the page itself, or None."""
         try:
             host, origin = headers["Host"], headers.get("Origin")
             site, mode = headers.get("Sec-Fetch-Site", ""), headers.get("Sec-Fetch-Mode", "")
@@ -200,7 +194,7 @@ def _host_name(host: str) -> str:
 
 
 def _token_of(query: str) -> str | None:
-    """Returns the token of a query; None without one, an empty text for an unreadable query."""
+    """Returns the token of a query; None without one, an empty text if the query is malformed."""
     try:
         fields = urllib.parse.parse_qs(query, keep_blank_values=True, max_num_fields=20)
     except ValueError:

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import time
 import urllib.parse
-from collections.abc import Mapping
-from importlib.resources import files
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import mujoco
-
-from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ..host.live import LiveHost
 from ..image.film import Pixels
 from ..image.picture_options import DEFAULT_SIZE
-from ..image.sampling import recorded_poses
 from ..image.scene_decor import SceneDecor
-from ..player.page import look_asked_for
+from ..player.page import live_page, look_asked_for, player_files
 from .browsers import Browsers
 from .messages import ForScene
 from .page_input import PageInput
@@ -26,14 +21,13 @@ from .page_panels import PagePanels
 from .page_state import PageState
 from .page_view import PageView
 from .sections import Sections
-from .server import LOOPBACK, Listener, PageServer
+from .server import LOOPBACK, PageListener, PageServer
 from .uploads import NOT_IN_CONTROL, drops
 
 if TYPE_CHECKING:
     from ..image.render import HeadlessRenderer
 
 RATE = 60.0  # frames per second
-_PLAYER = files("sero_mj.viewer.player") / "static"
 
 
 class WebHost(LiveHost):
@@ -42,18 +36,13 @@ class WebHost(LiveHost):
     Any number of browsers can connect; one at a time has control by mouse, keys and panels.
 
     Args:
-        mirror: must be open; is driven by the page's clock.
+        mirror: an open mirror, driven by the page's clock.
         camera: see `find_camera`.
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
         token: see `PageServer`.
         waits: whether recordings and simulations start when the first browser connects.
         folder: see `LiveHost`.
-
-    Attributes:
-        server: of the page.
-        browsers: that look at it.
-        view: the camera of the browser in control.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -66,17 +55,15 @@ class WebHost(LiveHost):
         *,
         camera: str | None = None,
         host: str = LOOPBACK,
-        port: int | Listener = 0,
+        port: int | PageListener = 0,
         token: bool | str = True,
         waits: bool = False,
         folder: Path | None = None,
     ) -> None:
-        self.view = PageView(mirror.world, camera)
-        self.navigator = self.view.navigator
-        # Before anything listens to packets.
-        self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
-        super().__init__(mirror, folder)
+        super().__init__(mirror, folder, camera)
         world = self.world
+        self.view = PageView(world, self.navigator)
+        self.shows_panel = True
         self._renderer: HeadlessRenderer | None = None  # of screenshots and films
         self.decor = SceneDecor(world, self.toggles)
         self._sections = Sections()
@@ -85,17 +72,16 @@ class WebHost(LiveHost):
         self.decor.add(self._state)  # the last one: it takes what all others have drawn
         self._is_held = waits and not self.clock.is_live
         self._is_closing = self._is_closed = False
-        self.actions.add({"link": self._copy_link, "panel": self.toggle_status})
+        self.actions.add(
+            {"link": self._copy_link, "status_line": partial(self.toggle, "shows_panel")}
+        )
         self.browsers = Browsers(self._sections, ForScene)
         self._panels = PagePanels(self, self._sections)
         self._input = PageInput(self, self.view, self._panels)
         self._dropped: list[Path] = []
-        page = (_PLAYER / "live.html").read_text("utf-8").replace("%%TITLE%%", "sero-mj")
-        page = page.replace("%%LOOK%%", look_asked_for(world.scene))
-        own = {name: (_PLAYER / name).read_bytes() for name in ("player.js", "player.css")}
         self.server = PageServer(
-            page,
-            own,
+            live_page(look_asked_for(world.scene)),
+            player_files(),
             self.browsers.talk,
             "/live",
             self._may_upload,
@@ -111,27 +97,22 @@ class WebHost(LiveHost):
 
     @property
     def url(self) -> str:
-        """Address of the page for browsers on this machine, with its token if it has one."""
         return self.server.url
 
     @property
     def urls(self) -> list[str]:
-        """All addresses of the page, including that for other machines if they can reach it."""
         return self.server.urls
 
     @property
     def is_open(self) -> bool:
-        """Whether it serves, and was not asked to end."""
         return self.server.is_running and not (self._is_closing or self._is_closed)
 
     @property
     def is_seen(self) -> bool:
-        """Whether a browser is connected."""
         return self.browsers.are_there
 
     @property
     def is_due(self) -> bool:
-        """Whether it is time for the next frame."""
         return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
 
     def frame(self, *, wait: bool = True) -> bool:
@@ -166,8 +147,8 @@ class WebHost(LiveHost):
         )
         self.server.call(self.browsers.wake)
         self.work = time.monotonic() - begin
-        self._give_picture(self.picture)
-        if not self.takes_pictures:
+        self.tools.give_picture(self.picture)
+        if not self.tools.takes_pictures:
             self._end_renderer()
         return self.is_open
 
@@ -175,10 +156,7 @@ class WebHost(LiveHost):
 
     @property
     def link(self) -> str:
-        """Address that opens the page with this view: camera, switches, selection, time.
-
-        It has no token: it is for browsers that have opened the page before.
-        """
+        """Address of the page with this view, without the token, which browsers store."""
         view = urllib.parse.quote(self.view_state().to_text(), safe="")
         return f"{self.server.plain_url}#view={view}"
 
@@ -186,66 +164,16 @@ class WebHost(LiveHost):
         self.to_clipboard(self.link)
         return "copied: a link that opens this view"
 
-    def centre(self, point: Array) -> None:
-        """Makes a point (3,), m, the camera's look-at point."""
-        view = self.decor.view
-        assert view is not None  # there is a picture of the point
-        self.navigator.free(view.position, view.forward)
-        self.navigator.camera.lookat = point
-
-    @property
-    def view_camera(self) -> mujoco.MjvCamera:
-        """See `LiveHost`."""
-        return self.navigator.camera
-
-    @property
-    def is_following(self) -> bool:
-        """See `LiveHost`."""
-        return self.navigator.following is not None
-
-    def choose_camera(self, number: int) -> str:
-        """Selects a camera by number, 1 for the first; 0 for the initial view."""
-        return self.navigator.choose(number)
-
-    def follow(self, frame: str | None) -> str:
-        """Starts following a frame with the camera, or stops; returns a message for the user."""
-        return self.navigator.follow(self.data, frame)
-
     def to_clipboard(self, text: str) -> None:
-        """See `LiveHost`: that of the browser in control."""
         self.browsers.tell({"copy": text})
-
-    # ---- what is kept
-
-    @property
-    def layout(self) -> dict[str, bool]:
-        """See `LiveHost`."""
-        return {**super().layout, "panel": self._panels.shows_panel}
-
-    def show_layout(self, layout: Mapping[str, bool]) -> None:
-        """See `LiveHost`."""
-        super().show_layout(layout)
-        self._panels.shows_panel = layout.get("panel", self._panels.shows_panel)
-
-    def open_panel(self) -> None:
-        """Shows the panel."""
-        self._panels.shows_panel = True
-
-    def toggle_status(self) -> None:
-        """Shows or hides the panel."""
-        self._panels.shows_panel = not self._panels.shows_panel
 
     # ---- pictures
 
     @property
     def picture_size(self) -> tuple[int, int]:
-        """See `LiveHost`: whatever the size of the page."""
-        from ..image.picture_options import DEFAULT_SIZE
-
         return DEFAULT_SIZE
 
     def picture(self) -> Pixels:
-        """Returns the current view, (height, width, 3), uint8, rendered by the classic renderer."""
         from ..image.render import HeadlessRenderer
 
         if self._renderer is None:
@@ -255,7 +183,6 @@ class WebHost(LiveHost):
         return renderer.render(self.data).copy()
 
     def _may_upload(self, key: str) -> str | None:
-        """See `uploads.MayUpload`."""
         if self.others.opener is None:
             return "files are opened by `sero-mj view` alone"
         return None if self.browsers.is_in_control(key) else NOT_IN_CONTROL
@@ -266,11 +193,9 @@ class WebHost(LiveHost):
             self._renderer = None
 
     def request_close(self) -> None:
-        """Lets the next frame be the last."""
         self._is_closing = True
 
     def close(self) -> None:
-        """Closes the page and informs the browsers."""
         if self._is_closed:
             return
         self._is_closed = True

@@ -1,6 +1,6 @@
 """Messages that browsers send to a page: each kind with its fields, their types and bounds.
 
-`Reader` is the only place that reads a browser's message. A new kind is a class in this file, in
+`MessageReader` is the only place that reads a browser's message. A new kind is a class here, in
 one of the unions `ForScene` and `ForStartPage`, and a handler of the page. All kinds except `Got`
 and `Control` act only if they come from the browser in control, see `Browsers`.
 """
@@ -19,7 +19,7 @@ _MAX_COUNT = 2**31
 _MAX_NUMBER = 1e300
 
 
-class Message(BaseModel):
+class PageMessage(BaseModel):
     """Base of all messages; unknown fields and values of other types are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
@@ -35,19 +35,19 @@ _Path = Annotated[str, Field(max_length=4096)]
 _Id = Annotated[str, Field(max_length=2000)]  # of a widget: labels, with those around it
 
 
-class Got(Message):
+class Got(PageMessage):
     """The browser has received a state, and can receive another one."""
 
     t: Literal["got"]
 
 
-class Control(Message):
+class Control(PageMessage):
     """The browser takes control."""
 
     t: Literal["control"]
 
 
-class PageSize(Message):
+class PageSize(PageMessage):
     """The size of the picture and the width of the page, pixels."""
 
     t: Literal["size"]
@@ -56,7 +56,7 @@ class PageSize(Message):
     page: _Pixels
 
 
-class Camera(Message):
+class CameraMessage(PageMessage):
     """The camera: a camera of the scene, or -1 and a free one."""
 
     t: Literal["camera"]
@@ -67,7 +67,7 @@ class Camera(Message):
     elevation: _Degrees
 
 
-class Pointer(Message):
+class PointerMessage(PageMessage):
     """The pointer at a pixel, from the upper left corner of the picture."""
 
     t: Literal["pointer"]
@@ -79,20 +79,20 @@ class Pointer(Message):
     ctrl: bool = False
 
 
-class Wheel(Message):
+class Wheel(PageMessage):
     """Steps of the wheel, away from the user."""
 
     t: Literal["wheel"]
     n: _Pixel
 
 
-class Hold(Message):
+class HoldMessage(PageMessage):
     """A finger is held still."""
 
     t: Literal["hold"]
 
 
-class Key(Message):
+class KeyMessage(PageMessage):
     """A key or a combination of keys."""
 
     t: Literal["key"]
@@ -100,8 +100,8 @@ class Key(Message):
     repeat: bool = False
 
 
-class Card(Message):
-    """A click on text over the picture: what the text belongs to, and the pixel as in `Pointer`."""
+class Card(PageMessage):
+    """A click on text over the picture: the item of the text, and the pixel of the pointer."""
 
     t: Literal["card"]
     kind: _Index
@@ -111,7 +111,7 @@ class Card(Message):
     shift: bool = False
 
 
-class Widget(Message):
+class Widget(PageMessage):
     """What the user did with a widget of a panel."""
 
     t: Literal["widget"]
@@ -125,7 +125,7 @@ class Widget(Message):
     )
 
 
-class Fold(Message):
+class Fold(PageMessage):
     """A section of a panel is folded or unfolded."""
 
     t: Literal["fold"]
@@ -134,28 +134,28 @@ class Fold(Message):
     open: bool
 
 
-class CloseArea(Message):
+class CloseArea(PageMessage):
     """The user closes an area beside the picture."""
 
     t: Literal["close"]
     area: _Name
 
 
-class View(Message):
+class ViewMessage(PageMessage):
     """A view from a link, see `ViewState.from_text`."""
 
     t: Literal["view"]
     text: Annotated[str, Field(max_length=20_000)]
 
 
-class OpenTile(Message):
+class OpenTile(PageMessage):
     """The user opens a tile of the start page."""
 
     t: Literal["tile"]
     number: _Index
 
 
-class OpenShown(Message):
+class OpenShown(PageMessage):
     """The user opens a scene that shows received packets."""
 
     t: Literal["shown"]
@@ -167,16 +167,16 @@ ForAll = Got | Control
 ForScene = (
     ForAll
     | PageSize
-    | Camera
-    | Pointer
+    | CameraMessage
+    | PointerMessage
     | Wheel
-    | Hold
-    | Key
+    | HoldMessage
+    | KeyMessage
     | Card
     | Widget
     | Fold
     | CloseArea
-    | View
+    | ViewMessage
 )
 ForStartPage = ForAll | OpenTile | OpenShown
 
@@ -185,7 +185,7 @@ class Left(NamedTuple):
     """The browser in control has gone or lost control; made by the server, not read."""
 
 
-class Sender(NamedTuple):
+class MessageSender(NamedTuple):
     """The browser that has sent a message.
 
     Attributes:
@@ -198,26 +198,21 @@ class Sender(NamedTuple):
 
 
 class Said(NamedTuple):
-    """A message, and the browser that has sent it."""
+    """A message with its sender."""
 
-    message: Message | Left
-    sender: Sender
+    message: PageMessage | Left
+    sender: MessageSender
 
 
-class Reader:
-    """Reads messages of the kinds of a page.
-
-    Args:
-        kinds: `ForScene` or `ForStartPage`.
-    """
+class MessageReader:
+    """Reads the messages of `ForScene` or `ForStartPage`."""
 
     def __init__(self, kinds: Any) -> None:
-        self.kinds: tuple[type[Message], ...] = get_args(kinds)
+        self.kinds: tuple[type[PageMessage], ...] = get_args(kinds)
         found: Any = Annotated[kinds, Field(discriminator="t")]
-        self._adapter: TypeAdapter[Message] = TypeAdapter(found)
+        self._adapter: TypeAdapter[PageMessage] = TypeAdapter(found)
 
-    def read(self, message: str | bytes) -> Message | None:
-        """Returns a message; None if it is not one of these kinds, or not within their bounds."""
+    def read(self, message: str | bytes) -> PageMessage | None:
         # The parser limits nesting; texts that are too long are not parsed.
         if not isinstance(message, str) or len(message) > MAX_BYTES:
             return None

@@ -43,17 +43,12 @@ def in_notebook() -> bool:
 
 
 def has_channel() -> bool:
-    """Whether the package is there that carries messages of pages."""
+    """Whether anywidget, which carries the messages of pages, is installed."""
     return find_spec("anywidget") is not None
 
 
 def show_address(title: str, url: str) -> None:
-    """Says in the cell where a page is, and what is missing to show it there.
-
-    Args:
-        title: of the page.
-        url: of the page.
-    """
+    """Shows in the cell the address of a page, and what to install to show the page itself."""
     _display(
         f'<p>{html.escape(title)} is at <a href="{url}" target="_blank">{url}</a>; '
         "<code>pip install 'sero-mj[notebook]'</code> shows it here.</p>",
@@ -66,13 +61,6 @@ def _shell() -> Any:
 
 
 class _Kernel:
-    """This kernel, which hears no page while it runs a cell.
-
-    Attributes:
-        is_busy: whether it runs one; it does so when this is made.
-        freed: when it has ended the last one, s of `time.monotonic`.
-    """
-
     def __init__(self) -> None:
         self.is_busy, self.freed = True, time.monotonic()
         events = _shell().events
@@ -93,9 +81,9 @@ class Cells:
     """The cells of a notebook that show a viewer.
 
     Args:
-        title: of the page.
+        title: title of the page.
         look: see `look_asked_for`.
-        url: of the page, for programs on this machine.
+        url: address of the page on this machine.
         tell: sends a message to the tool `shown_run` of the viewer.
     """
 
@@ -105,41 +93,26 @@ class Cells:
         self._is_last = threading.Event()
 
     def show(self) -> None:
-        """Shows the page in the cell that runs."""
         self._cells.append(_Cell(self._title, self._look, self._url))
         self._tell("begin")
 
     def keep(self, run: str) -> None:
-        """Keeps a run in all cells, for when there is no kernel."""
         for cell in self._cells:
             cell.keep(run)
         self._is_last.set()
 
     def keep_last(self) -> None:
-        """Keeps the run until now; call it before the viewer is closed."""
+        """Saves the run up to now. Call this before closing the viewer."""
         self._is_last.clear()
         self._tell("now")
         self._is_last.wait(_LAST_RUN)
 
     def close(self, *, tells: bool = True) -> None:
-        """Ends all connections.
-
-        Args:
-            tells: whether pages are told; a kernel that ends cannot send any more.
-        """
         for cell in self._cells:
             cell.close(tells=tells)
 
 
 class _Cell:
-    """The outputs of one cell.
-
-    Args:
-        title: of the page.
-        look: see `look_asked_for`.
-        url: of the page, for programs on this machine.
-    """
-
     def __init__(self, title: str, look: str, url: str) -> None:
         self._id = secrets.token_hex(8)
         self._url = url
@@ -156,12 +129,10 @@ class _Cell:
         self._open(_FIRST)
 
     def keep(self, run: str, *, is_update: bool = True) -> None:
-        """Keeps a run in the notebook."""
         kept = f'<div hidden data-sero-mj-run="{self._id}">{run}</div>'
         _display(kept, display_id=f"sero-mj {self._id}", update=is_update)
 
     def close(self, *, tells: bool) -> None:
-        """Ends all connections, see `Cells.close`."""
         for visitor in [*self._visitors.values()]:
             visitor.close(tells=tells)
         self._visitors.clear()
@@ -187,17 +158,6 @@ class _Cell:
 
 
 class _Visitor:
-    """A browser that shows a cell: its connection with the viewer's server.
-
-    Args:
-        url: of the page.
-        send: sends the page a message.
-        kernel: that hears the page.
-
-    Attributes:
-        is_gone: whether the connection has ended.
-    """
-
     def __init__(self, url: str, send: Send, kernel: _Kernel) -> None:
         self._url, self._send = url, send
         self._kernel, self._heard = kernel, time.monotonic()
@@ -209,7 +169,6 @@ class _Visitor:
         threading.Thread(target=self._run, name="sero-mj cell", daemon=True).start()
 
     def hear(self, kind: str, text: Any) -> None:
-        """Takes what the page says: something to its server, that it is there, or that it goes."""
         self._heard = time.monotonic()
         if kind == "close":
             self.close()
@@ -227,7 +186,6 @@ class _Visitor:
                 self._socket.send(text)
 
     def close(self, *, tells: bool = True) -> None:
-        """Ends the connection, see `Cells.close`."""
         if not tells:
             self._send = lambda message, buffers: None
         if self._socket is not None:
@@ -245,7 +203,6 @@ class _Visitor:
         self._send({"kind": "closed"}, [])
 
     def _carry(self, socket: ClientConnection) -> None:
-        """Carries messages to the page, until it says nothing any more."""
         told, kernel = time.monotonic(), self._kernel
         while kernel.is_busy or time.monotonic() - max(self._heard, kernel.freed) < _GONE:
             try:
@@ -264,7 +221,6 @@ class _Visitor:
                 self._send({"kind": "message", "message": message}, [])
 
     def _answer(self) -> None:
-        """Answers for the page, whose answers wait until the cell that runs has ended."""
         with self._lock:
             is_owed = self._ahead > 0
             self._ahead -= is_owed
@@ -280,7 +236,6 @@ def _display(page: str, text: str = "", **keywords: Any) -> None:
 
 
 def _bridge(cell: str) -> Any:
-    """Returns the widget that carries the messages of a cell's pages; it has no view."""
     import anywidget
     import traitlets
 

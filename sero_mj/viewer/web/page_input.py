@@ -15,19 +15,19 @@ from ..image.picking import Picked, Pixel, picked_of
 from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.view_state import ViewState
 from .messages import (
-    Camera,
+    CameraMessage,
     Card,
     CloseArea,
     Fold,
-    Hold,
-    Key,
+    HoldMessage,
+    KeyMessage,
     Left,
-    Message,
+    MessageSender,
+    PageMessage,
     PageSize,
-    Pointer,
+    PointerMessage,
     Said,
-    Sender,
-    View,
+    ViewMessage,
     Wheel,
     Widget,
 )
@@ -38,44 +38,37 @@ log = logging.getLogger(__name__)
 
 
 class PageInput:
-    """Acts on messages of the browser in control; those that do not fit are counted and ignored.
-
-    Args:
-        host: of the page.
-        view: of the page.
-        panels: of the page.
+    """Acts on messages of the browser in control, and counts those about what does not exist.
 
     Attributes:
-        wrong: number of messages about something that is not there.
-        sender: the browser whose message is handled.
+        wrong: number of these.
+        sender: browser whose message is handled.
         is_dragging: whether a tool has the drag, and the camera stays.
-        is_on_handle: whether the pointer is over a handle.
     """
 
     def __init__(self, host: LiveHost, view: PageView, panels: PagePanels) -> None:
         self._host, self._page_view, self._panels = host, view, panels
         self._mouse = Mouse()
         self.wrong = 0
-        self.sender = Sender(0, is_local=False)
+        self.sender = MessageSender(0, is_local=False)
         self.is_dragging = self.is_on_handle = False
         # One for each kind of `ForScene`, except those that `Browsers` handles.
-        self._acts: dict[type[Message | Left], Callable[[Any], None]] = {
+        self._acts: dict[type[PageMessage | Left], Callable[[Any], None]] = {
             PageSize: self._size,
-            Camera: self._camera,
-            Pointer: self._pointer,
+            CameraMessage: self._camera,
+            PointerMessage: self._pointer,
             Wheel: self._wheel,
-            Hold: self._hold,
-            Key: self._key,
+            HoldMessage: self._hold,
+            KeyMessage: self._key,
             Card: self._card,
             Widget: self._widget,
             Fold: self._fold,
             CloseArea: self._close,
-            View: self._view,
+            ViewMessage: self._view,
             Left: self._leave,
         }
 
     def take(self, said: Iterable[Said]) -> None:
-        """Acts on messages, the oldest first."""
         for message, sender in said:
             self.sender = sender
             try:
@@ -96,16 +89,16 @@ class PageInput:
         self._panels.fit(said.page)
         self._look_again()
 
-    def _camera(self, said: Camera) -> None:
+    def _camera(self, said: CameraMessage) -> None:
         numbers = (said.distance, said.azimuth, said.elevation)
         self._page_view.take(said.fixed, said.lookAt, numbers)
         self._look_again()
 
     def _look_again(self) -> None:
-        """Lets pixels be those of the camera as it is now, before one is pressed."""
+        """Uses the current camera for the next click."""
         self._host.decor.view = self._page_view.picture(self._host.data)
 
-    def _pointer(self, said: Pointer) -> None:
+    def _pointer(self, said: PointerMessage) -> None:
         if said.kind == "leave":  # a finger was taken away: what was pressed is not released
             self._leave()
             return
@@ -120,11 +113,12 @@ class PageInput:
         elif isinstance(found, Moved):
             places = (found.pulls_from, found.pressed)
             self.is_dragging |= pointer.dragging.take(found, at, *places)
-        if not self._mouse.is_down:
+        is_click = isinstance(found, Clicked) and not self.is_dragging
+        if not (self._mouse.is_down or is_click):
             self.is_dragging = False
             pointer.dragging.release()
 
-    def _pixel(self, said: Pointer | Card) -> Pixel:
+    def _pixel(self, said: PointerMessage | Card) -> Pixel:
         return said.x, self._page_view.size[1] - said.y
 
     def _is_inside(self, at: Pixel) -> bool:
@@ -133,7 +127,7 @@ class PageInput:
 
     def _click(self, clicked: Clicked, picked: Picked | None = None) -> None:
         if self._host.shows_help:
-            self._host.toggle_help()
+            self._host.toggle("shows_help")
         else:
             self._host.pointer.click(clicked, picked)
 
@@ -142,15 +136,15 @@ class PageInput:
             pointer = self._host.pointer
             pointer.dragging.take(Moved("zoom", 0.0, said.n), pointer.at, None, None)
 
-    def _hold(self, said: Hold) -> None:
+    def _hold(self, said: HoldMessage) -> None:
         del said
         if self._mouse.is_down and self._mouse.hold(self._host.pointer.dragging.announce):
             self.is_dragging = True
 
-    def _key(self, said: Key) -> None:
+    def _key(self, said: KeyMessage) -> None:
         if said.key == "escape":
             if self._host.shows_help:
-                self._host.toggle_help()
+                self._host.toggle("shows_help")
             else:
                 self._host.others.dismiss()
             return
@@ -169,18 +163,18 @@ class PageInput:
         self._panels.fold(said.tree, said.id, is_open=said.open)
 
     def _close(self, said: CloseArea) -> None:
-        for tool in self._host.areas:
+        for tool in self._host.tools.areas:
             if tool.area == said.area:
                 tool.shows_area = False
 
-    def _view(self, said: View) -> None:
+    def _view(self, said: ViewMessage) -> None:
         try:
             show_state(self._host, ViewState.from_text(said.text))
         except UsageError as error:
             self._host.say(str(error), is_bad=True)
 
     def _leave(self, said: Left | None = None) -> None:
-        """The browser that had control has gone, and a button is no longer down."""
+        """Releases a button that the browser in control can no longer release."""
         del said
         self._mouse, self._host.pointer.at, self.is_dragging = Mouse(), None, False
         self._host.pointer.dragging.release()

@@ -10,7 +10,7 @@ from ..host.live import LiveHost
 from ..panels import help as help_panel
 from ..panels import request_panel
 from ..panels.dom_widgets import DomWidgets, Node
-from ..panels.time_line import build_time_line
+from ..panels.status_line import build_time_line
 from ..session.keys import help_columns
 from ..session.status_line import status_pieces
 from ..session.tool import Tool, tool_keys
@@ -26,15 +26,7 @@ _TALL = 400.0  # a panel's height, which is scrolled
 
 
 class PagePanels:
-    """Builds the panels of a page some times a second, and puts them into its state.
-
-    Args:
-        host: of the page.
-        sections: of the page.
-
-    Attributes:
-        shows_panel: whether the panel is shown.
-    """
+    """Builds the panels of a page some times a second, and puts them into its sections."""
 
     def __init__(self, host: LiveHost, sections: Sections) -> None:
         self._host, self._sections = host, sections
@@ -42,40 +34,37 @@ class PagePanels:
         self._built = float("-inf")
         self._is_asked = False
         self._is_narrow, self._width = False, 1280
-        self.shows_panel = True
 
     def act(self, tree: str, id_: str, value: Any) -> None:
-        """Notes what the user did with a widget of a tree."""
         if tree in self._trees:
             self._trees[tree].act(id_, value)
             self._is_asked = True
 
     def fold(self, tree: str, id_: str, *, is_open: bool) -> None:
-        """Folds or unfolds a section of a tree."""
         if tree in self._trees:
             self._trees[tree].fold(id_, is_open=is_open)
             self._is_asked = True
 
     def fit(self, width: int) -> None:
-        """Hides the panel where a page becomes narrow, shows it where it becomes wide, pixels."""
+        """Hides the panel if the page becomes narrow, and shows it if the page becomes wide."""
         if self._is_narrow != (width < _NARROW):
             self._is_narrow = width < _NARROW
-            self.shows_panel = not self._is_narrow
+            self._host.shows_panel = not self._is_narrow
         self._width = width
 
     def put(
         self, frame_rate: float, geoms: int, size: tuple[int, int], *, is_local: bool | None = None
     ) -> None:
-        """Puts the panels; less often than pictures, but at once where the user has acted.
+        """Puts the panels, less often than pictures, but at once if the user has acted.
 
         Args:
             frame_rate: frames per second.
             geoms: number of geoms of decor.
             size: of the picture, pixels.
-            is_local: whether the browser in control is on this machine; None without one.
+            is_local: whether the browser in control is on this machine; None if there is none.
         """
         host, put, now = self._host, self._sections.put, time.monotonic()
-        ongoing = host.ongoing
+        ongoing = host.tools.ongoing
         put("message", list(host.notice.piece) if host.notice.is_shown else None)
         put("ongoing", None if ongoing is None else list(ongoing))
         if not self._is_asked and now - self._built < _INTERVAL:
@@ -84,7 +73,7 @@ class PagePanels:
         put("about", {"title": host.world.scene.name, "geoms": geoms})
         sources = host.mirror.sources.values()
         put("status", [list(piece) for piece in status_pieces(sources, host.clock, frame_rate)])
-        self._put_tree("panel", self.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
+        self._put_tree("panel", self._host.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
         wide = self._width / _EM
         self._put_tree("timeLine", host.has_time_line, self._time_line, (wide, 2.0))
         room = min(help_panel.WIDTH, wide - 2), _TALL
@@ -92,7 +81,7 @@ class PagePanels:
         room = min(request_panel.WIDTH, wide - 2), _TALL
         is_asked = host.others.asks and is_local is not None
         put("request", self._request(room, is_local=bool(is_local)) if is_asked else None)
-        areas = host.areas
+        areas = host.tools.areas
         high = size[1] / _EM / max(len(areas), 1) - _FRAME
         room = min(_AREA_WIDTH, wide), max(min(_AREA_HEIGHT, high), 0.0)
         put("areas", [self._area(tool, room) for tool in areas])
@@ -134,7 +123,7 @@ class PagePanels:
             self._host.actions.perform("link")
 
     def _time_line(self, ui: DomWidgets) -> None:
-        build_time_line(ui, self._host.clock, self._host.ticks)
+        build_time_line(ui, self._host.clock, self._host.tools.ticks)
 
     def _help(self, ui: DomWidgets) -> None:
         help_panel.build_help(ui, help_columns(tool_keys(), on_page=True))

@@ -23,45 +23,32 @@ _MOST_METRES = 1e6
 
 
 class PageView:
-    """The camera of a page, and the size of its picture.
+    """The camera of a page, and the size of its picture."""
 
-    Args:
-        world: that is seen.
-        camera: see `find_camera`.
-
-    Attributes:
-        navigator: moves the camera.
-        size: of the picture, pixels.
-
-    Raises:
-        UnknownName: no camera of that name.
-    """
-
-    def __init__(self, world: WorldView, camera: str | None) -> None:
+    def __init__(self, world: WorldView, navigator: Navigator) -> None:
         self._world = world
-        self.navigator = Navigator(world, camera)
+        self.navigator = navigator
         self.size = _SIZE
         self._scene = mujoco.MjvScene(world.model, maxgeom=0)  # for its camera
         self._last: tuple[object, ...] = ()  # camera that browsers know of
         self._serial = 0  # counts how often the host has moved it
 
     def picture(self, data: mujoco.MjData) -> PictureView:
-        """Returns the view of the browser in control, of a state with frames up to date."""
         scene, camera, (width, height) = self._scene, self.navigator.camera, self.size
         mujoco.mjv_updateCamera(self._world.model, data, camera, scene)
         stand_back(scene, camera, width, height, self.navigator.needed)
         return PictureView.of_scene(scene, width, height, _FONT)
 
     def take(self, fixed: int, look_at: Sequence[float], numbers: Sequence[float]) -> None:
-        """Takes the camera of the browser in control, which it need not be told.
+        """Takes the camera of the browser in control, which is not sent back to it.
 
         Args:
             fixed: index of the scene's camera; -1 for a free one.
-            look_at: what it looks at, (3,), m; what is followed stays followed.
-            numbers: distance, m, azimuth and elevation, degrees.
+            look_at: look-at point (3,), m; ignored while the camera follows a frame.
+            numbers: distance in m, azimuth and elevation in degrees.
 
         Raises:
-            ValueError: these are none of a camera.
+            ValueError: there is no such camera.
         """
         every = np.array([*look_at, *numbers], float)
         is_good = every.shape == (6,) and np.isfinite(every).all() and every[3] > 0
@@ -83,12 +70,7 @@ class PageView:
                 camera.elevation, *looks_at)  # fmt: skip
 
     def put(self, sections: Sections, holder: int | None) -> None:
-        """Puts the camera: others follow it, and the one in control where the host has moved it.
-
-        Args:
-            sections: of the page.
-            holder: who is in control.
-        """
+        """Puts the camera, which `holder` follows only if the host has moved it."""
         camera, key, by = self.navigator.camera, self._key(), holder
         if key != self._last:
             self._last, by = key, None

@@ -1,7 +1,7 @@
 """`Sections`: the state of a page in named parts, of which a browser is sent what has changed.
 
-A browser that is slow misses states, and never a part: each message has the newest of all that
-changed since the last one. `js/src/protocol.js` reads messages.
+A slow browser misses states, but no part: a message has the newest of all that changed since the
+last one. `js/src/sections.js` reads messages.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ class Sections:
 
     @property
     def version(self) -> int:
-        """Counts changes."""
         return self._version
 
     def put(self, name: str, value: Any) -> None:
@@ -44,11 +43,7 @@ class Sections:
                 self._found[name] = self._version, content
 
     def since(self, seen: int) -> tuple[bytes | None, int]:
-        """Returns a message with all that changed, None for nothing; and the version it leads to.
-
-        Args:
-            seen: version that the last message has led to; 0 before the first one.
-        """
+        """Returns a message with all that changed after a version, or None; and the new version."""
         with self._lock:
             now = self._version
             if seen == now:

@@ -51,13 +51,12 @@ _TWINS = {"127.0.0.1": "::1", "::1": "127.0.0.1", "0.0.0.0": "::1"}
 Talk = Callable[[ServerConnection], Awaitable[None]]
 
 
-class Answer(NamedTuple):
+class PageAnswer(NamedTuple):
     """The body of an answer.
 
     Attributes:
-        body: of it.
-        ending: `.html`, ..., which says its type.
-        is_kept: whether browsers may keep it, and ask whether it has changed.
+        ending: file name ending, which gives the type, such as `.html`.
+        is_kept: whether browsers may store it, and ask whether it has changed.
     """
 
     body: bytes
@@ -70,22 +69,15 @@ class PageServer:
 
     Args:
         page: HTML, without secrets.
-        files: of the page, by their name, without secrets.
-        talk: is given every connection to the websocket at `socket_path`.
-        socket_path: of the websocket.
+        files: files of the page by name, without secrets.
+        talk: called with every connection to the websocket at `socket_path`.
+        socket_path: path of the websocket.
         may_upload: see `take_files`.
-        on_file: is given what was dropped on the page.
-        find: answers other paths, given path and query; None for one that is not there.
+        on_file: called with each file that was dropped on the page.
+        find: answers other paths, from path and query; None for one that does not exist.
         host: address to listen on.
         port: 0 for the first free one from 8080 on; or a listener, which outlives the page.
-        token: whether the page needs a secret token, which its address contains; a text is that
-            token.
-
-    Attributes:
-        port: that it listens on.
-        address: IP address that it listens on.
-        token: in the page's address; None without.
-        guard: checks requests.
+        token: secret token that the page needs, or whether it gets one.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -101,9 +93,9 @@ class PageServer:
         may_upload: MayUpload,
         on_file: Callable[[Path], None],
         *,
-        find: Callable[[str, str], Answer | None] = lambda path, query: None,
+        find: Callable[[str, str], PageAnswer | None] = lambda path, query: None,
         host: str = LOOPBACK,
-        port: int | Listener = 0,
+        port: int | PageListener = 0,
         token: bool | str = True,
     ) -> None:
         self.is_private = is_loopback(check_address(host))
@@ -112,7 +104,7 @@ class PageServer:
             self.token = token if isinstance(token, str) else make_token()
         elif not self.is_private:
             raise UsageError(f"host {host}: a page for other machines needs a token")
-        listener = port if isinstance(port, Listener) else Listener(host, port)
+        listener = port if isinstance(port, PageListener) else PageListener(host, port)
         self._sockets = [each.dup() for each in listener.sockets]
         if listener is not port:
             listener.close()
@@ -146,7 +138,6 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Address of the page for browsers on this machine, with its token if it has one."""
         return page_url(self._host, self.port, self.token)
 
     @property
@@ -157,17 +148,15 @@ class PageServer:
 
     @property
     def is_running(self) -> bool:
-        """Whether it serves."""
         return self._thread.is_alive()
 
     def call(self, act: Callable[[], object]) -> None:
-        """Lets the server's thread do something soon."""
+        """Runs a function on the server's thread soon."""
         if self.loop is not None:
             with contextlib.suppress(RuntimeError):  # it has just ended
                 self.loop.call_soon_threadsafe(act)
 
     def close(self) -> None:
-        """Ends the server and all connections."""
         if self._stop is not None and self._thread.is_alive():
             self.call(self._stop.set)
         self._thread.join()
@@ -217,13 +206,13 @@ class PageServer:
             headers["Cache-Control"] = "no-store"
         return Response(200, "OK", headers, found.body)
 
-    def _answer(self, path: str, query: str) -> Answer | None:
+    def _answer(self, path: str, query: str) -> PageAnswer | None:
         if path in ("/", "/index.html"):
-            return Answer(self._page, ".html")
+            return PageAnswer(self._page, ".html")
         if path in self._files:
-            return Answer(self._files[path], Path(path).suffix, is_kept=True)
+            return PageAnswer(self._files[path], Path(path).suffix, is_kept=True)
         if path == _WHICH:
-            return Answer(json.dumps({"page": self._path}).encode(), ".json")
+            return PageAnswer(json.dumps({"page": self._path}).encode(), ".json")
         return self._find(path, query)
 
     def _response(
@@ -252,18 +241,11 @@ def static_text(name: str) -> str:
     return (_STATIC / name).read_text("utf-8")
 
 
-class Listener:
+class PageListener:
     """Sockets that listen at an address while pages are served there one after the other.
 
     Between two pages no other process can get the port, and with it the token that browsers send
     there. Connections wait until the next page is served.
-
-    Args:
-        host: address.
-        port: 0 for the first free one from 8080 on.
-
-    Attributes:
-        sockets: the sockets; a page serves duplicates of them.
 
     Raises:
         RenderError: there is no such address or port, or it is in use.
@@ -276,20 +258,15 @@ class Listener:
         self.sockets = listen(host, port)
 
     def close(self) -> None:
-        """Stops listening, except where a page is still served."""
         for each in self.sockets:
             each.close()
 
 
 def listen(host: str, port: int) -> list[socket.socket]:
-    """Returns sockets that listen at an address and, for `localhost`, at its other IP version.
-
-    Args:
-        host: address.
-        port: 0 for the first free one from 8080 on.
+    """Returns sockets at an address and, for `localhost`, at its other IP version.
 
     Raises:
-        RenderError: there is none.
+        RenderError: there are none.
     """
     family, *_, address = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM,
                                              flags=socket.AI_PASSIVE)[0]  # fmt: skip
@@ -312,7 +289,6 @@ def listen(host: str, port: int) -> list[socket.socket]:
 
 
 def _listening(family: int, address: tuple[Any, ...]) -> socket.socket:
-    """Returns a socket that listens; raises OSError."""
     found = socket.socket(family, socket.SOCK_STREAM)
     try:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -326,7 +302,6 @@ def _listening(family: int, address: tuple[Any, ...]) -> socket.socket:
 
 
 def _twin(address: str, port: int) -> list[socket.socket]:
-    """Returns a socket at the other address of `localhost`; raises OSError if it is in use."""
     twin = _TWINS.get(address)
     if twin is None:
         return []
@@ -353,24 +328,13 @@ def check_address(host: str) -> str:
 
 
 def socket_url(url: str, path: str) -> str:
-    """Returns the address of a websocket of a page, with the token of the page.
-
-    Args:
-        url: of the page.
-        path: of the websocket, for example `/live`.
-    """
+    """Returns the address of a websocket of a page at `url`, with the token of the page."""
     parts = urlsplit(url)
     return urlunsplit(("ws", parts.netloc, path, parts.query, ""))
 
 
 def page_url(address: str, port: int, token: str | None = None) -> str:
-    """Returns the address of a page for browsers on this machine.
-
-    Args:
-        address: IP address that the server listens on.
-        port: of the server.
-        token: of the page; None for none.
-    """
+    """Returns the address of a page for browsers on this machine."""
     if address in (*ANY_ADDRESS, LOOPBACK, "::1"):
         address = "localhost"
     query = "" if token is None else f"?token={token}"

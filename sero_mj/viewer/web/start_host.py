@@ -25,9 +25,9 @@ from ..host.start_page import (
 from ..panels.message import Message as Notice
 from ..session.recent_views import RecentView
 from .browsers import Browsers
-from .messages import ForStartPage, Left, Message, OpenShown, OpenTile, Sender
+from .messages import ForStartPage, Left, MessageSender, OpenShown, OpenTile, PageMessage
 from .sections import Sections
-from .server import Answer, Listener, PageServer, static_text
+from .server import PageAnswer, PageListener, PageServer, static_text
 from .uploads import NOT_IN_CONTROL, drops
 
 _LIVE, _TILES, _PICTURES = "/sero-mj/start", "/sero-mj/tiles", "/sero-mj/pictures/"
@@ -36,21 +36,16 @@ _LOOKS = 0.05  # s between two looks at messages of browsers
 
 
 class StartHost:
-    """Shows on a web page what can be opened, until something is.
+    """Serves a page with all that can be opened, until something is opened.
 
     Any number of browsers can connect; one at a time has control, and can open something.
 
     Args:
-        opener: returns what shows what was chosen.
-        listening: hears the data that is awaited.
+        opener: opens what was chosen.
+        listening: receives the data that sources wait for.
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
         token: see `PageServer`.
-
-    Attributes:
-        server: of the page.
-        browsers: that look at it.
-        sender: the browser whose message is handled.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -61,7 +56,7 @@ class StartHost:
         opener: Opener,
         listening: PortMonitor,
         host: str,
-        port: int | Listener = 0,
+        port: int | PageListener = 0,
         *,
         token: bool | str = True,
     ) -> None:
@@ -69,9 +64,9 @@ class StartHost:
         self._page = StartPage(self._open, listening)
         self._sections = Sections()
         self.browsers = Browsers(self._sections, ForStartPage)
-        self.sender = Sender(0, is_local=False)
+        self.sender = MessageSender(0, is_local=False)
         # One for each kind of `ForStartPage`, except those that `Browsers` handles.
-        self._acts: dict[type[Message | Left], Callable[[Any], None]] = {
+        self._acts: dict[type[PageMessage | Left], Callable[[Any], None]] = {
             OpenTile: self._open_tile,
             OpenShown: self._open_shown,
             Left: lambda message: None,
@@ -93,7 +88,7 @@ class StartHost:
         )
 
     def run(self) -> Mirror | None:
-        """Returns what shows the scene that was chosen; None when the server has ended."""
+        """Returns what shows the chosen scene, or None when the server has ended."""
         while self.server.is_running:
             for message, sender in self.browsers.take():
                 self.sender = sender
@@ -112,24 +107,22 @@ class StartHost:
             raise
 
     def _may_upload(self, key: str) -> str | None:
-        """See `uploads.MayUpload`."""
         return None if self.browsers.is_in_control(key) else NOT_IN_CONTROL
 
-    def _find(self, path: str, query: str) -> Answer | None:
+    def _find(self, path: str, query: str) -> PageAnswer | None:
         if path == _TILES:
             words = urllib.parse.parse_qs(query).get("search", [""])[0]
-            return Answer(json.dumps(self._described(words)).encode(), ".json")
+            return PageAnswer(json.dumps(self._described(words)).encode(), ".json")
         tiles, number = self._page.tiles, path.removeprefix(_PICTURES)
         if path.startswith(_PICTURES) and number.isdecimal() and int(number) < len(tiles):
             picture = tiles[int(number)].picture
             try:
-                return Answer(picture.read_bytes() if picture else b"", ".jpg")
+                return PageAnswer(picture.read_bytes() if picture else b"", ".jpg")
             except OSError:
                 return None
         return None
 
     def _described(self, words: str) -> dict[str, Any]:
-        """Returns the texts of the page, and its tiles that have these words in them."""
         numbers = {id(tile): number for number, tile in enumerate(self._page.tiles)}
         return {
             "title": TITLE,
@@ -165,7 +158,6 @@ class StartHost:
             self._page.choose(shown[message.scene])
 
     def _report(self) -> None:
-        """Puts what is awaited, and what is said about the files that were chosen."""
         now = time.monotonic()
         told = self._page.notice
         if told != self._told:
@@ -181,7 +173,6 @@ class StartHost:
         self.server.call(self.browsers.wake)
 
     def close(self) -> None:
-        """Ends the server."""
         self.server.close()
 
     def __enter__(self) -> Self:

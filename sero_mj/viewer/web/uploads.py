@@ -39,7 +39,7 @@ MayUpload = Callable[[str], str | None]
 
 
 def is_for_files(request: Request) -> bool:
-    """Whether a request is that of the script."""
+    """Whether a request comes from the script that uploads files."""
     return request.path.partition("?")[0] == FILES
 
 
@@ -59,18 +59,11 @@ class Drops:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Number of files and bytes that are stored or reserved."""
         sizes = self._sizes.values()
         return sum(each.files for each in sizes), sum(each.bytes for each in sizes)
 
     def reserve(self, files: int, size: int) -> Path:
-        """Returns a new folder for a drop.
-
-        Drops that are not shown any more are deleted if their space is needed.
-
-        Args:
-            files: number of files.
-            size: of all of them, bytes.
+        """Returns a new folder for a drop, and deletes drops that are not shown if space is needed.
 
         Raises:
             UsageError: the drops that are shown or arrive leave too little space.
@@ -99,10 +92,7 @@ class Drops:
                 self._remove(folder)
 
     def show(self, *paths: Path | str) -> None:
-        """Notes which files are shown from now on, after the page before has closed.
-
-        All other drops may be deleted.
-        """
+        """Sets which files are shown from now on; all other drops may be deleted."""
         with self._lock:
             self._shown = self._folders(paths)
             self._arriving.clear()
@@ -127,12 +117,12 @@ drops = Drops()
 async def take_files(
     connection: Any, may_upload: MayUpload, on_file: Callable[[Path], None]
 ) -> None:
-    """Stores the files that the script sends by a connection, and answers what is wrong.
+    """Stores the files that the script sends by a connection, and answers with errors.
 
     Args:
         connection: of `websockets`; its first message lists the files, the others are contents.
-        may_upload: is asked with the key of the first message, also while contents arrive.
-        on_file: is given the file that is to be opened.
+        may_upload: called with the key of the first message, also while contents arrive.
+        on_file: called with the file to open.
     """
     try:
         try:
@@ -173,7 +163,6 @@ async def _take(connection: Any, may_upload: MayUpload) -> Path:
 
 
 async def _take_file(connection: Any, file: Path, size: int, check: Callable[[], None]) -> None:
-    """Writes a file of so many bytes; raises ValueError where others come."""
     file.parent.mkdir(parents=True, exist_ok=True)
     left = size
     with file.open("wb") as stream:
@@ -218,11 +207,7 @@ class Listed(NamedTuple):
 
 
 def read_list(message: str | bytes) -> Listed:
-    """Reads the list of files.
-
-    Raises:
-        UsageError: it is none, or too much.
-    """
+    """Returns the list of files that a message has, or raises UsageError."""
     try:
         listed = _Listed.model_validate_json(message)
     except (ValidationError, UnicodeEncodeError):
@@ -250,10 +235,10 @@ def _checked(text: str) -> PurePosixPath:
 
 
 def main_file(paths: Sequence[PurePosixPath]) -> PurePosixPath:
-    """Returns which of several files is to be opened: the one that is nearest to their folder.
+    """Returns which of several files to open: the one that is nearest to their folder.
 
-    Of several there, the one that is called as a robot's file or as its folder, else the only one
-    in TOML, which names the others.
+    Of several there, the one that is named as a robot's file or as its folder, else the only TOML
+    file, which names the others.
 
     Raises:
         UsageError: there is none, or several.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import mujoco
 from imgui_bundle import ImVec2, imgui
@@ -12,13 +13,11 @@ from ..host.live import LiveHost
 from ..panels import help as help_panel
 from ..panels import request_panel
 from ..panels.robot_panel import build_handle
-from ..panels.status_line import build_status_line
-from ..panels.time_line import build_time_line
+from ..panels.status_line import build_status_line, build_time_line
 from ..session.keys import Row
 from ..session.status_line import Piece
 from .glfw_window import GlWindow
 from .imgui_layer import ImguiLayer
-from .places import Places, Rect, arrange
 
 _HINT = "H help"
 # Below the picture's upper edge, in lines of the window's text.
@@ -39,13 +38,7 @@ _HANDLE_FLAGS = _BAR_FLAGS | _FLAGS.no_background | _FLAGS.always_auto_resize
 class Chrome(ImguiLayer):
     """What a window shows besides its picture.
 
-    Args:
-        gl: the window.
-        host: what is shown of it.
-        columns: of the help.
-
     Attributes:
-        shows_panel: whether the panel is shown.
         covered: width of what covers the left edge of the picture, pixels.
     """
 
@@ -53,18 +46,16 @@ class Chrome(ImguiLayer):
         super().__init__(gl)
         self._host, self._columns = host, columns
         self.widgets.folds = host.folds
-        self.shows_panel = False
         self.covered = 0.0
 
     def places(self, size: tuple[int, int]) -> Places:
-        """Returns where the parts of a window of that size are."""
         host = self._host
         return arrange(
             size,
             self._line,
             has_status=host.shows_status,
             has_time=host.shows_status and host.has_time_line,
-            has_area=bool(host.areas),
+            has_area=bool(host.tools.areas),
         )
 
     @property
@@ -81,22 +72,19 @@ class Chrome(ImguiLayer):
         """Builds everything for a frame.
 
         Args:
-            size: of the window, pixels.
             places: of the window's parts.
-            picture: where it is, which may be smaller than its place.
-            pieces: of the status line.
         """
         self.frame(size, lambda: self._build(places, picture, pieces))
 
     def _build(self, places: Places, picture: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
         host, ui = self._host, self.widgets
-        if places.area is not None and host.areas:
-            first = host.areas[0]
+        if places.area is not None and host.tools.areas:
+            first = host.tools.areas[0]
             with self._part(first.area, places.area, 0.5, 0.4):
                 host.tools.call(first, lambda tool: tool.build_area(ui))
         if places.time is not None:
             with self._part("time", places.time, 0.45, 0.1):
-                build_time_line(ui, host.clock, host.ticks)
+                build_time_line(ui, host.clock, host.tools.ticks)
         if places.status is not None:
             over = (places.status.height - self.text_height) / 2 / self.text_height
             with self._part("status", places.status, 0.55, over):
@@ -104,10 +92,10 @@ class Chrome(ImguiLayer):
         top = self.size[1] - picture.bottom - picture.height
         if host.notice.is_shown:
             self._note("message", host.notice.piece, picture, top + _MESSAGE_TOP * self._line)
-        ongoing = host.ongoing
+        ongoing = host.tools.ongoing
         if ongoing is not None:
             self._note("ongoing", ongoing, picture, top + _ONGOING_TOP * self._line)
-        if self.shows_panel:
+        if host.shows_panel:
             self._panel(places.picture.bottom if places.area is None else places.area.bottom)
         else:
             self._handle()
@@ -118,7 +106,6 @@ class Chrome(ImguiLayer):
 
     @contextmanager
     def _part(self, name: str, rect: Rect, beside: float, above: float) -> Iterator[None]:
-        """A part of the window, with so much of the text's height between it and its contents."""
         unit = self.text_height
         padding = ImVec2(round(beside * unit), round(above * unit))
         imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
@@ -133,7 +120,6 @@ class Chrome(ImguiLayer):
         imgui.end()
 
     def _note(self, name: str, piece: Piece, picture: mujoco.MjrRect, top: float) -> None:
-        """Builds words in the middle of the picture's free width, in several lines if need be."""
         room = picture.width - self.covered - self._line
         padding = 2 * imgui.get_style().window_padding.x
         wide = min(imgui.calc_text_size(piece[0]).x + padding + 1, max(room, 1.0))
@@ -151,7 +137,7 @@ class Chrome(ImguiLayer):
         imgui.pop_style_var(1)
         self.take_mouse()
         if build_handle(self.widgets, "Tab"):
-            self.shows_panel = True
+            self._host.shows_panel = True
         self.covered = _BESIDE_HANDLE * self._line
         imgui.end()
 
@@ -170,7 +156,7 @@ class Chrome(ImguiLayer):
         if shown:
             self._host.build_panel(self.widgets, unfolds_sources=False)
         imgui.end()
-        self.shows_panel = bool(is_open)
+        self._host.shows_panel = bool(is_open)
 
     def _help(self) -> None:
         host = self._host
@@ -191,15 +177,7 @@ class Chrome(ImguiLayer):
         imgui.end()
 
     def _dialog(self, title: str, width: float) -> tuple[bool, bool]:
-        """Begins a dialog in the middle of the window, which scrolls if the window is too small.
-
-        Args:
-            title: of the dialog.
-            width: in units of the text's height.
-
-        Returns:
-            whether its contents are visible, and whether its user keeps it open.
-        """
+        """Begins a dialog in the middle of the window, which scrolls if the window is too small."""
         wide, high = self.size
         margin = round(0.4 * self.text_height)
         width = min(width * self.text_height, wide - 2 * margin)
@@ -210,3 +188,52 @@ class Chrome(ImguiLayer):
         shown, is_open = imgui.begin(title, True, _PANEL_FLAGS)
         self.take_mouse()
         return shown, bool(is_open)
+
+
+# Heights and widths in lines of the window's text.
+_STATUS, _TIME = 1.6, 1.3
+_AREA_SHARE = 0.34  # fraction of the width for the area beside the picture
+_STRIP_SHARE = 0.36  # fraction of the height for the area below the picture, in a narrow window
+_NARROW = 46.0  # in a narrower window the area is below the picture
+_LEAST_STRIP = 10.0  # minimum height
+_LEAST_AREA = 20.0  # minimum width
+
+
+class Rect(NamedTuple):
+    """A rectangle in a window, pixels from its lower left corner."""
+
+    left: int
+    bottom: int
+    width: int
+    height: int
+
+
+class Places(NamedTuple):
+    """Where the parts of a window are; None for one that is not shown."""
+
+    picture: Rect
+    area: Rect | None
+    time: Rect | None
+    status: Rect | None
+
+
+def arrange(
+    size: tuple[int, int], text: int, *, has_status: bool, has_time: bool, has_area: bool
+) -> Places:
+    """Returns the places of a window's parts, which do not cover each other."""
+    width, whole = size
+    low = round(_STATUS * text) if has_status else 0
+    high = round(_TIME * text) if has_time else 0
+    status = Rect(0, 0, width, low) if low else None
+    line = Rect(0, low, width, high) if high else None
+    bottom, height = low + high, max(whole - low - high, 1)
+    if not has_area:
+        return Places(Rect(0, bottom, width, height), None, line, status)
+    if width < _NARROW * text:
+        strip = round(min(max(_STRIP_SHARE * height, _LEAST_STRIP * text), 0.5 * height))
+        picture = Rect(0, bottom + strip, width, max(height - strip, 1))
+        return Places(picture, Rect(0, bottom, width, strip), line, status)
+    beside = round(max(_AREA_SHARE * width, _LEAST_AREA * text))
+    left = width - beside
+    area = Rect(left, bottom, beside, height)
+    return Places(Rect(0, bottom, left, height), area, line, status)

@@ -73,7 +73,6 @@ class PadReader:
         self._looked = float("-inf")
 
     def __call__(self) -> PadState | None:
-        """Returns what its user does; None without a gamepad."""
         if self._joystick < 0:
             now = time.monotonic()
             if now - self._looked < _LOOK_AGAIN:
@@ -96,10 +95,8 @@ class Gamepad:
     """Acts on a host as a gamepad's user wants.
 
     Args:
-        host: whose keys its buttons press.
         move: turns, pans or zooms the view: `orbit`, `pan` or `zoom`, to the right and down, in
             heights of the picture, or notches.
-        read: returns what the user does; None without a gamepad.
 
     Attributes:
         steers: whether the sticks move a target, and not the view.
@@ -119,7 +116,6 @@ class Gamepad:
         self._last = time.monotonic()
 
     def update(self) -> None:
-        """Does what has been wanted since the last frame; says when it comes and goes."""
         now = time.monotonic()
         passed, self._last = min(now - self._last, _LONGEST), now
         state = self.read()
@@ -150,7 +146,6 @@ class Gamepad:
             self._host.actions.press(PAD_KEYS[name][0])
 
     def _goal(self) -> tuple[str, JointGoal, Array] | None:
-        """What the sticks move: the target of a simulated robot, else a robot without data."""
         found = self._host.tools.first(lambda tool: tool.goal())
         return None if found is None else found[1]
 
@@ -166,7 +161,6 @@ class Gamepad:
             self._move("zoom", 0.0, _ZOOM * zoom)
 
     def _steer(self, goal: JointGoal, base: Array, sticks: Array) -> None:
-        """Moves a flange along the picture and into it, and turns it about the world's z."""
         view = self._host.decor.view
         if view is None:
             return

@@ -9,7 +9,7 @@ from typing import Any
 import glfw
 
 from ..image.film import Pixels
-from ..image.typesetting import Placed
+from ..image.typesetting import PlacedPanel
 
 # Of gl.h.
 _ALL_ATTRIBUTES = 0x000FFFFF
@@ -42,13 +42,7 @@ class Blender:
         )
 
     def draw_red(self, pixels: Pixels, left: int, bottom: int) -> None:
-        """Replaces the red of the picture.
-
-        Args:
-            pixels: (height, width, 3), uint8, the lowest row first.
-            left: of the picture in the window, pixels.
-            bottom: of the picture in the window, pixels.
-        """
+        """Replaces the red of the picture."""
         self._push(_ALL_ATTRIBUTES)
         for name in (*_OFF, _BLEND):
             self._disable(name)
@@ -60,14 +54,8 @@ class Blender:
         self._store(_UNPACK_ALIGNMENT, 4)
         self._pop()
 
-    def draw(self, panels: Sequence[Placed], left: int = 0, bottom: int = 0) -> None:
-        """Lays panels over the picture.
-
-        Args:
-            panels: their places are pixels from the lower left corner of the picture.
-            left: of the picture in the window, pixels.
-            bottom: of the picture in the window, pixels.
-        """
+    def draw(self, panels: Sequence[PlacedPanel], left: int = 0, bottom: int = 0) -> None:
+        """Lays panels over the picture."""
         self._push(_ALL_ATTRIBUTES)
         for name in _OFF:
             self._disable(name)
@@ -101,7 +89,6 @@ def make_texture(pixels: Pixels) -> int:
 
 
 def _function(name: str, *arguments: Any) -> Callable[..., None]:
-    """Returns a function of the current OpenGL context."""
     address = ctypes.cast(glfw.get_proc_address(name), ctypes.c_void_p).value
     assert address is not None  # all are of OpenGL 1.4, and MuJoCo needs a later one
     return ctypes.CFUNCTYPE(None, *arguments)(address)

@@ -48,18 +48,14 @@ class GlWindow:
     """A window with an OpenGL context for a world.
 
     Args:
-        world: its meshes and textures are loaded.
         size: of the window in screen coordinates; limited by that of the screen.
-        title: of the window.
         full_screen: whether it covers the screen.
 
     Attributes:
         context: for the scene.
         typesetter: of the window's own text; its size depends on the screen, not on the picture.
-        blender: lays panels over the window.
         on_key: is called with key, action and modifiers as GLFW has them, before all else.
         on_character: is called with every character that is typed.
-        refresh_rate: of the screen, Hz.
 
     Raises:
         RenderError: there is no display, or no OpenGL.
@@ -113,22 +109,18 @@ class GlWindow:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the framebuffer, pixels; 0 while the window is minimized."""
         width, height = glfw.get_framebuffer_size(self._window)
         return int(width), int(height)
 
     @property
     def is_closing(self) -> bool:
-        """Whether the user has requested to close it, or it is closed."""
         return self._window is None or bool(glfw.window_should_close(self._window))
 
     @property
     def is_full_screen(self) -> bool:
-        """Whether it covers the screen."""
         return self._windowed is not None
 
     def request_close(self) -> None:
-        """Requests to close the window."""
         glfw.set_window_should_close(self._window, True)
 
     def events(self) -> list[Event]:
@@ -154,13 +146,11 @@ class GlWindow:
 
     @property
     def clipboard(self) -> str:
-        """The text on the clipboard; empty where there is none."""
         with _glfw_errors():  # there may be a picture
             text: Any = glfw.get_clipboard_string(self._window)
         return str((text or b"").decode("utf-8", "replace"))
 
     def set_clipboard(self, text: str) -> None:
-        """Puts a text onto the clipboard."""
         glfw.set_clipboard_string(self._window, text)
 
     def render_quickly(self, rect: mujoco.MjrRect, scene: mujoco.MjvScene) -> None:
@@ -192,23 +182,19 @@ class GlWindow:
         return np.ascontiguousarray(pixels[::-1])
 
     def _offscreen(self, rect: mujoco.MjrRect) -> mujoco.MjrRect:
-        """Gives the offscreen buffer the size of a rectangle; returns all of it."""
         context = self.context
         if (context.offWidth, context.offHeight) != (rect.width, rect.height):
             mujoco.mjr_resizeOffscreen(rect.width, rect.height, context)
         return mujoco.MjrRect(0, 0, rect.width, rect.height)
 
     def swap(self) -> None:
-        """Shows the rendered frame at the screen's next refresh."""
         glfw.swap_buffers(self._window)
 
     def wait(self, seconds: float) -> None:
-        """Waits for a time, s, or until the next event."""
         if seconds > 0:
             glfw.wait_events_timeout(seconds)
 
     def toggle_full_screen(self) -> None:
-        """Switches between full screen, on the window's monitor, and the previous size."""
         window = self._window
         if self._windowed is not None:
             no_monitor: Any = None
@@ -223,7 +209,6 @@ class GlWindow:
         )
 
     def _monitor(self) -> Any:
-        """Returns the monitor at the centre of the window."""
         x, y = glfw.get_window_pos(self._window)
         width, height = glfw.get_window_size(self._window)
         x, y = x + width // 2, y + height // 2
@@ -235,7 +220,6 @@ class GlWindow:
         return glfw.get_primary_monitor()
 
     def close(self) -> None:
-        """Frees the contexts and closes the window."""
         if self._window is not None:
             self.context.free()
             glfw.destroy_window(self._window)
@@ -245,7 +229,6 @@ class GlWindow:
         self._events.append(Event(kind, time=time.monotonic(), **values))
 
     def _pixel(self, x: float, y: float) -> dict[str, float]:
-        """Converts screen coordinates to pixels of the framebuffer, y up."""
         width, height = glfw.get_window_size(self._window)
         pixels = self.size
         return {
@@ -305,7 +288,6 @@ def spread_times(events: Sequence[Event], begin: float, end: float) -> list[Even
 
 @contextmanager
 def _glfw_errors() -> Iterator[list[str]]:
-    """Collects GLFW's error messages, which it would otherwise print."""
     errors: list[str] = []
 
     def note(code: int, text: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,116 +11,22 @@ import mujoco
 import numpy as np
 
 from ...base.errors import RenderError
-from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
-from ..decor.geom_buffer import CAPACITY
-from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..host.live import LiveHost
-from ..image.added_surroundings import added_surroundings
-from ..image.camera import Navigator
 from ..image.film import Pixels
-from ..image.framing import stand_back, standing_back
-from ..image.picking import Pixel
 from ..image.picture_options import DEFAULT_SIZE
-from ..image.sampling import recorded_poses
-from ..image.scene_decor import SceneDecor
-from ..image.typesetting import Typesetter
 from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.keys import help_columns
-from ..session.status_line import Piece, status_pieces
+from ..session.status_line import status_pieces
 from ..session.tool import tool_keys
 from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
 from .glfw_window import GlWindow
+from .viewport import Pane, Viewport
 
 _RESTS = 0.3  # s without motion or action after which frames have full quality
 _SAME_VIEW = 1e-6  # m, and of the unit vector of its direction
-_MORE = 2000  # additional capacity for geoms that MuJoCo adds to those of the model
-
-
-class Viewport(SceneDecor):
-    """The picture of a world in a rectangle of a window.
-
-    Args:
-        world: the compiled scene.
-        toggles: what is shown.
-        context: of the window, current.
-
-    Attributes:
-        rect: of the last picture in the window.
-        needed: see `camera.needed_aspect`.
-    """
-
-    def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
-        super().__init__(world, toggles, with_text=False)
-        self.needed = 0.0
-        self._surroundings = added_surroundings(world, context)
-        self.rect = mujoco.MjrRect(0, 0, 1, 1)
-        self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
-        self._typesetter: Typesetter | None = None
-
-    @property
-    def pieces(self) -> list[Piece]:
-        """What it adds to the status line."""
-        return []
-
-    def update(
-        self,
-        data: mujoco.MjData,
-        camera: mujoco.MjvCamera,
-        rect: mujoco.MjrRect,
-        typesetter: Typesetter,
-        covered: float = 0.0,
-    ) -> None:
-        """Lays out scene and decor.
-
-        Args:
-            data: the world's state, with frames up to date.
-            camera: of the picture.
-            rect: of the picture in the window.
-            typesetter: of its panels.
-            covered: width of what covers its left edge, pixels; numbers stay beside it.
-        """
-        scene = self._scene
-        self.fill(data, camera, scene)
-        if self._surroundings is not None:
-            self._surroundings.add(scene)
-        self.rect, self._typesetter = rect, typesetter
-        stand_back(scene, camera, self.width, rect.height, self.needed)
-        inset = (min(covered, 0.6 * self.width), 0.0, 0.0, 0.0)
-        view = PictureView.of_scene(scene, self.width, rect.height, typesetter.font, inset)
-        self.draw(data, view, scene)
-
-    @property
-    def width(self) -> int:
-        """Width of what one eye sees, pixels."""
-        return int(self.rect.width)
-
-    def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
-        """Renders the picture in a window.
-
-        Args:
-            gl: the window.
-            quickly: whether without multisampling and shadows.
-        """
-        if quickly:
-            gl.render_quickly(self.rect, self._scene)
-        else:
-            mujoco.mjr_render(self.rect, self._scene, gl.context)
-        self._draw_panels(gl, int(self.rect.left))
-
-    def _draw_panels(self, gl: GlWindow, left: int) -> None:
-        """Draws the panels over the picture that begins at a pixel of the window."""
-        if self._typesetter is not None:
-            gl.blender.draw(self._typesetter.place(self.panels), left, self.rect.bottom)
-
-    def to_picture(self, x: float, y: float) -> Pixel | None:
-        """Converts a pixel of the window to one of the picture; None outside of it."""
-        x, y = x - self.rect.left, y - self.rect.bottom
-        if not (0 <= x < self.rect.width and 0 <= y < self.rect.height):
-            return None
-        return x % self.width, y
 
 
 class Pace:
@@ -137,15 +43,12 @@ class Pace:
         self._moved = float("-inf")  # when the view did, or the user did anything
 
     def took(self, seconds: float) -> None:
-        """Adds the time of a frame of full quality, s, to a running mean."""
         self._time += 0.15 * (seconds - self._time)
 
     def act(self, now: float) -> None:
-        """Notes an action of the user, s: its effect is to be visible at once."""
         self._moved = now
 
     def is_quick(self, view: tuple[float, ...], now: float) -> bool:
-        """Whether to reduce the quality of a frame, by the camera's position and direction."""
         if self._view and not np.allclose(view, self._view, rtol=0.0, atol=_SAME_VIEW):
             self._moved = now
         self._view = view
@@ -158,16 +61,9 @@ class Window(LiveHost):
     It never waits for a packet: every frame shows the latest one.
 
     Args:
-        mirror: must be open; is driven by the window's clock.
-        size: of the window, in screen coordinates.
-        camera: see `find_camera`.
         full_screen: whether it covers the screen.
-        folder: where screenshots and films go; the current one when None.
-        make_viewport: makes the picture's viewport of world, toggles and OpenGL context.
 
     Attributes:
-        navigator: moves the camera.
-        gamepad: moves it as well, and presses keys.
         is_quick: whether the last frame was drawn without multisampling and shadows, since the
             view moves, or the user acts, and the machine is slow.
 
@@ -194,10 +90,7 @@ class Window(LiveHost):
             raise RenderError(
                 f"no window can be opened: {error}; `sero-mj view --web` shows a page"
             ) from error
-        self.navigator = Navigator(mirror.world, camera)
-        # Before anything listens to packets.
-        self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
-        super().__init__(mirror, folder)
+        super().__init__(mirror, folder, camera)
         world = self.world
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
@@ -205,8 +98,8 @@ class Window(LiveHost):
         self._use(self.decor)
         self.decor.needed = self.navigator.needed
         self._mouse = Mouse()
-        self.actions.add({"full_screen": self.gl.toggle_full_screen, "panel": self.toggle_panel})
-        self.gamepad = Gamepad(self, self._turn)
+        self.actions.add({"full_screen": self.gl.toggle_full_screen})
+        self.gamepad = Gamepad(self, self.camera_control.move)
         columns = help_columns(tool_keys())
         columns.append([("Gamepad", ""), *PAD_STICKS.items(),
                         *((name, words) for name, (_, words) in PAD_KEYS.items())])  # fmt: skip
@@ -217,7 +110,6 @@ class Window(LiveHost):
 
     @property
     def is_open(self) -> bool:
-        """Whether the user has not closed the window."""
         return not self.gl.is_closing
 
     @property
@@ -232,7 +124,6 @@ class Window(LiveHost):
         return time.monotonic() - self._end >= max(1.0 / self.gl.refresh_rate - 1e-3 - took, took)
 
     def frame(self, *, wait: bool = True) -> bool:
-        """Shows one frame, see `LiveHost.frame`."""
         begin = time.monotonic()
         passed, self._last = begin - self._last, begin
         self._interval += 0.1 * (passed - self._interval)
@@ -253,9 +144,9 @@ class Window(LiveHost):
         places = chrome.places((width, height))
         rect = mujoco.MjrRect(*places.picture)
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
-        is_kept = self.takes_pictures
+        is_kept = self.tools.takes_pictures
         covered = 0.0 if is_kept else chrome.covered  # pictures are as without chrome
-        self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
+        self.decor.update(self.data, self.navigator.camera, Pane(rect, typesetter, covered))
         self._place_pointer()
         at = self._mouse.position
         is_over_chrome = at is not None and chrome.is_over(*at)
@@ -282,41 +173,25 @@ class Window(LiveHost):
 
     def _draw(self) -> None:
         self.decor.render(self.gl, quickly=self.is_quick)
-        self._give_picture(lambda: self.gl.read(self.decor.rect))
+        self.tools.give_picture(lambda: self.gl.read(self.decor.rect))
         self._chrome.draw()
 
     @property
     def picture_size(self) -> tuple[int, int]:
-        """See `LiveHost`: that of the picture in the window."""
         return int(self.decor.rect.width), int(self.decor.rect.height)
 
     def picture(self) -> Pixels:
-        """Renders the last frame again, without what lies over it, (height, width, 3)."""
         rect = self.decor.rect
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
-        self.decor.update(self.data, self.navigator.camera, rect, typesetter)
+        self.decor.update(self.data, self.navigator.camera, Pane(rect, typesetter))
         self.decor.render(self.gl)
         return self.gl.read(rect)
-
-    @property
-    def has_panel(self) -> bool:
-        """Whether the panel is shown."""
-        return self._chrome.shows_panel
-
-    def open_panel(self) -> None:
-        """Shows the panel."""
-        self._chrome.shows_panel = True
-
-    def toggle_panel(self) -> None:
-        """Shows or hides the panel."""
-        self._chrome.shows_panel = not self._chrome.shows_panel
 
     def _place_pointer(self) -> None:
         at = self._mouse.position
         self.pointer.at = None if at is None else self.decor.to_picture(*at)
 
     def _take(self, event: Event, height: int) -> None:
-        """Handles an event."""
         if event.kind == "drop":
             self.others.open_file(Path(event.key))
             return
@@ -349,22 +224,7 @@ class Window(LiveHost):
             return
         is_zoom = moved.how == "zoom"
         down = moved.down if is_zoom else moved.down / height
-        self._turn(moved.how, moved.right / height, down)
-
-    def _turn(self, how: str, right: float, down: float) -> None:
-        """Turns, pans or zooms the view, by heights of the picture or notches of the wheel."""
-        view, navigator = self.decor.view, self.navigator
-        if view is None or self.decor.fixed:
-            return
-        navigator.free(view.position, view.forward)
-        if how == "zoom":
-            navigator.zoom(down)
-        elif how == "pan":
-            back = standing_back(view.width, view.height, navigator.needed)
-            depth = navigator.camera.distance * back
-            navigator.pan(right, down, view.tan_half_fovy, depth)
-        else:
-            navigator.orbit(right, down)
+        self.camera_control.move(moved.how, moved.right / height, down)
 
     def _click(self, clicked: Clicked) -> None:
         at = self.decor.to_picture(clicked.x, clicked.y)
@@ -383,55 +243,13 @@ class Window(LiveHost):
         elif self.gl.is_full_screen:
             self.gl.toggle_full_screen()
 
-    @property
-    def layout(self) -> dict[str, bool]:
-        """See `LiveHost`."""
-        return {**super().layout, "panel": self.has_panel}
-
-    def show_layout(self, layout: Mapping[str, bool]) -> None:
-        """See `LiveHost`."""
-        super().show_layout(layout)
-        if layout.get("panel", False) != self.has_panel:
-            self.toggle_panel()
-
-    @property
-    def view_camera(self) -> mujoco.MjvCamera:
-        """See `LiveHost`."""
-        return self.navigator.camera
-
-    @property
-    def is_following(self) -> bool:
-        """See `LiveHost`."""
-        return self.navigator.following is not None
-
     def to_clipboard(self, text: str) -> None:
-        """See `LiveHost`."""
         self.gl.set_clipboard(text)
 
-    def choose_camera(self, number: int) -> str:
-        """Selects a camera by number, 1 for the first, 0 for the initial view."""
-        return self.decor.fixed or self.navigator.choose(number)
-
-    def follow(self, frame: str | None) -> str:
-        """Starts following a frame with the camera, or stops; returns a message for the user."""
-        return self.decor.fixed or self.navigator.follow(self.data, frame)
-
-    def centre(self, point: Array) -> None:
-        """Makes a point (3,), m, the camera's look-at point."""
-        view = self.decor.view
-        assert view is not None  # there is a picture of the point
-        if self.decor.fixed:
-            self.say(self.decor.fixed)
-            return
-        self.navigator.free(view.position, view.forward)
-        self.navigator.camera.lookat = point
-
     def request_close(self) -> None:
-        """Lets the next frame be the last."""
         self.gl.request_close()
 
     def close(self) -> None:
-        """Closes the window, after its tools."""
         super().close()
         self._chrome.close()
         self.gl.close()

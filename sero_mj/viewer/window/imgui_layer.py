@@ -42,16 +42,7 @@ _MODIFIERS = {
 
 
 class ImguiLayer:
-    """Dear ImGui in the window's own OpenGL context, which is left as it was found.
-
-    Args:
-        gl: the window.
-
-    Attributes:
-        text_height: of its widgets, pixels.
-        size: of the window in the last frame, pixels.
-        widgets: that it is made of.
-    """
+    """Dear ImGui in the window's own OpenGL context, which is left as it was found."""
 
     def __init__(self, gl: GlWindow) -> None:
         self._gl = gl
@@ -78,7 +69,6 @@ class ImguiLayer:
 
     @property
     def takes_keys(self) -> bool:
-        """Whether a text is being typed, so that keys are no actions."""
         return bool(imgui.get_io().want_text_input)
 
     def take(self, event: Event) -> bool:
@@ -108,7 +98,6 @@ class ImguiLayer:
         return is_press or was_held
 
     def is_over(self, x: float, y: float) -> bool:
-        """Whether a pixel of the window, y up, is its own."""
         return self._is_over(x, self.size[1] - y)
 
     def _is_over(self, x: float, y: float) -> bool:
@@ -128,7 +117,6 @@ class ImguiLayer:
         """Builds the widgets of a frame, which `draw` draws.
 
         Args:
-            size: of the window, pixels.
             build: builds windows of Dear ImGui, and says of those that take the mouse, by
                 `take_mouse`, where they are.
         """
@@ -148,16 +136,13 @@ class ImguiLayer:
         imgui.render()
 
     def take_mouse(self) -> None:
-        """Lets the current window of Dear ImGui take the mouse over it."""
         place, size = imgui.get_window_pos(), imgui.get_window_size()
         self._rects.append((place.x, place.y, size.x, size.y))
 
     def draw(self) -> None:
-        """Draws what was built over what is in the window."""
         imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
 
     def close(self) -> None:
-        """Frees it, while the window's context is current."""
         self._gl.on_key = self._gl.on_character = None
         imgui.backends.opengl3_shutdown()
         implot.destroy_context(self._plots)

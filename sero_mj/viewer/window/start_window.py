@@ -13,19 +13,8 @@ from PIL import Image
 from ...data.drive.mirror import Mirror
 from ...robots.assemble.world import World
 from ...robots.declared.scene import Scene
-from ..host.start_page import (
-    DROP_HINT,
-    MORE_HINT,
-    SEARCH_HINT,
-    TAGLINE,
-    TITLE,
-    ExpectedPackets,
-    Opener,
-    PortMonitor,
-    Section,
-    StartPage,
-    Tile,
-)
+from ..host import start_page as page_texts
+from ..host.start_page import ExpectedPackets, Opener, PortMonitor, Section, StartPage, Tile
 from .gl_blend import make_texture
 from .glfw_window import GlWindow
 from .imgui_layer import ImguiLayer
@@ -52,13 +41,7 @@ class StartWindow:
     """Shows what can be opened, until something is.
 
     Args:
-        opener: returns what shows what was chosen.
-        listening: hears the data that is awaited.
-        size: of the window, in screen coordinates.
         full_screen: whether it covers the screen.
-
-    Attributes:
-        page: what is offered, and opened.
     """
 
     def __init__(
@@ -70,19 +53,19 @@ class StartWindow:
         full_screen: bool = False,
     ) -> None:
         self.page = StartPage(opener, listening)
-        self.gl = GlWindow(World(Scene(floor=False)), size, TITLE, full_screen=full_screen)
+        self.gl = GlWindow(
+            World(Scene(floor=False)), size, page_texts.TITLE, full_screen=full_screen
+        )
         self._layer = ImguiLayer(self.gl)
         self._textures: dict[Path, int | None] = {}
         self._typed = self._search = ""
 
     def run(self) -> Mirror | None:
-        """Shows frames until something is opened; returns None when the window was closed."""
         while self.frame():
             pass
         return self.page.chosen
 
     def frame(self) -> bool:
-        """Shows one frame; returns whether it goes on."""
         gl, page = self.gl, self.page
         if gl.is_closing or page.chosen is not None:
             return False
@@ -138,12 +121,12 @@ class StartWindow:
     def _head(self) -> None:
         ui, notice = self._layer.widgets, self.page.notice
         imgui.push_font(None, _LARGE * self._layer.text_height)
-        ui.text(TITLE, "title")
+        ui.text(page_texts.TITLE, "title")
         imgui.pop_font()
         ui.same_line()
-        ui.text(TAGLINE, "dim")
+        ui.text(page_texts.TAGLINE, "dim")
         ui.width(min(_SIDE, ui.room()[0]))
-        self._search = ui.search("##search", self._search, SEARCH_HINT)
+        self._search = ui.search("##search", self._search, page_texts.SEARCH_HINT)
         if notice.is_shown:
             ui.same_line()
             ui.text(notice.text, "bad" if notice.is_bad else "good")
@@ -200,7 +183,7 @@ class StartWindow:
     def _files(self) -> None:
         ui = self._layer.widgets
         ui.title("Open a file")
-        ui.text(DROP_HINT, "dim")
+        ui.text(page_texts.DROP_HINT, "dim")
         ui.width(0.0)
         entered = imgui.InputTextFlags_.enter_returns_true
         hint = "or type its path, Enter"
@@ -214,7 +197,7 @@ class StartWindow:
         ui.title("Data")
         for awaited in self.page.awaited():
             self._awaited(awaited)
-        ui.text(MORE_HINT, "dim")
+        ui.text(page_texts.MORE_HINT, "dim")
 
     def _awaited(self, awaited: ExpectedPackets) -> None:
         ui, unit = self._layer.widgets, self._layer.text_height
@@ -234,7 +217,6 @@ class StartWindow:
         ui.end_scope()
 
     def close(self) -> None:
-        """Closes the window."""
         self._layer.close()
         self.gl.close()
 

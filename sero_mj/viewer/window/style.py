@@ -54,11 +54,7 @@ _PLOT_COLOURS = {
 
 
 def set_style(height: float) -> None:
-    """Gives the current contexts of imgui and implot the fonts and colours of the window.
-
-    Args:
-        height: of the text, pixels.
-    """
+    """Gives the current contexts of imgui and implot the fonts and colours of the window."""
     io, style = imgui.get_io(), imgui.get_style()
     font = files("sero_mj.viewer") / "fonts" / "Inter-Medium.ttf"
     io.fonts.add_font_from_file_ttf(str(Path(str(font))), height)

@@ -242,8 +242,9 @@ def test_a_sensor_that_stood_still_where_nothing_is_compared_is_not_told() -> No
     """As that of a robot that rests before another run begins."""
     found = torque_residuals(swing(), "lwr")
     before = float(found.times[0]) - 1.0
-    held = [(before, before + 0.9, 1.5)] * found.robot.n
-    assert explain(replace(found, held=held)) == explain(found)
+    held = ((before, before + 0.9, 1.5),) * found.robot.n
+    noise = replace(found.noise, held=held)
+    assert explain(replace(found, noise=noise)) == explain(found)
 
 
 @pytest.mark.thorough
@@ -513,7 +514,9 @@ def test_a_robot_with_a_joint_that_slides_has_newtons() -> None:
     q = np.stack([0.4 * np.sin(2.0 * t), 0.1 * np.cos(3.0 * t)], axis=1)
     log = RunLog({"arm": robot}, {"arm_joint_angles": q, "arm_torques": q * 0.0}, t)
     bare = torque_residuals(log, "arm")
-    torques = np.stack([np.interp(t, bare.times, bare.model[:, k]) for k in range(2)], axis=1)
+    torques = np.stack(
+        [np.interp(t, bare.times, bare.torques.model[:, k]) for k in range(2)], axis=1
+    )
     torques[t > 2.0, 1] += 7.0
     log = RunLog({"arm": robot}, {"arm_joint_angles": q, "arm_torques": torques}, t)
     found = explain(replace(torque_residuals(log, "arm"), no_model=""))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import errno
 import math
-import os
-import platform
 import socket
 import struct
 import sys
@@ -19,7 +17,6 @@ from polling import until
 
 import sero_mj
 from sero_mj.data.drive.mirror import Mirror
-from sero_mj.data.receive.scheduling import request_short_slices
 from sero_mj.data.receive.structure import Structure
 from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.data.record.recording_writer import RecordingWriter
@@ -133,23 +130,6 @@ def test_threads_take_short_turns_only_while_somebody_answers() -> None:
             one.close()
             assert sys.getswitchinterval() == pytest.approx(5e-4)
         assert sys.getswitchinterval() == usual
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="a matter of Linux")
-def test_a_thread_that_answers_asks_for_short_slices_and_changes_nothing_else() -> None:
-    found: dict[str, object] = {}
-
-    def run() -> None:
-        before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
-        found["granted"] = request_short_slices()
-        found["same"] = before == (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0))
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    thread.join()
-    assert found["same"]
-    if not found["granted"]:
-        pytest.skip(f"Linux {platform.release()} knows no slices")
 
 
 def test_a_stranger_gets_no_answer(controller: socket.socket) -> None:

@@ -223,6 +223,7 @@ def test_a_client_in_another_process_counts_what_was_withheld() -> None:
         assert (counters.malformed, counters.restarts, answers) == (0, 0, 0)
 
 
+@pytest.mark.realtime
 @pytest.mark.thorough
 @pytest.mark.slow
 def test_a_client_that_answers_has_a_perfect_link_and_commands_nothing() -> None:

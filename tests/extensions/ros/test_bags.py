@@ -30,7 +30,7 @@ from sero_mj.cli.arguments import replay_instead
 from sero_mj.cli.shared_options import is_recording
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.wiring import wire
-from sero_mj.data.receive.source import LedJoint
+from sero_mj.data.receive.led_robot import LedJoint
 from sero_mj.data.record.replay import Replay
 from sero_mj.data.record.table import read_csv
 from sero_mj.extensions.ros.bag import DESCRIPTION, Bag, open_recording
@@ -115,7 +115,7 @@ def test_a_robot_alone_is_led_by_a_bag(bag: Path, tmp_path: Path, capsys: Any) -
 
 def test_a_bag_is_a_table_and_a_run(bag: Path, tmp_path: Path, capsys: Any) -> None:
     table = tmp_path / "drive.csv"
-    assert run(capsys, "export-csv", str(bag), str(table))[0] == 0
+    assert run(capsys, "export", str(bag), str(table))[0] == 0
     header, *rows = table.read_text(encoding="utf-8").splitlines()
     assert header.split(",")[:3] == ["time", "stamp[0]", "joint_angles[fr3_joint1]"]
     assert len(rows) == COUNT
@@ -195,7 +195,7 @@ def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys
     chosen = f'{several}; choose with source = "a_joint_states", say'
     with pytest.raises(DeclarationError, match=re.escape(chosen)):
         Replay(file=bag)
-    status, _, told = run(capsys, "export-csv", str(bag), str(tmp_path / "out.csv"))
+    status, _, told = run(capsys, "export", str(bag), str(tmp_path / "out.csv"))
     assert status == 2 and f"{several}; choose with --source a_joint_states, say" in told
     picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
     status, _, told = run(capsys, "render", "fr3", "--replay", str(bag), *picture)
@@ -372,7 +372,7 @@ os._exit(0)
             assert recording.duration == pytest.approx(1.99)
             (told,) = recording.faults
         assert "drive.db3-wal is read as well; it has 200 messages, of 2.0 s" in told
-    _, out, _ = run(capsys, "export-csv", str(folder), str(tmp_path / "drive.csv"))
+    _, out, _ = run(capsys, "export", str(folder), str(tmp_path / "drive.csv"))
     assert f"note: {folder}: {told}" in out and "200 rows" in out
     assert {each.name: each.read_bytes() for each in folder.iterdir()} == before
 
@@ -605,7 +605,7 @@ def test_columns_are_called_by_joints_in_the_order_of_the_robot(
     # A message that contradicts itself costs itself only.
     messages.insert(0, (0, joint_state([UR[0], UR[0]], [1, 2])))
     bag, table = write_bag(tmp_path / "ur", {"/joint_states": messages}), tmp_path / "ur.csv"
-    status, said, _ = run(capsys, "export-csv", str(bag), str(table))
+    status, said, _ = run(capsys, "export", str(bag), str(table))
     assert status == 0 and "joints in the order of ur10e and ur5e, 1 malformed packet" in said
     assert f"a message of /joint_states is left out: joint {UR[0]} is named twice" in said
     _, columns = read_csv(table)
@@ -620,7 +620,7 @@ def test_columns_are_called_by_joints_in_the_order_of_the_robot(
     pan = again.signals["ur5e_joint_angles"][:, 0]
     assert pan[1:] == pytest.approx(columns["joint_angles[shoulder_pan_joint]"][1:])
     elsewhere = [str(bag), str(table), "--overwrite", "--scene", "fr3"]
-    status, _, told = run(capsys, "export-csv", *elsewhere)
+    status, _, told = run(capsys, "export", *elsewhere)
     assert status == 2 and "--scene fr3: its joints are fr3_joint1, " in told
 
 
@@ -634,7 +634,7 @@ def test_messages_without_names_are_those_of_a_robot_that_is_named(
     for command in (
         ["render", str(bag), *picture],
         ["plot", str(bag), "-o", str(tmp_path / "seen.pdf")],
-        ["export-csv", str(bag), str(tmp_path / "seen.csv")],
+        ["export", str(bag), str(tmp_path / "seen.csv")],
         ["send", "lwr_udp", "--play", str(bag)],
     ):
         status, _, told = run(capsys, *command)

@@ -13,8 +13,8 @@ from conftest import raises_with
 from polling import until
 
 from sero_mj.base.errors import SourceError
-from sero_mj.cli.sending import SinkOptions, make_sink
-from sero_mj.data.receive.source import LedJoint
+from sero_mj.cli.send import SinkOptions, make_sink
+from sero_mj.data.receive.led_robot import LedJoint
 from sero_mj.extensions.ros.json_messages import joint_state_of
 from sero_mj.extensions.ros.json_udp import JsonUdp
 from sero_mj.extensions.ros.messages import MalformedMessage

@@ -276,10 +276,10 @@ def test_the_table_of_a_bag_without_joint_states_is_that_of_its_robot(
         topics["/robot_description"] = [(0, STORE.types["std_msgs/msg/String"](ARM))]
     path, table = write_bag(tmp_path / "drive", topics), tmp_path / "drive.csv"
     if kind == "tf" and not is_described:
-        status, said, _ = run(capsys, "export-csv", str(path), str(table))
+        status, said, _ = run(capsys, "export", str(path), str(table))
         assert status == 0 and said.endswith("of a robot; --scene names it\n")
     of_robot = () if is_described else ("--scene", str(robot))
-    status, said, told = run(capsys, "export-csv", str(path), str(table), "--overwrite", *of_robot)
+    status, said, told = run(capsys, "export", str(path), str(table), "--overwrite", *of_robot)
     assert status == 0 and f"{COUNT} rows" in said, told
     columns = np.genfromtxt(table, delimiter=",", names=True, deletechars="")
     if kind == "tf":
@@ -296,4 +296,4 @@ def test_commands_take_bags_with_transforms_only(tmp_path: Path, capsys: Any) ->
     assert status == 0, told
     assert "tf.joint_angles" in said and "tf.base_frame" in said
     table = tmp_path / "drive.csv"
-    assert run(capsys, "export-csv", str(path), str(table))[0] == 0
+    assert run(capsys, "export", str(path), str(table))[0] == 0

@@ -24,8 +24,9 @@ from test_cli import run
 from sero_mj.base.errors import SourceError
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
+from sero_mj.data.receive.led_robot import LedJoint
 from sero_mj.data.receive.report import describe, report
-from sero_mj.data.receive.source import LedJoint, make_source
+from sero_mj.data.receive.source import make_source
 from sero_mj.data.record.replay import Replay
 from sero_mj.extensions.ros import dds
 from sero_mj.extensions.ros.dds import Ros2
@@ -310,7 +311,7 @@ def test_a_robot_is_mirrored_recorded_and_played_again(
         packet = played.latest()
         assert packet is not None
         assert packet.values["joint_angles"].tolist() == [1.0, 19 / 20]
-    export = ["export-csv", str(tmp_path / "run.mcap"), str(tmp_path / "run.csv")]
+    export = ["export", str(tmp_path / "run.mcap"), str(tmp_path / "run.csv")]
     assert run(capsys, *export)[0] == 0
     rows = (tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 21
@@ -350,7 +351,7 @@ def test_whatever_robot_a_network_has_is_shown(
             assert mirror.sources["ros"].wait(5.0)
             mirror.advance()
             assert mirror.data.qpos.tolist() == [0.25, -0.5]
-        status, out, _ = run(capsys, "ros2", "list", "--domain", str(DOMAIN), "--json")
+        status, out, _ = run(capsys, "status", f"ros2://:{DOMAIN}", "--topics", "--json")
         assert status == 0
         topics = {each["name"]: each for each in json.loads(out)}
         states = topics["/found/joint_states"]
@@ -414,8 +415,8 @@ def test_an_address_says_how_joints_are_named_and_what_an_ampere_is() -> None:
 
 
 def test_a_list_of_nothing_says_where_else_to_look(capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, _ = run(capsys, "ros2", "list", "--domain", "229", "--duration", "0.2")
-    assert (status, "--host subnet looks on the network" in out) == (1, True), out
+    status, out, _ = run(capsys, "status", "ros2://:229", "--topics", "--duration", "0.2")
+    assert (status, "; ros2://subnet looks on the network" in out) == (1, True), out
 
 
 @pytest.mark.parametrize(

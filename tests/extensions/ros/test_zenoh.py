@@ -16,18 +16,13 @@ import pytest
 from conftest import ROOT
 from polling import until
 from ros_bytes import JOINT_STATE, Peer, joint_state, text, transform
+from ros_scenes import assert_refused, mirrored_recorded_and_replayed
 
-from sero_mj.base.errors import DeclarationError, SourceError
-from sero_mj.data.drive.mirror import Mirror
-from sero_mj.data.drive.record_sources import record_sources
+from sero_mj.base.errors import SourceError
 from sero_mj.data.receive import receiving_thread
 from sero_mj.data.receive.report import describe, report
-from sero_mj.data.receive.source import make_source
-from sero_mj.data.record.recording import Recording
-from sero_mj.data.record.replay import Replay
 from sero_mj.extensions.ros import zenoh
 from sero_mj.extensions.ros.zenoh import Zenoh
-from sero_mj.load import load_scene
 
 TOPIC = "/joint_states"
 NAMES = ["a", "b", "c"]
@@ -257,43 +252,18 @@ def test_a_topic_that_no_key_can_have_is_told(peer: Peer) -> None:
     ],
 )
 def test_fields_are_checked(fields: dict[str, Any], key: str, reason: str) -> None:
-    with pytest.raises(DeclarationError) as caught:
-        make_source("driver", {"kind": "zenoh", **fields})
-    (problem,) = caught.value.problems
-    assert problem.key == key
-    assert problem.message.startswith(reason)
+    assert_refused("zenoh", fields, key, reason)
 
 
 def test_a_robot_is_mirrored_recorded_and_replayed(peer: Peer, tmp_path: Path) -> None:
-    file, recording = tmp_path / "arm.toml", tmp_path / "arm.mcap"
-    file.write_text(SCENE.format(port=peer.port))
-    scene = load_scene(file)
-
-    def check(mirror: Mirror) -> None:
-        world = mirror.world
-        angles = mirror.data.qpos[world.robots["arm"].qpos]
-        np.testing.assert_array_equal(angles, [1.0, 0.5, 0.25])
-        torques = mirror.data.userdata[world.slots["arm.torques"]]
-        np.testing.assert_array_equal(torques, [7.0, 8.0, 9.0])
-
-    with Mirror(scene) as mirror:
-        source: Any = mirror.sources["driver"]
-        mirror.advance()  # while nothing is there
-        assert peer.do(topic=TOPIC, wait=True) == "done"
-        with record_sources(mirror.sources, recording, scene=scene):
-            good = joint_state(["c", "b", "a"], [0.25, 0.5, 1.0], [], [9.0, 8.0, 7.0])
-            give(source, peer, good[:-1], good)
-        mirror.advance()
-        check(mirror)
-    with Recording(recording) as written:
-        assert len([*written.packets("driver")]) == 2
-    scene.sources["driver"] = Replay(name="driver", file=recording)
-    with Mirror(scene) as again:
-        again.advance(1e3)
-        check(again)
-        original = again.sources["driver"].original
-        assert isinstance(original, Zenoh)
-        assert original.joint_names == NAMES
+    original = mirrored_recorded_and_replayed(
+        SCENE.format(port=peer.port),
+        tmp_path,
+        lambda: peer.do(topic=TOPIC, wait=True) == "done",
+        lambda source, good: give(source, peer, good[:-1], good),
+    )
+    assert isinstance(original, Zenoh)
+    assert original.joint_names == NAMES
 
 
 def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

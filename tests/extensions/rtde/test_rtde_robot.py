@@ -426,6 +426,7 @@ def free_port() -> int:
         return int(found.getsockname()[1])
 
 
+@pytest.mark.realtime
 def test_ur_rtde_holds_the_simulated_robot(folder: Path) -> None:
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed")
     (folder / "client.py").write_text(

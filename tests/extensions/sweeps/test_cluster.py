@@ -237,6 +237,7 @@ def test_a_variant_that_kills_its_workers_is_a_row_and_costs_no_other(
     assert there.read_text().count(KILLED) == 4
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_recordings_are_sent_to_workers_that_have_no_such_disk(file: Path, tmp_path: Path) -> None:
     client, table = file.parents[1] / "runs", tmp_path / "table.csv"

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from sero_mj.base.errors import DeclarationError
 from sero_mj.extensions.x3d.reader import read_x3d
 from sero_mj.extensions.x3d.vrml import parse_document, read_document
-from sero_mj.extensions.x3d.vrml_nodes import Node, Value, instance, read_field, walk
+from sero_mj.extensions.x3d.vrml_nodes import FieldValue, Node, instance, read_field, walk
 from sero_mj.extensions.x3d.wrl import read_wrl
 
 FIG7 = ROOT / "tests" / "fig7.x3d"
@@ -342,4 +342,4 @@ def test_a_mutated_file_is_read_or_told_to_be_wrong(text: str, folder: Path) -> 
 def test_values_know_their_lines() -> None:
     node = parse("N {\n a 1\n b\n [ 2 ]\n}")
     assert [value.line for value in node.fields.values()] == [2, 4]
-    assert isinstance(node.fields["a"], Value)
+    assert isinstance(node.fields["a"], FieldValue)

@@ -239,8 +239,8 @@ export function decode(bytes) {
       stale: moving(head.arrows.stale),
       values: /** @type {Float64Array | undefined} */ (
         head.arrows.values ? arrays.get(head.arrows.values) : torques),
-      /** What they can show by turns, first what they do. @type {{key: string, name: string, line: string}[]} */
-      quantities: head.arrows.quantities ?? [],
+      /** What they can show by turns, first what they do. */
+      quantities: /** @type {{key: string, name: string, line: string}[]} */ (head.arrows.quantities ?? []),
     },
     items: { of: /** @type {[number, number, number][]} */ (head.items.of), ...(items || null) },
     labels: head.labels ? {
@@ -248,8 +248,8 @@ export function decode(bytes) {
       positions: moving(head.labels.positions, metre),
     } : null,
     notes: read(head.notes),
-    /** What arrows mean that are seen. */
-    legend: read(head.legend),
+    /** What visible arrows mean; null for the line of `arrows.quantities`. */
+    legend: /** @type {{texts: (string | null)[][], at: Float32Array}} */ (/** @type {unknown} */ (read(head.legend))),
     cards: /** @type {{item: number, name: string, texts: string[], at: Float32Array}[]} */ (
       head.cards.map((/** @type {any} */ card) => ({ ...card, ...read(card) }))),
     vectors: /** @type {string[]} */ (head.vectors),
@@ -262,6 +262,16 @@ export function decode(bytes) {
 }
 
 /** @typedef {ReturnType<typeof decode>} Run */
+
+/**
+ * Reads channels of moving numbers between two frames.
+ * @param {number} at frame, with a fraction @param {number} frames
+ * @returns {(of: Float32Array, channel: number) => number}
+ */
+export function mixer(at, frames) {
+  const before = Math.floor(at), after = Math.min(before + 1, frames - 1), part = at - before;
+  return (of, channel) => of[channel * frames + before] * (1 - part) + of[channel * frames + after] * part;
+}
 
 /**
  * The value of a line of a card, as it is received; of limits and shares as well.

@@ -2,8 +2,8 @@
 
 /** @typedef {import("./data.js").Run} Run */
 
-/** Kinds of geoms, `Kind` in Python: arrows of joints, and smart arrows. */
-export const ARROW = 1, VECTOR = 5;
+/** Kinds of items, `Kind` in Python: arrows and cards of joints, and smart arrows. */
+export const ARROW = 1, BILLBOARD = 2, VECTOR = 5;
 
 /** As many geoms as `count` says. */
 export class Geoms {

@@ -4,9 +4,10 @@ import uPlot from "uplot";
 import { fixed } from "./data.js";
 import { made, mark } from "./page.js";
 
-/** @typedef {{name: string, rgb: number[], x: number[], y: (number | null)[]}} Line */
+/** @typedef {{name: string, rgb: number[], x: number[], y: (number | null)[], isDashed?: boolean, tip?: string}} Line */
 /** @typedef {{x: string, y: string, xRange: [number, number], yRange: [number, number],
- *   limits: number[], height: number, lines: Line[]}} Content x: unit; y: what, with its unit */
+ *   limits: number[], height: number, lines: Line[], name?: string, now?: number}} Content
+ *   x: unit; y: what, with its unit; name: of what is plotted; now: the x that is shown, which clicks change */
 
 const LIMIT = "rgb(217 77 77)";
 
@@ -32,21 +33,18 @@ export function dataOf(lines) {
   return uPlot.join(lines.map(({ x, y }) => /** @type {uPlot.AlignedData} */ ([x, y])));
 }
 
-/**
- * What stands above a plot: what is plotted, with its unit, and its lines.
- * @param {string} what @param {{name: string, colour: string, isDashed?: boolean, tip?: string}[]} lines
- */
-export function namesOf(what, lines) {
-  return [made("span", what), ...lines.map(({ name, colour, isDashed, tip }) => {
+/** What stands above a plot: what is plotted, with its unit, and its lines. @param {Content} content */
+function namesOf({ y, lines }) {
+  return [made("span", y), ...lines.map(({ name, rgb, isDashed, tip }) => {
     const entry = made("span", "", tip ? { title: tip } : {}), line = made("i", "");
-    line.style.borderTop = `3px ${isDashed ? "dashed" : "solid"} ${colour}`;
+    line.style.borderTop = `3px ${isDashed ? "dashed" : "solid"} ${colourOf(rgb)}`;
     entry.append(line, name);
     return entry;
   })];
 }
 
 /** The axis of the time: every number with the unit. @param {string} unit */
-export const timeAxis = (unit) => ({
+const timeAxis = (unit) => ({
   values: (/** @type {unknown} */ _, /** @type {number[]} */ all) => all.map((each) => `${each} ${unit}`),
 });
 
@@ -60,7 +58,7 @@ export function digitsOf(step) {
 const SPACE = 30; // pixels between two numbers, where there is room
 
 /** The axis of values: digits that tell its numbers apart, and room for them. @type {uPlot.Axis} */
-export const VALUE_AXIS = {
+const VALUE_AXIS = {
   // Steps are at most 2.5 times as long as they need to be: low plots have two numbers as well.
   space: (_plot, _axis, _min, _max, length) => Math.min(SPACE, length / 5),
   values: (_plot, all, _axis, _space, step) => {
@@ -72,7 +70,9 @@ export const VALUE_AXIS = {
 
 /** A plot, as wide as its room. */
 export class Graph {
-  constructor() {
+  /** @param {(x: number) => void} onSeek */
+  constructor(onSeek) {
+    this.onSeek = onSeek;
     this.element = made("div", "", { class: "graph" });
     this.legend = made("div", "", { class: "names" });
     this.room = made("div", "", { role: "img" });
@@ -82,6 +82,7 @@ export class Graph {
     /** @type {Content | null} */
     this.content = null;
     this.look = ""; // of what cannot be changed
+    this.drawn = ""; // look with which the lines were drawn
     this.seen = new ResizeObserver(() => this.plot?.setSize(this.#size()));
     this.seen.observe(this.room);
   }
@@ -95,12 +96,14 @@ export class Graph {
   update(content) {
     const before = this.content;
     this.content = content;
-    const look = JSON.stringify([content.y, content.x, content.lines.map(({ name, rgb }) => [name, rgb]),
+    const look = JSON.stringify([content.name, content.y, content.x, content.lines.map(({ name, rgb }) => [name, rgb]),
       document.documentElement.dataset.look]);
     if (look !== this.look) this.#make(look);
     else if (before?.height !== content.height) this.plot?.setSize(this.#size());
     const { plot } = this, [[left, right], [low, high]] = [content.xRange, content.yRange];
     if (!plot) return;
+    if (before?.lines === content.lines && look === this.drawn) return plot.redraw(false, false);
+    this.drawn = look;
     plot.batch(() => {
       plot.setData(dataOf(content.lines), false);
       plot.setScale("x", { min: left, max: right });
@@ -124,11 +127,43 @@ export class Graph {
       padding: [6, 10, 0, 0],
       axes: [{ ...axis, size: 24, ...timeAxis(content.x) },
         { ...axis, ...VALUE_AXIS }],
-      series: [{}, ...content.lines.map(({ rgb }) => ({ stroke: colourOf(rgb), width: 1.75, points: { show: false } }))],
-      hooks: { drawAxes: [(plot) => this.#drawLimits(plot)] },
+      series: [{}, ...content.lines.map(({ rgb, isDashed }) => ({ stroke: colourOf(rgb), width: 1.75,
+        points: { show: false }, ...isDashed ? { dash: [6, 4] } : {} }))],
+      hooks: { drawAxes: [(plot) => this.#drawLimits(plot)], draw: [(plot) => this.#drawNow(plot)] },
     }, dataOf(content.lines), this.room);
-    this.legend.replaceChildren(...namesOf(content.y, content.lines.map(({ name, rgb }) => ({ name, colour: colourOf(rgb) }))));
-    mark(this.room, "aria-label", `${content.y}: ${content.lines.map(({ name }) => name).join(", ")}`);
+    this.#listen(this.plot);
+    this.legend.replaceChildren(...namesOf(content));
+    const what = [...(content.name ? [content.name] : []), content.y].join(", ");
+    mark(this.room, "aria-label", `${what}: ${content.lines.map(({ name }) => name).join(", ")}`);
+  }
+
+  /** Goes to where the user presses, in a plot that shows a time. @param {uPlot} plot */
+  #listen({ over }) {
+    /** @param {PointerEvent} event */
+    const seek = (event) => {
+      if (!event.buttons || !this.plot || this.content?.now === undefined) return;
+      this.onSeek(this.plot.posToVal(event.clientX - over.getBoundingClientRect().left, "x"));
+    };
+    over.addEventListener("pointerdown", (event) => {
+      over.setPointerCapture(event.pointerId);
+      seek(event);
+    });
+    over.addEventListener("pointermove", seek);
+  }
+
+  /** @param {uPlot} plot */
+  #drawNow(plot) {
+    const { ctx, bbox: { top, height } } = plot, now = this.content?.now;
+    if (now === undefined) return;
+    const x = plot.valToPos(now, "x", true);
+    ctx.save();
+    ctx.strokeStyle = css("--ink");
+    ctx.lineWidth = devicePixelRatio;
+    ctx.beginPath();
+    ctx.moveTo(x, top);
+    ctx.lineTo(x, top + height);
+    ctx.stroke();
+    ctx.restore();
   }
 
   /** @param {uPlot} plot */

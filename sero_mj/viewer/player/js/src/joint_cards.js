@@ -1,14 +1,14 @@
 /** What the cards of a run in a file say: values of its joints, and of smart arrows. */
 
 import { textOf, valueOf } from "./data.js";
-import { VECTOR } from "./geoms.js";
+import { BILLBOARD, VECTOR } from "./geoms.js";
 
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./cards.js").Content} Content */
 
 const TORQUES = ["torques", "torque_error"];
 
-/** The cards of a run; their keys are `joint N` and `vector N`. */
+/** The cards of a run; their keys are kind and item. */
 export class JointCards {
   /** @param {Run} run */
   constructor(run) {
@@ -29,7 +29,7 @@ export class JointCards {
     for (const { item, texts, at } of this.run.cards) {
       const place = stage.items.places.get(`${VECTOR} ${item}`), text = texts[at[frame]];
       if (item !== this.vector || !place || !text) continue;
-      found.push({ key: `vector ${item}`, title: "", lines: [["", text]], sign: "", isStale: false,
+      found.push({ key: `${VECTOR} ${item}`, title: "", lines: [["", text]], sign: "", isStale: false,
         at: place, load: Infinity, isChosen: false });
     }
     return found;
@@ -53,7 +53,7 @@ export class JointCards {
     const isNothing = !Number.isFinite(values[0]) || !/[1-9]/.test(texts[0]);
     const share = valueOf(run, joint, "torque_share", frame);
     return {
-      key: `joint ${joint}`, title: lines[0].title, lines: lines.map(({ label }, k) => [label, texts[k]]),
+      key: `${BILLBOARD} ${joint}`, title: lines[0].title, lines: lines.map(({ label }, k) => [label, texts[k]]),
       sign: isNothing ? "" : values[0] > 0 ? "positive" : "negative", isStale: false,
       at: stage.centre(joint), load: isChosen ? Infinity : Number.isFinite(share) ? share : -1, isChosen,
     };

@@ -4,9 +4,8 @@
  */
 
 import { decode, inflate } from "./data.js";
-import { Player } from "./file.js";
-import { Live } from "./live.js";
-import { byId } from "./page.js";
+import { Player } from "./player.js";
+import { Recording } from "./recording.js";
 import { CellTransport } from "./transport.js";
 
 const PATIENCE = 1500, PATIENCE_AFTER_ANSWER = 10_000; // ms for the kernel to answer
@@ -31,22 +30,13 @@ function again(hasAnswered) {
   element.srcdoc = String(element.srcdoc);
 }
 
-/** @param {string} name of the template of the page's body */
-function build(name) {
-  const template = /** @type {HTMLTemplateElement} */ (byId(name));
-  document.body.append(template.content);
-  document.body.classList.toggle("live", name === "live");
-}
-
-/** @param {string} cell @returns {Promise<Live | Player>} */
+/** @param {string} cell @returns {Promise<Player>} */
 export async function fromNotebook(cell) {
   const transport = new CellTransport(cell);
   if (keptRun(cell) && !await transport.finds(frame()?.dataset.answered ? PATIENCE_AFTER_ANSWER : PATIENCE)) {
     transport.onopen = () => again(true);
-    build("file");
-    return new Player(decode(await inflate(keptRun(cell))));
+    return new Player(new Recording(decode(await inflate(keptRun(cell)))));
   }
   transport.onlost = () => { if (keptRun(cell)) again(false); };
-  build("live");
-  return new Live(transport);
+  return new Player(transport);
 }

@@ -3,9 +3,9 @@
 /** @template {Element} [T=HTMLElement] @param {string} id */
 export const byId = (id) => /** @type {T} */ (/** @type {unknown} */ (document.getElementById(id)));
 
-/** Where those of some elements are that are seen. @param {string[]} ids */
-export const boxesOf = (ids) => ids.map((id) => byId(id))
-  .filter((each) => each?.getClientRects().length)
+/** The boxes of the visible ones of some elements. @param {string[]} selectors */
+export const boxesOf = (selectors) => selectors.flatMap((each) => [...document.querySelectorAll(each)])
+  .filter((each) => each.getClientRects().length)
   .map((each) => each.getBoundingClientRect());
 
 /**

@@ -1,6 +1,7 @@
 /** The model: one geometry for all that is opaque, one for doubles; bodies' poses in a texture. */
 
 import * as THREE from "three";
+import { mixer } from "./data.js";
 import { Mirror, mirrorOf } from "./mirror.js";
 import { backOf, ball, capsule, cylinder, finish, finishOf, isPlane, metallicOf, placesIn, planeOf, textureOf, texturesOf }
   from "./surfaces.js";
@@ -202,11 +203,8 @@ export class Robots {
   /** Places the bodies. @param {number} at frame, with a fraction @param {boolean} hasDoubles */
   place(at, hasDoubles) {
     const { run, texels } = this, { frames } = run;
-    const before = Math.floor(at), after = Math.min(before + 1, frames - 1), part = at - before;
+    const before = Math.floor(at), mix = mixer(at, frames);
     const position = new THREE.Vector3(), turn = new THREE.Quaternion();
-    /** @param {Float32Array} of @param {number} channel */
-    const mix = (of, channel) =>
-      of[channel * frames + before] * (1 - part) + of[channel * frames + after] * part;
     const { positions: P, rotations: R } = run;
     for (let b = 0; b < run.bodies.length; b++) {
       position.set(mix(P, 3 * b), mix(P, 3 * b + 1), mix(P, 3 * b + 2));

@@ -1,6 +1,7 @@
 /** What is soft: skins, which bones move; flexes and tendons, whose places are in the run. */
 
 import * as THREE from "three";
+import { mixer } from "./data.js";
 import { materialOf, repeated, texturesOf } from "./surfaces.js";
 import { Tubes } from "./tubes.js";
 
@@ -150,10 +151,7 @@ export class SoftParts {
   /** Places it. @param {number} time frame, with a fraction @param {THREE.Matrix4[]} bodies */
   place(time, bodies) {
     const { soft, tendons, frames } = this.run;
-    const before = Math.floor(time), after = Math.min(before + 1, frames - 1), part = time - before;
-    /** @param {Float32Array} of @param {number} channel */
-    const mix = (of, channel) =>
-      of[channel * frames + before] * (1 - part) + of[channel * frames + after] * part;
+    const before = Math.floor(time), mix = mixer(time, frames);
     for (const skin of this.skins) skin.place(bodies);
     if (soft) {
       const places = new Float32Array(soft.length / frames);

@@ -3,6 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoundArrows } from "./arrows.js";
+import { mixer } from "./data.js";
 import { placeOf, standingBack, viewFrom } from "./eye.js";
 import { ARROW } from "./geoms.js";
 import { Items } from "./items.js";
@@ -98,8 +99,7 @@ export class Stage {
   #follow(at) {
     const { follow, frames } = this.run;
     if (!follow) return;
-    const before = Math.floor(at), after = Math.min(before + 1, frames - 1), part = at - before;
-    const now = [0, 1, 2].map((c) => follow[c * frames + before] * (1 - part) + follow[c * frames + after] * part);
+    const mix = mixer(at, frames), now = [0, 1, 2].map((c) => mix(follow, c));
     if (this.fixed < 0) this.shift(now.map((each, k) => each - this.followed[k]));
     else this.followed = now;
   }

@@ -1,10 +1,13 @@
-/** What a live page shows: a run of one frame, whose arrays the server's sections overwrite. */
+/** What a page shows of a live run: a run of one frame, whose arrays the server's sections overwrite. */
 
 import { decode } from "./data.js";
-import { Geoms } from "./geoms.js";
+import * as THREE from "three";
+import { BILLBOARD, Geoms } from "./geoms.js";
 import { Reader, fill } from "./sections.js";
 
 /** @typedef {import("./data.js").Run} Run */
+/** @typedef {{kind: number, item: number, at: number[], lines: [string, string][], title: string,
+ *   share: number | null, sign: "" | "positive" | "negative", stale: boolean, always: boolean}} SentCard */
 
 const TURN = 1 / 16384; // of a component of a unit quaternion
 const BYTES_OF_GEOM = 12 + 12 + 16 + 12 + 4;
@@ -30,6 +33,17 @@ export class State {
     this.sites = null;
     run.arrows.values = new Float64Array(joints);
     run.joints.forEach(({ arrow }, j) => { this.arrowOn[j] = Number(arrow.on); });
+  }
+
+  /**
+   * What is drawn now.
+   * @param {unknown} _ @param {Record<string, any>} now the latest JSON sections @returns {import("./view.js").Moment}
+   */
+  moment(_, now) {
+    return {
+      at: 0, hasDoubles: true, hasArrow: (joint) => this.arrowOn[joint] > 0, geoms: () => this.geoms, sites: this.sites,
+      labels: now.labels ?? [], cards: () => contentsOf(now.cards ?? [], now.selected ?? -1),
+    };
   }
 
   /**
@@ -113,4 +127,16 @@ export class State {
     reader.take(this.sites.turns);
     return true;
   }
+}
+
+/**
+ * Cards as the server writes them; their keys are kind and item.
+ * @param {SentCard[]} cards @param {number} selected joint; -1 for none @returns {import("./cards.js").Content[]}
+ */
+function contentsOf(cards, selected) {
+  return cards.map(({ kind, item, at, lines, title, share, sign, stale, always }) => {
+    const isChosen = kind === BILLBOARD && item === selected;
+    return { key: `${kind} ${item}`, title, lines, sign, isStale: stale, isChosen,
+      at: new THREE.Vector3().fromArray(at), load: always || isChosen ? Infinity : share ?? -1 };
+  });
 }

@@ -1,4 +1,4 @@
-/** What stands around the picture of a live page: panels, plots, messages, and who is in control. */
+/** What stands around the picture of a page: panels, plots, messages, and who is in control. */
 
 import { byId, made, mark, write } from "./page.js";
 import { Tree } from "./panels.js";
@@ -118,6 +118,7 @@ export class Surround {
       case "areas": this.areas.show(value ?? []); return true;
       case "about": return this.#about(value);
       case "status": return this.#status(value ?? []);
+      case "details": return this.#details(value);
       case "notes": return this.#notes(value ?? []);
       case "message": return say(byId("message"), value);
       case "ongoing": return say(byId("ongoing"), value);
@@ -150,6 +151,17 @@ export class Surround {
   #notes(blocks) {
     byId("notes").hidden = !blocks.length;
     write(byId("notes"), blocks.map((block) => block.join("\n")).join("\n\n"));
+    return true;
+  }
+
+  /** What was clicked on. @param {{name: string, rows: [string, string][]} | null} details */
+  #details(details) {
+    const box = byId("details");
+    box.hidden = !details;
+    if (!details) return true;
+    const list = document.createElement("dl");
+    for (const [word, text] of details.rows) list.append(made("dt", word), made("dd", text));
+    box.replaceChildren(made("h2", details.name), list);
     return true;
   }
 

@@ -1,6 +1,6 @@
 /** Ticks on a time line: what happened when. What is near the time that is shown is told above it. */
 
-import { made, mark, write } from "./page.js";
+import { boxesOf, byId, made, mark, write } from "./page.js";
 
 /**
  * What happened at a time, or for some time.
@@ -8,17 +8,14 @@ import { made, mark, write } from "./page.js";
  *   text: with its time, where that is not beside it; label: on what takes some time, where there is room
  */
 
-/**
- * Where what is told has room: between two places of the page, so far above the time line; pixels.
- * @typedef {{left: number, right: number, up: number}} Room
- */
 
 const NEAR = 0.012; // of the time line
 const AFTER = 0.5; // s for which what has just happened is told
 const MOST_LINES = 3;
 const OF_TICK = 3; // pixels that a tick is wide
 const SHORTEST = 40; // pixels, of a label that is cut
-const ABOVE = 12; // pixels between what is told and the time line
+const BESIDE = 8; // pixels between boxes at the foot of the picture
+const NARROW = 280; // pixels, in which nothing is told
 
 /**
  * The ticks that are told: the nearest one, with what happened at the same time.
@@ -56,6 +53,18 @@ export function gapFor(needed, edges) {
   /** @type {[number, number][]} */
   const gaps = edges.slice(1).map((end, k) => [edges[k], end - edges[k] - OF_TICK]);
   return gaps.find(([, length]) => length >= needed) ?? gaps.reduce((a, b) => b[1] > a[1] ? b : a);
+}
+
+/** Where there is room at the foot of the picture, beside legend and details or above them; pixels. */
+function roomAbove() {
+  const stage = byId("stage").getBoundingClientRect();
+  const room = { left: stage.left + BESIDE, right: stage.right - BESIDE, up: 0, foot: stage.bottom }, whole = { ...room };
+  for (const { left, right, top } of boxesOf(["#notes", "#details"])) {
+    whole.up = Math.max(whole.up, stage.bottom - top);
+    if (left + right < stage.left + stage.right) room.left = Math.max(room.left, right + BESIDE);
+    else room.right = Math.min(room.right, left - BESIDE);
+  }
+  return room.right - room.left < NARROW ? whole : room;
 }
 
 /** The ticks of a time line, as buttons that go there. */
@@ -138,33 +147,33 @@ export class Ticks {
     return button;
   }
 
-  /**
-   * Tells what is near a time.
-   * @param {number} at s @param {Room} [room] anywhere above the time line if not given
-   */
-  tell(at, room) {
+  /** Tells what is near a time. @param {number} at s */
+  tell(at) {
     const told = toldAt(this.ticks, at, this.high - this.low), { bubble } = this;
     this.told = few(told.map(({ text }) => text)).join("\n");
     bubble.hidden = !told.length;
     if (!told.length) return;
+    const isBelow = this.room.closest("#timeline") !== null; // below the picture
     write(bubble, this.told);
     mark(bubble, "class", `told ${(told.find(({ kind }) => kind === "failed") ?? told[0]).kind}`);
     // Beside its tick, and never beyond the ends of the time line.
     const share = this.#share(told[0].begin);
     bubble.style.left = `${100 * share}%`;
     bubble.style.transform = `translateX(${-100 * share}%)`;
+    const room = isBelow ? roomAbove() : null;
     if (room) this.#move(share, room);
     this.tallest = Math.max(this.tallest, bubble.offsetHeight);
+    if (room) bubble.dataset.room = String(room.up + this.tallest + BESIDE);
   }
 
   /**
    * Moves what is told to where it has room.
-   * @param {number} share of the time line @param {Room} room
+   * @param {number} share of the time line @param {ReturnType<typeof roomAbove>} room
    */
-  #move(share, { left: first, right: last, up }) {
-    const { bubble } = this, { left, width } = this.room.getBoundingClientRect();
+  #move(share, { left: first, right: last, up, foot }) {
+    const { bubble } = this, { left, width, top } = this.room.getBoundingClientRect();
     bubble.style.maxWidth = `min(60ch, ${last - first}px)`;
-    bubble.style.bottom = `calc(100% + ${ABOVE + up}px)`;
+    bubble.style.bottom = `calc(100% + ${top - foot + BESIDE + up}px)`;
     const wanted = left + share * (width - bubble.offsetWidth);
     bubble.style.left = `${Math.max(Math.min(wanted, last - bubble.offsetWidth), first) - left}px`;
     bubble.style.transform = "";

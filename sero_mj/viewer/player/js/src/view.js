@@ -1,4 +1,4 @@
-/** What pages of files and live pages share: the picture, what is written over it, and when to draw. */
+/** The picture of a page, what is written over it, and when to draw. */
 
 import { Cards } from "./cards.js";
 import { Labels } from "./labels.js";
@@ -14,6 +14,14 @@ import { Stage, rendererOf } from "./stage.js";
  *   turn: (isUser: boolean) => void, look: (look: Look) => void, resize: () => void}} Acts
  *   frame: draws, so many ms after the last picture, or 0 after a rest;
  *   turn: the camera has turned
+ */
+
+/**
+ * What is drawn: a time of a run, with what is on.
+ * @typedef {{at: number, hasDoubles: boolean, hasArrow: (joint: number) => boolean,
+ *   geoms: (sites: import("three").Matrix4[]) => import("./geoms.js").Geoms,
+ *   cards: () => import("./cards.js").Content[], labels: import("./labels.js").Label[],
+ *   sites?: {positions: Float32Array, turns: Float32Array} | null}} Moment
  */
 
 /** The picture of a page. */
@@ -63,7 +71,7 @@ export class View {
   }
 
   #listen() {
-    const { canvas } = { canvas: this.renderer.domElement };
+    const canvas = this.renderer.domElement;
     byId("look").addEventListener("click", () => this.setLook(this.look === "dark" ? "light" : "dark"));
     new ResizeObserver(() => this.resize()).observe(byId("stage"));
     // Cards are over the picture, but not what the wheel turns.
@@ -113,23 +121,16 @@ export class View {
     });
   }
 
-  /**
-   * Draws a moment.
-   * @param {{at: number, hasDoubles: boolean, hasArrow: (joint: number) => boolean,
-   *   geoms: (sites: import("three").Matrix4[]) => import("./geoms.js").Geoms,
-   *   cards: () => import("./cards.js").Content[],
-   *   labels: import("./labels.js").Label[],
-   *   sites?: {positions: Float32Array, turns: Float32Array} | null, foot?: number}} moment
-   *   foot: pixels at the foot of the picture that cards leave free
-   */
-  draw({ foot = 0, at, hasDoubles, hasArrow, geoms, cards, labels, sites }) {
+  /** @param {Moment} moment */
+  draw({ at, hasDoubles, hasArrow, geoms, cards, labels, sites }) {
     const { stage } = this;
     this.isDirty = false;
     stage.place(at, hasDoubles, hasArrow, geoms, sites);
     this.calls = stage.draw();
     const { offsetTop, offsetHeight } = /** @type {HTMLElement} */ (byId("names").parentElement);
     const top = offsetTop + offsetHeight + 4;
-    const room = byId("stage").getBoundingClientRect(), boxes = boxesOf(["notes", "details"]);
+    const room = byId("stage").getBoundingClientRect(), boxes = boxesOf(["#notes", "#details"]);
+    const foot = Number(document.querySelector("#timeline .told")?.getAttribute("data-room") ?? 0);
     /** @param {number} left @param {number} right pixels */
     const endOf = (left, right) => Math.min(stage.size.height - foot - 8, ...boxes
       .filter((box) => box.left - room.left < right && box.right - room.left > left)

@@ -10,11 +10,12 @@ import { Ticks } from "./ticks.js";
  *   width?: number, same?: number | boolean, left?: number, mood?: string, open?: boolean,
  *   nodes?: Node[], widths?: number[], rows?: Node[][][], lit?: boolean, text?: string, hint?: string,
  *   on?: boolean, index?: number, names?: string[], value?: number, low?: number, high?: number,
- *   ticks?: [number, string, string][], count?: number, height?: number, lines?: any[], x?: string, y?: string,
- *   xRange?: [number, number], yRange?: [number, number], limits?: number[]}} Node
+ *   ticks?: Tick[], count?: number, height?: number, lines?: any[], x?: string, y?: string,
+ *   xRange?: [number, number], yRange?: [number, number], limits?: number[], now?: number, name?: string}} Node
  */
+/** @typedef {[at: number, kind: string, text: string, end?: number, label?: string]} Tick */
 /** @typedef {{element: HTMLElement, sized?: HTMLElement, update: (node: Node) => void,
- *   dispose?: () => void}} Widget sized: the part that a width is for; else all of it */
+ *   graph?: Graph, dispose?: () => void}} Widget sized: the part that a width is for; else all of it */
 /** @typedef {import("./panels.js").Context} Context */
 
 const ECHO = 1000; // ms, in which the server is to know what the user has changed
@@ -269,7 +270,7 @@ const slide = ({ id }, { send }) => {
     if (box.valueAsNumber !== value) box.value = String(value);
     box.style.setProperty("--done", `${100 * Math.min(Math.max((value - low) / (high - low || 1), 0), 1)}%`);
     write(said, text);
-    ticks.update((node.ticks ?? []).map(([at, kind, words]) => ({ begin: at, end: at, text: words, kind })), low, high);
+    ticks.update((node.ticks ?? []).map(([begin, kind, words, end = begin, label = ""]) => ({ begin, end, text: words, kind, label })), low, high);
     ticks.tell(value);
     const number = text || String(Number(value.toPrecision(4)));
     mark(box, "aria-valuetext", [number, ticks.told].filter(Boolean).join(", "));
@@ -328,9 +329,9 @@ const lines = () => {
 };
 
 /** @type {(node: Node, context: Context) => Widget} */
-const plot = () => {
-  const graph = new Graph();
-  return { element: graph.element, update: (node) => graph.update(/** @type {any} */ (node)),
+const plot = ({ id }, { send }) => {
+  const graph = new Graph((value) => send({ t: "widget", id, value }));
+  return { element: graph.element, graph, update: (node) => graph.update(/** @type {any} */ (node)),
     dispose: () => graph.dispose() };
 };
 

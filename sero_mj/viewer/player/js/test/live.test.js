@@ -12,7 +12,7 @@ import { clearOf } from "../src/labels.js";
 import { keysOf, linesOf } from "../src/panels.js";
 import { Reader, fill, readSections } from "../src/sections.js";
 import { State } from "../src/state.js";
-import { shortName } from "../src/plot.js";
+import { shortName } from "../src/torque_plot.js";
 import { gapFor, toldAt } from "../src/ticks.js";
 import { Held, rounded, stepOf } from "../src/widgets.js";
 
@@ -36,7 +36,7 @@ function run() {
     opacity: [2, "u1", 1], grey: [2, "u1", 1], bodies: [{ name: "link", joint: 0, double: -1 }], meshes: [],
     geoms: [], joints: [{ torqueLimit: 5, arrow: { on: true, radius: 0.1 } }], values: {},
     arrows: { stale: [2, "u1", 1], values: null }, items: { of: [] }, notes: { texts: [""], at: empty },
-    legend: { texts: [""], at: empty },
+    legend: { texts: [[]], at: empty },
     cards: [], lengths: [3, 4, 1],
   };
   const text = new TextEncoder().encode(JSON.stringify(head));

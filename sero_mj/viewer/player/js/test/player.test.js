@@ -76,7 +76,7 @@ test("a head and its arrays are read, with channels one after the other", () => 
     version: 1, fps: 1, begin: 0, frames: 2, steps: [0.5, 1], positions: moving, rotations: empty,
     opacity: empty, grey: empty, meshes: [], geoms: [], joints: [{ torqueLimit: 5 }],
     values: { torques: [1, "f8", 2] }, arrows: { stale: empty, values: null }, items: { of: [] },
-    notes: { texts: [""], at: empty }, legend: { texts: [""], at: empty }, cards: [],
+    notes: { texts: [""], at: empty }, legend: { texts: [[]], at: empty }, cards: [],
     lengths: [4, 16],
   };
   const text = new TextEncoder().encode(JSON.stringify(head));

@@ -1,0 +1,183 @@
+"""X3D scenes as TOML and TOML scenes as X3D, for `sero-mj export`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...base.errors import UsageError
+from ...cli.arguments import check_new, read_scene, writing
+from .importer import X3d
+
+if TYPE_CHECKING:
+    from ...base.declaration import Declaration
+    from ...cli.export import ExportOptions
+    from ...robots.declared.robot import SerialRobot
+    from ...robots.declared.robot_parts import LinkGeometry
+    from ...robots.declared.scene import Scene
+
+# Fields of robots in other units or orders, which are converted when a robot is built.
+_OTHER_FORMS = ("name", "dh_params", "dh_columns", "length_unit")
+
+
+def write_toml(options: ExportOptions) -> int:
+    """Writes an X3D scene as TOML; returns 0."""
+    return _write(options, to_x3d=False)
+
+
+def write_x3d(options: ExportOptions) -> int:
+    """Writes a scene as X3D, with its links as VRML97 files in OUT_links/ROBOT; returns 0."""
+    return _write(options, to_x3d=True)
+
+
+def _write(options: ExportOptions, *, to_x3d: bool) -> int:
+    options.accept("overwrite")
+    output = options.path
+    if to_x3d == (Path(options.scene).suffix.lower() in X3d.endings):
+        both = "X3D" if to_x3d else "TOML"
+        raise UsageError(f"{options.scene} and {output}: both are {both}; expected one of each")
+    files: dict[Path, str] = {}
+    if to_x3d:
+        text, lost = _as_x3d(options.scene, output, files)
+    else:
+        text, lost = _as_toml(options.scene, output), []
+    files[output] = text
+    if not options.overwrite:
+        check_new(files, "--overwrite writes over it")
+    with writing():
+        for path, contents in files.items():
+            if path is not output:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(contents, encoding="utf-8")
+    if lost:
+        line = f"sero-mj: left out, as X3D or its protos have no word for it: {', '.join(lost)}"
+        print(fill(line, 100, subsequent_indent="  ", break_on_hyphens=False), file=sys.stderr)
+    print(output)
+    return 0
+
+
+def _as_toml(name: str, output: Path) -> str:
+    from ...robots.importers.toml_text import toml_text
+    from .reader import read_x3d
+
+    read_scene(name)  # tells all that is wrong, also what is wrong with robots and sources
+    described = read_x3d(Path(name))
+    for robot in described.tables.get("robots", {}).values():
+        if robot.get("directory"):
+            folder = Path(name).parent / robot["directory"]
+            robot["directory"] = _relative(folder, output)
+    comments = [f"{Path(name).name}, as a scene of sero-mj."]
+    for warning in described.warnings:
+        comments += fill(f"Note: {warning}", 98, subsequent_indent="  ").splitlines()
+    return toml_text(described.tables, comments)
+
+
+def _relative(folder: Path, output: Path) -> str:
+    try:
+        return Path(os.path.relpath(folder.absolute(), output.absolute().parent)).as_posix()
+    except ValueError:  # on another drive
+        return folder.absolute().as_posix()
+
+
+def _as_x3d(name: str, output: Path, files: dict[Path, str]) -> tuple[str, list[str]]:
+    from .writer import x3d_text
+
+    text, lost = x3d_text(scene_tables(read_scene(name), output, files))
+    if "SerialRobot {" not in text and "Shape {" not in text:
+        raise UsageError(f"{name}: nothing of it can be said in X3D; left out: {', '.join(lost)}")
+    return text, lost
+
+
+def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str, Any]:
+    """Returns the tables of a scene file with all fields of the robots, without `model`.
+
+    Args:
+        output: a file; folders are relative to its own.
+        files: gets the texts of files of links, to be written.
+    """
+    from ...data.drive.wiring import wire
+
+    sources = {}
+    for key, source in wire(scene).sources.items():
+        fields = source.model_dump(by_alias=True, exclude_defaults=True, exclude={"name"})
+        sources[key] = {"kind": source.kind, **_plain(fields)}
+    tables: dict[str, Any] = {
+        "description": scene.description,
+        "note": scene.note,
+        "robots": {key: robot_table(robot, output, files) for key, robot in scene.robots.items()},
+        "sources": sources,
+        "routes": dict(scene.routes),
+        "objects": {item.name: _changed(item, "name", "directory") for item in scene.objects},
+        "cameras": {key: _changed(camera) for key, camera in scene.cameras.items()},
+        "lights": {key: _changed(light) for key, light in scene.lights.items()},
+        "view": _changed(scene.view),
+        "toggles": _changed(scene.toggles),
+        "decor": {key: dict(table) for key, table in scene.decor.items()},
+        "groups": scene.groups,
+        "doubles": scene.doubles,
+        "arrows": scene.arrows,
+        "frames": scene.frames,
+    }
+    return {key: value for key, value in tables.items() if value}
+
+
+def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dict[str, Any]:
+    """Returns a robot's fields that differ from their defaults, SI units; see `scene_tables`."""
+    table = _changed(robot, *_OTHER_FORMS)
+    if robot.dh is not None:
+        dh = robot.dh
+        table["dh_params"] = np.column_stack([dh.alpha, dh.a, dh.theta, dh.d]).tolist()
+    if robot.children:
+        table["children"] = [_changed(child, "directory") for child in robot.children]
+    for key in ("filenames", "directory", "colors", "mesh_scale"):
+        table.pop(key, None)
+    if not robot.filenames:
+        return table
+    is_vrml = robot.mesh_scale == 1.0 and all(
+        len(link) <= 1 and all(_is_vrml(part) for part in link) for link in robot.filenames
+    )
+    if is_vrml:
+        table["filenames"] = [str(link[0].file) if link else "" for link in robot.filenames]
+        table["directory"] = _relative(Path(robot.directory), output)
+    elif robot.dh is not None and robot.dh_convention == "craig" and not robot.mirrored:
+        from .link_files import link_files
+
+        folder = output.parent / f"{output.stem}_links" / robot.name
+        texts = link_files(robot)
+        files |= {folder / name: text for name, text in texts.items()}
+        table["filenames"] = [*texts]
+        table["directory"] = _relative(folder, output)
+    else:
+        table["filenames"] = []  # they are in other frames; named where they are left out
+    return table
+
+
+def _is_vrml(part: LinkGeometry) -> bool:
+    is_file = part.file is not None and Path(part.file).suffix.lower() == ".wrl"
+    return is_file and not _changed(part, "file")
+
+
+def _changed(declaration: Declaration, *but: str) -> dict[str, Any]:
+    changed = {}
+    for key, field in type(declaration).model_fields.items():
+        value = getattr(declaration, key)
+        default = field.get_default(call_default_factory=True)
+        if key not in but and _plain(value) != _plain(default):
+            changed[key] = _plain(value)
+    return changed
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return _changed(value) if hasattr(type(value), "model_fields") else value

@@ -1,0 +1,63 @@
+"""`CameraControl`: what the user of a window or page does with its camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+
+from ...base.frames import Array
+from ..image.camera import Navigator
+from ..image.framing import standing_back
+from ..image.scene_decor import SceneDecor
+
+
+class CameraControl:
+    """Moves the camera of a window or page, unless a photo that is drawn over fixes it.
+
+    Args:
+        decor: returns the decor, whose view is that of the last frame.
+        say: shows a message.
+    """
+
+    def __init__(
+        self,
+        navigator: Navigator,
+        data: mujoco.MjData,
+        decor: Callable[[], SceneDecor],
+        say: Callable[[str], None],
+    ) -> None:
+        self._navigator, self._data, self._decor, self._say = navigator, data, decor, say
+
+    def choose(self, number: int) -> str:
+        """Selects a camera by number, 1 for the first, 0 for the initial view."""
+        return self._decor().fixed or self._navigator.choose(number)
+
+    def follow(self, frame: str | None) -> str:
+        """Starts following a frame, or stops; returns a message for the user."""
+        return self._decor().fixed or self._navigator.follow(self._data, frame)
+
+    def centre(self, point: Array) -> None:
+        """Makes a point (3,), m, the look-at point."""
+        decor = self._decor()
+        assert decor.view is not None  # there is a picture of the point
+        if decor.fixed:
+            self._say(decor.fixed)
+            return
+        self._navigator.free(decor.view.position, decor.view.forward)
+        self._navigator.camera.lookat = point
+
+    def move(self, how: str, right: float, down: float) -> None:
+        """Turns, pans or zooms (`orbit`, `pan`, `zoom`) by heights of the picture or notches."""
+        view, navigator = self._decor().view, self._navigator
+        if view is None or self._decor().fixed:
+            return
+        navigator.free(view.position, view.forward)
+        if how == "zoom":
+            navigator.zoom(down)
+        elif how == "pan":
+            back = standing_back(view.width, view.height, navigator.needed)
+            depth = navigator.camera.distance * back
+            navigator.pan(right, down, view.tan_half_fovy, depth)
+        else:
+            navigator.orbit(right, down)

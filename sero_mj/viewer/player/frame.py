@@ -1,0 +1,180 @@
+"""What a player shows of one frame of decor; pages send it, files store many of them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools, Ints
+from ...robots.assemble.world_view import WorldView
+from ...robots.declared.double import OUT_OF_SIGHT
+from ..decor.cards import Cards
+from ..decor.feature import Frame
+from ..decor.geom_buffer import GeomBuffer, Kind
+from ..decor.legend import SCALE
+from ..decor.panels import Panels
+from .copied_bodies import CopiedBodies
+from .labels import labels_of
+from .model import drawn_bodies
+from .soft import SoftFrame, SoftParts
+
+_LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
+
+
+class CapturedFrame(NamedTuple):
+    """What a player shows of one state, of B bodies and G copies, and N joints.
+
+    Attributes:
+        poses: positions in m and unit quaternions, (B + G, 7).
+        opacity: 0 where out of sight, (B + G,).
+        grey: bodies whose data are stale, (B + G,) bool.
+        soft: tendons and flexes.
+        values: of the joints by name, (N,) each; NaN for no data.
+        arrows: what the arrows of joints show, (N,).
+        limit: value of an arrow of full width, (N,); inf for none.
+        stale: joints without fresh data, (N,) bool.
+        geoms: of decor, without text and the arrows that the player makes: rows of `GEOM`,
+            and kind and item of each.
+        labels: see `labels_of`.
+        note: text in the corners, without the legend.
+        legend: what arrows mean.
+        cards: text of the smart arrows, by their index.
+    """
+
+    poses: Array
+    opacity: Array
+    grey: Bools
+    soft: SoftFrame
+    values: dict[str, Array]
+    arrows: Array
+    limit: Array
+    stale: Bools
+    geoms: tuple[np.ndarray, np.ndarray, np.ndarray]
+    labels: dict[Any, Any]
+    note: str
+    legend: str
+    cards: dict[int, str]
+
+
+class FrameTaker:
+    """The last feature of a decor, which takes what all others have laid out and drawn.
+
+    Args:
+        world: the compiled scene.
+        own_arrows: joints whose arrows the player makes from their values, (N,).
+
+    Attributes:
+        corners: lines of each text in a corner, and whether it belongs to the legend.
+        beside: text that belongs to a pixel, except cards.
+    """
+
+    def __init__(self, world: WorldView, own_arrows: Bools) -> None:
+        self._world, self._own_arrows = world, own_arrows
+        self.bodies, self.copies = shown_bodies(world), CopiedBodies(world)
+        self._soft = SoftParts(world.model)
+        self.corners: list[tuple[bool, list[str]]] = []
+        self.cards: list[Cards] = []
+        self.beside: list[Panels] = []
+        self.frame: Frame | None = None
+
+    def lay_out(self, frame: Frame) -> None:
+        self.corners = [
+            (group.of_arrows, [line_text(line) for line in lines])
+            for group in frame.corners
+            for lines in group.texts
+        ]
+        self.cards = [*frame.cards]
+        # Names have places of their own, see `labels_of`.
+        self.beside = [each for each in frame.panels if each.kind not in (Kind.NAME, Kind.PART)]
+        for groups in (frame.corners, frame.cards, frame.panels):
+            groups.clear()
+
+    def draw(self, frame: Frame) -> None:
+        self.frame = frame
+
+    def take(self, data: mujoco.MjData) -> CapturedFrame:
+        """Returns the frame that was drawn last, which must be of this state."""
+        world, frame = self._world, self.frame
+        assert frame is not None
+        buffer, model = frame.buffer, world.model
+        poses, faint = body_poses(data, self.bodies, self.copies, frame)
+        opacity = np.concatenate([_body_opacity(model, buffer)[self.bodies], faint])
+        opacity[poses[:, 2] < OUT_OF_SIGHT[2] / 2] = 0.0
+        grey = np.zeros(model.nbody, bool)
+        if buffer.grey is not None:
+            grey[model.geom_bodyid[buffer.grey]] = True
+        note, legend = (
+            "\n\n".join("\n".join(lines) for of_arrows, lines in self.corners if of_arrows == each)
+            for each in (False, True)
+        )
+        return CapturedFrame(
+            poses=poses,
+            opacity=opacity,
+            grey=np.concatenate([grey[self.bodies], np.zeros(len(faint), bool)]),
+            soft=self._soft.take(data),
+            values=frame.values,
+            arrows=frame.arrow_values,
+            limit=frame.arrow_limit,
+            stale=frame.stale_joints,
+            geoms=self._geoms(buffer),
+            labels=labels_of(world, frame),
+            note=note,
+            legend=legend,
+            cards={
+                int(item): "\n".join(map(line_text, lines))
+                for group in self.cards
+                if group.kind == Kind.CARD
+                for item, lines in zip(group.items, group.texts, strict=True)
+            },
+        )
+
+    def _geoms(self, buffer: GeomBuffer) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        kinds, items = buffer.kinds[: buffer.count], buffer.items[: buffer.count]
+        is_arrow = kinds == Kind.ARROW
+        kept = ~is_arrow
+        kept[is_arrow] = ~self._own_arrows[items[is_arrow]]
+        # Panels stand in front of the camera, and are laid out by the player.
+        kept[buffer.text] = False
+        kept &= buffer.rows["type"][: buffer.count] != _LABEL
+        index = kept.nonzero()[0]
+        return buffer.rows[index], kinds[index], items[index]
+
+
+def body_poses(
+    data: mujoco.MjData, bodies: Ints, copies: CopiedBodies, frame: Frame | None
+) -> tuple[Array, Array]:
+    """Returns the poses of bodies and then of copies, (B + G, 7), and the opacity of copies (G,).
+
+    A copy that the frame does not show, as without a frame, has the opacity 0.
+    """
+    drawn = [] if frame is None else frame.buffer.drawn_doubles
+    places, turns, opacity = copies.poses(drawn)
+    own = np.hstack([data.xpos[bodies], data.xquat[bodies]])
+    return np.concatenate([own, np.hstack([places, turns])]), opacity
+
+
+def _body_opacity(model: mujoco.MjModel, buffer: GeomBuffer) -> Array:
+    found = np.ones(model.nbody)
+    if buffer.opacity is not None:
+        np.minimum.at(found, model.geom_bodyid, buffer.opacity)
+    if buffer.hidden is not None:
+        found[model.geom_bodyid[buffer.hidden]] = 0.0
+    return found
+
+
+def line_text(line: bytes) -> str:
+    """Returns a line as text; the legend's scale has bars, of which only the last has a name."""
+    text = line.decode("latin-1").rstrip()
+    scale = "".join(SCALE)
+    return f"full width: {text.removeprefix(scale)}" if text.startswith(scale) else text
+
+
+def shown_bodies(world: WorldView) -> Ints:
+    """Returns the ids of the bodies that something visible, or a camera, is fixed to, (B,)."""
+    model = world.model
+    own = [drawn_bodies(model), model.cam_bodyid]
+    if world.has_sites:
+        own.append(model.site_bodyid[world.joints.centre_site])
+    return np.unique(np.concatenate(own)).astype(np.intp)

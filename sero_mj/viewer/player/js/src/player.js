@@ -1,0 +1,349 @@
+/** A page: it shows the state that its transport brings, and sends what its user does. */
+
+import { isOnHandle } from "./handles.js";
+import { Input } from "./input.js";
+import { lookIn, lookToOpen, onOtherLook } from "./look.js";
+import { byId, valueIn } from "./page.js";
+import { Recording } from "./recording.js";
+import { readSections } from "./sections.js";
+import { State } from "./state.js";
+import { Surround } from "./surround.js";
+import { SocketTransport, accessOf } from "./transport.js";
+import { View, tell } from "./view.js";
+
+/** @typedef {import("./transport.js").Transport} Transport */
+/** @typedef {import("./eye.js").View & {by: unknown, serial: number, fixed: number}} Seen */
+
+const LOOK = "sero-mj look"; // where the browser keeps it
+// Of JSON sections, those that are seen in the picture.
+const IN_PICTURE = ["labels", "cards", "camera", "lookAt", "selected", "shading"];
+
+/** The page. */
+export class Player {
+  /** @param {Transport} transport of a live run, or a `Recording` */
+  constructor(transport = new SocketTransport("/live", accessOf())) {
+    this.transport = transport;
+    /** What has come and is not shown yet, the latest of each. @type {import("./sections.js").Sections} */
+    this.waiting = { json: new Map(), bytes: new Map() };
+    this.unanswered = 0; // messages that are not shown yet: the server sends few more
+    this.serial = -1; // of the last camera that the server has moved
+    /** The latest of the sections that are asked for later. @type {Record<string, any>} */
+    this.now = {};
+    this.recording = transport instanceof Recording ? transport : null;
+    /** @type {State | Recording | null} */
+    this.state = null;
+    this.isFollowing = true; // whether the camera is that of who is in control
+    this.isTurned = false; // whether we have turned it, which nobody knows yet
+    this.surround = new Surround((message) => this.#act(message));
+    this.view = new View({
+      frame: (passed) => this.#frame(passed),
+      card: (key, event) => this.#card(key, event),
+      turn: (isUser) => { if (isUser) this.#turned(); },
+      look: () => {},
+      resize: () => this.#tellSize(),
+    });
+    this.view.labels.onClick = (key, event) => this.#card(key, event);
+    document.body.classList.add(this.recording ? "file" : "live");
+    this.view.setLook(lookToOpen(this.#keptLook()));
+    this.input = new Input(this.view.renderer.domElement, {
+      send: (message) => this.#act(message),
+      canAct: () => this.isInControl,
+      isDragging: () => Boolean(this.now.dragging),
+      isOnHandle: (at, tolerance) => Boolean(this.view.current && this.state
+        && isOnHandle(this.view.stage, this.state.geoms, at, tolerance)),
+      isOnSomething: ({ x, y }) => Boolean(this.view.current && this.view.stage.pick(x, y)),
+      setTurning: (isOn) => { if (this.view.current) this.view.stage.orbit.enabled = isOn && !this.now.dragging; },
+      localKey: (name) => this.#localKey(name),
+      wake: () => this.view.wake(false),
+    });
+    this.#listen();
+    // Files that are dropped are sent by a script of their own, `uploads.js`.
+    Object.assign(/** @type {any} */ (globalThis).drops ?? {},
+      { may: () => this.isInControl, key: () => this.now.you?.key ?? "" });
+    this.#connect();
+  }
+
+  get stage() { return this.view.stage; }
+
+  get run() { return this.view.stage.run; }
+
+  get calls() { return this.view.calls; }
+
+  /** The look that the user has chosen on a page of this server; null for none. */
+  #keptLook() { return this.recording ? null : keptLook(); }
+
+  /** Whether the server listens to us. */
+  get isInControl() {
+    return this.now.you !== undefined && this.now.control?.holder === this.now.you.id;
+  }
+
+  #connect() {
+    const { transport } = this;
+    transport.onopen = () => {
+      tell("server", "");
+      this.waiting = { json: new Map(), bytes: new Map() };
+      this.unanswered = 0;
+      this.serial = -1;
+      this.now = {};
+      this.isNew = true;
+      if (this.recording) this.#show(this.recording);
+      this.#tellSize();
+    };
+    transport.onframe = () => this.view.wake();
+    transport.onclose = () => tell("server", "The viewer has gone. This page connects again as soon as it is back.");
+    transport.onlocked = () => tell("server", accessOf().locked);
+    transport.onmessage = (message) => {
+      if (typeof message === "string") this.#event(JSON.parse(message));
+      else this.#receive(message);
+    };
+    transport.onother = () => location.reload();
+    transport.open();
+  }
+
+  #listen() {
+    const press = (/** @type {string} */ id, /** @type {() => void} */ act) => byId(id).addEventListener("click", act);
+    press("look", () => { if (!this.recording) keep(this.view.look); });
+    press("open", () => this.#act({ t: "key", key: "t", repeat: false }));
+    press("help", () => this.#act({ t: "key", key: "h", repeat: false }));
+    press("take", () => this.#takeControl());
+    press("follow", () => {
+      this.isFollowing = true;
+      this.#see(this.now.camera);
+      this.#showControl();
+    });
+    byId("camera").addEventListener("change", (event) => this.#chooseCamera(Number(valueIn(event))));
+    onOtherLook(() => this.view.setLook(lookToOpen(this.#keptLook())));
+  }
+
+  /** @param {ArrayBuffer | import("./sections.js").Sections} message */
+  #receive(message) {
+    const { waiting } = this;
+    this.unanswered++;
+    try {
+      const { json, bytes } = message instanceof ArrayBuffer ? readSections(message) : message;
+      // What has come for another model does not fit any more.
+      if (bytes.has("run")) waiting.bytes.clear();
+      for (const [name, value] of json) waiting.json.set(name, value);
+      for (const [name, value] of bytes) waiting.bytes.set(name, value);
+    } catch (error) {
+      misunderstood(error);
+    }
+    this.view.wake(false);
+  }
+
+  /** @param {{copy?: string, reload?: boolean}} event */
+  #event({ copy, reload }) {
+    if (copy !== undefined) navigator.clipboard?.writeText(copy).catch(() => prompt("Copy:", copy)) ?? prompt("Copy:", copy);
+    if (reload) location.reload();
+  }
+
+  /** Takes what has come. */
+  #take() {
+    const { json, bytes } = this.waiting;
+    if (!json.size && !bytes.size) return;
+    this.waiting = { json: new Map(), bytes: new Map() };
+    try {
+      const run = bytes.get("run");
+      if (run) this.#show(new State(run, this.state instanceof State ? this.state.keys : []));
+      for (const [name, value] of json) this.#takeJson(name, value);
+      if (this.state instanceof State) for (const [name, value] of bytes) if (this.state.take(name, value)) this.view.isDirty = true;
+    } catch (error) {
+      misunderstood(error);
+    }
+  }
+
+  /** @param {State | Recording} state */
+  #show(state) {
+    this.state = state;
+    this.view.show(state.run);
+    if (this.recording) this.recording.stage = this.stage;
+    this.stage.robots.shade(this.now.shading ?? {});
+  }
+
+  /** @param {string} name @param {any} value */
+  #takeJson(name, value) {
+    if (this.state instanceof State && this.state.takeJson(name, value)) this.view.isDirty = true;
+    if (name === "hover" && !this.isInControl) return; // it is beside the pointer of another one
+    if (name === "request") {
+      this.now.request = value;
+      this.#showRequest();
+      return;
+    }
+    if (this.surround.take(name, value)) return;
+    const before = this.now[name];
+    this.now[name] = value;
+    if (IN_PICTURE.includes(name)) this.view.isDirty = true;
+    switch (name) {
+      case "camera": this.#follow(value); break;
+      case "lookAt": this.#shift(before, value); break;
+      case "shading": this.view.current?.robots.shade(value ?? {}); break;
+      case "you": case "control":
+        this.#keepControl();
+        this.#showControl();
+        break;
+      case "dragging": case "onHandle": this.#showHand(); break;
+    }
+  }
+
+  /** Draws now. */
+  draw() {
+    this.view.isDirty = true;
+    this.#frame(0);
+  }
+
+  /** @param {number} passed ms since the last picture */
+  #frame(passed) {
+    this.recording?.advance(passed);
+    this.#take();
+    this.#tellCamera();
+    this.input.flush();
+    for (; this.unanswered; this.unanswered--) this.transport.send('{"t":"got"}');
+    const { state, view } = this;
+    if (!state || !view.isDirty) return;
+    view.stage.notePace(passed);
+    view.draw(state.moment(view.stage, this.now));
+  }
+
+  /** Sends what only counts from who is in control. @param {object} message */
+  #act(message) {
+    if (!this.isInControl) return;
+    this.#tellCamera();
+    this.transport.send(JSON.stringify(message));
+  }
+
+  #tellSize() {
+    const { clientWidth, clientHeight } = byId("stage");
+    this.transport.send(JSON.stringify({ t: "size", w: clientWidth, h: clientHeight, page: innerWidth }));
+  }
+
+  /** Tells where our camera is, if we have turned it. */
+  #tellCamera() {
+    if (!this.isTurned || !this.isInControl || !this.view.current) return;
+    this.isTurned = false;
+    this.transport.send(JSON.stringify({ t: "camera", fixed: this.stage.fixed, ...this.stage.view }));
+  }
+
+  /** The user has turned the camera. */
+  #turned() {
+    this.isTurned = true;
+    if (this.isInControl || !this.isFollowing) return;
+    this.isFollowing = false;
+    this.#showControl();
+  }
+
+  /** Sees what another one does, or the server wants. @param {Seen} camera */
+  #follow(camera) {
+    if (!camera) return;
+    const isOwn = camera.by === this.now.you?.id && camera.serial === this.serial;
+    this.serial = camera.serial;
+    if (!isOwn && (this.isFollowing || this.isInControl)) this.#see(camera);
+  }
+
+  /** @param {Seen | undefined} camera */
+  #see(camera) {
+    if (!camera || !this.view.current) return;
+    if (camera.fixed >= 0 || this.recording) this.stage.chooseCamera(camera.fixed);
+    else this.stage.look(camera);
+    this.view.wake();
+  }
+
+  /** What is followed has moved, and the camera with it. @param {number[] | null} before @param {number[] | null} now */
+  #shift(before, now) {
+    if (!before || !now || !this.view.current || this.stage.fixed >= 0) return;
+    this.stage.shift(now.map((each, k) => each - before[k]));
+  }
+
+  /** @param {number} number -1 for the scene's view */
+  #chooseCamera(number) {
+    if (this.isInControl && number < 9) return this.#act({ t: "key", key: String(number + 1), repeat: false });
+    this.stage.chooseCamera(number);
+    this.#turned();
+    return this.view.wake();
+  }
+
+  /** What keys do for those who only see. @param {string} name */
+  #localKey(name) {
+    if (!/^\d$/.test(name) || !this.view.current) return false;
+    this.#chooseCamera(Number(name) - 1);
+    return true;
+  }
+
+  /** @param {string} key kind and item @param {MouseEvent} event */
+  #card(key, event) {
+    const [kind, item] = key.split(" ").map(Number), at = this.input.pixelOf(event);
+    this.#act({ t: "card", kind, item, ...at, shift: event.shiftKey || event.ctrlKey });
+  }
+
+  /** Who is in control, where there are several. */
+  #showControl() {
+    const { control, you } = this.now, { isInControl } = this;
+    document.body.classList.toggle("watching", Boolean(you && control && !isInControl));
+    const isShared = (control?.count ?? 1) > 1;
+    byId("control").hidden = !isShared && isInControl;
+    byId("who").textContent = isInControl ? `in control · ${control?.count} see this` : "another browser is in control";
+    byId("take").hidden = isInControl;
+    byId("follow").hidden = isInControl || this.isFollowing;
+    this.#showRequest();
+    if (!isInControl || this.wasInControl) {
+      this.wasInControl = isInControl;
+      return;
+    }
+    this.wasInControl = true;
+    this.isFollowing = true;
+    if (isShared && this.isTurned) this.#tellCamera(); // others see what we do
+    const view = new URLSearchParams(location.hash.slice(1)).get("view");
+    if (view && !this.hasAsked) this.transport.send(JSON.stringify({ t: "view", text: view }));
+    this.hasAsked = true;
+  }
+
+  /** The dialog of a file that asks to run programs, for who can answer it. */
+  #showRequest() {
+    const { request } = this.now;
+    if (request) byId("asks").textContent = request.title;
+    this.surround.request.show(this.isInControl && request ? request.nodes : null);
+  }
+
+  /** Takes control again after a reload, or on the next page of the server. */
+  #keepControl() {
+    const { control, you } = this.now, { transport } = this;
+    if (!you || !control) return;
+    if (this.isNew && !this.isInControl && transport.hadControl()) this.#takeControl();
+    else transport.noteControl(this.isInControl);
+    this.isNew = false;
+  }
+
+  #takeControl() { this.transport.send(JSON.stringify({ t: "control" })); }
+
+  isNew = true; // whether this connection does not know yet who is in control
+  wasInControl = false;
+  hasAsked = false; // for the view of a link
+
+  /** What the pointer does. */
+  #showHand() {
+    const { dragging, onHandle } = this.now, canvas = this.view.renderer.domElement;
+    canvas.style.cursor = dragging ? "grabbing" : onHandle ? "grab" : "";
+    if (this.view.current) this.stage.orbit.enabled = !dragging;
+  }
+}
+
+/** @param {unknown} error */
+function misunderstood(error) {
+  console.warn("from the server:", error);
+  tell("message", "This page does not understand its server: reload it.");
+}
+
+/** @param {import("./view.js").Look} look */
+function keep(look) {
+  try {
+    localStorage.setItem(LOOK, look);
+  } catch { /* the browser keeps nothing */ }
+}
+
+/** The look that the user has chosen on a page of this server; null for none. */
+function keptLook() {
+  try {
+    return lookIn(localStorage.getItem(LOOK));
+  } catch { // it keeps nothing
+    return null;
+  }
+}

@@ -1,0 +1,380 @@
+/** A recorded run in a page: the transport that sends its player what a server sends of a live run. */
+
+import { addStraight } from "./arrows.js";
+import { Clock, SPEEDS } from "./clock.js";
+import { fixed, textOf, valueOf } from "./data.js";
+import { BILLBOARD, Geoms, VECTOR, geomsAt } from "./geoms.js";
+import { JointCards } from "./joint_cards.js";
+import { labelsAt } from "./labels.js";
+import { torquePlot } from "./torque_plot.js";
+
+/** @typedef {import("./widgets.js").Node} Node */
+/** @typedef {{joint?: number, body?: string, kind?: number, item?: number}} Picked */
+
+const KEYS = [
+  ["drag", "turn; with the right button, move"],
+  ["wheel", "zoom"],
+  ["click", "name and numbers of an arrow, link or card"],
+  ["space", "play or pause"],
+  [". ,", "one frame forward, back"],
+  ["→ ←", "1 s forward, back"],
+  ["+ −", "faster, slower"],
+  ["backspace, end", "to the start, to the end"],
+  ["e w", "next, previous mark"],
+  ["] [", "next, previous joint"],
+  ["a b d l", "arrows, billboards, doubles, legend"],
+  ["q", "arrows show torque, or its error"],
+  ["p", "plot"],
+  ["t", "panel"],
+  ["0 … 9", "initial view, cameras"],
+  ["h", "this help"],
+];
+/** @type {Record<string, string>} */
+const WORDS = { cmd: "commanded", msr: "measured", err: "difference", limit: "limit", share: "of the limit" };
+const NAMES = { arrows: "arrows", numbers: "billboards", doubles: "doubles", legend: "legend", shadows: "shadows" };
+const EVERY = 66; // ms between two updates of panels
+const NARROW = 700; // width of a page, pixels, whose time line has two rows
+const WIDE = 1100; // width of a page, pixels, that begins with its panel
+const CLICK = 4; // pixels between press and release of a click
+
+/** @typedef {import("./transport.js").Transport} Transport */
+
+/** @implements {Transport} */
+export class Recording {
+  /** @param {import("./data.js").Run} run */
+  constructor(run) {
+    this.run = run;
+    this.clock = new Clock(run.frames, run.fps);
+    this.cards = new JointCards(run);
+    this.geoms = new Geoms();
+    this.sites = null;
+    this.quantity = 0; // of `run.arrows.quantities`
+    this.isPlotted = run.frames > 1 && run.joints.length > 0;
+    this.isHelping = false;
+    this.width = 0; // of the page, pixels
+    this.hasPanel = false;
+    /** @type {Record<string, boolean>} */
+    this.switches = { ...run.switches };
+    /** Sections that the user has folded or unfolded. @type {Record<string, boolean>} */
+    this.folds = {};
+    this.chosen = -1;
+    /** @type {Picked | null} */
+    this.selected = null;
+    this.ticks = ticksOf(run);
+    this.serial = 0; // counts how often a key has moved the camera
+    /** @type {{x: number, y: number} | null} */
+    this.pressed = null;
+    this.sent = -Infinity; // ms, when panels were sent
+    this.isAsked = true; // whether panels have changed by more than the time
+    /** @type {import("./stage.js").Stage | null} */
+    this.stage = null;
+    /** @type {Transport["onmessage"]} */
+    this.onmessage = () => {};
+    this.onopen = this.onclose = this.onlocked = this.onother = this.onframe = () => {};
+    this.hadControl = () => true;
+    this.noteControl = () => {};
+  }
+
+  /** Begins. */
+  open() {
+    const { run } = this;
+    this.onopen();
+    this.#send({ you: { id: 1 }, control: { holder: 1, count: 1 }, about: { title: run.title }, status: statusOf(run) });
+    this.choose(this.#mostLoaded());
+    const wanted = new URLSearchParams(location.hash.slice(1)).get("t");
+    if (wanted === null) this.clock.isPlaying = run.frames > 1;
+    else this.seek(Number(wanted) || 0);
+  }
+
+  /** @param {Record<string, any>} json sections */
+  #send(json) { this.onmessage({ json: new Map(Object.entries(json)), bytes: new Map() }); }
+
+  /** Something is another one: the picture, panels, or both. */
+  #change() {
+    this.isAsked = true;
+    this.onframe();
+  }
+
+  // ---- what the user does
+
+  /** @param {string | ArrayBuffer} message */
+  send(message) {
+    const said = JSON.parse(String(message));
+    switch (said.t) {
+      case "key": this.#press(said.key); break;
+      case "pointer": this.#point(said); return;
+      case "card": if (said.kind === BILLBOARD) this.select({ joint: said.item }); break;
+      case "widget": this.#act(said.id, said.value); break;
+      case "fold": this.folds[said.id] = said.open; break;
+      case "close": this.isPlotted = false; break;
+      case "size": this.#fit(said.page); break;
+      default: return;
+    }
+    this.#change();
+  }
+
+  /** @param {number} width of the page, pixels */
+  #fit(width) {
+    if ((this.width >= WIDE) !== (width >= WIDE)) this.hasPanel = width >= WIDE;
+    this.width = width;
+  }
+
+  /** @param {string} key */
+  #press(key) {
+    const { clock } = this;
+    /** @type {Record<string, () => void>} */
+    const acts = {
+      " ": () => clock.toggle(),
+      ".": () => clock.step(1), ",": () => clock.step(-1),
+      right: () => clock.seek(clock.at + clock.fps), left: () => clock.seek(clock.at - clock.fps),
+      "+": () => clock.changeSpeed(1), "-": () => clock.changeSpeed(-1),
+      backspace: () => clock.seek(0), end: () => clock.seek(Infinity),
+      e: () => this.goToMark(1), w: () => this.goToMark(-1),
+      "]": () => this.nextJoint(1), "[": () => this.nextJoint(-1),
+      a: () => this.toggle("arrows"), b: () => this.toggle("numbers"), d: () => this.toggle("doubles"),
+      l: () => this.toggle("legend"), q: () => this.nextQuantity(),
+      p: () => { this.isPlotted = !this.isPlotted; },
+      t: () => { this.hasPanel = !this.hasPanel; },
+      h: () => { this.isHelping = !this.isHelping; },
+    };
+    if (/^\d$/.test(key)) this.#send({ camera: { ...this.run.eye, fixed: Number(key) - 1, by: null, serial: ++this.serial } });
+    else acts[key]?.();
+  }
+
+  /** @param {{kind: string, x: number, y: number, button: number}} said */
+  #point({ kind, x, y, button }) {
+    const { pressed } = this;
+    if (kind === "press") this.pressed = button ? null : { x, y };
+    if (kind === "release" || kind === "leave") this.pressed = null;
+    if (kind !== "release" || button || !pressed || Math.hypot(x - pressed.x, y - pressed.y) > CLICK) return;
+    this.select(this.stage?.pick(x, y) ?? null);
+  }
+
+  /** @param {string} id of a widget @param {any} value */
+  #act(id, value) {
+    const { clock } = this;
+    switch (id) {
+      case "pause": clock.toggle(); break;
+      case "start": clock.seek(0); break;
+      case "back": clock.step(-1); break;
+      case "on": clock.step(1); break;
+      case "loop": clock.isLooping = value; break;
+      case "speed": clock.speed = SPEEDS[value]; break;
+      case "joint": this.choose(value); break;
+      case "quantity": this.nextQuantity(); break;
+      case "time": case "plot": this.seek(value - this.run.begin); break;
+      default: if (id in NAMES) this.toggle(id);
+    }
+  }
+
+  /** @param {string} key */
+  toggle(key) {
+    if (key !== "shadows") this.switches[key] = !this.switches[key];
+    else if (this.stage) this.stage.hasShadows = !this.stage.hasShadows;
+    this.#change();
+  }
+
+  /** Lets round arrows show the next of the quantities that they can. */
+  nextQuantity() {
+    const { arrows, values } = this.run, { quantities } = arrows;
+    if (!quantities.length) return;
+    this.quantity = (this.quantity + 1) % quantities.length;
+    const { key } = quantities[this.quantity];
+    arrows.values = values[key];
+    this.cards.quantity = key;
+    this.#change();
+  }
+
+  /** @param {number} seconds since the start */
+  seek(seconds) {
+    this.clock.isPlaying = false;
+    this.clock.seek(seconds * this.clock.fps);
+    this.#change();
+  }
+
+  /** @param {number} places */
+  goToMark(places) {
+    const times = this.run.marks.map((mark) => mark.begin).sort((a, b) => a - b);
+    const there = times.filter((time) => (time - this.clock.time) * places > 1e-3);
+    if (there.length) this.seek(places > 0 ? there[0] : there[there.length - 1]);
+  }
+
+  /** @param {number} places */
+  nextJoint(places) {
+    const count = this.run.joints.length;
+    if (count) this.select({ joint: (this.chosen + places + count) % count });
+  }
+
+  /** The joint whose torque comes nearest to its limit; else the first. */
+  #mostLoaded() {
+    const { joints, frames } = this.run;
+    let [best, most] = [joints.length ? 0 : -1, 0];
+    joints.forEach((joint, j) => {
+      for (let frame = 0; frame < frames && joint.double < 0; frame++) {
+        const share = valueOf(this.run, j, "torque_share", frame);
+        if (share > most) [best, most] = [j, share];
+      }
+    });
+    return best;
+  }
+
+  /** Plots a joint. @param {number} joint */
+  choose(joint) {
+    this.chosen = this.cards.chosen = joint;
+    if (joint >= 0) this.plot = torquePlot(this.run, joint);
+    this.#change();
+  }
+
+  /** Shows name and numbers of what was clicked on. @param {Picked | null} picked */
+  select(picked) {
+    this.selected = picked;
+    this.cards.vector = picked?.kind === VECTOR ? picked.item ?? -1 : -1;
+    if (picked?.joint !== undefined && picked.joint >= 0) this.choose(picked.joint);
+    this.#change();
+  }
+
+  // ---- what the player shows
+
+  /** Goes on, and sends panels where they have changed. @param {number} passed ms since the last picture */
+  advance(passed) {
+    const { clock } = this, now = performance.now();
+    if (clock.isPlaying) {
+      clock.advance(Math.min(passed, 250) / 1000);
+      this.isAsked ||= !clock.isPlaying;
+      this.onframe();
+    }
+    if (!this.isAsked && now - this.sent < EVERY) return;
+    this.sent = now;
+    this.isAsked = false;
+    this.#send({ panel: this.hasPanel ? this.#panel() : null, timeLine: this.run.frames > 1 ? this.#timeLine() : null,
+      areas: this.isPlotted ? [this.#plotArea()] : [], help: this.isHelping ? this.#help() : null,
+      details: this.#details(), notes: this.switches.legend ? this.#notes() : [] });
+  }
+
+  /** What is drawn now. @param {import("./stage.js").Stage} stage @returns {import("./view.js").Moment} */
+  moment(stage) {
+    const { run, clock, switches, geoms } = this, { frame } = clock;
+    const areSome = run.joints.some((joint) => joint.arrow.on);
+    const hasArrow = (/** @type {number} */ j) => switches.arrows
+      && (run.joints[j].arrow.on || !areSome) && (run.joints[j].double < 0 || switches.doubles);
+    return {
+      at: clock.at, hasDoubles: switches.doubles, hasArrow, labels: labelsAt(run, frame),
+      geoms: (sites) => {
+        geomsAt(run, frame, switches.arrows, geoms);
+        addStraight(run, clock.at, sites, hasArrow, geoms);
+        return geoms;
+      },
+      cards: () => switches.numbers ? this.cards.at(stage, frame) : [],
+    };
+  }
+
+  /** Texts in the corner: notes, and what arrows mean. */
+  #notes() {
+    const { run, switches, clock: { frame } } = this, line = run.arrows.quantities[this.quantity]?.line ?? "";
+    const noted = run.notes.texts[run.notes.at[frame]], meant = run.legend.texts[run.legend.at[frame]];
+    const legend = switches.arrows ? meant.map((each) => each ?? line) : [];
+    return [noted ? [noted] : [], legend].filter((block) => block.length);
+  }
+
+  /** Whether there is anything that a switch would hide. @param {string} key */
+  #has(key) {
+    const { run } = this, hasJoints = run.joints.length > 0;
+    if (key === "doubles") return run.bodies.some((body) => body.double >= 0);
+    if (key === "arrows") return hasJoints || run.switches.arrows;
+    if (key === "legend") return [...run.notes.texts, ...run.legend.texts].some(({ length }) => length);
+    return key !== "numbers" || hasJoints || run.cards.length > 0;
+  }
+
+  /** @returns {Node[]} */
+  #panel() {
+    const { switches, stage, run: { arrows: { quantities } } } = this, open = this.folds.Shown ?? true;
+    const nodes = Object.entries(NAMES).filter(([key]) => this.#has(key)).map(([id, s]) =>
+      ({ k: "check", id, s, on: id === "shadows" ? stage?.hasShadows : switches[id] }));
+    const names = quantities.map((/** @type {{name: string}} */ { name }) => name);
+    const shown = [{ k: "choose", id: "quantity", s: "", aria: "arrows show", index: this.quantity, names, width: 9 },
+      { k: "label", s: "arrows show", same: true }];
+    return [{ k: "header", id: "Shown", s: "Shown", open, nodes: quantities.length ? [...shown, ...nodes] : nodes }];
+  }
+
+  /** @returns {Node[]} */
+  #timeLine() {
+    const { clock, run: { begin }, width } = this, now = begin + clock.time, end = begin + clock.end;
+    const slide = { k: "slide", id: "time", s: "", aria: "Time", value: now, low: begin, high: end, width: 0,
+      text: `${now.toFixed(2)} s / ${end.toFixed(2)} s`, ticks: this.ticks };
+    const buttons = [
+      { k: "button", id: "pause", s: clock.isPlaying ? "pause" : "play", width: 3.4 },
+      { k: "button", id: "start", s: "|<", tip: "to the start", same: true },
+      { k: "button", id: "back", s: "<", tip: "one frame back", same: true },
+      { k: "button", id: "on", s: ">", tip: "one frame on", same: true },
+      { k: "choose", id: "speed", s: "", aria: "speed", same: true, width: 4.6, index: SPEEDS.indexOf(clock.speed),
+        names: SPEEDS.map((speed) => `x ${speed}`) },
+      { k: "check", id: "loop", s: "loop", on: clock.isLooping, same: true },
+    ];
+    return width < NARROW ? [slide, ...buttons] : [...buttons, { ...slide, same: true }];
+  }
+
+  #plotArea() {
+    const { run, clock, chosen, plot } = this;
+    const names = run.joints.map(({ name }) => name);
+    return { title: "Plot", name: "plot", nodes: [
+      { k: "choose", id: "joint", s: "", aria: "Joint", index: chosen, names, width: 11 },
+      { k: "plot", id: "plot", ...plot, name: names[chosen], now: run.begin + clock.time },
+    ] };
+  }
+
+  /** @returns {Node[]} */
+  #help() {
+    const keys = KEYS.filter(([key]) => key !== "q" || this.run.arrows.quantities.length);
+    const rows = keys.map(([key, words]) => [[{ k: "text", s: key, mood: "key" }], [{ k: "text", s: words }]]);
+    return [{ k: "title", s: "Mouse and keys" }, { k: "table", id: "keys", widths: [9, 0], rows }];
+  }
+
+  /** Name and numbers of what is selected; null for nothing. */
+  #details() {
+    const { run, selected, clock: { frame } } = this;
+    if (!selected) return null;
+    const { joint: j = -1, body, kind, item = -1 } = selected, joint = j >= 0 ? run.joints[j] : null;
+    /** @type {[string, string][]} */
+    const rows = [];
+    if (kind === VECTOR) {
+      const card = run.cards.find((each) => each.item === item);
+      if (card) rows.push(["value", card.texts[card.at[frame]]]);
+      return { name: run.vectors[item], rows };
+    }
+    if (joint) {
+      if (body && body !== joint.name) rows.push(["joint", joint.name]);
+      const angle = valueOf(run, j, "joint_angles", frame);
+      if (Number.isFinite(angle)) rows.push(["angle", `${fixed(angle, 3)} ${joint.angleUnit}`]);
+      for (const line of joint.details) {
+        const value = valueOf(run, j, line.key, frame);
+        if (Number.isFinite(value)) rows.push([WORDS[line.label] || line.label, textOf(line, value)]);
+      }
+    }
+    return { name: body || joint?.name || "decor", rows };
+  }
+}
+
+/** What stands below the title: what it is, and how it went. @param {import("./data.js").Run} run */
+function statusOf({ joints, frames, fps, marks, silent }) {
+  const own = joints.filter((joint) => joint.double < 0).length;
+  const about = [...(own ? [`${own} joints`] : []), frames > 1 ? `${((frames - 1) / fps).toFixed(1)} s` : "a pose"];
+  const failed = marks.filter(({ kind }) => kind === "failed").length;
+  const judged = failed + marks.filter(({ kind }) => kind === "held").length;
+  const pieces = [[about.join(" · "), "dim"]];
+  if (judged) pieces.push(failed ? [`${failed} of ${judged} expectations failed`, "bad"] : [`all ${judged} expectations held`, "dim"]);
+  if (silent.length) pieces.push([`no data from ${silent.join(", ")}`, "dim"]);
+  return pieces;
+}
+
+/**
+ * The marks of a run as ticks; those that take some time have their text on them where there is room.
+ * @param {import("./data.js").Run} run
+ * @returns {[number, string, string, number, string][]}
+ */
+function ticksOf({ marks, begin }) {
+  return [...marks].sort((a, b) => a.begin - b.begin).map((mark) => {
+    const outcome = mark.kind === "failed" || mark.kind === "held" ? `${mark.kind}: ` : "";
+    const text = `${(begin + mark.begin).toFixed(2)} s: ${outcome}${mark.text}`;
+    return [begin + mark.begin, mark.kind, text, begin + mark.end, mark.end > mark.begin ? mark.text : ""];
+  });
+}

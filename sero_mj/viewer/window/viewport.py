@@ -1,0 +1,139 @@
+"""Pictures of a world in a rectangle of a window, for one eye or for two."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from ...robots.assemble.world_view import WorldView
+from ..decor.geom_buffer import CAPACITY
+from ..decor.picture_view import PictureView
+from ..decor.toggles import Toggles
+from ..image.added_surroundings import added_surroundings
+from ..image.framing import bounding_sphere, stand_back
+from ..image.picking import Pixel
+from ..image.picture_options import EYE_DISTANCE, Stereo
+from ..image.scene_decor import SceneDecor
+from ..image.stereo import check_stereo, each_eye, looked_at
+from ..image.typesetting import Typesetter
+from ..session.status_line import Piece
+from .glfw_window import GlWindow
+
+_MORE = 2000  # additional capacity for geoms that MuJoCo adds to those of the model
+
+
+class Pane(NamedTuple):
+    """The part of a window that shows a picture.
+
+    Attributes:
+        typesetter: of the panels.
+        covered: width of what covers its left edge, pixels; numbers stay beside it.
+    """
+
+    rect: mujoco.MjrRect
+    typesetter: Typesetter
+    covered: float = 0.0
+
+
+class Viewport(SceneDecor):
+    """The picture of a world in a rectangle of a window."""
+
+    def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
+        super().__init__(world, toggles, with_text=False)
+        self.needed = 0.0
+        self._surroundings = added_surroundings(world, context)
+        self.rect = mujoco.MjrRect(0, 0, 1, 1)
+        self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
+        self._typesetter: Typesetter | None = None
+
+    @property
+    def pieces(self) -> list[Piece]:
+        return []
+
+    def update(self, data: mujoco.MjData, camera: mujoco.MjvCamera, pane: Pane) -> None:
+        """Lays out scene and decor."""
+        scene = self._scene
+        self.fill(data, camera, scene)
+        if self._surroundings is not None:
+            self._surroundings.add(scene)
+        rect, self._typesetter, covered = pane
+        self.rect = rect
+        stand_back(scene, camera, self.width, rect.height, self.needed)
+        inset = (min(covered, 0.6 * self.width), 0.0, 0.0, 0.0)
+        view = PictureView.of_scene(scene, self.width, rect.height, pane.typesetter.font, inset)
+        self.draw(data, view, scene)
+
+    @property
+    def width(self) -> int:
+        """Width of what one eye sees, pixels."""
+        return int(self.rect.width)
+
+    def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
+        """Renders the picture in a window."""
+        if quickly:
+            gl.render_quickly(self.rect, self._scene)
+        else:
+            mujoco.mjr_render(self.rect, self._scene, gl.context)
+        self._draw_panels(gl, int(self.rect.left))
+
+    def _draw_panels(self, gl: GlWindow, left: int) -> None:
+        if self._typesetter is not None:
+            gl.blender.draw(self._typesetter.place(self.panels), left, self.rect.bottom)
+
+    def to_picture(self, x: float, y: float) -> Pixel | None:
+        x, y = x - self.rect.left, y - self.rect.bottom
+        if not (0 <= x < self.rect.width and 0 <= y < self.rect.height):
+            return None
+        return x % self.width, y
+
+
+class StereoViewport(Viewport):
+    """See `Viewport`; it is always drawn in full.
+
+    Args:
+        stereo: `side-by-side` for a half of the picture for each eye, or `anaglyph` for red-cyan
+            glasses.
+        eye_distance: between the eyes, m.
+
+    Raises:
+        RenderError: no such stereo, or the distance is out of range.
+    """
+
+    def __init__(
+        self,
+        world: WorldView,
+        toggles: Toggles,
+        context: mujoco.MjrContext,
+        stereo: Stereo,
+        eye_distance: float = EYE_DISTANCE,
+    ) -> None:
+        check_stereo(stereo, eye_distance)
+        super().__init__(world, toggles, context)
+        self._is_anaglyph, self._eye_distance = stereo == "anaglyph", eye_distance
+        self._centre = bounding_sphere(world)[0]
+        self._distance = 1.0  # m, of what the camera looks at
+
+    @property
+    def width(self) -> int:
+        return super().width // (1 if self._is_anaglyph else 2)
+
+    def update(self, data: mujoco.MjData, camera: mujoco.MjvCamera, pane: Pane) -> None:
+        super().update(data, camera, pane)
+        self._distance = looked_at(self._scene, camera, self._centre)
+
+    def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
+        rect, scene = self.rect, self._scene
+        left = int(rect.left)
+        starts = [left, left if self._is_anaglyph else left + self.width]
+        for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
+            half = mujoco.MjrRect(starts[eye], rect.bottom, self.width, rect.height)
+            mujoco.mjr_render(half, scene, gl.context)
+            # MuJoCo sets all colours where something is reflected, so no mask holds meanwhile.
+            if self._is_anaglyph and eye == 0:
+                red = gl.read(rect)
+        if self._is_anaglyph:
+            gl.blender.draw_red(np.ascontiguousarray(red[::-1]), rect.left, rect.bottom)
+        for start in dict.fromkeys(starts):
+            self._draw_panels(gl, start)
