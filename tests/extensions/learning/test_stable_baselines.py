@@ -121,7 +121,7 @@ def test_the_next_episode_begins_in_the_step_in_which_one_is_over(vector: Any) -
 def test_what_is_unstable_is_over_and_no_end_of_time(vector: Any) -> None:
     vector.seed(1)
     vector.reset()
-    vector.vector.many.lanes[0].batch.bind("qvel")[0] = 1e12
+    vector.vector.many.lanes[0].plant.physics.bind("qvel")[0] = 1e12
     seen, _, over, infos = vector.step(np.zeros((3, 7), np.float32))
     assert over.tolist() == [True, False, False]
     assert not infos[0]["TimeLimit.truncated"]
