@@ -132,7 +132,7 @@ class LimitedController:
 
     def is_finite(self, row: int = 0) -> bool:
         """Whether the torques that are asked for in a row are numbers, and not too large to be."""
-        requested = np.atleast_2d(self.requested)[row]
+        requested = self.requested if self.requested.ndim == 1 else self.requested[row]
         return bool(requested.dot(requested) < math.inf)  # detects NaN and inf in any joint
 
     def not_finite(self, sensed: Sensed, row: int = 0) -> SimulationError:
