@@ -199,9 +199,7 @@ class RosLink(Link):
         patience: float | None = None,
     ) -> bool:
         assert self._participant is not None
-        if patience is None:
-            patience = self._declared.patience if self.answered else self._declared.first_patience
-        deadline = clock.monotonic() + (_SLICE if self.is_silent else patience)
+        deadline = clock.monotonic() + self._patience(patience)
         self.send(packet)
         again = clock.monotonic() + _REPEATED
         while True:

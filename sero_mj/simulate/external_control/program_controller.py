@@ -218,10 +218,7 @@ class Link:
             SimulationError: the program has ended.
         """
         assert self._socket is not None
-        if patience is None:
-            patience = self._declared.patience if self.answered else self._declared.first_patience
-        if self.is_silent:
-            patience = _SLICE  # it is not waited for at every step again
+        patience = self._patience(patience)
         deadline = clock.monotonic() + patience
         self._share_core()
         is_sent = self.send(packet)
@@ -246,6 +243,13 @@ class Link:
             self.check(time)
             if clock.monotonic() > deadline:
                 return False
+
+    def _patience(self, patience: float | None) -> float:
+        if self.is_silent:
+            return _SLICE  # it is not waited for at every step again
+        if patience is not None:
+            return patience
+        return self._declared.patience if self.answered else self._declared.first_patience
 
     def _share_core(self) -> None:
         if self._program is not None and self.answered and self._declared.same_core:
@@ -367,8 +371,8 @@ class Filled(Protocol):
         """Writes the state of a step."""
 
 
-class UdpProgram(Answering):
-    """A program of the user's, over UDP.
+class PacketProgram(Answering):
+    """Base of programs that get a packet for each state, and answer with one.
 
     Attributes:
         state: structure of the packet that it gets: any of step, flags (1 in the first), time,
@@ -382,22 +386,30 @@ class UdpProgram(Answering):
         damping: Nm s/rad per joint, likewise.
     """
 
-    title: ClassVar[str] = "program over UDP"
-    order: ClassVar[int] = 70
-
-    kind: Literal["udp"] = "udp"
     state: str = ""
     answer: str = ""
     stiffness: MaybePerJoint = None
     damping: MaybePerJoint = None
 
+    def _packets(self, model: RobotModel) -> tuple[State, Answer]:
+        gains = [
+            None if getattr(self, key) is None else self.per_joint(key, model.n)
+            for key in ("stiffness", "damping")
+        ]
+        return State(self.state, model), Answer(self.answer, model, *gains)
+
+
+class UdpProgram(PacketProgram):
+    """A program of the user's, over UDP."""
+
+    title: ClassVar[str] = "program over UDP"
+    order: ClassVar[int] = 70
+
+    kind: Literal["udp"] = "udp"
+
     def make(self, model: RobotModel, timestep: float) -> ProgramController:
         """The controller; the program is started with its first step."""
-        n = model.n
-        gains = [None if getattr(self, key) is None else self.per_joint(key, n)
-                 for key in ("stiffness", "damping")]  # fmt: skip
-        return ProgramController(self, State(self.state, model), Answer(self.answer, model, *gains),
-                                 model, timestep)  # fmt: skip
+        return ProgramController(self, *self._packets(model), model, timestep)
 
 
 class ProgramController(Controller):

@@ -21,11 +21,9 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import model_validator
 
 from ...base.errors import Problem
-from ..control.controller import MaybePerJoint
 from ..control.robot_model import RobotModel
-from .exchange import Answer, State
 from .program import Program
-from .program_controller import Answering, Link, ProgramController
+from .program_controller import Answering, Link, PacketProgram, ProgramController
 
 # In a command: the file in memory, the pipe to be read from, and the one to be written to.
 MEMORY, TURN, DONE = "{memory}", "{turn}", "{done}"
@@ -33,7 +31,7 @@ ALIGNMENT = 64  # bytes: the answer begins at the next multiple behind the state
 _SLICE = 20  # ms, in which an interrupt and the end of the program are seen
 
 
-class SharedMemoryProgram(Answering):
+class SharedMemoryProgram(PacketProgram):
     """A program of the user's, over shared memory.
 
     The state is at the beginning of the file `{memory}`, the answer behind it, at the next multiple
@@ -43,20 +41,12 @@ class SharedMemoryProgram(Answering):
 
     Attributes:
         command: starts the program, with {memory}, {turn} and {done} in it.
-        state: structure of the state, see kind `udp`.
-        answer: structure of the answer, likewise.
-        stiffness: Nm/rad per joint, where answers with joint_angles have none.
-        damping: Nm s/rad per joint, likewise.
     """
 
     title: ClassVar[str] = "program over shared memory"
     order: ClassVar[int] = 72
 
     kind: Literal["shm"] = "shm"
-    state: str = ""
-    answer: str = ""
-    stiffness: MaybePerJoint = None
-    damping: MaybePerJoint = None
 
     @model_validator(mode="after")
     def _is_reachable(self) -> Self:
@@ -73,11 +63,7 @@ class SharedMemoryProgram(Answering):
 
     def make(self, model: RobotModel, timestep: float) -> ProgramController:
         """The controller; the program is started with its first step."""
-        gains = [
-            None if getattr(self, key) is None else self.per_joint(key, model.n)
-            for key in ("stiffness", "damping")
-        ]
-        state, answer = State(self.state, model), Answer(self.answer, model, *gains)
+        state, answer = self._packets(model)
         link = MemoryLink(self, model.name, state.structure.size, answer.structure.size)
         return ProgramController(self, state, answer, model, timestep, link)
 
@@ -143,13 +129,11 @@ class MemoryLink(Link):
     ) -> bool:
         """Writes a state, and waits for the answer; see `Link.ask`."""
         assert self._memory is not None
-        if patience is None:
-            patience = self._declared.patience if self.answered else self._declared.first_patience
         self._share_core()
         is_late = self._is_owed  # the program still has the turn of an earlier step
         if not is_late:
             self._give_turn(packet)
-        deadline = clock.monotonic() + (_SLICE / 1e3 if self.is_silent else patience)
+        deadline = clock.monotonic() + self._patience(patience)
         while True:
             if not self._poll.poll(_SLICE):
                 self.check(time)
