@@ -419,7 +419,7 @@ def test_a_command_that_cannot_be_added_is_told_and_left_out(tmp_path: Path) -> 
 def test_a_command_is_run_and_in_the_help(tmp_path: Path) -> None:
     install(tmp_path, "payload_command", COMMANDS, "carry", "Carry")
     assert run(tmp_path, "", "carry", "lwr").startswith("lwr: at most ")
-    assert "carry      say what a robot can carry" in run(tmp_path, "", "--help")
+    assert "carry      print the payload of a stretched arm" in run(tmp_path, "", "--help")
     assert "carry              payload_command:Carry, of payload-command" in run(
         tmp_path, "", "list"
     )

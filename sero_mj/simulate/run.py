@@ -14,7 +14,7 @@ from ..robots.declared.mounts import base_frames, unmounted
 from ..robots.declared.robot import SerialRobot
 from .batch_setup import BatchSetup
 from .control.compiler import fingerprint
-from .control.controller import ControllerDeclaration
+from .control.controller import ControllerDeclaration, as_controller
 from .control.plan import Plan, make_plan
 from .control.robot_model import RobotModel
 from .control.whole_body import WholeBody
@@ -134,7 +134,8 @@ class BatchRun:
         name, scenario = robot.name, self.scenario
         if self.live is not None:  # the plan is replaced, but keeps its columns in the log
             return make_plan(robot, None, self.times[:1], self.compiler, start)
-        controller, target = scenario.controller_of(name), scenario.targets.get(name)
+        controller = as_controller(scenario.controller_of(name))
+        target = scenario.targets.get(name)
         needs = {"needs_target": controller.needs_target, "needs_pose": controller.needs_pose}
         known, key = self._setup.plans, fingerprint([name, target, needs])
         if key not in known:
@@ -176,7 +177,7 @@ class BatchRun:
         for name, plan in plans.items():
             if plan.flange is not None:
                 events[event_of(name, "target_pose")] = "1M"
-            logged = self.scenario.controller_of(name).logged
+            logged = as_controller(self.scenario.controller_of(name)).logged
             events |= {event_of(name, key): "1F" for key in logged if isinstance(key, str)}
         targets = tuple(name for name, plan in plans.items() if plan.joints is not None)
         joints = {name: robot.n for name, robot in self.robots.items()}
@@ -204,7 +205,7 @@ class BatchRun:
         self._logged = {
             robot.robot.name: [
                 columns[event]
-                for key in robot.declared.logged
+                for key in as_controller(robot.declared).logged
                 if isinstance(key, str) and (event := event_of(robot.robot.name, key)) in columns
             ]
             for robot in self.controlled

@@ -360,11 +360,11 @@ class Scenario:
         """Whether a robot has a target pose: a declared one, or that at which it starts."""
         if self._is_wrong(f"controllers.{robot}", f"targets.{robot}"):
             return True  # its declaration is invalid, which is reported, not missing
-        return robot in self.targets or self.controller_of(robot).needs_target
+        return robot in self.targets or as_controller(self.controller_of(robot)).needs_target
 
     def is_in_real_time(self, robot: str) -> bool:
         """Whether a robot has a controller that runs in real time, and logs how late steps are."""
-        controller = self.controller_of(robot)
+        controller = as_controller(self.controller_of(robot))
         is_timed = controller.is_in_real_time and STEP_LATENESS in controller.logged
         return is_timed or self._is_wrong(f"controllers.{robot}")
 
@@ -374,7 +374,7 @@ class Scenario:
 
     def controller_of(self, robot: str) -> Any:
         """The controller of a robot; gravity compensation where none is declared."""
-        return as_controller(self.controllers.get(robot, GravityCompensation()))
+        return self.controllers.get(robot, GravityCompensation())
 
     def make_sensors(self, seed: int) -> Sensors:
         """The sensors of all robots together.

@@ -12,6 +12,7 @@ import numpy as np
 from ...base.errors import DeclarationError, SeroError
 from ...base.reduction import rms
 from ...simulate.control.compiler import Compiler
+from ...simulate.control.controller import as_controller
 from ...simulate.mujoco_timers import without_timers
 from ...simulate.run_batch import batch_key
 from ...simulate.runs.run_log import RunLog
@@ -44,8 +45,8 @@ def runs_alone(scenario: Scenario) -> bool:
 
     Runs in a batch all advance together, so their programs would all run at the same time.
     """
-    controllers = (scenario.controller_of(name) for name in scenario.scene.robots)
-    return not all(getattr(each, "may_be_asked", True) for each in controllers)
+    controllers = (as_controller(scenario.controller_of(name)) for name in scenario.scene.robots)
+    return not all(each.may_be_asked for each in controllers)
 
 
 class VariantRunner:

@@ -264,24 +264,20 @@ class Controller:
         raise NotImplementedError
 
 
-class PlainController(Controller):
-    """A controller that is any object with the method `torques`, and perhaps optional powers."""
+class PlainController:
+    """Any object with the method `torques`, with the defaults of `Controller` for what it lacks."""
+
+    group = None  # a third-party object is called alone
 
     def __init__(self, own: Any) -> None:
         self.own = own
-        self.torques = own.torques  # type: ignore[method-assign]
-        for key in ("hold_links", "check", "take_over", "close"):
-            if hasattr(own, key):
-                setattr(self, key, getattr(own, key))
 
-    def __getattribute__(self, key: str) -> Any:
-        own = object.__getattribute__(self, "__dict__").get("own")
-        if key in _READ and hasattr(own, key):
-            return getattr(own, key)
-        return object.__getattribute__(self, key)
+    def __getattr__(self, key: str) -> Any:  # only for what this class does not have
+        own = self.__dict__["own"]
+        return getattr(own, key) if hasattr(own, key) else getattr(_DEFAULTS, key)
 
 
-_READ = {"needs_target", "needs_pose", "may_be_asked", "logged", "commanded_angles"}
+_DEFAULTS = Controller()
 
 
 def as_controller(controller: Any) -> Any:

@@ -182,15 +182,15 @@ def with_drive(
 ) -> RunLog:
     """A run in which a joint's drive does something else: of time and commanded torque."""
     simulation = Simulation(swinging("{}", "{}", stiffness=stiffness, duration=duration))
-    plant, k = simulation.plant, simulation.log.robots["lwr"].names.index(joint)
-    step = plant.step
+    rows, k = simulation.plant.rows, simulation.log.robots["lwr"].names.index(joint)
+    step = rows.step
 
-    def stepped(torques: Array) -> None:
+    def stepped(torques: Array) -> Array:
         given = torques.copy()
-        given[k] = drive(simulation.time, float(torques[k]))
-        step(given)
+        given[0, k] = drive(simulation.time, float(torques[0, k]))
+        return step(given)
 
-    plant.step = stepped  # type: ignore[method-assign]
+    rows.step = stepped  # type: ignore[method-assign]
     return finished(simulation).log
 
 
