@@ -68,12 +68,17 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def main(names: list[str]) -> int:
+    """Prints the words found in the named files, or in all; returns 1 if there are any."""
     allowed = (ROOT / ".ci" / "words.allow").read_text("utf-8").splitlines()
     files = [Path(name) for name in names] or [
         path
         for pattern in (
-            "*.md", "docs/**/*.md", "sero_mj/**/*.py", "scenes/**/*.toml", "models/*/*.toml"
-        )  # fmt: skip
+            "*.md",
+            "docs/**/*.md",
+            "sero_mj/**/*.py",
+            "scenes/**/*.toml",
+            "models/*/*.toml",
+        )
         for path in sorted(ROOT.glob(pattern))
         if "_made" not in path.parts
     ]
