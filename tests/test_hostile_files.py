@@ -286,7 +286,7 @@ def test_scenes_of_thousands_of_robots_are_refused_before_they_are_built(
     def built(*_: Any) -> None:
         pytest.fail("an entry is built")
 
-    monkeypatch.setattr("sero_mj.robots.declared.scene_file._Reader._entry", built)
+    monkeypatch.setattr("sero_mj.robots.declared.scene_file._SceneReader._entry", built)
     file = tmp_path / "many.toml"
     file.write_text("".join(ROBOT.format(f"r{i}") for i in range(3000)))
     with pytest.raises(DeclarationError) as found:

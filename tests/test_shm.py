@@ -190,7 +190,7 @@ def test_the_same_bytes_are_no_new_packet_so_it_goes_stale(
         assert until(lambda: shown(reader) == [1.5])
         assert reader.receiving
         made.write(struct.pack("<d", 1.5))
-        monkeypatch.setattr("sero_mj.data.receive.source.QUIET_AFTER", 0.0)
+        monkeypatch.setattr("sero_mj.data.receive.reception.QUIET_AFTER", 0.0)
         assert not reader.receiving and reader.receive_trigger == 1
         made.write(bytes(8))  # 0 is a value, unless the block is new
         assert until(lambda: shown(reader) == [0.0])

@@ -72,7 +72,7 @@ class ExportOptions(SceneArgument, ShownOptions):
 
     @model_validator(mode="after")
     def _check_output(self) -> Self:
-        endings = ", ".join(f".{name}" for name in plugins(EXPORTS))
+        endings = ", ".join(f".{name}" for name in sorted(plugins(EXPORTS)))
         if (self.file is None) == (self.output is None):
             raise ValueError(f"-o OUT: expected one file to write, {endings}")
         if self.ending not in plugins(EXPORTS):
