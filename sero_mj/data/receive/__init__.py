@@ -1,7 +1,7 @@
-"""Decodes bytes to values, on a separate thread for each source.
+"""Receives packets on a separate thread for each source, and decodes them when they are taken.
 
-In: UDP packets, shared memory, KUKA FRI, UR RTDE, Franka FCI. Out: checked packets by event name,
-and counters of rejected ones.
-Open first: `source.py` (the common base of sources); `structure.py` decodes packets, in the
-language that STRUCTURE.md explains; `intake.py` checks and counts them.
+In: UDP packets and shared memory. Out: checked packets by event name, and counters of rejected
+ones.
+Open first: `source.py` (the common base of sources); `structure.py` decodes packets
+(`decode_rows`), in the language that STRUCTURE.md explains; `intake.py` checks and counts them.
 """

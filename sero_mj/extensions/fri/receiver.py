@@ -1,6 +1,6 @@
 """KUKA's Fast Research Interface (FRI): packets of an LWR 4/4+ (1.0), and `FriReceiver`.
 
-`fri_iiwa.py` has the messages of an iiwa. The controller of an LWR sends one measurement packet
+`iiwa.py` has the messages of an iiwa. The controller of an LWR sends one measurement packet
 each cycle (1 to 100 ms) to a configured address; a client answers each with a command packet.
 Without answers it still sends measurements, with the quality `unacceptable`. Packets are
 little-endian and without gaps; their layouts are those of the interface, the names are ours.

@@ -102,9 +102,11 @@ class Feature:
     def start(self) -> None:
         """Checks the settings against the world, once; raises DeclarationError, UnknownName."""
 
-    def lay_out(self, frame: Frame) -> None: ...
+    def lay_out(self, frame: Frame) -> None:
+        """Adds billboards, corner panels and panels to the frame."""
 
-    def draw(self, frame: Frame) -> None: ...
+    def draw(self, frame: Frame) -> None:
+        """Adds geoms to the buffer of the frame."""
 
 
 def make_features(world: WorldView) -> list[Feature]:

@@ -1,4 +1,4 @@
-"""`ImguiWidgets`: the widgets of panels by Dear ImGui and ImPlot, for windows and pages alike."""
+"""`ImguiWidgets`: the widgets of windows, by Dear ImGui and ImPlot; pages have `dom_widgets.py`."""
 
 from __future__ import annotations
 

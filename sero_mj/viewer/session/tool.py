@@ -119,13 +119,15 @@ class PointerEvents:
         """Describes what `grab` would do there."""
         return None
 
-    def move(self, at: Pixel) -> None: ...
+    def move(self, at: Pixel) -> None:
+        """Called when the pointer of a drag moves."""
 
     def drag(self) -> str:
         """Applies the drag, in every frame; returns what obstructs it, or an empty text."""
         return ""
 
-    def release(self) -> None: ...
+    def release(self) -> None:
+        """Called when the drag ends."""
 
     def wheel(self, notches: float) -> str | None:
         """Handles the wheel while this tool drags; returns a message, or None to zoom as usual."""
@@ -196,19 +198,24 @@ class Tool(PointerEvents, KeptState):
         """Whether it needs states of recordings and simulations between frames, too."""
         return False
 
-    def lay_out(self, frame: Frame) -> None: ...
+    def lay_out(self, frame: Frame) -> None:
+        """Adds panels to a frame, see `decor.feature.Feature`."""
 
-    def draw(self, frame: Frame) -> None: ...
+    def draw(self, frame: Frame) -> None:
+        """Adds geoms to a frame, see `decor.feature.Feature`."""
 
-    def build(self, ui: Widgets) -> None: ...
+    def build(self, ui: Widgets) -> None:
+        """Builds the section of this tool in the side panel, in every frame."""
 
-    def build_area(self, ui: Widgets) -> None: ...
+    def build_area(self, ui: Widgets) -> None:
+        """Builds the area of this tool beside the image, if `area` and `shows_area` are set."""
 
     def ongoing(self) -> Piece | None:
         """Words over the picture while something goes on, and their mood; None for none."""
         return None
 
     def ticks(self) -> Sequence[Tick]:
+        """Returns the marks of this tool on the timeline."""
         return ()
 
     def next_message(self) -> tuple[str, bool] | None:

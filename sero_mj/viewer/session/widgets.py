@@ -1,8 +1,8 @@
 """`Widgets`: what panels are made of, the same in windows and on pages.
 
-Both hosts draw them with Dear ImGui: a panel builds all its widgets anew in every frame, and is
-told what the user changed. Labels are what users read; `##` and what follows is not shown, and
-tells widgets with the same label apart.
+A window draws them with Dear ImGui, a page with HTML elements. A panel builds all its widgets anew
+in every frame; their methods return what the user changed. `##` and the rest of a label are not
+displayed, and distinguish widgets with the same label.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ class Plots(Tool):
         self.history.add_packets(self.shown.data, source, packets, now)
 
     def hear(self, message: Mapping[str, Array]) -> None:
-        """Takes samples of the program, see `program/signals.py`."""
+        """Takes samples of the program, see `session/signals.py`."""
         if not self.shown.clock.is_live and self.shown.clock.is_paused:
             return  # there is no time to plot them over
         new = self.signals.hear_program(message)
