@@ -18,7 +18,7 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES, BillboardLine
 from ...robots.declared.scene import Scene
 from ...robots.declared.torque_units import NM, N, TorqueUnit
-from .card_names import LONGEST, card_names, longest_name, shortened, titles
+from .card_names import MAX_PAUSE, card_names, longest_name, shortened, titles
 from .cards import FEWEST, GAP, NO_SHARE, Cards, heights_in_order
 from .feature import Feature, Frame
 from .font import Font, line_of
@@ -176,7 +176,7 @@ class Billboards(Feature):
         longest = longest_name(view)
         if longest not in self._names:
             limbs, world = self._limbs, self.world
-            joints = joint_titles(world, LONGEST)
+            joints = joint_titles(world, MAX_PAUSE)
             plain = [
                 _without_start(title, limbs.names[limb])
                 for title, limb in zip(joints, limbs.of_joint, strict=True)
@@ -349,7 +349,7 @@ def joint_titles(world: WorldView, longest: int) -> list[str]:
     )
 
 
-def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
+def joint_formats(world: WorldView, longest: int = MAX_PAUSE) -> Formats:
     """Returns the lines of all joints, with names of at most `longest` characters."""
     joints, names = world.joints, joint_titles(world, longest)
     declared = [declared_lines(part, world.scene) for part in world.owners.values()]

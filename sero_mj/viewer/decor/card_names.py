@@ -10,7 +10,7 @@ from itertools import takewhile
 from .font import drawable
 from .picture_view import PictureView
 
-SHORTEST, LONGEST = 14, 40  # characters to which a robot's or a joint's name is shortened
+MIN_PAUSE, MAX_PAUSE = 14, 40  # characters to which a robot's or a joint's name is shortened
 _SHARE = 0.25  # of the picture's width, that a name may take
 _BETWEEN = r"[_\-\s/:.]+"  # words of a name
 _WORD = r"[^_\-\s/:.]*"
@@ -50,14 +50,14 @@ def _if_clear(names: list[str], plain: list[str]) -> list[str]:
 def longest_name(view: PictureView) -> int:
     """Returns how many characters of a name there is room for on the cards of a picture."""
     room = _SHARE * view.width / view.font.width("n")
-    return int(min(max(room, SHORTEST), LONGEST))
+    return int(min(max(room, MIN_PAUSE), MAX_PAUSE))
 
 
 def titles(
     joints: Sequence[Sequence[str]],
     owners: Sequence[str],
     is_named: Sequence[bool],
-    longest: int = SHORTEST,
+    longest: int = MIN_PAUSE,
 ) -> list[str]:
     """Returns the titles of the cards of all joints.
 
@@ -103,7 +103,7 @@ def frame_titles(names: tuple[str, ...]) -> list[str]:
     ]
 
 
-def shortened(names: Sequence[str], longest: int = SHORTEST) -> list[str]:
+def shortened(names: Sequence[str], longest: int = MIN_PAUSE) -> list[str]:
     """Returns names of at most `longest` characters, long ones without their middle.
 
     Those that would become the same are longer, as far as they have to be.

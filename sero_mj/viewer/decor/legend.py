@@ -14,7 +14,7 @@ from .font import line_of
 from .panels import PADDING, Panels, panel_sizes
 from .picture_view import PictureView
 from .round_arrows import WIDEST, drawn_widths
-from .smart_arrows import SHORTEST, arrow_vectors
+from .smart_arrows import MIN_PAUSE, arrow_vectors
 from .toggles import Toggles
 
 _RGBA = (0.09, 0.11, 0.14, 0.6)
@@ -122,7 +122,7 @@ class Legend(Feature):
         new = frame.shown.vectors & ~self._drawn
         if new.any():
             sizes = np.linalg.norm(arrow_vectors(self.world, frame.data)[1], axis=1)
-            self._drawn |= new & (np.nan_to_num(sizes) * self.world.arrows.scale > SHORTEST)
+            self._drawn |= new & (np.nan_to_num(sizes) * self.world.arrows.scale > MIN_PAUSE)
 
     def _laid_out(
         self, toggles: Toggles, arrows: Bools, view: PictureView, limit: Array

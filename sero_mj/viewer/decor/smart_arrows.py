@@ -23,7 +23,7 @@ from .quantities import IMPLAUSIBLE_FACTOR
 from .ribbons import Ribbons, draw_ribbons
 from .round_arrows import DARKER, TURNING_SPEED
 
-SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
+MIN_PAUSE = 0.004  # m; shorter arrows are not drawn, since their direction is noise
 # Reference direction of `frames_along`: not close to an axis, since forces often lie along one.
 _FROM = np.array([0.36, 0.48, 0.80])
 _START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])  # its z is _FROM
@@ -130,7 +130,7 @@ def draw_smart_arrows(
     magnitude = np.linalg.norm(vectors, axis=1)
     size = table.scale * magnitude
     with np.errstate(invalid="ignore"):
-        index = (frame.shown.vectors & (size > SHORTEST) & np.isfinite(size)).nonzero()[0]
+        index = (frame.shown.vectors & (size > MIN_PAUSE) & np.isfinite(size)).nonzero()[0]
         over = size > table.longest
     if not len(index):
         return
