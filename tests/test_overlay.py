@@ -329,7 +329,8 @@ def test_cards_do_not_cover_each_other(size: tuple[int, int], count: int) -> Non
     cards = sum(len(p.texts) for p in found if p.has_values)
     notes = [line for p in found for lines in p.texts for line in lines if b" of 60 " in line]
     assert cards == 6 if count == 6 else 4 < cards < 48
-    assert notes == ([] if count == 6 else [b"billboards: %d of 60 joints, the most loaded" % cards])
+    expected = [b"billboards: %d of 60 joints, the most loaded" % cards]
+    assert notes == ([] if count == 6 else expected)
 
 
 def test_cards_are_of_the_most_loaded_joints_and_stay() -> None:
