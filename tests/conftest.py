@@ -83,6 +83,9 @@ _PORTS = (
     "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
 )  # fmt: skip
 
+# These parse all our files, which one worker does once.
+_SYNTAX = ("test_layers", "test_size")
+
 # The processes that pytest and multiprocessing need until the end, by parts of command lines.
 _OWN_CHILDREN = (b"multiprocessing.resource_tracker", b"multiprocessing.forkserver", b"playwright")
 _MARK = "SERO_MJ_TEST"  # in the environment of processes that a test starts
@@ -300,6 +303,8 @@ class _GroupsByFile(LoadScopeScheduling):
         name = nodeid.partition("::")[0].rpartition("/")[2]
         if name.startswith(_SCREENS):
             return "pages" if name.startswith(_PAGES) else "windows"
+        if name.startswith(_SYNTAX):
+            return "syntax"
         # Larger scopes come first, then single tests in their order.
         return "ports" if name.startswith(_PORTS) else nodeid
 
