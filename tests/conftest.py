@@ -185,6 +185,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--no-skips", action="store_true", help="a skipped test has failed")
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Skips files of which `make quick` and `make core` run no test, without importing them."""
+    left_out = (*_SLOW, *_LIVE) if "not slow and not live" in config.option.markexpr else ()
+    return True if collection_path.name.startswith(left_out) else None
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if settings().max_examples < settings.get_profile("thorough").max_examples and not any(
         "::" in name for name in config.args
