@@ -66,16 +66,17 @@ _LIVE = (*_SCREENS, "test_docs")
 # These simulate whole runs, or start many processes: half of the time of all tests of logic.
 _SLOW = (
     "test_bags", "test_biped", "test_calibrate", "test_camera_motion", "test_cartesian_control",
-    "test_compiler", "test_composition", "test_dlr_models", "test_doors", "test_environment",
-    "test_explain", "test_external_control", "test_foxglove", "test_framing", "test_franka_robot",
-    "test_free_base", "test_fri_robot", "test_gallery", "test_gymnasium", "test_hit_hand",
-    "test_hostile", "test_identify", "test_iiwa_robot", "test_import_robot",
-    "test_inverse_kinematics", "test_justin", "test_live_control", "test_many_environments",
-    "test_mutations", "test_new_files", "test_parallel_robots", "test_passes", "test_player",
-    "test_plot", "test_pulling", "test_recorder", "test_robot_places", "test_ros2",
-    "test_rtde_robot", "test_run_batch", "test_run_recording", "test_scenarios", "test_shm",
-    "test_simulate_command", "test_snippet", "test_stable_baselines", "test_torque_loop",
-    "test_trees", "test_trigger", "test_zenoh",
+    "test_compiler", "test_composition", "test_connecting", "test_dlr_models", "test_doors",
+    "test_environment", "test_explain", "test_external_control", "test_fmu", "test_foxglove",
+    "test_framing", "test_franka_robot", "test_free_base", "test_fri_robot", "test_gallery",
+    "test_gymnasium", "test_hit_hand", "test_hostile", "test_identify", "test_iiwa_robot",
+    "test_import_robot", "test_inverse_kinematics", "test_justin", "test_link_transforms",
+    "test_live_control", "test_many_environments", "test_mutations", "test_new_files",
+    "test_parallel_robots", "test_passes", "test_player", "test_plot", "test_pulling",
+    "test_recorder", "test_robot_places", "test_ros2", "test_rtde_robot", "test_run_batch",
+    "test_run_recording", "test_scenarios", "test_shm", "test_signs", "test_simulate_command",
+    "test_snippet", "test_stable_baselines", "test_torque_loop", "test_trees", "test_trigger",
+    "test_zenoh",
 )  # fmt: skip
 # These open the ports of shipped scenes; another worker runs them all.
 _PORTS = (
