@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from conftest import raises_with
+from sero_mj.data.record.table import read_csv
 from shm_tools import block, needs_posix
 
 from sero_mj import Scene, SerialRobot, load_scene
@@ -37,7 +38,6 @@ from sero_mj.data.drive.language import parse
 from sero_mj.data.receive.shm import ShmReader
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.replay import Replay
-from sero_mj.data.record.table import read_csv
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.surroundings import Object
 from sero_mj.robots.importers.mjcf_file import as_spec

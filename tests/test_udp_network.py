@@ -13,9 +13,7 @@ from conftest import raises_with
 from polling import until
 
 from sero_mj.base.errors import DeclarationError, SourceError
-from sero_mj.cli import main
 from sero_mj.data.receive import udp_socket
-from sero_mj.data.receive.sniffer import Sniffer
 from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.data.receive.udp_socket import Datagrams, pack_address, unpack_address
 
@@ -182,22 +180,6 @@ def test_more_than_a_batch_comes_in_several() -> None:
             lengths.append(len(batch))
         assert sum(lengths) == udp_socket.BATCH + 3
         assert max(lengths) <= udp_socket.BATCH
-
-
-def test_a_group_can_be_sniffed_on_an_interface(capsys: pytest.CaptureFixture[str]) -> None:
-    with Sniffer(GROUP, 0, "127.0.0.1") as sniffer:
-        with socket.socket(type=socket.SOCK_DGRAM) as sock:
-            loopback = socket.inet_aton("127.0.0.1")
-            sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
-            sock.sendto(packet(2.5), (GROUP, sniffer.port))
-        assert until(lambda: (sniffer.receive(0.1, 1), sniffer.received == 1)[1])
-    with pytest.raises(SystemExit) as caught:
-        main(["structure", "--sniff", "32177", "--host", GROUP, "--interface", "eth77"])
-    assert caught.value.code == 2
-    assert "no network interface 'eth77'; available: " in capsys.readouterr().err
-    with pytest.raises(SystemExit) as caught:
-        main(["structure", "7F", "--interface", "lo"])
-    assert "--interface is for --sniff PORT" in capsys.readouterr().err
 
 
 @pytest.fixture

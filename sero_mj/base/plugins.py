@@ -30,6 +30,7 @@ RECORDINGS, NETWORKS, COLUMNS = "sero_mj.recordings", "sero_mj.networks", "sero_
 SNIPPETS = "sero_mj.snippets"
 EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
+SNIFFERS, TABLES = "sero_mj.sniffers", "sero_mj.tables"
 LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"
 _WITH_KIND = (CONTROLLERS, TARGET_MOTIONS)  # classes say their name, the entry point's, again
 _OWN = "sero_mj"

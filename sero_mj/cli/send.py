@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 from pydantic import Field, model_validator
 
 from ..base.declaration import expecting
-from ..base.errors import CsvError, SimulationError, UsageError
+from ..base.errors import SimulationError, UsageError
 from ..base.options import Duration, NotNegative, Option, Options, Port, Positive, Seed
 from ..base.paths import list_scenarios
 from ..base.plugins import SENDERS, load_plugin, plugins
@@ -331,14 +331,23 @@ def _print_notes(notes: list[str]) -> int:
 def _open_file(
     options: SendOptions, scene: Scene, source: Source, structure: Structure, file: Path
 ) -> Playback:
+    from ..data.record.csv_files import is_table, parse_columns
     from ..data.record.formats import open_recording
-    from ..data.record.table import is_table
     from ..data.send.playback import RecordedPackets
+    from ..simulate.runs.tables import find_tables
 
     if is_table(file):
         if options.recorded is not None:
             raise UsageError(f"--recorded is for recordings; {file} is a table")
-        return _open_table(options, scene, source, structure, file)
+        return find_tables(file).open_playback(
+            file,
+            scene,
+            source,
+            structure,
+            parse_columns(options.columns),
+            rate=options.rate,
+            declared=options.structure,
+        )
     options.refuse(("columns",), f" is for tables; {file} is a recording")
     if options.rate is not None:
         raise UsageError("--rate: a recording has its own times; --speed changes them")
@@ -347,30 +356,6 @@ def _open_file(
         with open_recording(file) as recording:
             name = source.name if source.name in recording.sources else ""
     return RecordedPackets(file, name, structure, only_whole=goes_to_shm(options, source))
-
-
-def _open_table(
-    options: SendOptions, scene: Scene, source: Source, structure: Structure, file: Path
-) -> Playback:
-    """The rows of a table: numbers of packets, or signals of joints that routes make packets."""
-    from ..data.drive.table_scene import read_for
-    from ..data.record.csv_files import column_names
-    from ..data.record.table_events import has_numbers
-    from ..data.record.table_signals import parse_columns
-    from ..data.send.playback import JointRows, TablePackets
-
-    columns = parse_columns(options.columns)
-    table = read_for(file, columns, options.rate, ", or --rate")
-    if has_numbers(table, structure.events) and not columns:
-        return TablePackets(file, structure, options.rate)
-    try:
-        return JointRows(table, scene, columns, source.name, options.structure)
-    except CsvError as error:
-        if columns or len(table.columns) != len(column_names(structure.events)):
-            count = len(column_names(structure.events))
-            others = f"or the {count} numbers of '{structure.text}' in order"
-            raise error if columns else CsvError(file, f"{error.reason}; {others}") from None
-    return TablePackets(file, structure, options.rate)
 
 
 def _send_simulation(options: SendOptions, scenario: Path) -> int:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array, Ints
-from ._tracking import (
+from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
+from .tracking import (
     DUPLICATE,
     LATE,
     MOST_SENDERS,
@@ -21,7 +22,6 @@ from ._tracking import (
     StampTracker,
     Timing,
 )
-from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
 
 # In the order of their updates: malformed counts are last, so that waiting for them suffices.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",

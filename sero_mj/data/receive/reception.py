@@ -14,12 +14,12 @@ from pydantic import Field, PrivateAttr
 from ...base.errors import SourceError, UnknownName
 from ...base.frames import Array, Ints
 from ...base.once import Once
-from ._tracking import Timing
 from .intake import Counters, Intake, pad_packets
 from .mailbox import Mailbox, Packet, Packets
 from .packet_declaration import PacketDeclaration
 from .receiving_thread import LONGEST, Disconnected
 from .structure import Rows
+from .tracking import Timing
 
 log = logging.getLogger("sero_mj.data.receive.source")
 

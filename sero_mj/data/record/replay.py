@@ -20,10 +20,10 @@ from ...base.errors import (
 from ...base.plugins import SOURCES, load_plugin, plugins
 from ..receive.led_robot import LedJoint, LedLinks
 from ..receive.source import Source
+from .csv_files import is_table
 from .file_source import FileSource
 from .formats import look_into, open_recording
 from .recording import PacketFile, RecordedSource
-from .table import is_table
 
 _OF_FILES = ("replay", "table")  # kinds that play a file, which a recording may not name
 

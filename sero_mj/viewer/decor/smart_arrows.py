@@ -12,13 +12,13 @@ import numpy as np
 
 from ...base.frames import Array, Bools
 from ...robots.assemble.world_view import WorldView
+from .billboard_layout import BillboardGroup, heights_in_order
 from .billboards import NO_DATA
-from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
 from .font import line_of
 from .geom_buffer import ARROW_SIZE_OF_LENGTH, GREY, Kind
+from .image_view import ImageView
 from .panels import panel_sizes
-from .picture_view import PictureView
 from .quantities import IMPLAUSIBLE_FACTOR
 from .ribbons import Ribbons, draw_ribbons
 from .round_arrows import DARKER, TURNING_SPEED
@@ -59,7 +59,7 @@ class SmartArrows(Feature):
             frame.data, frame.shown.cards, frame.view, components, reach, ages
         )
         if cards is not None:
-            frame.cards.append(cards)
+            frame.billboards.append(cards)
 
     def _choose_ends(self, data: mujoco.MjData, vectors: Array) -> None:
         table = self.world.arrows
@@ -202,11 +202,11 @@ class _VectorCards:
         self,
         data: mujoco.MjData,
         shown: Bools,
-        view: PictureView,
+        view: ImageView,
         components: Array,
         reach: Array,
         stale: list[str],
-    ) -> Cards | None:
+    ) -> BillboardGroup | None:
         """Returns the cards that are shown and whose arrow is in the picture."""
         index = shown.nonzero()[0]
         if not len(index):
@@ -218,7 +218,7 @@ class _VectorCards:
             return None
         texts = [self._text(int(i), components[i], stale[i]) for i in index]
         widest = np.array([view.font.block_width(lines) for lines in texts])
-        return Cards(
+        return BillboardGroup(
             kind=Kind.CARD,
             items=index,
             anchors=anchors,

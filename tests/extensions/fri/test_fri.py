@@ -15,8 +15,8 @@ from fri_packets import FORMAT, TABLE, UPRIGHT, give, measurement
 
 from sero_mj.base.errors import DeclarationError, UnknownName, shown
 from sero_mj.data.drive.mirror import Mirror
-from sero_mj.data.receive._tracking import SequenceTracker
 from sero_mj.data.receive.source import make_source
+from sero_mj.data.receive.tracking import SequenceTracker
 from sero_mj.extensions.fri.receiver import FriLayout, FriReceiver
 from sero_mj.load import load_scene
 

@@ -1,9 +1,8 @@
 """Guesses a layout of doubles, floats, integers, padding and counters in one packet.
 
 An item of any type may begin at every byte of a packet. Its cost is the number of bits that encode
-its numbers, given the usual values of its type, and the cheapest path from the first byte to the
-last is the guess (minimum description length; Rissanen 1978). Constant numbers and counters cost
-almost nothing.
+its numbers if they have the usual values of the type. The guess is the layout with the lowest cost
+(minimum description length; Rissanen 1978). Constant numbers and counters cost almost nothing.
 """
 
 from __future__ import annotations
@@ -14,34 +13,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array
-from .structure import Rows
+from ...data.receive.structure import Rows
 
 SMALLEST, LARGEST = 1e-6, 1e6  # magnitudes of plausible measurements in SI units
 _MAX_BYTES = 2048
 _NEW_TYPE, _NEW_ITEM = 8.0, 1.0  # bits
 _MAX_RAW = 0.25  # share of unexplained bytes above which no guess is made
-# Numpy's type and bits of a number of usual magnitude: a double has one of 2,048 exponents, of
-# which 40 are from 1e-6 to 1e6. For integers the largest usual value.
+# NumPy's type and the bits of a number of usual magnitude: of the 2,048 exponents of a double, 40
+# are from 1e-6 to 1e6. For integers, the largest usual value.
 _FLOATS = {"d": ("f8", 58.0), "f": ("f4", 29.0)}
 _INTEGERS = {"I": ("u4", 2**16), "i": ("i4", 2**16), "H": ("u2", 2**12), "h": ("i2", 2**12),
              "B": ("u1", 2**4)}  # fmt: skip
 _WIDTHS = {"Q": 8, "I": 4, "H": 2, "B": 1}
-# Bits of 0, of the previous packet's number, of that plus one, and of unusual ones in addition to
-# those of their bytes.
-_ZERO, _SAME, _COUNTED, _ODD = 2.0, 1.0, 1.0, 4.0
-_EXPONENT_BITS = 3.0  # bits of a usual one equal to those of the previous number
+# Bits of a zero, of the same number as in the previous packet, of that number plus one, and the
+# bits that an unusual number costs beyond its own.
+_ZERO, _SAME, _COUNTED, _UNUSUAL = 2.0, 1.0, 1.0, 4.0
+_EXPONENT_BITS = 3.0  # bits of the exponent that stay the same in a smooth signal
 _PADDING_BITS = 0.5  # bits of an always-zero byte
 
 
 @dataclass(frozen=True)
 class Run:
-    """Adjacent items of one type.
-
-    Attributes:
-        letter: of the type in a structure; `x` for skipped bytes.
-        count: how many.
-        is_counter: whether it rises by one with every packet.
-    """
+    """Adjacent items of one type, by its letter in structures; `x` for skipped bytes."""
 
     letter: str
     count: int
@@ -49,12 +42,11 @@ class Run:
 
 
 def mixed_layout(rows: Rows) -> tuple[str, list[Run], float] | None:
-    """Returns the byte order, `<` or `>`, the layout, and the share of likely bytes.
+    """Guesses the layout of a sender's consecutive packets, (n, size).
 
-    None without a guess.
-
-    Args:
-        rows: consecutive packets of one sender, (n, size), n >= 1.
+    Returns:
+        byte order (`<` or `>`), layout, and share of the bytes with usual values; None if most
+        bytes are unusual.
     """
     if not 0 < rows.shape[1] <= _MAX_BYTES:
         return None
@@ -63,8 +55,8 @@ def mixed_layout(rows: Rows) -> tuple[str, list[Run], float] | None:
     has_floats = any(run.letter in _FLOATS for run in runs)
     if raw > _MAX_RAW * rows.shape[1] or not (has_floats or any(run.is_counter for run in runs)):
         return None
-    ahead = 1 if order == "<" else -1  # the high bytes follow the low ones, or precede them
-    return order, _wide_counters(runs[::ahead])[::ahead], 1.0 - raw / rows.shape[1]
+    step = 1 if order == "<" else -1  # from the low bytes of a number to its high ones
+    return order, _wide_counters(runs[::step])[::step], 1.0 - raw / rows.shape[1]
 
 
 def _wide_counters(runs: list[Run]) -> list[Run]:
@@ -83,7 +75,7 @@ def _wide_counters(runs: list[Run]) -> list[Run]:
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Items of a type at every byte, (k,): bits, unexplained bytes, and whether one counts."""
+    """Items of one type at every byte: bits, unusual bytes, whether it is a counter; all (k,)."""
 
     width: int
     bits: Array
@@ -100,22 +92,22 @@ def _cheapest(rows: Rows, order: str) -> tuple[float, list[Run], float]:
         with np.errstate(invalid="ignore"):  # a signalling NaN would warn
             sizes = np.abs(values.astype(np.float64))
         good = (sizes >= SMALLEST) & (sizes <= LARGEST)
-        width, is_odd = int(type_[1]), ~good & (sizes != 0)
-        each = np.where(good, usual, np.where(is_odd, 8.0 * width + _ODD, _ZERO))
-        # Smooth signals keep the leading digits of the previous packet.
+        width, is_unusual = int(type_[1]), ~good & (sizes != 0)
+        each = np.where(good, usual, np.where(is_unusual, 8.0 * width + _UNUSUAL, _ZERO))
+        # The leading digits of smooth signals are those of the previous packet.
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             change = np.abs(np.diff(values, axis=0)) / np.maximum(sizes[1:], sizes[:-1])
             less = usual - _EXPONENT_BITS + np.log2(np.clip(change, 1e-15, 1.0))
         smooth = good[1:] & good[:-1]
         each[1:] = np.where(smooth, np.maximum(less, _SAME), each[1:])
-        kinds[letter] = _Kind(width, _told_once(values, each), width * is_odd.mean(axis=0))
+        kinds[letter] = _Kind(width, _total_bits(values, each), width * is_unusual.mean(axis=0))
     for letter, (type_, small) in _INTEGERS.items():
         values = _at_every_byte(rows, order + type_)
         width = int(type_[1])
         sizes = np.abs(values.astype(np.float64))
         usual = np.log2(small) + 2.0
-        each = np.where(sizes == 0, _ZERO, np.where(sizes <= small, usual, 8.0 * width + _ODD))
-        total = _told_once(values, each)
+        each = np.where(sizes == 0, _ZERO, np.where(sizes <= small, usual, 8.0 * width + _UNUSUAL))
+        total = _total_bits(values, each)
         steps = np.diff(values, axis=0)
         counts = np.zeros(values.shape[1], bool)
         if n >= 4 and type_[0] == "u":
@@ -130,8 +122,8 @@ def _cheapest(rows: Rows, order: str) -> tuple[float, list[Run], float]:
             at = end - kind.width
             if at < 0 or not np.isfinite(kind.bits[at]):
                 continue
-            before = [(told + (0.0 if last == letter else _NEW_TYPE), last)
-                      for last, (told, _) in best[at].items()]  # fmt: skip
+            before = [(cost + (0.0 if last == letter else _NEW_TYPE), last)
+                      for last, (cost, _) in best[at].items()]  # fmt: skip
             item = _NEW_ITEM if letter != "x" else 0.0
             here[letter] = min(before)[0] + item + float(kind.bits[at]), min(before)[1]
         best.append(here)
@@ -155,8 +147,7 @@ def _at_every_byte(rows: Rows, type_: str) -> NDArray[np.generic]:
     return values.astype(values.dtype.newbyteorder("="))
 
 
-def _told_once(values: NDArray[np.generic], bits: Array) -> Array:
-    """Bits of numbers over all packets (n, k); constant ones cost little."""
+def _total_bits(values: NDArray[np.generic], bits: Array) -> Array:
     with np.errstate(invalid="ignore"):  # a signalling NaN would warn
         same = values[1:] == values[:-1]
     return np.asarray(bits[0] + np.where(same, _SAME, bits[1:]).sum(axis=0))

@@ -1,25 +1,37 @@
-"""`write_glb`: a run as a glTF animation, for programs that know nothing of robots."""
+"""Writes glTF animations: the bodies of a scene and their motion, without arrows and billboards."""
 
 from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
 from ...base.errors import UsageError
 from ...base.frames import Array
-from .capture import CapturedRun
-from .model import field_corners, geom_colours, mesh_corners
+from ...cli.export import CAPTURE_OPTIONS, capture_run, report_size
+from ...viewer.player.capture import CapturedRun
+from ...viewer.player.model import field_corners, geom_colours, mesh_corners
 
-_FLOAT, _UINT = 5126, 5125
-_METALLIC, _ROUGHNESS = 0.1, 0.5  # of surfaces that do not say
-_GAMMA = 2.2  # glTF's colours are linear
-_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # glTF's y points up, ours is z
-_RADIAL, _MIDDLE = 24, 1.0
-_SMALLEST = 1e-6  # scale of what is out of sight: glTF has no switch for it
+if TYPE_CHECKING:
+    from ...cli.export import ExportOptions
+
+_FLOAT, _UINT = 5126, 5125  # component types of glTF
+_METALLIC, _ROUGHNESS = 0.1, 0.5  # of materials that do not state them
+_GAMMA = 2.2  # glTF's colors are linear
+_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # from z up to y up
+_SECTIONS = 24  # of a cylinder
+_SHOWN, _HIDDEN = 1.0, 1e-6  # scale factors: glTF has no visibility flag
+
+
+def write_animation(options: ExportOptions) -> int:
+    """Writes a scene or a run as a glTF animation; returns 0."""
+    options.accept(*CAPTURE_OPTIONS)
+    _, captured = capture_run(options)
+    write_glb(captured, options.path)
+    return report_size(options)
 
 
 class _Blob:
@@ -27,7 +39,6 @@ class _Blob:
         self.gltf, self.data = gltf, bytearray()
 
     def put(self, array: np.ndarray, component: int, kind: str, *, bounds: bool = False) -> int:
-        """Adds an array and returns the number of its accessor."""
         import pygltflib
 
         self.data += bytes(-len(self.data) % 4)
@@ -47,7 +58,7 @@ class _Blob:
 
 
 def write_glb(captured: CapturedRun, path: Path) -> None:
-    """Writes bodies and their motion as a .glb file.
+    """Writes the bodies of a captured run and their motion to a .glb file.
 
     Raises:
         UsageError: pygltflib is not installed, or the file cannot be written.
@@ -60,8 +71,8 @@ def write_glb(captured: CapturedRun, path: Path) -> None:
     model, colours = captured.world.model, geom_colours(captured.world.model)
     gltf = pygltflib.GLTF2(scene=0)
     blob = _Blob(gltf)
-    meshes: dict[Any, int] = {}  # by what a geom says of its shape
-    equal: dict[bytes, int] = {}  # by the shape itself
+    meshes: dict[Any, int] = {}  # by the declaration of a shape
+    equal: dict[bytes, int] = {}  # by the digest of a shape
     bodies: list[list[int]] = [[] for _ in captured.bodies]
     for i in captured.geoms.tolist():
         key = (int(model.geom_dataid[i]), model.geom_size[i].tobytes(), int(model.geom_type[i]),
@@ -112,10 +123,10 @@ def _add_body(
     gltf.nodes.append(
         pygltflib.Node(
             name=name, translation=positions[0].tolist(), rotation=rotations[0].tolist(),
-            children=children, scale=[_MIDDLE if visible[0] else _SMALLEST] * 3,
+            children=children, scale=[_SHOWN if visible[0] else _HIDDEN] * 3,
         )
     )  # fmt: skip
-    scales = np.where(visible, _MIDDLE, _SMALLEST)[:, None].repeat(3, axis=1).astype(np.float32)
+    scales = np.where(visible, _SHOWN, _HIDDEN)[:, None].repeat(3, axis=1).astype(np.float32)
     moving = (("translation", positions, "VEC3"), ("rotation", rotations, "VEC4"),
               ("scale", scales, "VEC3"))  # fmt: skip
     for path, values, kind in moving:
@@ -147,7 +158,6 @@ def _metal(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
 def _mesh(
     blob: _Blob, corners: tuple[Array, Array, Any] | None, look: Array, known: dict[bytes, int]
 ) -> int:
-    """The number of a mesh, added unless there is an equal one; -1 for an unknown shape."""
     if corners is None:
         return -1
     parts = [*corners, look]
@@ -159,7 +169,6 @@ def _mesh(
 
 
 def _add_mesh(blob: _Blob, corners: tuple[Array, Array, Any], look: Array) -> int:
-    """Adds a mesh; its look is red, green, blue, opacity, metallic and roughness."""
     import pygltflib
 
     points, normals, index = corners
@@ -188,7 +197,6 @@ def _add_mesh(blob: _Blob, corners: tuple[Array, Array, Any], look: Array) -> in
 
 
 def _corners(model: mujoco.MjModel, geom: int) -> tuple[Array, Array, Any] | None:
-    """Vertices, normals and triangles of a geom in its own frame; None for an unknown shape."""
     import trimesh
 
     kind, (a, b, c) = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
@@ -208,7 +216,7 @@ def _corners(model: mujoco.MjModel, geom: int) -> tuple[Array, Array, Any] | Non
         shape = trimesh.creation.capsule(height=2 * b, radius=a)
         shape.apply_translation((0, 0, -shape.bounds.mean(axis=0)[2]))
     elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        shape = trimesh.creation.cylinder(radius=a, height=2 * b, sections=_RADIAL)
+        shape = trimesh.creation.cylinder(radius=a, height=2 * b, sections=_SECTIONS)
         shape.unmerge_vertices()
     elif kind == mujoco.mjtGeom.mjGEOM_BOX:
         shape = trimesh.creation.box(extents=(2 * a, 2 * b, 2 * c))

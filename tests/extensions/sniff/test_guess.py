@@ -12,8 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sero_mj.base.frames import rotation_from_rpy
-from sero_mj.data.receive.sniffer import describe_bytes, find_frames, guess_layouts, plausibility
 from sero_mj.data.receive.structure import Structure
+from sero_mj.extensions.sniff.guess import (
+    describe_bytes,
+    find_frames,
+    guess_layouts,
+    plausibility,
+    recognize,
+)
 
 JOINTS = np.random.default_rng(7).normal(size=(6, 14))
 FRAME = np.eye(4)
@@ -98,7 +104,7 @@ SMOOTH = np.sin(np.arange(6)[:, None] / 50.0 + np.arange(14))
          "a counter, 7 int32"),
     ],
 )  # fmt: skip
-def test_numbers_of_several_types_are_told_apart(
+def test_numbers_of_several_types_are_distinguished(
     rows: np.ndarray, structure: str, about: str
 ) -> None:
     first, *_ = guess_layouts(rows)
@@ -236,13 +242,49 @@ def test_frames_are_found_where_all_packets_have_them() -> None:
     [
         (b"", "empty"),
         (bytes(5), "only zeros"),
-        (b'<Rob Type="KUKA">\r\n</Rob>', 'XML, which no structure describes: <Rob Type="KUKA"> </'),
-        (b'{"joint": 1}', 'JSON, which no structure describes: {"joint": 1}'),
-        (b"movej 1 2 3", "text, which no structure describes: movej 1 2 3"),
-        (b"   ", "text, which no structure describes:  "),
+        (
+            b'<Rob Type="KUKA">\r\n</Rob>',
+            'XML, which a structure cannot describe: <Rob Type="KUKA"> </',
+        ),
+        (b'{"joint": 1}', 'JSON, which a structure cannot describe: {"joint": 1}'),
+        (b"movej 1 2 3", "text, which a structure cannot describe: movej 1 2 3"),
+        (b"   ", "text, which a structure cannot describe:  "),
         (struct.pack("<d", 0.1), ""),
     ],
 )
 def test_bytes_are_described_where_they_are_no_numbers(packet: bytes, words: str) -> None:
     described = describe_bytes(np.frombuffer(packet, np.uint8)[None])
     assert described.startswith(words) and bool(described) == bool(words)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "number:1I 7F7F 1H=CRC-16/MODBUS",
+        "number:1H 1H=size 7F7F >1H=CRC-16/IBM-3740[2:]",
+        "7F7F 1B=sum",
+        ">number:1H 7F7F 1I=CRC-32/ISO-HDLC",
+    ],
+)
+def test_a_recognized_checksum_is_proposed(text: str) -> None:
+    structure = Structure(text)
+    packets = []
+    for k in range(16):
+        numbers = {event: np.sin(0.3 * k + np.arange(7)) for event in ("values0", "values1")}
+        count = {"number": 1000 + k} if "number" in structure.events else {}
+        packets.append(structure.encode({**numbers, **count}))
+    first, *_ = guess_layouts(np.stack([np.frombuffer(packet, np.uint8) for packet in packets]))
+    assert (first.structure, first.is_double) == (text, True)
+    assert text.partition("=CRC")[2].partition("[")[0] in first.about
+
+
+def test_no_checksum_is_recognized_in_packets_without_one() -> None:
+    random = np.random.default_rng(3)
+    rows = random.integers(0, 256, (16, 40), np.uint8)
+    assert recognize(rows) is None
+    assert recognize(np.zeros((16, 40), np.uint8)) is None
+    rows[:] = 7
+    rows[:, 0] = rows[:, -1] = np.arange(16)  # counters, the second a sum of the first
+    rows[:, 1:-1] = 0
+    assert recognize(rows) is None
+    assert recognize(rows[:1]) is None

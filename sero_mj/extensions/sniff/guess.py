@@ -1,35 +1,26 @@
-"""Listens to a port, sorts packets of any kind by sender and size, and guesses their structures.
-
-`Sniffer` receives the packets; `guess_layouts` guesses from their size and bytes.
-"""
+"""Guesses the structure of packets from their size and bytes."""
 
 from __future__ import annotations
 
-import errno
-import select
-from collections import deque
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from ...base.errors import SourceError
 from ...base.plugins import KNOWN_PACKETS, load_all
-from ._tracking import Timing
-from .checksum import Recognized, recognize
-from .language import MAX_PACKET_BYTES, TYPES
+from ...data.receive.checksum import CRCS, SUMS, compute, width_of
+from ...data.receive.language import TYPES
+from ...data.receive.structure import Rows, Structure, are_frames
 from .mixed_layout import LARGEST, SMALLEST, mixed_layout
-from .structure import Rows, Structure, are_frames
-from .udp_socket import Batch, Datagrams, open_socket, unpack_address
-
-_KEPT_PACKETS = 16  # packets of a stream used for guesses
-_MAX_STREAMS = 100  # senders and sizes
 
 _MAX_JOINTS = 64
 _MAX_GUESSES = 4
 _MAX_NUMBERS = 512  # searched for frames
+# By bytes of a checksum: how many different values it must have taken in the packets to be
+# recognized. Fewer may fit one of the algorithms by chance.
+_MIN_DIFFERENT = {4: 2, 2: 3, 1: 8}
+_BEGINS = (0, 2, 4, 1, 3)  # candidates for the first byte that a checksum covers
 _HEADERS = {0: "", 2: "1H", 4: "1I", 8: "1Q", 16: "2Q"}  # size in bytes to structure
 _LETTERS = {1: "B", 2: "H", 4: "I"}  # of unsigned integers, by bytes
 _TYPES = {
@@ -46,13 +37,11 @@ _IN_WORDS = {
 
 @dataclass(frozen=True)
 class Guess:
-    """A possible layout.
+    """A possible layout: arguments of `Structure`, and a description.
 
     Attributes:
-        structure: for `Structure`.
-        is_double: whether `F`, `V` and `M` are float64.
-        plausible: share of its non-zero floating-point numbers that look like measurements, 0 to 1;
-            1 without any.
+        plausible: share of the non-zero floating-point numbers that look like measurements, 0 to 1;
+            1 if there are none.
     """
 
     structure: str
@@ -62,114 +51,42 @@ class Guess:
     plausible: float
 
 
-@dataclass
-class Stream:
-    """Packets of one size from one sender.
+@dataclass(frozen=True)
+class Recognized:
+    """A checksum at the end of packets, `width` bytes; it covers the bytes from `begin` on."""
 
-    Attributes:
-        size: bytes of a packet.
-        timing: their rate and jitter.
-    """
-
-    sender: tuple[str, int]
-    size: int
-    count: int = 0
-    timing: Timing = field(default_factory=Timing)
-    last: deque[bytes] = field(default_factory=lambda: deque(maxlen=_KEPT_PACKETS))
-
-    @property
-    def rows(self) -> Rows:
-        rows = np.frombuffer(b"".join(self.last), np.uint8)
-        return rows.reshape(len(self.last), self.size)
-
-    def guesses(self) -> list[Guess]:
-        return guess_layouts(self.rows) if self.is_binary else []
-
-    @property
-    def is_binary(self) -> bool:
-        """Whether a structure could describe it."""
-        return self.size > 0 and not is_text(self.last[-1])
-
-    @property
-    def description(self) -> str:
-        """Description of text or zeros; else empty."""
-        return describe_bytes(self.rows)
+    name: str
+    width: int
+    order: str
+    begin: int
 
 
-class Sniffer:
-    """Receives packets of any size from any sender; raises SourceError.
-
-    Args:
-        host: address to listen on; `0.0.0.0` for every interface, or a multicast group.
-        port: to listen on; 0 lets the system choose.
-        interface: name or address of the network interface on which a group is joined.
-
-    Attributes:
-        streams: by sender and size, in the order in which they were first seen.
-        untold: number of packets of streams beyond the first hundred.
-    """
-
-    def __init__(self, host: str, port: int, interface: str = "") -> None:
-        try:
-            self._socket = open_socket("sniff", host, port, interface, 0)
-        except SourceError as error:
-            if getattr(error.__cause__, "errno", None) != errno.EADDRINUSE:
-                raise
-            raise SourceError(
-                "sniff",
-                f"UDP port {port} on {host} is in use; two programs cannot listen to one port: "
-                "close the other one, a viewer perhaps, for as long as you sniff",
-            ) from error
-        self._datagrams = Datagrams(self._socket, MAX_PACKET_BYTES)
-        self.port = int(self._socket.getsockname()[1])
-        self.streams: dict[tuple[bytes, int], Stream] = {}
-        self.received = self.untold = 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self._socket.close()
-
-    def receive(self, timeout: float, most: int) -> int:
-        """Receives up to `most` packets within `timeout` s; returns their number."""
-        before = self.received
-        if select.select([self._socket], [], [], timeout)[0]:
-            while self.received - before < most and (batch := self._datagrams.receive()):
-                self._take_in(batch, most - (self.received - before))
-                if len(batch) < 8:  # a slow sender; a fast one has filled the buffer meanwhile
-                    break
-        return self.received - before
-
-    def _take_in(self, batch: Batch, most: int) -> None:
-        count = min(len(batch), most)
-        self.received += count
-        lengths = np.minimum(batch.lengths[:count], MAX_PACKET_BYTES)
-        keys = [
-            (sender.tobytes(), size)
-            for sender, size in zip(batch.senders[:count], lengths.tolist(), strict=True)
-        ]
-        for key in dict.fromkeys(keys):
-            places = np.array([i for i, other in enumerate(keys) if other == key])
-            stream = self.streams.get(key)
-            if stream is None:
-                if len(self.streams) >= _MAX_STREAMS:
-                    self.untold += len(places)
+def recognize(rows: NDArray[np.uint8]) -> Recognized | None:
+    """Returns the checksum at the end of one sender's packets (n, size), or None."""
+    for width, minimum in _MIN_DIFFERENT.items():
+        end = rows.shape[1] - width
+        for order in "<>"[: min(width, 2)]:
+            if end <= max(_BEGINS):
+                continue
+            found = np.ascontiguousarray(rows[:, end:]).view(f"{order}u{width}")[:, 0]
+            if len(np.unique(found)) < minimum:
+                continue
+            # If only a counter varies, any sum of the bytes would follow it.
+            varying = np.flatnonzero((rows[:, :end] != rows[0, :end]).any(axis=0))
+            for begin in _BEGINS:
+                if (varying >= begin).sum() < 2:
                     continue
-                stream = self.streams[key] = Stream(unpack_address(key[0]), key[1])
-            stream.count += len(places)
-            stream.timing.add(batch.arrivals[places])
-            stream.last.extend(
-                batch.rows[i, : key[1]].tobytes() for i in places[-_KEPT_PACKETS:].tolist()
-            )
+                for name in (*CRCS, *SUMS):
+                    if (
+                        width_of(name) in (None, 8 * width)
+                        and (found == compute(name, rows[:, begin:end], 8 * width)).all()
+                    ):
+                        return Recognized(name, width, order, begin)
+    return None
 
 
 def guess_layouts(rows: Rows) -> list[Guess]:
-    """Returns up to four possible layouts of packets of one size, most likely first.
-
-    Args:
-        rows: packets of one sender one after the other, (n, size), n >= 1.
-    """
+    """Returns up to four layouts of a sender's consecutive packets (n, size), most likely first."""
     size, found = rows.shape[1], recognize(rows)
     if found is not None:
         guesses = _guess_layouts(rows[:, : size - found.width], size)
@@ -219,7 +136,7 @@ def _guess_layouts(rows: Rows, size: int) -> list[Guess]:
 
 
 def known_packets() -> dict[int, tuple[str, str]]:
-    """Packets of commercial robots, by size: structure, row-major, and description."""
+    """Returns the structure (row-major) and description of commercial robots' packets, by size."""
     found = load_all(KNOWN_PACKETS).values()
     return {size: about for packets in found for size, about in packets.items()}
 
@@ -271,14 +188,14 @@ def _with_body(
     order = type_[0] if type_[0] != before else ""
     structure = f"{header} {order}{body}" if header else order + body
     guess = Guess(structure, type_[-1] == "8", column_major, about, plausible)
-    # Doubles of few digits also look like float32, but then half of these are zero.
+    # float64 numbers with few digits also look like float32, but then half of those are zero.
     return (round(plausible, 1), float("M" in body), -float(start), float(seen)), guess
 
 
 def plausibility(numbers: NDArray[np.floating]) -> tuple[float, int]:
-    """Share and count of non-zero numbers with magnitudes from 1e-6 to 1e6.
+    """Returns the share and count of the non-zero numbers with magnitudes from 1e-6 to 1e6.
 
-    The share is 1 if there are only zeros, which are plausible.
+    The share is 1 if all numbers are zero.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         sizes = np.abs(numbers.astype(np.float64))
@@ -304,7 +221,6 @@ def _body(numbers: NDArray[np.floating]) -> tuple[str, bool, str]:
 
 
 def _of_joints(count: int) -> tuple[str, str]:
-    """Structure of numbers that may be two or three values of every joint, and a description."""
     fits = [
         (f"{count // times}F" * times, f"{count // times} joints {often}")
         for times, often in ((2, "twice"), (3, "three times"))
@@ -322,11 +238,7 @@ def _plural(count: int, word: str) -> str:
 
 
 def find_frames(numbers: NDArray[np.floating]) -> tuple[list[int], bool]:
-    """Offsets of rigid frames common to all packets, and whether they are column-major.
-
-    Args:
-        numbers: (n, k).
-    """
+    """Returns the offsets of rigid frames in all rows (n, k), and whether they are column-major."""
     if not 16 <= numbers.shape[1] <= _MAX_NUMBERS:
         return [], True
     with np.errstate(invalid="ignore", over="ignore"):
@@ -345,11 +257,12 @@ def find_frames(numbers: NDArray[np.floating]) -> tuple[list[int], bool]:
 
 
 def find_header(rows: Rows, size: int) -> tuple[str, int]:
-    """Structure and bytes of a header with a packet counter or size; empty if none.
+    """Returns structure and length of a header with a packet counter or size; "" and 0 for none.
 
     Args:
-        rows: consecutive packets, (n, k); at least four are needed to detect a counter.
-        size: bytes of the packets, which may have a checksum behind these.
+        rows: consecutive packets without a checksum at the end, (n, k). A counter is detected in
+            four packets or more.
+        size: bytes of the whole packets.
     """
     little, big = (_header_in(rows, size, order) for order in "<>")
     return (f">{big[0]}", big[1]) if big[1] > little[1] else little
@@ -387,12 +300,12 @@ def _second(numbers: NDArray[np.integer], order: str) -> NDArray[np.integer]:
 
 
 def is_text(packet: bytes) -> bool:
-    """Whether it contains only printable ASCII characters and line ends."""
+    """Whether a packet has only printable ASCII characters, tabs and line ends."""
     return all(32 <= byte < 127 or byte in b"\t\r\n" for byte in packet)
 
 
 def describe_bytes(rows: Rows) -> str:
-    """Description of packets (n, size): text, or only zeros; else empty."""
+    """Returns a description of packets (n, size) that are text or only zeros; else ""."""
     if not rows.size:
         return "empty"
     if not rows.any():
@@ -402,4 +315,4 @@ def describe_bytes(rows: Rows) -> str:
         return ""
     words = packet.decode("ascii").split() or [" "]
     kind = {"<": "XML", "{": "JSON", "[": "JSON"}.get(words[0][0], "text")
-    return f"{kind}, which no structure describes: {' '.join(words)[:40]}"
+    return f"{kind}, which a structure cannot describe: {' '.join(words)[:40]}"

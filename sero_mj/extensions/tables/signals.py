@@ -23,7 +23,8 @@ from ...base.errors import (
 )
 from ...base.frames import Array
 from ...base.plugins import COLUMNS, load_all
-from .csv_files import TIME
+from ...data.record.csv_files import TIME, Columns
+from ...simulate.runs.tables import ColumnNames
 from .table import Table, split_unit
 
 # Names of columns, in lower case and without number, joint and unit, by the signal that they are,
@@ -64,23 +65,6 @@ _MANY = 8  # columns in a message
 
 log = logging.getLogger(__name__)
 
-Columns = Mapping[str, str | Sequence[str]]
-
-
-@dataclass(frozen=True)
-class ColumnNames:
-    """Names of columns in tables of a program; an entry point in the group `sero_mj.columns`.
-
-    Attributes:
-        names: signal to names of columns, in lower case and without number, joint and unit.
-        opposite: names whose numbers have the opposite sign of ours.
-        prefixes: what names may begin with.
-    """
-
-    names: Mapping[str, tuple[str, ...]]
-    opposite: tuple[str, ...] = ()
-    prefixes: tuple[str, ...] = ()
-
 
 @cache
 def _known_names() -> ColumnNames:
@@ -115,23 +99,6 @@ class _Group:
     names: tuple[str, ...]
 
 
-def parse_columns(texts: Sequence[str]) -> dict[str, str | list[str]]:
-    """Reads `SIGNAL=COLUMNS`, as an option has them; raises ValueError if one has no `=`.
-
-    Args:
-        texts: for example `joint_angles=A*`, `joint_angles [deg]=A1,A2` and `time=Zeit [s]`.
-    """
-    found: dict[str, str | list[str]] = {}
-    for text in texts:
-        signal, equals, columns = text.partition("=")
-        if not (equals and signal.strip() and columns.strip()):
-            expected = "SIGNAL=COLUMNS, for example joint_angles=q_* or time=stamp"
-            raise ValueError(f"found '{text}'; expected {expected}")
-        names = [each.strip() for each in columns.split(",")]
-        found[signal.strip()] = names[0] if len(names) == 1 else names
-    return found
-
-
 def signals_of(
     table: Table,
     joints: Sequence[str] = (),
@@ -158,17 +125,16 @@ def signals_of(
     chosen = _recognised(names, joints, robot, counts) | _declared(table, columns or {})
     if "torques" not in chosen and "commanded_torques" in chosen:
         chosen["torques"] = chosen["commanded_torques"]
-        _tell_commanded(table.path, chosen["torques"].names[0])
+        _warn_of_commanded(table.path, chosen["torques"].names[0])
     return {
         signal: np.stack([table.column(name) for name in each.names], axis=1) * each.factor
         for signal, each in chosen.items()
     }
 
 
-@lru_cache(16)  # once for a table, which is read for its scene, its routes and its packets
-def _tell_commanded(path: Path, column: str) -> None:
-    reason = "no torques were measured; those commanded are shown"
-    log.warning("%s: %s, %s and so on", path, reason, column)
+@lru_cache(16)  # a table is read several times: for its scene, its routes and its packets
+def _warn_of_commanded(path: Path, column: str) -> None:
+    log.warning("%s has no measured torques: showing the commanded ones (%s, ...)", path, column)
 
 
 def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:

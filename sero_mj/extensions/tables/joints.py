@@ -1,4 +1,4 @@
-"""Scenes and robots that are led by a table of numbers."""
+"""The joints of a scene's robots in a table, and scenes that a table moves."""
 
 from __future__ import annotations
 
@@ -9,25 +9,17 @@ from typing import Any
 
 from ...base.errors import SeroError, UsageError
 from ...base.frames import Array
+from ...data.drive.wiring import wired_source
+from ...data.record.csv_files import TIME, Columns
 from ...robots.declared.inputs import list_inputs
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
-from ..record.csv_files import TIME
-from ..record.table import Table
-from ..record.table_events import has_numbers
-from ..record.table_file import SOURCE, cached_table
-from ..record.table_signals import Columns, signals_of, wrong_columns
-from .wiring import wired_source
+from .replay import SOURCE, has_numbers
+from .signals import signals_of, wrong_columns
+from .table import Table, read_cached
 
 _PACKETS = ("structure", "is_double", "column_major", "alignment", "scale")
 _BY_OPTION = '--columns "SIGNAL=COLUMNS"'
-
-
-def read_for(path: Path, columns: Columns, rate: float | None = None, instead: str = "") -> Table:
-    """Reads a table whose column of times may be among declared ones; see `read_table`."""
-    time = columns.get(TIME, "")
-    time = time if isinstance(time, str) else time[0]
-    return cached_table(path, rate=rate, time=time, instead=instead)
 
 
 def robots_in(
@@ -70,7 +62,7 @@ def _columns_of(name: str, robots: Mapping[str, SerialRobot], columns: Columns) 
     return own
 
 
-def lead_by_table(
+def move_by_table(
     scene: Scene,
     file: Path,
     columns: Columns,
@@ -86,7 +78,7 @@ def lead_by_table(
         columns: see `robots_in`.
         start: where to begin, s after the first row.
     """
-    table = read_for(file, columns)
+    table = read_cached(file, columns)
     declared: dict[str, Any] = {"kind": "table", "file": str(file)}
     if start is not None:
         declared["start"] = start

@@ -1,7 +1,4 @@
-"""Reads tables of numbers as programs write them, whatever separates their cells.
-
-`read_table` reads any, `read_csv` those of which every cell must be a number.
-"""
+"""Reads tables of numbers in text files, with any of the usual separators."""
 
 from __future__ import annotations
 
@@ -14,8 +11,9 @@ from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,12 +24,11 @@ from ...base.errors import (
 )
 from ...base.frames import Array
 from ...base.paths import open_file
-from .csv_files import TIME
+from ...data.record.csv_files import TIME, Columns
 
 if TYPE_CHECKING:
     from _csv import Reader
 
-TABLE_ENDINGS = (".csv", ".tsv", ".txt")
 _COMMENT = "#"
 _WESTERN = "cp1252"  # of Windows, where programs write a degree sign, say
 _SEPARATORS = (";", "\t", ",", " ")  # in the order in which they are tried
@@ -53,11 +50,6 @@ _EPOCHS = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6), (math.inf, 1e-9))
 _LIBFRANKA = ("success_rate", "success rate")
 
 _Number = Callable[[str], float | None]
-
-
-def is_table(path: Path | str) -> bool:
-    """Whether a file is a table, by its name."""
-    return str(path).lower().endswith(TABLE_ENDINGS)
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -156,6 +148,29 @@ def read_table(
             encoding = _WESTERN
         except OSError as error:
             raise CsvError(path, f"cannot be read: {error.strerror}") from error
+
+
+def read_cached(
+    path: Path, columns: Columns, rate: float | None = None, instead: str = ""
+) -> Table:
+    """Calls `read_table`, and caches the table until the file changes.
+
+    Args:
+        columns: declared columns, with `time` if they name the column of the times.
+    """
+    time = columns.get(TIME, "")
+    time = time if isinstance(time, str) else time[0]
+    try:
+        about = path.stat()
+    except OSError:
+        return read_table(path)  # raises the error with its reason
+    state = path.absolute(), about.st_mtime_ns, about.st_size
+    return _cached(path, state, rate, time, instead)
+
+
+@lru_cache(4)
+def _cached(path: Path, _: tuple[Any, ...], rate: float | None, time: str, instead: str) -> Table:
+    return read_table(path, rate=rate, time=time, instead=instead)
 
 
 class _Rows:

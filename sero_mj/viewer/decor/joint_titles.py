@@ -8,7 +8,7 @@ from functools import lru_cache
 from itertools import takewhile
 
 from .font import drawable
-from .picture_view import PictureView
+from .image_view import ImageView
 
 SHORTEST, LONGEST = 14, 40  # characters to which a robot's or a joint's name is shortened
 _SHARE = 0.25  # of the picture's width, that a name may take
@@ -18,7 +18,7 @@ _GENERIC = ("joint", "jnt", "j", "link")  # says nothing about a joint
 _END = re.compile(rf"({_BETWEEN}({'|'.join(_GENERIC)}))+$", re.IGNORECASE)
 
 
-def card_names(joints: Sequence[str], robot: str) -> list[str]:
+def short_joint_names(joints: Sequence[str], robot: str) -> list[str]:
     """Returns the names of a robot's joints without repeated parts.
 
     Left out are the robot's name in front, the words that all names begin with, and `joint` at the
@@ -47,7 +47,7 @@ def _if_clear(names: list[str], plain: list[str]) -> list[str]:
     return plain if is_clear and len({*plain}) == len({*names}) else names
 
 
-def longest_name(view: PictureView) -> int:
+def longest_name(view: ImageView) -> int:
     """Returns how many characters of a name there is room for on the cards of a picture."""
     room = _SHARE * view.width / view.font.width("n")
     return int(min(max(room, SHORTEST), LONGEST))

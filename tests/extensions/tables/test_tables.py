@@ -14,14 +14,15 @@ from conftest import raises_with
 
 from sero_mj.base.errors import CsvError
 from sero_mj.cli import main
-from sero_mj.data.drive.table_scene import lead_by_table, robots_in
 from sero_mj.data.drive.wiring import wire
-from sero_mj.data.record.table import read_csv, read_table
-from sero_mj.data.record.table_replay import TableReplay
-from sero_mj.data.record.table_signals import parse_columns, signals_of
+from sero_mj.data.record.csv_files import parse_columns
+from sero_mj.extensions.tables.joints import move_by_table, robots_in
+from sero_mj.extensions.tables.replay import TableReplay
+from sero_mj.extensions.tables.run import read_run_table
+from sero_mj.extensions.tables.signals import signals_of
+from sero_mj.extensions.tables.table import read_csv, read_table
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.robot import SerialRobot
-from sero_mj.simulate.runs.run_recording import read_run_table
 
 OF_VENDORS = pytest.mark.extensions  # whose columns have names of libfranka or RTDE
 
@@ -243,7 +244,7 @@ def test_a_table_is_a_source_of_joints_or_of_packets(tmp_path: Path) -> None:
 @OF_VENDORS
 def test_a_scene_is_led_by_joints_whatever_its_packets_are(tmp_path: Path) -> None:
     scene = scene_of(tmp_path)
-    lead_by_table(scene, table(tmp_path, FRANKA), {})
+    move_by_table(scene, table(tmp_path, FRANKA), {})
     wiring = wire(scene).check(scene)
     assert {route.to.target: route.text for route in wiring.routes} == {
         "two.joint_angles": "table.joint_angles",
@@ -257,7 +258,7 @@ def test_a_scene_is_led_by_joints_whatever_its_packets_are(tmp_path: Path) -> No
 
 def test_columns_called_like_numbers_of_packets_replace_their_source(tmp_path: Path) -> None:
     scene = scene_of(tmp_path)
-    lead_by_table(scene, table(tmp_path, "time,values0[0],values0[1]\n0,90,45\n"), {})
+    move_by_table(scene, table(tmp_path, "time,values0[0],values0[1]\n0,90,45\n"), {})
     assert scene.sources["arm"]["structure"] == "2f2F"
     source = wire(scene).check(scene).sources["arm"]
     with source:
