@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from ...base.errors import Problem
+from ...base.errors import Problem, first_of
 from ...base.frames import Array, Ints, frame, inverse, rotation_about, rotation_to_z
-from .imported_tables import NoJoints, first_of
+from .imported_tables import NoJoints
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)

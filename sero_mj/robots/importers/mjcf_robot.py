@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 
 from ...base.declaration import LARGEST
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import DeclarationError, Problem, first_of
 from ...base.frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
-from .imported_tables import ImportedTables, first_of
+from .imported_tables import ImportedTables
 from .joint_names import joint_names_of, parents_of
 from .mjcf_file import as_spec, is_file_name
 from .mjcf_model import ON_JOINT, MjcfTree, find_tree, torque_limits
