@@ -171,6 +171,7 @@ def test_a_pipe_is_no_shared_memory(block: str) -> None:
         os.unlink(f"/dev/shm/{block}")
 
 
+@pytest.mark.extensions
 def test_endless_meshes_pieces_and_tables_are_refused(
     tmp_path: Path, endless: Callable[[str], Path]
 ) -> None:

@@ -20,7 +20,7 @@ from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.viewer.decor.cards import move_below
+from sero_mj.viewer.decor.billboard_layout import move_below
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.font import line_height
 from sero_mj.viewer.decor.geom_buffer import Kind

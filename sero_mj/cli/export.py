@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from ..base.options import Duration, Option, Time, positional
 from ..base.plugins import EXPORTS, load_plugin, plugins
-from ..viewer.image.picture_options import Rate
+from ..viewer.image.image_options import Rate
 from .arguments import command, progress_bar, read_scene, writing
 from .shared_options import SceneArgument, ShownOptions
 

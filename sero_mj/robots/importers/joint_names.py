@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from ...base.errors import mismatch
 
 BASE = "base"  # the parent of joints without a parent joint
-MAX_PAUSE = 200  # characters
+LONGEST = 200  # characters
 
 
 def is_joint_name(name: str) -> str:
@@ -21,8 +21,8 @@ def is_joint_name(name: str) -> str:
 
     Raises ValueError if it is empty, too long, or has characters that cannot be printed.
     """
-    if not name.strip() or not name.isprintable() or len(name) > MAX_PAUSE:
-        expected = f"1 to {MAX_PAUSE} characters that can be printed"
+    if not name.strip() or not name.isprintable() or len(name) > LONGEST:
+        expected = f"1 to {LONGEST} characters that can be printed"
         raise mismatch(name, expected)
     return name
 
@@ -35,7 +35,7 @@ def joint_names_of(names: Iterable[str]) -> tuple[list[str], list[str]]:
     found: list[str] = []
     changed = []
     for name in names:
-        plain = "".join(c if c.isprintable() else "_" for c in name).strip()[:MAX_PAUSE] or "joint"
+        plain = "".join(c if c.isprintable() else "_" for c in name).strip()[:LONGEST] or "joint"
         plain = plain if plain != name.strip() else name
         unique, count = plain, 1
         while unique in found:

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from ...base.frames import Array, Bools
 from ...robots.assemble.world_view import WorldView
-from .card_names import frame_titles
 from .feature import Feature, Frame
 from .geom_buffer import GREY, GeomBuffer, Kind
+from .image_view import ImageView
+from .joint_titles import frame_titles
 from .panels import Panels, labels_below
-from .picture_view import PictureView
 
 # Red, green, blue, in shades that also differ in lightness.
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
@@ -148,7 +148,7 @@ class FrameNames(Feature):
 
 
 def name_panels(
-    world: WorldView, data: mujoco.MjData, named: Bools, view: PictureView
+    world: WorldView, data: mujoco.MjData, named: Bools, view: ImageView
 ) -> Panels | None:
     """Returns labels below the origins of frames, or None if there are none.
 

@@ -18,15 +18,15 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES, BillboardLine
 from ...robots.declared.scene import Scene
 from ...robots.declared.torque_units import NM, N, TorqueUnit
-from .card_names import MAX_PAUSE, card_names, longest_name, shortened, titles
-from .cards import FEWEST, GAP, NO_SHARE, Cards, heights_in_order
+from .billboard_layout import FEWEST, GAP, NO_SHARE, BillboardGroup, heights_in_order
 from .feature import Feature, Frame
 from .font import Font, line_of
 from .geom_buffer import Kind
+from .image_view import ImageView
+from .joint_titles import LONGEST, longest_name, short_joint_names, shortened, titles
 from .layout import LEFT, RIGHT, is_narrow
-from .limb_cards import card_limbs
+from .limb_billboards import billboard_limbs
 from .panels import PANEL_RGBA, panel_sizes
-from .picture_view import PictureView
 from .toggles import Toggles
 
 NO_DATA = b"no data"
@@ -86,7 +86,7 @@ class Billboards(Feature):
             ],
             bool,
         )
-        # Cards whose one number is a torque that nobody has chosen.
+        # BillboardGroup whose one number is a torque that nobody has chosen.
         self._are_torques = np.array(
             [
                 not has_chosen_lines(part) and [line.value for line in lines] == ["torques"]
@@ -99,7 +99,7 @@ class Billboards(Feature):
         self._side = np.concatenate(
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
         ).astype(np.intp)
-        self._limbs = limbs = card_limbs(world)
+        self._limbs = limbs = billboard_limbs(world)
         self._limb = limbs.beside
         self._close = 0.0  # how far from its robot's middle a limb has no side, picture widths
         group = limbs.groups[joints.owner]
@@ -112,7 +112,7 @@ class Billboards(Feature):
         self._written: dict[int, _Written] = {}  # by joint
         self._limb_widths: dict[tuple[int, int], int] = {}  # by font and limb
 
-    def _formats_for(self, view: PictureView) -> Formats:
+    def _formats_for(self, view: ImageView) -> Formats:
         longest = longest_name(view)
         if longest not in self._formats:
             self._formats[longest] = joint_formats(self.world, longest)
@@ -122,7 +122,7 @@ class Billboards(Feature):
         """Adds the billboards that are shown, of joints in the picture.
 
         If there are too many, one card replaces those of all joints of a limb that were not
-        clicked. `CardLayout` then keeps the clicked ones and those with the largest load.
+        clicked. `BillboardLayout` then keeps the clicked ones and those with the largest load.
         """
         cards = self._cards(frame)
         if cards is None:
@@ -131,12 +131,12 @@ class Billboards(Feature):
             most = _room_for(cards.sizes, frame.view)
             told = self._limbs.collapsed(cards.items, np.isinf(cards.share), most)
             if told.any():
-                frame.cards.append(self._of_limbs(frame, cards.only(told)))
+                frame.billboards.append(self._of_limbs(frame, cards.only(told)))
                 cards = cards.only(~told)
         if cards.texts:
-            frame.cards.append(cards)
+            frame.billboards.append(cards)
 
-    def _of_limbs(self, frame: Frame, cards: Cards) -> Cards:
+    def _of_limbs(self, frame: Frame, cards: BillboardGroup) -> BillboardGroup:
         names, view = self._limb_names(frame.view), frame.view
         of_joint = self._limbs.of_joint
         limb = of_joint[cards.items]
@@ -172,11 +172,11 @@ class Billboards(Feature):
             rgba=np.where(stale[:, None], _STALE_RGBA, self._rgba[cards.items[first]]),
         )
 
-    def _limb_names(self, view: PictureView) -> _LimbNames:
+    def _limb_names(self, view: ImageView) -> _LimbNames:
         longest = longest_name(view)
         if longest not in self._names:
             limbs, world = self._limbs, self.world
-            joints = joint_titles(world, MAX_PAUSE)
+            joints = joint_titles(world, LONGEST)
             plain = [
                 _without_start(title, limbs.names[limb])
                 for title, limb in zip(joints, limbs.of_joint, strict=True)
@@ -186,7 +186,7 @@ class Billboards(Feature):
             )
         return self._names[longest]
 
-    def _cards(self, frame: Frame) -> Cards | None:
+    def _cards(self, frame: Frame) -> BillboardGroup | None:
         data, view, toggles, values = frame.data, frame.view, frame.toggles, frame.values
         stale = frame.stale_joints
         joints = self.world.joints
@@ -222,7 +222,7 @@ class Billboards(Feature):
         asked = toggles.details | (toggles.clicked & toggles.billboards)
         # Clear of the round arrows of the joint closest to the camera.
         clear = 2.0 * joints.arrow_radius[index].max() / view.pixel_size(float(depth.min()))
-        return Cards(
+        return BillboardGroup(
             kind=Kind.BILLBOARD,
             items=index,
             anchors=anchors,
@@ -342,14 +342,14 @@ def joint_titles(world: WorldView, longest: int) -> list[str]:
     # With several robots, joint names alone are ambiguous.
     is_ambiguous = [len(world.robots) > 1 or isinstance(part, DoublePart) for part in parts]
     return titles(
-        [card_names(part.robot.names, part.robot.name) for part in parts],
+        [short_joint_names(part.robot.names, part.robot.name) for part in parts],
         [part.declared.name for part in parts],
         is_ambiguous,
         longest,
     )
 
 
-def joint_formats(world: WorldView, longest: int = MAX_PAUSE) -> Formats:
+def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
     """Returns the lines of all joints, with names of at most `longest` characters."""
     joints, names = world.joints, joint_titles(world, longest)
     declared = [declared_lines(part, world.scene) for part in world.owners.values()]
@@ -379,7 +379,7 @@ def _tinted(part: object) -> Array:
     return rgba
 
 
-def _room_for(sizes: Array, view: PictureView) -> int:
+def _room_for(sizes: Array, view: ImageView) -> int:
     (left, bottom), (right, top) = view.free
     gap = GAP * view.font.height
     if is_narrow(sizes, gap, right - left):

@@ -11,12 +11,12 @@ from ...base.frames import Array, Bools, Ints
 from ...base.plugins import is_own_class
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT, fade_in, spread_out
-from .cards import LEADER_RGBA, CardLayout, owner_groups
+from .billboard_layout import LEADER_RGBA, BillboardLayout, owner_groups
 from .feature import Drawn, Frame, make_features
 from .font import line_of
 from .geom_buffer import CAPACITY, GeomBuffer
+from .image_view import ImageView
 from .panels import Panels, clear_of, draw_panels, labels_at, panel_sizes
-from .picture_view import PictureView
 from .quantities import arrow_values, joint_values
 from .round_arrows import ARROW_GEOMS
 from .staleness import Staleness
@@ -48,10 +48,10 @@ class Decor:
         self._world = world
         self._arrow_geoms = arrow_geoms
         self._staleness = Staleness(world)
-        self._cards = CardLayout(owner_groups(world))
+        self._cards = BillboardLayout(owner_groups(world))
         self._outline = Outline(world)
 
-    def draw(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> GeomBuffer:
+    def draw(self, data: mujoco.MjData, toggles: Toggles, view: ImageView) -> GeomBuffer:
         """Lays out one frame and returns the buffer that holds it."""
         buffer, world = self.buffer, self._world
         of_model, data = data, world.state(data)
@@ -82,10 +82,10 @@ class Decor:
         self._each("lay_out", frame)
         look = world.scene.view.look
         cards: list[Panels] = []
-        if frame.cards:
+        if frame.billboards:
             body = self._outline.points(of_model, buffer.hidden, data.site_xpos, frame.shown.arrows)
-            frame.cards, cards, note = self._cards.lay_out(
-                buffer, view, frame.cards, *body, frame.corners, LEADER_RGBA[look]
+            frame.billboards, cards, note = self._cards.lay_out(
+                buffer, view, frame.billboards, *body, frame.corners, LEADER_RGBA[look]
             )
             frame.corners += note
         notes = self._staleness.panels(buffer, data, view, stale)
@@ -122,7 +122,7 @@ def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
     return np.asarray(factors[world.model.geom_bodyid])
 
 
-def _hover_panel(toggles: Toggles, view: PictureView, others: list[Panels]) -> list[Panels]:
+def _hover_panel(toggles: Toggles, view: ImageView, others: list[Panels]) -> list[Panels]:
     """Returns the label beside the pointer in a list; empty if there is nothing under it."""
     if toggles.hover is None:
         return []

@@ -8,6 +8,7 @@ A package adds a feature by an entry point in the group `sero_mj.decor`:
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol
 
@@ -16,10 +17,10 @@ from ...base.errors import DeclarationError, UnknownName, problems_of
 from ...base.frames import Array, Bools
 from ...base.plugins import DECOR, load_all
 from ...robots.assemble.world_view import WorldView
-from .cards import Cards
+from .billboard_layout import BillboardGroup
 from .geom_buffer import GeomBuffer
+from .image_view import ImageView
 from .panels import Panels
-from .picture_view import PictureView
 from .staleness import stale_mask
 from .toggles import ShownItems, Toggles
 
@@ -45,7 +46,7 @@ class Frame:
 
     buffer: GeomBuffer
     data: Any
-    view: PictureView
+    view: ImageView
     toggles: Toggles
     shown: ShownItems
     values: dict[str, Array]
@@ -54,9 +55,14 @@ class Frame:
     stale: dict[str, str]
     stale_joints: Bools
     arrow_geoms: int
-    cards: list[Cards] = field(default_factory=list)
+    billboards: list[BillboardGroup] = field(default_factory=list)
     corners: list[Panels] = field(default_factory=list)
     panels: list[Panels] = field(default_factory=list)
+
+    @property
+    def cards(self) -> list[BillboardGroup]:
+        warnings.warn("'cards' is deprecated; use 'billboards'", DeprecationWarning, stacklevel=2)
+        return self.billboards
 
     def is_stale(self, names: list[str]) -> Bools:
         """Returns which of these names have no fresh data, (k,) bool."""

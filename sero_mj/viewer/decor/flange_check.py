@@ -14,13 +14,13 @@ from ...base.frames import Array, rotation_angle
 from ...robots.assemble.parts import RobotPart
 from ...robots.assemble.world_view import WorldView
 from .axes import AXIS_RGB, draw_bars
-from .cards import Cards
+from .billboard_layout import BillboardGroup
 from .feature import Feature, Frame
 from .font import line_of
 from .geom_buffer import GeomBuffer, Kind
+from .image_view import ImageView
 from .layout import RIGHT
 from .panels import Panels, panel_sizes
-from .picture_view import PictureView
 from .smart_arrows import frames_along
 
 OFF_RGBA = (0.55, 0.04, 0.04, 0.92)
@@ -101,21 +101,21 @@ class FlangeCheck(Feature):
             position, turn = f"  position {1e3 * distance:8.2f} mm", f"  angle    {angle:8.2f} deg"
             texts.append([line_of(head), position.encode(), turn.encode()])
         if items:
-            frame.cards.append(self._cards(view, items, np.array(anchors), texts, clear))
+            frame.billboards.append(self._cards(view, items, np.array(anchors), texts, clear))
         if right:
             frame.corners.append(_corner(view, right, unseen))
 
     def _cards(
         self,
-        view: PictureView,
+        view: ImageView,
         items: list[int],
         anchors: Array,
         texts: list[list[bytes]],
         clear: float,
-    ) -> Cards:
+    ) -> BillboardGroup:
         widths = np.array([view.font.block_width(lines) for lines in texts])
         top = len(self.world.joints.names)  # ranked above all billboards
-        return Cards(
+        return BillboardGroup(
             kind=Kind.CHECK,
             items=np.array(items, np.intp),
             anchors=anchors,
@@ -152,7 +152,7 @@ class FlangeCheck(Feature):
         return np.asarray(T[:3, 3])
 
 
-def _corner(view: PictureView, lines: list[bytes], off: bool) -> Panels:
+def _corner(view: ImageView, lines: list[bytes], off: bool) -> Panels:
     widest = np.array([max(view.font.width(line) for line in lines)])
     size = panel_sizes(widest, len(lines), view)
     margin = _MARGIN * view.font.height

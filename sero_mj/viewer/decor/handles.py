@@ -17,7 +17,7 @@ from ...base.frames import Array
 from .axes import AXIS_RGB, ONTO_AXIS
 from .feature import Feature, Frame
 from .geom_buffer import ARROW_SIZE_OF_LENGTH, GeomBuffer, Kind
-from .picture_view import PictureView
+from .image_view import ImageView
 
 # What the handles do, by the item of their geoms: axes 0 to 2 along, 3 to 5 about, and the cube.
 HANDLE_NAMES = (
@@ -54,19 +54,19 @@ class HandleDecor(Feature):
             _draw_mark(frame.buffer, handles.mark, frame.view)
 
 
-def handle_length(point: Array, view: PictureView) -> float:
+def handle_length(point: Array, view: ImageView) -> float:
     """Returns the length of a line's height at a point (3,) of the picture, m."""
     depth = max(float((point - view.position) @ view.forward), view.near)
     line = min(view.font.height, _LARGEST * view.height / _ARROW_LENGTH)
     return float(view.pixel_size(depth)) * line
 
 
-def ring_radius(point: Array, view: PictureView) -> float:
+def ring_radius(point: Array, view: ImageView) -> float:
     """Returns the radius of the rings about a point (3,), m."""
     return _RING_RADIUS * handle_length(point, view)
 
 
-def draw_handles(buffer: GeomBuffer, pose: Array, lit: int, view: PictureView) -> None:
+def draw_handles(buffer: GeomBuffer, pose: Array, lit: int, view: ImageView) -> None:
     """Draws the handles of a frame.
 
     Args:
@@ -124,7 +124,7 @@ def fill_ring(
     rows["rgba"] = rgba
 
 
-def _draw_mark(buffer: GeomBuffer, mark: Array, view: PictureView) -> None:
+def _draw_mark(buffer: GeomBuffer, mark: Array, view: ImageView) -> None:
     wanted, there = mark
     half = _MARK_HALF * handle_length(wanted, view)
     rows = buffer.take(4, int(mujoco.mjtGeom.mjGEOM_BOX))

@@ -11,10 +11,10 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from .feature import Feature, Frame
 from .font import line_of
+from .image_view import ImageView
 from .panels import PADDING, Panels, panel_sizes
-from .picture_view import PictureView
 from .round_arrows import WIDEST, drawn_widths
-from .smart_arrows import MIN_PAUSE, arrow_vectors
+from .smart_arrows import SHORTEST, arrow_vectors
 from .toggles import Toggles
 
 _RGBA = (0.09, 0.11, 0.14, 0.6)
@@ -122,10 +122,10 @@ class Legend(Feature):
         new = frame.shown.vectors & ~self._drawn
         if new.any():
             sizes = np.linalg.norm(arrow_vectors(self.world, frame.data)[1], axis=1)
-            self._drawn |= new & (np.nan_to_num(sizes) * self.world.arrows.scale > MIN_PAUSE)
+            self._drawn |= new & (np.nan_to_num(sizes) * self.world.arrows.scale > SHORTEST)
 
     def _laid_out(
-        self, toggles: Toggles, arrows: Bools, view: PictureView, limit: Array
+        self, toggles: Toggles, arrows: Bools, view: ImageView, limit: Array
     ) -> list[Panels]:
         margin = _MARGIN * view.font.height
         scales = self._scales(toggles)
@@ -249,7 +249,7 @@ def _named(names: list[str]) -> str:
     return listed if len(names) == 1 or len(listed) <= _MAX_NAMES else ""
 
 
-def _bars(panels: Panels, view: PictureView) -> Array:
+def _bars(panels: Panels, view: ImageView) -> Array:
     line = view.font.height
     ends = np.array([view.font.width("".join(SCALE[:k]) + SCALE[-1]) for k in range(len(SCALE))])
     bars = []

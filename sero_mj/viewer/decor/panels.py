@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ...base.frames import Array, Bools, Ints
 from .font import line_of
 from .geom_buffer import GeomBuffer, Kind, place_triangles
+from .image_view import ImageView
 from .layout import place_clear
-from .picture_view import PictureView
 
 PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
 # Depths in units of the near plane: text before panels before leaders before the scene.
@@ -27,7 +27,7 @@ _BENT = 0.6  # width of a bent leader, of that of a straight one
 PADDING = 0.35  # of a line's height, on every side
 
 
-def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: PictureView) -> Array:
+def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: ImageView) -> Array:
     """Returns width and height of panels, (k, 2), pixels.
 
     Args:
@@ -78,7 +78,7 @@ class Panels:
         )
 
 
-def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
+def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
     """Returns centres and sizes of panels, moved to be inside the picture."""
     widths = np.array([max(view.font.width(line) for line in lines) for lines in texts], float)
     sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
@@ -87,7 +87,7 @@ def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tu
     return np.clip(centres, low + half, np.maximum(high - half, low + half)), sizes
 
 
-def labels_below(places: Array, names: list[str], view: PictureView) -> tuple[Panels, Ints] | None:
+def labels_below(places: Array, names: list[str], view: ImageView) -> tuple[Panels, Ints] | None:
     """Returns labels below places of the world, and which of these are seen; None for none.
 
     Args:
@@ -102,7 +102,7 @@ def labels_below(places: Array, names: list[str], view: PictureView) -> tuple[Pa
     return Panels(centres, sizes, lines), seen
 
 
-def clear_of(labels: list[Panels], others: list[Panels], view: PictureView) -> list[Panels]:
+def clear_of(labels: list[Panels], others: list[Panels], view: ImageView) -> list[Panels]:
     """Returns labels moved off other panels and off each other, as far as the picture has room.
 
     Names for which there is none are left out: nobody could read them, nor what is below.
@@ -134,7 +134,7 @@ def clear_of(labels: list[Panels], others: list[Panels], view: PictureView) -> l
 
 
 def draw_panels(
-    buffer: GeomBuffer, view: PictureView, groups: list[Panels], lighter: float = 0.0
+    buffer: GeomBuffer, view: ImageView, groups: list[Panels], lighter: float = 0.0
 ) -> list[Panels]:
     """Draws all panels of a frame in one vectorized pass.
 
@@ -196,7 +196,7 @@ def draw_panels(
 
 
 def _draw_lines(
-    buffer: GeomBuffer, view: PictureView, starts: Array, lines: list[bytes], depth: Array
+    buffer: GeomBuffer, view: ImageView, starts: Array, lines: list[bytes], depth: Array
 ) -> None:
     labels = buffer.take(len(starts), int(mujoco.mjtGeom.mjGEOM_LABEL))
     if not len(labels):
@@ -208,7 +208,7 @@ def _draw_lines(
     labels["label"] = [line.decode("utf-8", "replace").encode("ascii", "replace") for line in lines]
 
 
-def _draw_bars(buffer: GeomBuffer, view: PictureView, bars: Array) -> None:
+def _draw_bars(buffer: GeomBuffer, view: ImageView, bars: Array) -> None:
     rows = buffer.take(len(bars), int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
         return
@@ -238,7 +238,7 @@ def _without(groups: list[Panels], covered: NDArray[np.bool_]) -> list[Panels]:
 
 
 def _covered(
-    view: PictureView, starts: Array, lines: list[bytes], centres: Array, sizes: Array
+    view: ImageView, starts: Array, lines: list[bytes], centres: Array, sizes: Array
 ) -> NDArray[np.bool_]:
     """Returns which lines of text (k,), by their lower left pixels (k, 2), panels (m, 2) cover."""
     text = np.stack(
@@ -251,7 +251,7 @@ def _covered(
 
 def draw_leaders(
     buffer: GeomBuffer,
-    view: PictureView,
+    view: ImageView,
     starts: Array,
     bends: Array,
     ends: Array,
@@ -271,7 +271,7 @@ def draw_leaders(
 
 def _draw_tips(
     buffer: GeomBuffer,
-    view: PictureView,
+    view: ImageView,
     starts: Array,
     ends: Array,
     base: float,

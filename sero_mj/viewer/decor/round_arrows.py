@@ -185,7 +185,7 @@ class RoundArrows(Feature):
 
 
 def _budget(frame: Frame) -> int:
-    of_cards = sum(2 + len(lines) for cards in frame.cards for lines in cards.texts)
+    of_cards = sum(2 + len(lines) for cards in frame.billboards for lines in cards.texts)
     others = 3 * int(np.count_nonzero(frame.shown.axes)) + of_cards
     room = _MOST_GEOMS - _GEOMS_FOR_THE_REST - others
     budget = room // max(int(np.count_nonzero(frame.shown.arrows)), 1)

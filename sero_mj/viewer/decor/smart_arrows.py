@@ -12,18 +12,18 @@ import numpy as np
 
 from ...base.frames import Array, Bools
 from ...robots.assemble.world_view import WorldView
+from .billboard_layout import BillboardGroup, heights_in_order
 from .billboards import NO_DATA
-from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
 from .font import line_of
 from .geom_buffer import ARROW_SIZE_OF_LENGTH, GREY, Kind
+from .image_view import ImageView
 from .panels import panel_sizes
-from .picture_view import PictureView
 from .quantities import IMPLAUSIBLE_FACTOR
 from .ribbons import Ribbons, draw_ribbons
 from .round_arrows import DARKER, TURNING_SPEED
 
-MIN_PAUSE = 0.004  # m; shorter arrows are not drawn, since their direction is noise
+SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
 # Reference direction of `frames_along`: not close to an axis, since forces often lie along one.
 _FROM = np.array([0.36, 0.48, 0.80])
 _START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])  # its z is _FROM
@@ -59,7 +59,7 @@ class SmartArrows(Feature):
             frame.data, frame.shown.cards, frame.view, components, reach, ages
         )
         if cards is not None:
-            frame.cards.append(cards)
+            frame.billboards.append(cards)
 
     def _choose_ends(self, data: mujoco.MjData, vectors: Array) -> None:
         table = self.world.arrows
@@ -130,7 +130,7 @@ def draw_smart_arrows(
     magnitude = np.linalg.norm(vectors, axis=1)
     size = table.scale * magnitude
     with np.errstate(invalid="ignore"):
-        index = (frame.shown.vectors & (size > MIN_PAUSE) & np.isfinite(size)).nonzero()[0]
+        index = (frame.shown.vectors & (size > SHORTEST) & np.isfinite(size)).nonzero()[0]
         over = size > table.longest
     if not len(index):
         return
@@ -202,11 +202,11 @@ class _VectorCards:
         self,
         data: mujoco.MjData,
         shown: Bools,
-        view: PictureView,
+        view: ImageView,
         components: Array,
         reach: Array,
         stale: list[str],
-    ) -> Cards | None:
+    ) -> BillboardGroup | None:
         """Returns the cards that are shown and whose arrow is in the picture."""
         index = shown.nonzero()[0]
         if not len(index):
@@ -218,7 +218,7 @@ class _VectorCards:
             return None
         texts = [self._text(int(i), components[i], stale[i]) for i in index]
         widest = np.array([view.font.block_width(lines) for lines in texts])
-        return Cards(
+        return BillboardGroup(
             kind=Kind.CARD,
             items=index,
             anchors=anchors,

@@ -15,8 +15,8 @@ from ...robots.assemble.world_view import SET_BY_PROGRAM, WorldView
 from ...robots.declared.inputs import SOURCE_FIELDS
 from .font import line_of
 from .geom_buffer import GeomBuffer
+from .image_view import ImageView
 from .panels import Panels, labels_at
-from .picture_view import PictureView
 
 _AGE = SOURCE_FIELDS.index("age")
 _FAULT_AGE = SOURCE_FIELDS.index("fault_age")
@@ -110,7 +110,7 @@ class Staleness:
         return np.array([*of_owner.values()], np.float64)[self._owner]
 
     def panels(
-        self, buffer: GeomBuffer, data: mujoco.MjData, view: PictureView, stale: dict[str, str]
+        self, buffer: GeomBuffer, data: mujoco.MjData, view: ImageView, stale: dict[str, str]
     ) -> list[Panels]:
         """Makes stale robots and doubles grey and returns their labels."""
         buffer.grey = None

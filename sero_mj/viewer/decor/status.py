@@ -16,11 +16,11 @@ from ...data.receive.source import Source, make_source
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.degrees import FAR_BEYOND, degrees_warning
 from ...robots.declared.inputs import SOURCE_FIELDS
-from .cards import move_below
+from .billboard_layout import move_below
 from .feature import Feature, Frame
 from .font import line_of
+from .image_view import ImageView
 from .panels import PANEL_RGBA, Panels, panel_sizes
-from .picture_view import PictureView
 from .quantities import implausible_torques
 from .toggles import Toggles
 
@@ -153,7 +153,7 @@ class Status(Feature):
             for line in text.replace(". Is", ".\n  Is").splitlines()
         ]
 
-    def _awaited(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> Panels | None:
+    def _awaited(self, data: mujoco.MjData, toggles: Toggles, view: ImageView) -> Panels | None:
         if not toggles.status:
             return None
         lines, can_be_played = [], False
@@ -171,7 +171,7 @@ class Status(Feature):
         return _corner(lines, PANEL_RGBA, view)
 
     def panels(
-        self, data: mujoco.MjData, toggles: Toggles, view: PictureView, more: Sequence[str] = ()
+        self, data: mujoco.MjData, toggles: Toggles, view: ImageView, more: Sequence[str] = ()
     ) -> Panels | None:
         """Returns the panel in the upper left corner, or None if there are no faults."""
         lines = [*more[:_MAX_MORE]]
@@ -183,7 +183,7 @@ class Status(Feature):
 
 
 def _corner(
-    lines: Sequence[str], rgba: tuple[float, float, float, float], view: PictureView
+    lines: Sequence[str], rgba: tuple[float, float, float, float], view: ImageView
 ) -> Panels:
     low, high = view.free
     if high[1] - low[1] < _FEW_LINES * view.font.height:

@@ -1,4 +1,4 @@
-"""Cards: panels beside the robots, with a leader line to the item they describe.
+"""Billboards: panels beside the robots, with a leader line to the item they describe.
 
 Each robot's cards stand on its own side of the picture; a single robot, or one in the middle, has
 cards on both sides. Their heights follow the joints continuously; a card changes its place only
@@ -18,9 +18,9 @@ from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.mounts import carrier
 from .geom_buffer import GeomBuffer, Kind
+from .image_view import ImageView
 from .layout import LEFT, RIGHT, bends, columns, is_narrow, tangle, uncross, with_room
 from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
-from .picture_view import PictureView
 
 _Key = tuple[Kind, int]
 
@@ -46,8 +46,8 @@ LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)
 
 
 @dataclass(frozen=True, eq=False)
-class Cards:
-    """Cards of one kind, before layout.
+class BillboardGroup:
+    """BillboardGroup of one kind, before layout.
 
     Attributes:
         texts: the lines of every card, top first.
@@ -74,7 +74,7 @@ class Cards:
     clear: float
     rgba: tuple[float, float, float, float] | Array = PANEL_RGBA
 
-    def only(self, kept: Bools) -> Cards:
+    def only(self, kept: Bools) -> BillboardGroup:
         """Returns those of its cards that are kept, (k,)."""
         arrays = ("items", "anchors", "sizes", "owners", "side", "rank", "share")
         parts = {name: getattr(self, name)[kept] for name in arrays}
@@ -85,9 +85,9 @@ class Cards:
 
 @dataclass(frozen=True, eq=False)
 class _AllCards:
-    """Cards of all kinds as one, in the order of their groups."""
+    """BillboardGroup of all kinds as one, in the order of their groups."""
 
-    groups: list[Cards]
+    groups: list[BillboardGroup]
     keys: list[_Key]
     anchors: Array
     sizes: Array
@@ -97,7 +97,7 @@ class _AllCards:
     share: Array
 
     @classmethod
-    def of(cls, groups: list[Cards]) -> _AllCards:
+    def of(cls, groups: list[BillboardGroup]) -> _AllCards:
         def joined(name: str) -> Any:
             return np.concatenate([getattr(group, name) for group in groups])
 
@@ -178,7 +178,7 @@ class _Placed:
     starts: Array
     bends: Array
 
-    def panels(self, groups: list[Cards]) -> list[Panels]:
+    def panels(self, groups: list[BillboardGroup]) -> list[Panels]:
         counts = [len(group.texts) for group in groups]
         centres = np.split(self.centres, np.cumsum(counts)[:-1])
         return [
@@ -198,7 +198,7 @@ class _Body:
     covered: Array
 
 
-class CardLayout:
+class BillboardLayout:
     """Places the cards of a world, and keeps their places from frame to frame.
 
     A card keeps its side and its place in the vertical order from frame to frame, until leaders
@@ -218,14 +218,14 @@ class CardLayout:
     def lay_out(
         self,
         buffer: GeomBuffer,
-        view: PictureView,
-        groups: list[Cards],
+        view: ImageView,
+        groups: list[BillboardGroup],
         points: Array,
         radii: Array,
         owners: Ints,
         corners: list[Panels],
         leader_rgba: tuple[float, float, float, float] = LEADER_RGBA["light"],
-    ) -> tuple[list[Cards], list[Panels], list[Panels]]:
+    ) -> tuple[list[BillboardGroup], list[Panels], list[Panels]]:
         """Places the cards and draws their leaders.
 
         Where there is no room for all beside what the robots cover, or a robot has many, those
@@ -279,7 +279,7 @@ class CardLayout:
 
     def _place(
         self,
-        view: PictureView,
+        view: ImageView,
         cards: _AllCards,
         body: _Body,
         corners: list[Panels],
@@ -349,7 +349,7 @@ class CardLayout:
 
     def _choose(
         self,
-        view: PictureView,
+        view: ImageView,
         cards: _AllCards,
         covered: Array,
         corners: list[Panels],
@@ -357,7 +357,7 @@ class CardLayout:
     ) -> tuple[Bools, list[Panels]]:
         """Returns which cards are shown, (k,), and a note of how many, in a list; none for all.
 
-        They are those with the largest shares in the whole picture. Cards whose side has no room
+        They are those with the largest shares in the whole image. Billboards whose side has no room
         may change to the other one.
         """
         memory, count_all = self._memory, len(cards.keys)
@@ -402,7 +402,7 @@ class CardLayout:
 
     def _fitting(
         self,
-        view: PictureView,
+        view: ImageView,
         cards: _AllCards,
         first: Ints,
         covered: Array,
@@ -453,7 +453,7 @@ def owner_groups(world: WorldView) -> Ints:
     )
 
 
-def _most_cards(cards: _AllCards, view: PictureView) -> int:
+def _most_cards(cards: _AllCards, view: ImageView) -> int:
     """Returns how many cards a picture has at most: of each owner with many `_MAX_LOADED`."""
     asked, (low, high) = int(cards.is_asked.sum()), view.free
     if is_narrow(cards.sizes, GAP * view.font.height, high[0] - low[0]):
@@ -469,7 +469,7 @@ def _rectangles(corners: list[Panels], origin: Array) -> Array:
     return rows - np.tile(origin, 2)
 
 
-def _note(view: PictureView, count: int, corners: list[Panels]) -> Panels:
+def _note(view: ImageView, count: int, corners: list[Panels]) -> Panels:
     margin = _MARGIN * view.font.height
     text = _note_text(count, count)  # the longest
     size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
@@ -484,7 +484,7 @@ def _note(view: PictureView, count: int, corners: list[Panels]) -> Panels:
 
 def _note_text(shown: int, count: int, *, is_loaded: bool = True, what: str = " joints") -> bytes:
     which = ", the most loaded" if is_loaded else ""  # of joints without data none is
-    return f"cards: {shown} of {count}{what}{which}".encode()
+    return f"billboards: {shown} of {count}{what}{which}".encode()
 
 
 def _text_of(cards: _AllCards, kept: Bools) -> bytes:

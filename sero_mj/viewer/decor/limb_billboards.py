@@ -1,4 +1,4 @@
-"""Cards of limbs: one for all joints of an arm or a hand, where there is no room for one each."""
+"""Billboards of limbs: one for all joints of an arm or hand that has no room for each joint."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ...base.frames import Bools, Ints
 from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.limbs import limb_name
-from .card_names import without_common_start
-from .cards import SMALL, owner_groups
+from .billboard_layout import SMALL, owner_groups
+from .joint_titles import without_common_start
 
 
 @dataclass(frozen=True, eq=False)
-class CardLimbs:
+class BillboardLimbs:
     """The limbs of a world, for cards.
 
     Attributes:
@@ -60,7 +60,7 @@ class CardLimbs:
         return told
 
 
-def card_limbs(world: WorldView) -> CardLimbs:
+def billboard_limbs(world: WorldView) -> BillboardLimbs:
     """Returns the limbs of a world.
 
     Limbs that are small beside the one that carries them stand with it, and are one together. So
@@ -95,7 +95,7 @@ def card_limbs(world: WorldView) -> CardLimbs:
     names = [
         _name(world, (of_joint == k).nonzero()[0]) for k in range(of_joint.max(initial=-1) + 1)
     ]
-    return CardLimbs(groups, beside, of_joint, names)
+    return BillboardLimbs(groups, beside, of_joint, names)
 
 
 def _name(world: WorldView, mine: Ints) -> str:

@@ -1,4 +1,4 @@
-"""`PictureView`: camera pose, field of view and size of a picture."""
+"""`ImageView`: camera pose, field of view and size of a picture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Depth = TypeVar("Depth", float, Array)
 
 
 @dataclass(frozen=True, eq=False)
-class PictureView:
+class ImageView:
     """A perspective camera and its picture.
 
     Pixels are counted from the lower left corner, x to the right, y up.
@@ -52,7 +52,7 @@ class PictureView:
         height: int,
         font: Font = DEFAULT_FONT,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
-    ) -> PictureView:
+    ) -> ImageView:
         """Returns the view of an `MjvScene` that `mjv_updateScene` has filled."""
         left, right = scene.camera[0], scene.camera[1]
         position = (np.array(left.pos, np.float64) + right.pos) / 2

@@ -107,8 +107,8 @@ class MotionOptions(Options):
     camera_path: Annotated[Path | None, Option("KEYS.toml")] = None
 
 
-class PictureOptions(SizeOptions, StereoOptions, CameraOptions):
-    """Options of a picture of a scene; the fields are keywords of `render_picture`.
+class ImageOptions(SizeOptions, StereoOptions, CameraOptions):
+    """Options of a picture of a scene; the fields are keywords of `render_image`.
 
     Attributes:
         clicks: click on a pixel, counted from the upper left, before rendering; HOW is shift,
@@ -128,8 +128,8 @@ class PictureOptions(SizeOptions, StereoOptions, CameraOptions):
     wait: Time = 2.0
 
 
-class FilmOptions(PictureOptions, MotionOptions):
-    """Options of a film of a scene; the fields are keywords of `render_film`.
+class VideoOptions(ImageOptions, MotionOptions):
+    """Options of a film of a scene; the fields are keywords of `render_video`.
 
     Attributes:
         duration: length of a film, s.
@@ -141,7 +141,7 @@ class FilmOptions(PictureOptions, MotionOptions):
 
 
 @dataclass(frozen=True)
-class FilmKind:
+class VideoFormat:
     """Encoding of films with one file name extension.
 
     Attributes:
@@ -149,21 +149,21 @@ class FilmKind:
         options: of the codec; chosen to be fast compared to rendering.
         has_palette: whether frames are limited to 256 colours.
         fps: default frames per second.
-        most_fps: maximum frames per second that programs can show.
+        max_fps: maximum frames per second that programs can show.
     """
 
     codec: str
     options: Mapping[str, str]
     has_palette: bool = False
     fps: float = 30.0
-    most_fps: float = float("inf")
+    max_fps: float = float("inf")
 
 
 _VP9 = {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "5", "row-mt": "1"}
-FILMS = {
-    ".mp4": FilmKind("libx264", {"crf": "18", "preset": "veryfast"}),
-    ".webm": FilmKind("libvpx-vp9", _VP9),
-    ".gif": FilmKind("gif", {}, has_palette=True, fps=20.0, most_fps=50.0),
+VIDEO_FORMATS = {
+    ".mp4": VideoFormat("libx264", {"crf": "18", "preset": "veryfast"}),
+    ".webm": VideoFormat("libvpx-vp9", _VP9),
+    ".gif": VideoFormat("gif", {}, has_palette=True, fps=20.0, max_fps=50.0),
 }
-PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
 PASS_ENDINGS = (".png", ".npy")  # of segmentation and depth

@@ -18,8 +18,8 @@ from sero_mj.base.errors import DeclarationError, RenderError
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene, View
-from sero_mj.viewer.image.film import FilmWriter, default_fps, save_picture
-from sero_mj.viewer.image.render import render_film, render_picture
+from sero_mj.viewer.image.image_files import VideoWriter, default_fps, save_image
+from sero_mj.viewer.image.render import render_image, render_video
 from sero_mj.viewer.image.sampling import sampled_states
 
 # The default view depends on where the scene declares the robot.
@@ -32,7 +32,7 @@ def a_frame(k: int, width: int = 64, height: int = 48) -> np.ndarray:
 
 def test_a_film_has_its_frames_size_and_rate(tmp_path) -> None:
     path = tmp_path / "new folder" / "film.mp4"
-    with FilmWriter(path, 65, 49, 25.0) as film:  # odd sizes lose their last row and column
+    with VideoWriter(path, 65, 49, 25.0) as film:  # odd sizes lose their last row and column
         for k in range(12):
             film.add(a_frame(k, 65, 49))
     with av.open(str(path)) as container:
@@ -46,7 +46,7 @@ def test_a_film_has_its_frames_size_and_rate(tmp_path) -> None:
 
 def test_a_film_for_the_web_has_its_frames(tmp_path) -> None:
     path = tmp_path / "film.webm"
-    with FilmWriter(path, 65, 49, 25.0) as film:
+    with VideoWriter(path, 65, 49, 25.0) as film:
         for k in range(12):
             film.add(a_frame(k, 65, 49))
     with av.open(str(path)) as container:
@@ -67,7 +67,7 @@ def test_a_gif_has_its_frames_colours_and_time(tmp_path) -> None:
     for k in range(4):  # something small of another colour, before what stands still
         frames.append(ramp.copy())
         frames[-1][20:30, 10 * k : 10 * k + 8] = (30, 60 * k, 255)
-    with FilmWriter(path, 65, 49, 30.0) as film:
+    with VideoWriter(path, 65, 49, 30.0) as film:
         for k, frame in enumerate(frames):
             film.add(frame if k != 4 else a_frame(4, 65, 49))  # colours of its own
     with Image.open(path) as gif:
@@ -87,7 +87,7 @@ def test_a_gif_has_its_frames_colours_and_time(tmp_path) -> None:
 def test_a_gif_that_is_interrupted_is_kept_and_one_that_fails_is_not(tmp_path) -> None:
     for error, kept in ((KeyboardInterrupt, ["film.gif"]), (ZeroDivisionError, [])):
         folder = tmp_path / error.__name__
-        with pytest.raises(error), FilmWriter(folder / "film.gif", 64, 48, 20.0) as film:
+        with pytest.raises(error), VideoWriter(folder / "film.gif", 64, 48, 20.0) as film:
             film.add(a_frame(1))
             film.add(a_frame(2))
             raise error
@@ -103,10 +103,10 @@ def test_films_of_other_kinds_and_rates_are_refused(tmp_path) -> None:
         found=".avi",
         expected="a name that ends in .mp4, .webm, .gif",
     ):
-        FilmWriter(tmp_path / "x.avi", 64, 48, 30.0)
+        VideoWriter(tmp_path / "x.avi", 64, 48, 30.0)
     expected = "at most 50: programs show a faster GIF slowly"
     with raises_with(RenderError, found=60.0, of="frames per second", expected=expected):
-        FilmWriter(tmp_path / "x.gif", 64, 48, 60.0)
+        VideoWriter(tmp_path / "x.gif", 64, 48, 60.0)
     assert [default_fps(f"x{suffix}") for suffix in (".mp4", ".webm", ".GIF")] == [30, 30, 20]
     assert list(tmp_path.iterdir()) == []
 
@@ -115,11 +115,11 @@ def test_films_of_other_kinds_and_rates_are_refused(tmp_path) -> None:
 @pytest.mark.gl
 def test_a_gif_and_a_webm_of_a_scene(lwr: SerialRobot, tmp_path) -> None:
     scene = Scene(robots=[lwr], view=VIEW)
-    render_picture(scene, tmp_path / "still.png", size=(160, 120))
+    render_image(scene, tmp_path / "still.png", size=(160, 120))
     still = np.asarray(Image.open(tmp_path / "still.png").convert("RGB")).astype(float)
     assert still.std() > 10  # a robot, and not a plane of one colour
     for name, frames in (("film.gif", 4), ("film.webm", 6)):
-        render_film(scene, tmp_path / name, duration=0.2, size=(160, 120))
+        render_video(scene, tmp_path / name, duration=0.2, size=(160, 120))
         with av.open(str(tmp_path / name)) as container:
             pictures = [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
         assert len(pictures) == frames
@@ -129,7 +129,7 @@ def test_a_gif_and_a_webm_of_a_scene(lwr: SerialRobot, tmp_path) -> None:
 def test_a_film_that_breaks_off_leaves_nothing_behind(tmp_path) -> None:
     path = tmp_path / "film.mp4"
     path.write_bytes(b"the film of yesterday")
-    with pytest.raises(ZeroDivisionError), FilmWriter(path, 64, 48, 25.0) as film:
+    with pytest.raises(ZeroDivisionError), VideoWriter(path, 64, 48, 25.0) as film:
         film.add(a_frame(1))
         raise ZeroDivisionError
     assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
@@ -143,8 +143,8 @@ def test_a_file_that_cannot_be_written_is_named_itself(tmp_path, ending) -> None
     pixels = np.zeros((16, 16, 3), np.uint8)
     with pytest.raises(RenderError) as found:
         if ending == ".png":
-            save_picture(path, pixels)
-        with FilmWriter(path, 16, 16, 10) as film:
+            save_image(path, pixels)
+        with VideoWriter(path, 16, 16, 10) as film:
             film.add(pixels)
     assert str(found.value) == f"cannot write {path}: {os.strerror(errno.ENAMETOOLONG)}"
 
@@ -153,20 +153,20 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")
     with raises_with(RenderError, reason=f"cannot write {tmp_path}/file/film.mp4: File exists"):
-        FilmWriter(blocked / "film.mp4", 64, 48, 25.0)
+        VideoWriter(blocked / "film.mp4", 64, 48, 25.0)
     with raises_with(RenderError, reason=f"cannot write {tmp_path}/file/picture.png: File exists"):
-        save_picture(blocked / "picture.png", a_frame(0))
+        save_image(blocked / "picture.png", a_frame(0))
     with raises_with(
         RenderError, reason=f"cannot write {tmp_path}/picture.xyz: unknown file extension: .xyz"
     ):
-        save_picture(tmp_path / "picture.xyz", a_frame(0))
+        save_image(tmp_path / "picture.xyz", a_frame(0))
 
 
 @pytest.mark.gl
 def test_a_scene_without_sources_needs_no_waiting(tmp_path) -> None:
     lwr = SerialRobot.from_model("lwr", torques=np.full(7, 20.0), show_arrows=True)
     steps: list[tuple[int, int]] = []
-    silent = render_film(
+    silent = render_video(
         Scene(robots=[lwr]),
         tmp_path / "film.mp4",
         duration=0.5,
@@ -231,7 +231,7 @@ def test_a_picture_shows_the_pose_that_was_received(tmp_path) -> None:
         port = probe.getsockname()[1]
     pose = [0.5, 1.0, -0.7, 1.5, 0.9, -1.4, 0.3]
     scene = udp_scene(port)
-    silent = render_picture(scene, tmp_path / "silent.png", size=(200, 150), wait=0.0)
+    silent = render_image(scene, tmp_path / "silent.png", size=(200, 150), wait=0.0)
     assert silent == ["udp"]
     code = (
         "import socket, sys, time\n"
@@ -243,7 +243,7 @@ def test_a_picture_shows_the_pose_that_was_received(tmp_path) -> None:
     packet = struct.pack("<14d", *pose, *[20.0] * 7).hex()
     sender = subprocess.Popen([sys.executable, "-c", code, str(port), packet])
     try:
-        assert render_picture(scene, tmp_path / "live.png", size=(200, 150), wait=20) == []
+        assert render_image(scene, tmp_path / "live.png", size=(200, 150), wait=20) == []
     finally:
         sender.kill()
         sender.wait()
@@ -255,7 +255,7 @@ def test_a_picture_shows_the_pose_that_was_received(tmp_path) -> None:
         ],
         view=VIEW,
     )
-    render_picture(still, tmp_path / "still.png", size=(200, 150))
+    render_image(still, tmp_path / "still.png", size=(200, 150))
     live, still_pixels, silent_pixels = (
         np.asarray(Image.open(tmp_path / f"{name}.png"), int)
         for name in ("live", "still", "silent")
@@ -277,7 +277,7 @@ def test_films_that_cannot_be_are_refused(tmp_path, name, options, error) -> Non
     for key, value in options.items():
         told = {"key": key, "found": value, "expected": "a number above 0"}
     with raises_with(error, **told):
-        render_film(udp_scene(0), tmp_path / name, **options)
+        render_video(udp_scene(0), tmp_path / name, **options)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -286,5 +286,5 @@ def test_an_unknown_camera_is_reported_before_anything_is_written(tmp_path) -> N
     from sero_mj.base.errors import UnknownName
 
     with raises_with(UnknownName, kind="camera", name="side", available=[]):
-        render_film(udp_scene(0), tmp_path / "film.mp4", camera="side", wait=0)
+        render_video(udp_scene(0), tmp_path / "film.mp4", camera="side", wait=0)
     assert list(tmp_path.iterdir()) == []

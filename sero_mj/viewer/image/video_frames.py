@@ -14,10 +14,10 @@ from ...base.frames import Array
 from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
-from ..decor.picture_view import PictureView
+from ..decor.image_view import ImageView
 from .camera_motion import CameraMotion, orbit, read_camera_path
-from .film import Pixels
-from .picture_options import FilmOptions
+from .image_files import Pixels
+from .image_options import VideoOptions
 from .sampling import known_poses, sampled_states
 
 _TURNS = 24  # of a turntable, by which the camera is placed
@@ -37,7 +37,7 @@ _SRGB = np.round(255 * _CODE_OF).astype(np.uint8)
 OnState = Callable[[mujoco.MjData], None]
 
 
-class FilmRenderer(Protocol):
+class VideoRenderer(Protocol):
     """What draws a film: a `HeadlessRenderer`.
 
     Attributes:
@@ -59,12 +59,12 @@ class FilmRenderer(Protocol):
     ) -> Pixels: ...
 
 
-def film_frames(
+def video_frames(
     mirror: Mirror,
-    renderer: FilmRenderer,
+    renderer: VideoRenderer,
     count: int,
     fps: float,
-    options: FilmOptions,
+    options: VideoOptions,
     on_first: OnState = lambda data: None,
     on_state: OnState = lambda data: None,
 ) -> Iterator[Pixels]:
@@ -81,10 +81,10 @@ def film_frames(
 
 def _draw(
     mirror: Mirror,
-    renderer: FilmRenderer,
+    renderer: VideoRenderer,
     count: int,
     fps: float,
-    options: FilmOptions,
+    options: VideoOptions,
     motion: CameraMotion | None,
     on_first: OnState,
     on_state: OnState,
@@ -145,14 +145,14 @@ def _opened(mirror: Mirror, count: int, fps: float, subframes: int) -> Iterator[
         yield states
 
 
-def _turns(options: FilmOptions) -> list[float]:
+def _turns(options: VideoOptions) -> list[float]:
     if options.orbit is None:
         return [0.0]
     end = min(max(options.orbit, -360.0), 360.0)
     return [end * i / _TURNS for i in range(_TURNS + 1)]
 
 
-def _check_motion(renderer: FilmRenderer, options: FilmOptions) -> None:
+def _check_motion(renderer: VideoRenderer, options: VideoOptions) -> None:
     names = ("orbit", "camera_path")
     moved = [options.spelled(name) for name in names if getattr(options, name) is not None]
     if len(moved) > 1:
@@ -175,7 +175,7 @@ class Exposure:
         self._sum: NDArray[np.float32] | None = None
         self._count = 0
 
-    def moves(self, view: PictureView, points: Array) -> bool:
+    def moves(self, view: ImageView, points: Array) -> bool:
         """Whether a moment needs a picture of its own, for `add`.
 
         Args:

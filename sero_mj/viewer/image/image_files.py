@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ...base.errors import Problem, RenderError, reason_of
-from .picture_options import FILMS
+from .image_options import VIDEO_FORMATS
 
 if TYPE_CHECKING:  # importing it takes 0.1 s, and only films need it
     import av
@@ -38,7 +38,7 @@ def check_writable(path: Path) -> None:
         raise RenderError(f"cannot write {path}: it is a folder, or its folder is read-only")
 
 
-def save_picture(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
+def save_image(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
     """Writes a picture in the format of the file name extension."""
     check_writable(path)
     resolution: dict[str, Any] = {} if dpi is None else {"dpi": (dpi, dpi)}
@@ -55,21 +55,21 @@ def writing_to(path: Path) -> Iterator[None]:
         raise RenderError(f"cannot write {path}: {reason_of(error)}") from error
 
 
-def check_film(path: Path | str) -> Path:
+def check_video(path: Path | str) -> Path:
     """Returns the path of a film; raises RenderError if its extension is not that of a film."""
     path = Path(path)
-    if path.suffix.lower() not in FILMS:
-        expected = f"a name that ends in {', '.join(FILMS)}"
+    if path.suffix.lower() not in VIDEO_FORMATS:
+        expected = f"a name that ends in {', '.join(VIDEO_FORMATS)}"
         raise RenderError(Problem(file=str(path), found=path.suffix, expected=expected))
     return path
 
 
 def default_fps(path: Path | str) -> float:
     """Returns the default frames per second of a film."""
-    return FILMS[check_film(path).suffix.lower()].fps
+    return VIDEO_FORMATS[check_video(path).suffix.lower()].fps
 
 
-class FilmWriter:
+class VideoWriter:
     """Writes an H.264, VP9 or GIF film, as a context manager.
 
     The film is written to a temporary file and renamed when it is complete, so that an incomplete
@@ -81,7 +81,7 @@ class FilmWriter:
     """
 
     def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
-        kind = FILMS[check_film(path).suffix.lower()]
+        kind = VIDEO_FORMATS[check_video(path).suffix.lower()]
         self._path = path
         self._part = path.with_name(f".{path.name}.part{path.suffix}")
         odd = 1 if kind.has_palette else 2
@@ -89,12 +89,12 @@ class FilmWriter:
         if min(self._width, self._height) < 2:
             expected = "at least 2 pixels a side"
             raise RenderError(Problem("film size", found=(width, height), expected=expected))
-        if fps > kind.most_fps:
+        if fps > kind.max_fps:
             problem = Problem(
                 file=str(path),
                 found=fps,
                 of="frames per second",
-                expected=f"at most {kind.most_fps:g}: programs show a faster GIF slowly",
+                expected=f"at most {kind.max_fps:g}: programs show a faster GIF slowly",
             )
             raise RenderError(problem)
         import av
@@ -128,7 +128,7 @@ class FilmWriter:
             if frame is None and self._palettes is not None:
                 self._container.mux(self._stream.encode(None))
 
-    def __enter__(self) -> FilmWriter:
+    def __enter__(self) -> VideoWriter:
         return self
 
     def __exit__(
@@ -187,7 +187,7 @@ class _Palettes:
                 yield found
 
 
-class Picture(np.ndarray):
+class ImageArray(np.ndarray):
     """A picture (height, width, 3), uint8, top row first: an array with `save`.
 
     A notebook displays it as the result of a cell. A slice that is not a picture is displayed as
@@ -206,7 +206,7 @@ class Picture(np.ndarray):
             raise RenderError(
                 f"cannot write {path}: found {found}; expected a picture, height x width x 3"
             )
-        save_picture(Path(path), np.ascontiguousarray(self))
+        save_image(Path(path), np.ascontiguousarray(self))
 
     @property
     def _is_picture(self) -> bool:

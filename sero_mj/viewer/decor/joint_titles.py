@@ -8,9 +8,9 @@ from functools import lru_cache
 from itertools import takewhile
 
 from .font import drawable
-from .picture_view import PictureView
+from .image_view import ImageView
 
-MIN_PAUSE, MAX_PAUSE = 14, 40  # characters to which a robot's or a joint's name is shortened
+SHORTEST, LONGEST = 14, 40  # characters to which a robot's or a joint's name is shortened
 _SHARE = 0.25  # of the picture's width, that a name may take
 _BETWEEN = r"[_\-\s/:.]+"  # words of a name
 _WORD = r"[^_\-\s/:.]*"
@@ -18,7 +18,7 @@ _GENERIC = ("joint", "jnt", "j", "link")  # says nothing about a joint
 _END = re.compile(rf"({_BETWEEN}({'|'.join(_GENERIC)}))+$", re.IGNORECASE)
 
 
-def card_names(joints: Sequence[str], robot: str) -> list[str]:
+def short_joint_names(joints: Sequence[str], robot: str) -> list[str]:
     """Returns the names of a robot's joints without repeated parts.
 
     Left out are the robot's name in front, the words that all names begin with, and `joint` at the
@@ -47,17 +47,17 @@ def _if_clear(names: list[str], plain: list[str]) -> list[str]:
     return plain if is_clear and len({*plain}) == len({*names}) else names
 
 
-def longest_name(view: PictureView) -> int:
+def longest_name(view: ImageView) -> int:
     """Returns how many characters of a name there is room for on the cards of a picture."""
     room = _SHARE * view.width / view.font.width("n")
-    return int(min(max(room, MIN_PAUSE), MAX_PAUSE))
+    return int(min(max(room, SHORTEST), LONGEST))
 
 
 def titles(
     joints: Sequence[Sequence[str]],
     owners: Sequence[str],
     is_named: Sequence[bool],
-    longest: int = MIN_PAUSE,
+    longest: int = SHORTEST,
 ) -> list[str]:
     """Returns the titles of the cards of all joints.
 
@@ -103,7 +103,7 @@ def frame_titles(names: tuple[str, ...]) -> list[str]:
     ]
 
 
-def shortened(names: Sequence[str], longest: int = MIN_PAUSE) -> list[str]:
+def shortened(names: Sequence[str], longest: int = SHORTEST) -> list[str]:
     """Returns names of at most `longest` characters, long ones without their middle.
 
     Those that would become the same are longer, as far as they have to be.
