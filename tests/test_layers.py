@@ -128,7 +128,7 @@ def resolved(module: str, source: str, modules: tuple[str, ...]) -> list[tuple[i
 
 @cache
 def folder_of(module: str) -> str:
-    """Its place in the order: the innermost folder with one; a folder without files has the first."""
+    """Returns the innermost folder of `ORDER` that contains a module."""
     parts = module.split(".")
     folders = [".".join(parts[:count]) for count in range(len(parts), 0, -1)]
     return next((folder for folder in folders if folder in ORDER), "")
@@ -382,8 +382,8 @@ def test_the_view_knows_no_simulation_and_a_simulation_the_view_in_one_folder() 
     modules = read_package()
     found = []
     for module in modules:
-        wing = module.partition(".")[0]
-        apart = {"viewer": ".simulate", "simulate": ".viewer"}.get(wing)
+        parent = module.partition(".")[0]
+        apart = {"viewer": ".simulate", "simulate": ".viewer"}.get(parent)
         if apart is None or module.startswith("simulate.tools"):
             continue
         found += [
@@ -397,8 +397,8 @@ def test_the_view_knows_no_simulation_and_a_simulation_the_view_in_one_folder() 
 def test_the_readme_s_map_is_the_order_that_imports_keep() -> None:
     text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
     mapped = re.findall(r"^\| `([\w/]+)` \| ", text.partition("## Packages")[2], re.MULTILINE)
-    rooms = [room for room in FOLDERS if not room.startswith("extensions.")]
-    assert mapped == [room.replace(".", "/") for room in rooms]
+    folders = [folder for folder in FOLDERS if not folder.startswith("extensions.")]
+    assert mapped == [folder.replace(".", "/") for folder in folders]
     tops = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert {name.partition("/")[0] for name in mapped} == tops
 
