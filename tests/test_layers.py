@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from syntax import nodes_of
 
 import sero_mj
 
@@ -78,9 +79,9 @@ def read_package(folder: Path = PACKAGE) -> dict[str, str]:
 
 @cache
 def imported_names(module: str, source: str, *, is_package: bool) -> list[tuple[int, str]]:
-    """Line and full dotted name of every import, wherever it stands; `?` where none can tell."""
+    """Line and full dotted name of every import in a module; `?` for a computed name."""
     found: list[tuple[int, str]] = []
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes_of(source):
         if isinstance(node, ast.Import):
             found += [(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

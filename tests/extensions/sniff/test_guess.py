@@ -174,7 +174,7 @@ def test_packets_of_robots_on_the_market_are_known_by_size_and_header() -> None:
     assert (first.is_double, first.column_major, first.plausible) == (False, False, 1.0)
 
 
-@pytest.mark.parametrize(("size", "most"), [(1, 0), (3, 0), (13, 0), (4, 2), (6, 1), (65_504, 4)])
+@pytest.mark.parametrize(("size", "most"), [(1, 0), (3, 0), (13, 0), (4, 2), (6, 1), (4_096, 4)])
 def test_any_size_gets_guesses_that_fit_or_none(size: int, most: int) -> None:
     rows = np.random.default_rng(size).integers(0, 256, (5, size), np.uint8)
     guesses = guess_layouts(rows)
