@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...base.frames import Array, Bools, Ints
 from ...robots.assemble.parts import DoublePart
@@ -222,7 +223,7 @@ class BillboardLayout:
         covered, radius = self._project(view, points, radii, owners)
         order = self._by_share(every)
         # Of the shares, only their order matters and whether they are known; both rarely change.
-        arrays = [covered.pixels, covered.robots, radius, order]
+        arrays: list[NDArray[Any]] = [covered.pixels, covered.robots, radius, order]
         arrays += [every.share > NO_SHARE, every.is_clicked, every.anchors, every.sizes]
         arrays += [every.owners, every.side, every.rank, *view.free]
         arrays += [array for corner in corners for array in (corner.centres, corner.sizes)]
