@@ -224,7 +224,7 @@ class SendOptions(SceneArgument, PlayOptions, ControllerOptions, SinkOptions):
     def _check_place(self) -> Self:
         if (self.rate or 0.0) > FASTEST:
             raise ValueError(f"--rate {self.rate:g}: expected at most {FASTEST:g} packets/s")
-        if self.shm is not None and self.given("host", "port"):
+        if self.shm is not None and self.set_among("host", "port"):
             raise ValueError("--shm and --host or --port: packets go to one of the two; choose")
         return self
 
