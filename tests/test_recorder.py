@@ -197,7 +197,7 @@ def test_wrong_use_is_told(tmp_path: Path) -> None:
     with raises_with(
         RecordingError,
         path=f"{tmp_path}/a.mcap",
-        reason="exists already; choose another name, or remove it",
+        reason="exists already. Choose another name, or remove it",
     ):
         begin(tmp_path / "a.mcap")
 

@@ -293,7 +293,7 @@ def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
     path.write_bytes(data)
     with open_recording(path) as recording:
         found = list(recording.packets("joint_states"))
-        assert "is damaged (its check sum differs) and left out" in recording.faults[0]
+        assert "is damaged (its checksum is wrong) and left out" in recording.faults[0]
     times = np.diff([time for time, _ in found])
     assert 20 * STEP < 1e9 * times.max() < 40 * STEP and len(found) > 120
 
