@@ -1,28 +1,41 @@
-"""`kind = "fri"`: a client of KUKA's Fast Research (or Robot) Interface holds a simulated robot."""
+"""`kind = "fri"`: a client of KUKA's Fast Research (or Robot) Interface with a simulated robot."""
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from ...base.errors import (
-    Problem,
-    mismatch,
-)
+from ...base.errors import Problem, mismatch
+from ...simulate.control.controller import PerJoint, Ratio, within
 from ...simulate.control.robot_model import RobotModel
+from ...simulate.external_control.program_controller import Reachable
 from . import iiwa as fri_iiwa
 from . import receiver as fri
 from .iiwa_fri import IiwaFri
 from .lwr_fri import LwrFri
-from .robot import JOINTS, FriRobot, FriSession
+from .robot import JOINTS, MAX_STIFFNESS, MIN_STIFFNESS, FriRobot
 
-# What a client may add to angles, and the control of the robot that it needs.
-_NEEDS = {"wrench": "cartesian_impedance", "torque": "joint_impedance"}
+# What a client may add to joint positions, and the robot control that this requires.
+_REQUIRED_CONTROL = {"wrench": "cartesian_impedance", "torque": "joint_impedance"}
 
 
-class FriClient(FriSession):
-    """A client of FRI; the simulated robot is an LWR or an iiwa, or another one of seven joints."""
+class FriClient(Reachable):
+    """A client of FRI. The simulated robot is an LWR, an iiwa, or another robot with seven joints.
+
+    Attributes:
+        version: FRI version: `1` for an LWR 4/4+; `iiwa-1`, `iiwa-2` or `iiwa-2.7` (1.x, 2.0 to
+            2.6, 2.7 and later) for an iiwa or Med. For the latter, the default port is 30200.
+        control: control mode of the robot.
+        command_mode: what clients of an iiwa command: `position`, or positions together with
+            `torque` (under `joint_impedance`) or `wrench` (under `cartesian_impedance`).
+        cycle: time between packets, 0.001 to 0.1 s; 0 for the time step of the simulation.
+        commands_from: time in s from which the robot's program requests the command state, which
+            begins as soon as the connection quality is sufficient; None for never.
+        stiffness: joint stiffness, Nm/rad; clients of an LWR can change it.
+        damping: damping ratio per joint; clients of an LWR can change it.
+    """
 
     logged: ClassVar[tuple[str, ...]] = ("fri_state", "fri_quality", "step_lateness")
     title: ClassVar[str] = "client of FRI"
@@ -30,6 +43,15 @@ class FriClient(FriSession):
 
     kind: Literal["fri"] = "fri"
     port: int = Field(fri.PORT, ge=0, le=65535)
+    version: Literal["1", "iiwa-1", "iiwa-2", "iiwa-2.7"] = "1"
+    control: Literal["position", "joint_impedance", "cartesian_impedance"] = "joint_impedance"
+    command_mode: Literal["position", "torque", "wrench"] = "position"
+    cycle: float = Field(0.0, ge=0.0, le=0.1)
+    commands_from: float | None = Field(0.2, ge=0.0)
+    stiffness: Annotated[PerJoint, within(MIN_STIFFNESS, MAX_STIFFNESS, "Nm/rad")] = np.array(
+        [1000.0]
+    )
+    damping: Ratio = np.array([0.7])
 
     @model_validator(mode="before")
     @classmethod
@@ -40,27 +62,24 @@ class FriClient(FriSession):
 
     @model_validator(mode="after")
     def _fields_fit_each_other(self) -> Self:
-        low, high = fri.CYCLES  # also those of an iiwa
+        low, high = fri.CYCLES  # the same for an iiwa
         if self.cycle and not low <= self.cycle <= high:
             raise mismatch(self.cycle, f"{low} to {high} s", key="cycle")
-        needs = _NEEDS.get(self.command_mode)
-        if self.version == "1" and needs:
+        required = _REQUIRED_CONTROL.get(self.command_mode)
+        if self.version == "1" and required:
             expected = "position with FRI 1.0, whose commands have flags instead"
             raise mismatch(self.command_mode, expected, key="command_mode")
-        if needs and needs != self.control:
-            expected = f"{needs} with command_mode = '{self.command_mode}'"
+        if required and required != self.control:
+            expected = f"{required} with command_mode = '{self.command_mode}'"
             raise mismatch(self.control, expected, key="control")
         return self
 
     def make(self, model: RobotModel, timestep: float) -> FriRobot:
         if model.n != JOINTS:
-            reason = f"FRI is for {JOINTS} joints; {model.name} has {model.n}"
+            reason = f"FRI requires {JOINTS} joints; {model.name} has {model.n}"
             raise Problem("kind", reason).error()
         cycle = self.cycle or timestep
-        steps = round(cycle / timestep)
-        if steps < 1 or abs(steps * timestep - cycle) > 1e-9:
-            expected = f"a multiple of the time step, {timestep:g} s"
-            raise mismatch(self.cycle, expected, key="cycle")
+        steps = self.steps_per_cycle(cycle, timestep)
         if cycle < fri.CYCLES[0] - 1e-9:
             expected = f"{fri.CYCLES[0]} s or more: the time step is {timestep:g} s"
             raise mismatch(self.cycle, expected, key="cycle")
