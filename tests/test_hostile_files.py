@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 from conftest import raises_with
-from sero_mj.data.record.table import read_csv
 from shm_tools import block, needs_posix
 
 from sero_mj import Scene, SerialRobot, load_scene
@@ -173,6 +172,7 @@ def test_a_pipe_is_no_shared_memory(block: str) -> None:
         os.unlink(f"/dev/shm/{block}")
 
 
+@pytest.mark.extensions
 def test_endless_meshes_pieces_and_tables_are_refused(
     tmp_path: Path, endless: Callable[[str], Path]
 ) -> None:
@@ -189,6 +189,8 @@ def test_endless_meshes_pieces_and_tables_are_refused(
         key="mjcf", reason=f"cannot be read: {tmp_path}/nothing.xml: No such file or directory"
     ):
         as_spec("nothing.xml", tmp_path)
+    from sero_mj.extensions.tables.table import read_csv
+
     table = endless("table.csv")
     with raises_with(
         CsvError,

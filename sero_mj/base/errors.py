@@ -54,6 +54,12 @@ def did_you_mean(name: str, available: Iterable[str]) -> str:
     return f"; available: {shown}"
 
 
+def first_of(names: Sequence[str], count: int = 8) -> str:
+    """Returns the first names separated by commas, and the number of the others."""
+    more = f" and {len(names) - count} more" if len(names) > count else ""
+    return ", ".join(names[:count]) + more
+
+
 @contextmanager
 def without_warnings() -> Iterator[None]:
     """Logs no warnings, within the context, of what is read once more or only for a detail."""

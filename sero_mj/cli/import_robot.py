@@ -14,8 +14,7 @@ from ..base.errors import UsageError
 from ..base.options import Option, positional
 from ..base.paths import format_of_file, model_name
 from ..base.plugins import COMMANDS, is_own_class, plugins
-from ..robots.importers.importer import find_importer
-from ..robots.importers.known_formats import Mjcf
+from ..robots.importers.importer import Mjcf, find_importer
 from .arguments import check_ending, check_new, command, writing
 from .new import print_next, scene_text, write_scene
 from .shared_options import PackageOptions

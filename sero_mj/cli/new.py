@@ -146,7 +146,7 @@ class NewOptions(Options):
 def run(options: NewOptions) -> int:
     """Writes the files, or prints a snippet; returns 0."""
     from ..robots.declared.robot import SerialRobot
-    from ..robots.importers.robot_file import is_robot_file
+    from ..robots.importers.importer import is_robot_file
 
     if options.snippet is not None:
         text = snippet_text(

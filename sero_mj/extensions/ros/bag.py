@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 from mcap.writer import MCAP0_MAGIC
 
-from ...base.errors import Problem, RecordingError, UnknownName
+from ...base.errors import Problem, RecordingError, UnknownName, first_of
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
 from ...data.receive.led_robot import LedJoint
 from ...data.receive.source import Source
@@ -25,7 +25,6 @@ from ...data.record.formats import mcap_header, open_recording
 from ...data.record.mcap_reader import NOT_CLOSED
 from ...data.record.recording import PacketFile, RecordedSource
 from ...robots.declared.scene import Scene
-from ...robots.importers.imported_tables import first_of
 from .bag_scenes import led_by
 from .dds import Ros2
 from .described_scene import DESCRIPTION, described_scene, scenes_of_bag, shipped_robots_of

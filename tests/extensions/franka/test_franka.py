@@ -411,7 +411,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             assert isinstance(source, FrankaReceiver)
             awaited = Status(mirror.world)._awaited(mirror.data, Toggles(mirror.world), view_at())
             assert awaited is not None
-            assert awaited.texts[0][1].decode() == "  awaited: states"
+            assert awaited.texts[0][1].decode() == "  expected: states"
             assert server.started.wait(5.0)
             target = [angle + 0.25 for angle in SEVEN]
             with record_sources(mirror.sources, recording, scene=scene):
@@ -424,7 +424,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             mirror.advance()
             assert corner_lines(mirror) == [
                 "fci: 1 of 3 packets not applied",
-                "  a state that cannot be used, 2365 bytes",
+                "  invalid state, 2365 bytes",
                 "fci: robot stopped by its user",
             ]
     scene.sources["fci"] = Replay(name="fci", file=recording)

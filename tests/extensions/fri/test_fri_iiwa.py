@@ -297,7 +297,7 @@ def test_an_iiwa_is_mirrored_recorded_and_replayed(
         said = Status(mirror.world)._awaited(mirror.data, Toggles(mirror.world), view_at())
         assert said is not None
         lines = [text.decode() for text in said.texts[0]]
-        assert lines[1:] == ["  awaited: FRI messages"]  # and nothing that `send` could play
+        assert lines[1:] == ["  expected: FRI messages"]  # and nothing that `send` could play
         with record_sources(mirror.sources, recording, scene=scene):
             give(source, controller, monitoring(1), monitoring(2)[:-9], framed(monitoring(3)))
         mirror.advance()
@@ -348,7 +348,7 @@ def test_a_state_that_is_not_good_is_in_the_corner(
         mirror.advance()
         assert corner_lines(mirror)[:2] == [
             "fri: 1 of 2 packets not applied",
-            "  a FRI message that cannot be used, 5 bytes",
+            "  invalid FRI message, 5 bytes",
         ]
 
 

@@ -32,9 +32,9 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.led_robot import LedJoint
 from sero_mj.data.record.replay import Replay
-from sero_mj.data.record.table import read_csv
 from sero_mj.extensions.ros.bag import DESCRIPTION, Bag, open_recording
 from sero_mj.extensions.ros.described_scene import scenes_of_bag
+from sero_mj.extensions.tables.table import read_csv
 from sero_mj.load import load_scene
 from sero_mj.simulate.runs.run_recording import read_run, read_run_table
 

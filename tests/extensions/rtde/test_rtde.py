@@ -416,8 +416,8 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             awaited = Status(mirror.world)._awaited(mirror.data, Toggles(mirror.world), view_at())
             assert awaited is not None
             assert [text.decode() for text in awaited.texts[0]] == [
-                f"nothing yet on UR RTDE of 127.0.0.1:{server.port}",
-                "  awaited: data packages",
+                f"no packet yet on UR RTDE of 127.0.0.1:{server.port}",
+                "  expected: data packages",
             ]
             mirror.advance()  # while nothing is there
             assert until(lambda: server.connections == 2) and server.started.wait(5.0)
@@ -433,7 +433,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             mirror.advance()
             assert corner_lines(mirror) == [
                 "ur: 1 of 3 packets not applied",
-                f"  a data package that cannot be used, {len(good) - 4} bytes",
+                f"  invalid data package, {len(good) - 4} bytes",
                 "ur: robot idle, safety: protective stop",
             ]
     scene.sources["ur"] = Replay(name="ur", file=recording)
