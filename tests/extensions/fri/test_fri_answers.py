@@ -178,7 +178,7 @@ def test_an_unhealthy_state_is_shown_in_the_corner(
         mirror.advance()
         assert corner_lines(mirror)[:2] == [
             "fri: 1 of 2 packets not applied",
-            "  another kind of packet: a constant is wrong",
+            "  wrong constant: another kind of packet",
         ]
 
 
