@@ -394,7 +394,7 @@ def test_every_receive_multiplier_is_answered_and_no_state_that_commands() -> No
         assert MonitoringClient().answer(packet, 0) is None
 
 
-def test_send_rejects_unsupported_arguments(tmp_path: Path, capsys: Any) -> None:
+def test_send_rejects_arguments(tmp_path: Path, capsys: Any) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["send", str(scene_of(tmp_path, "iiwa-2")), "--duration", "0.1"])
     assert caught.value.code == 2
