@@ -2,40 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from ...base.errors import Problem, mismatch
-from ...simulate.control.controller import PerJoint, Ratio, within
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.program_controller import Reachable
 from . import iiwa as fri_iiwa
 from . import receiver as fri
 from .iiwa_fri import IiwaFri
 from .lwr_fri import LwrFri
-from .robot import JOINTS, MAX_STIFFNESS, MIN_STIFFNESS, FriRobot
+from .robot import JOINTS, FriRobot, FriSession
 
 # What a client may add to joint positions, and the robot control that this requires.
 _REQUIRED_CONTROL = {"wrench": "cartesian_impedance", "torque": "joint_impedance"}
 
 
-class FriClient(Reachable):
-    """A client of FRI. The simulated robot is an LWR, an iiwa, or another robot with seven joints.
-
-    Attributes:
-        version: FRI version: `1` for an LWR 4/4+; `iiwa-1`, `iiwa-2` or `iiwa-2.7` (1.x, 2.0 to
-            2.6, 2.7 and later) for an iiwa or Med. For the latter, the default port is 30200.
-        control: control mode of the robot.
-        command_mode: what clients of an iiwa command: `position`, or positions together with
-            `torque` (under `joint_impedance`) or `wrench` (under `cartesian_impedance`).
-        cycle: time between packets, 0.001 to 0.1 s; 0 for the time step of the simulation.
-        commands_from: time in s from which the robot's program requests the command state, which
-            begins as soon as the connection quality is sufficient; None for never.
-        stiffness: joint stiffness, Nm/rad; clients of an LWR can change it.
-        damping: damping ratio per joint; clients of an LWR can change it.
-    """
+class FriClient(FriSession):
+    """A client of FRI. The simulated robot is an LWR, an iiwa, or another robot with seven joints."""
 
     logged: ClassVar[tuple[str, ...]] = ("fri_state", "fri_quality", "step_lateness")
     title: ClassVar[str] = "client of FRI"
@@ -43,15 +27,6 @@ class FriClient(Reachable):
 
     kind: Literal["fri"] = "fri"
     port: int = Field(fri.PORT, ge=0, le=65535)
-    version: Literal["1", "iiwa-1", "iiwa-2", "iiwa-2.7"] = "1"
-    control: Literal["position", "joint_impedance", "cartesian_impedance"] = "joint_impedance"
-    command_mode: Literal["position", "torque", "wrench"] = "position"
-    cycle: float = Field(0.0, ge=0.0, le=0.1)
-    commands_from: float | None = Field(0.2, ge=0.0)
-    stiffness: Annotated[PerJoint, within(MIN_STIFFNESS, MAX_STIFFNESS, "Nm/rad")] = np.array(
-        [1000.0]
-    )
-    damping: Ratio = np.array([0.7])
 
     @model_validator(mode="before")
     @classmethod

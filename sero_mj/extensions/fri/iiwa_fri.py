@@ -10,7 +10,6 @@ permanently, as it ends the program on the robot.
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,10 +29,7 @@ from .iiwa import (
     read_message,
     read_numbers,
 )
-from .robot import JOINTS, FriRobot
-
-if TYPE_CHECKING:
-    from .client import FriClient
+from .robot import JOINTS, FriRobot, FriSession
 
 log = logging.getLogger(__name__)
 
@@ -53,7 +49,9 @@ _ZYX_TO_XYZ = [0, 1, 2, 5, 4, 3]  # wrenches list moments in the order z, y, x
 class IiwaFri(FriRobot):
     """FRI 1.x or 2.x. `state` is an index of `iiwa.STATES`."""
 
-    def __init__(self, declared: FriClient, model: RobotModel, timestep: float, steps: int) -> None:
+    def __init__(
+        self, declared: FriSession, model: RobotModel, timestep: float, steps: int
+    ) -> None:
         super().__init__(declared, model, timestep, steps, _MAX_COMMAND_BYTES)
         self.state = MONITORING_WAIT
         self._is_framed = declared.version == "iiwa-2.7"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +12,7 @@ from ...data.receive.structure import Structure
 from ...simulate.control.controller import Sensed
 from ...simulate.control.robot_model import RobotModel
 from .receiver import ALL_DRIVES, COMMAND, MEASUREMENT, QUALITIES
-from .robot import COUNTER_MASK, MAX_STIFFNESS, MIN_STIFFNESS, FriRobot
-
-if TYPE_CHECKING:
-    from .client import FriClient
+from .robot import COUNTER_MASK, MAX_STIFFNESS, MIN_STIFFNESS, FriRobot, FriSession
 
 log = logging.getLogger(__name__)
 
@@ -52,7 +49,9 @@ _XYZ_TO_ZYX = [0, 1, 2, 5, 4, 3]  # FRI lists moments in the order z, y, x
 class LwrFri(FriRobot):
     """FRI 1.0. `state` is `MONITOR` or `COMMANDED`."""
 
-    def __init__(self, declared: FriClient, model: RobotModel, timestep: float, steps: int) -> None:
+    def __init__(
+        self, declared: FriSession, model: RobotModel, timestep: float, steps: int
+    ) -> None:
         self._commands = Structure(COMMAND)
         super().__init__(declared, model, timestep, steps, self._commands.size)
         self.state = MONITOR

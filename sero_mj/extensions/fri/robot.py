@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from ...base.frames import Array
 from ...base.once import Once
 from ...simulate.control.cartesian_control import CartesianImpedance
-from ...simulate.control.controller import Controller, Sensed, Target
+from ...simulate.control.controller import Controller, PerJoint, Ratio, Sensed, Target, within
 from ...simulate.control.joint_control import JointPosition, design_damping
 from ...simulate.control.robot_model import RobotModel
-from ...simulate.external_control.program_controller import Link
+from ...simulate.external_control.program_controller import Link, Reachable
 from .controller import AnswerStatistics
-
-if TYPE_CHECKING:
-    from .client import FriClient
 
 log = logging.getLogger(__name__)
 
@@ -26,6 +24,33 @@ JOINTS = 7
 MIN_STIFFNESS, MAX_STIFFNESS = 0.01, 2000.0  # Nm/rad of joints
 COUNTER_MASK = 0xFFFF  # packets are distinguished by the lower 16 bits of their counter
 _DAMPING_INTERVAL = 0.1  # s between two computations of the damping matrix
+
+
+class FriSession(Reachable):
+    """Fields of `FriClient` that the simulated robot uses.
+
+    Attributes:
+        version: FRI version: `1` for an LWR 4/4+; `iiwa-1`, `iiwa-2` or `iiwa-2.7` (1.x, 2.0 to
+            2.6, 2.7 and later) for an iiwa or Med. For the latter, the default port is 30200.
+        control: control mode of the robot.
+        command_mode: what clients of an iiwa command: `position`, or positions together with
+            `torque` (under `joint_impedance`) or `wrench` (under `cartesian_impedance`).
+        cycle: time between packets, 0.001 to 0.1 s; 0 for the time step of the simulation.
+        commands_from: time in s from which the robot's program requests the command state, which
+            begins as soon as the connection quality is sufficient; None for never.
+        stiffness: joint stiffness, Nm/rad; clients of an LWR can change it.
+        damping: damping ratio per joint; clients of an LWR can change it.
+    """
+
+    version: Literal["1", "iiwa-1", "iiwa-2", "iiwa-2.7"] = "1"
+    control: Literal["position", "joint_impedance", "cartesian_impedance"] = "joint_impedance"
+    command_mode: Literal["position", "torque", "wrench"] = "position"
+    cycle: float = Field(0.0, ge=0.0, le=0.1)
+    commands_from: float | None = Field(0.2, ge=0.0)
+    stiffness: Annotated[PerJoint, within(MIN_STIFFNESS, MAX_STIFFNESS, "Nm/rad")] = np.array(
+        [1000.0]
+    )
+    damping: Ratio = np.array([0.7])
 
 
 class FriRobot(Controller, ABC):
@@ -39,7 +64,7 @@ class FriRobot(Controller, ABC):
 
     def __init__(
         self,
-        declared: FriClient,
+        declared: FriSession,
         model: RobotModel,
         timestep: float,
         steps: int,
