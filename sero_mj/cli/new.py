@@ -136,7 +136,7 @@ class NewOptions(Options):
             self.refuse(("joints", "like"), " is for a new robot")
         else:
             self.refuse(("robot", "host", "port", "scene"), " is for --snippet NAME")
-        if self.like is not None and self.given("joints"):
+        if self.like is not None and self.set_among("joints"):
             raise ValueError("--joints and --like: a copy has the joints of its robot; choose")
         return self
 

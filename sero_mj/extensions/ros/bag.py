@@ -19,7 +19,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from ...base.errors import Problem, RecordingError, UnknownName, first_of
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
-from ...data.receive.led_robot import LedJoint
+from ...data.receive.routed_joints import RoutedJoint
 from ...data.receive.source import Source
 from ...data.record.formats import mcap_header, open_recording
 from ...data.record.mcap_reader import NOT_CLOSED
@@ -294,7 +294,7 @@ class Bag(PacketFile):
             name, names = topic.strip("/").replace("/", "_"), self._joints_of(topic)
             if names:
                 source = Ros2(name=name, joint_states=topic, joints=names, odometry=base)
-                source.led_to([LedJoint(joint, math.nan) for joint in names])  # of no robot
+                source.set_joints([RoutedJoint(joint, math.nan) for joint in names])  # of no robot
                 found[name] = source
             else:
                 self.nameless.append(topic)
