@@ -1,4 +1,4 @@
-"""Writes a robot's tables as a commented robot file."""
+"""Writes the tables of a robot as a commented robot file."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from .imported_tables import ImportedTables
 from .toml_text import inline, toml_entry
 
 _SCHEMA = "#:schema ./robot.schema.json"
-_ZERO = 1e-15  # numbers below this are written as 0
-_MAX_COLUMN_WIDTH = 60  # of entries before their comments
+_ZERO = 1e-15  # m, rad, kg m2: rounding
+_MAX_COLUMN_WIDTH = 60  # of a column of entries, before comments
 
 
 def robot_text(
@@ -26,20 +26,14 @@ def robot_text(
     bodies: Sequence[Sequence[str]],
     flange: str,
 ) -> str:
-    """Returns the text of a robot file.
-
-    Args:
-        limbs: joint indices of each limb by name.
-        bodies: names of the links of the base and of each moving body.
-        flange: comment on the flange frame.
-    """
+    """Returns the text of a robot file that declares the robot of `tables`."""
     text = _RobotText(bodies, _rounded(tables))
     lines = [
-        f"Created from {file} by `sero-mj import`. Units: m, rad, kg, and Nm (N for prismatic",
-        "joints). Links that are fixed to each other are merged.",
+        f"Converted from {file} by `sero-mj import`. Lengths in m, angles in rad, masses in kg,",
+        "torques in Nm (prismatic joints: forces in N). Links joined by fixed joints are merged.",
     ]
     if described.warnings:
-        lines += ["", "Differences from the original file:"]
+        lines += ["", "Differences from that file:"]
         lines += [f"- {warning}" for warning in described.warnings]
     text.lines += [_SCHEMA, *(f"# {line}".rstrip() for line in lines)]
     text.add_kinematics(flange, limbs)
@@ -68,7 +62,7 @@ class _RobotText:
         self.lines += [f"{t:<{width}}  # {n}" for t, n in zip(texts, notes, strict=True)]
         self.lines.append("]")
 
-    def _entries(self, *keys: str, about: str = "") -> None:
+    def _given(self, *keys: str, about: str = "") -> None:
         for key in keys:
             if key in self._tables:
                 self.lines += [*([f"# {about}"] if about else [])]
@@ -80,45 +74,45 @@ class _RobotText:
             self.lines.append(f"{key} = {inline(frame_table(self._tables[key]))}{note}")
 
     def add_kinematics(self, flange: str, limbs: Mapping[str, Sequence[int]]) -> None:
-        self.lines += ["#", f"# Limbs of the {len(self._names)} joints, as named in routes:"]
+        self.lines += ["#", f"# Limbs ({len(self._names)} joints). Routes can use these names:"]
         self.lines += [f"# - {self._limb(name, joints)}" for name, joints in limbs.items()]
         self.lines += ["", f"description = {inline(self._tables['description'])}", ""]
         if "dh_params" in self._tables:
-            self._entries("dh_convention")
+            self._given("dh_convention")
             about = "alpha (rad), a (m), theta (rad), d (m)"
             self._rows("dh_params", self._tables["dh_params"], self._of_joints, about)
-            self._frame("dh_base_frame", "frame 0 of the table in the base")
+            self._frame("dh_base_frame", "frame 0 of the table, relative to the base")
         else:
-            about = "frame of each link in its parent link at joint value zero; z is the joint axis"
+            about = "frame of each link relative to its parent, at joint value zero; z: joint axis"
             frames = [frame_table(T) for T in self._tables["joint_frames"]]
             self._rows("joint_frames", frames, self._of_joints, about)
-        self._entries("joint_names", "joint_types")
-        self._entries("link_names", about="names in the original file, base first")
-        self._entries("parents", about="joint that carries each joint")
-        self._entries("flange_on", about="joint that carries the flange")
+        self._given("joint_names", "joint_types")
+        self._given("link_names", about="link names in that file, base first")
+        self._given("parents", about="the joint whose link carries each joint")
+        self._given("flange_on", about="the joint whose link carries the flange")
         self._frame("flange_frame", flange)
-        self._entries("free_base", "base_joint", "base_normal")
+        self._given("free_base", "base_joint", "base_normal")
         self._frame("base_frame")
 
     def add_limits(self) -> None:
         self.lines.append("")
         for key, about in (
-            ("position_limits", "rad or m; inf means no limit"),
+            ("position_limits", "rad or m; inf for none"),
             ("velocity_limits", "rad/s or m/s"),
             ("torque_limits", "Nm or N; arrows reach full width at these torques"),
         ):
             if key in self._tables:
                 self._rows(key, self._tables[key], self._names, about)
-        self._entries("joint_angles", about="initial pose, because zero is outside the limits")
-        self._entries("fit_arrows", about="fit the arrows to the size of the links")
+        self._given("joint_angles", about="initial pose, because zero is outside the limits")
+        self._given("fit_arrows", about="fit the size of each arrow to the adjacent links")
 
     def add_geometry(self) -> None:
         self.lines.append("")
-        self._entries("directory")
-        self._entries("mjcf", about="geometry for drawing and collisions")
+        self._given("directory")
+        self._given("mjcf", about="visual and collision geoms; the joints are the same")
         for key, about in (
-            ("filenames", "drawn geometry"),
-            ("collisions", "collision geometry"),
+            ("filenames", "visual shapes"),
+            ("collisions", "collision shapes"),
         ):
             if key not in self._tables:
                 continue
@@ -140,16 +134,13 @@ class _RobotText:
                     self.lines += toml_entry(key, {**value, **at} if at else value)
         if "dynamics" not in self._tables:
             return
-        self.lines += [
-            "",
-            "# In the frames of base and links. Missing values are estimated.",
-        ]
+        self.lines += ["", "# Per link, base first, in link frames. Missing values are estimated."]
         self.lines.append("[dynamics]")
         about = {
             "masses": "kg",
             "centers_of_mass": "m",
             "inertias": "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the center of mass, kg m2",
-            "motor_inertias": "kg m2, at the joint",
+            "motor_inertias": "kg m2, at the joint (after the gear)",
             "viscous_friction": "Nm s/rad or N s/m",
             "coulomb_friction": "Nm or N",
         }
@@ -182,7 +173,7 @@ def _rounded(value: Any) -> Any:
 
 
 def frame_table(T: Any) -> dict[str, list[float]]:
-    """Returns a frame (4, 4) as a table with `xyz` and `quat`, without identity parts."""
+    """Returns a frame (4, 4) as in files: `xyz` and `quat`, without zero parts."""
     T = np.asarray(T, np.float64)
     table = {}
     if (np.abs(T[:3, 3]) > _ZERO).any():
@@ -193,9 +184,10 @@ def frame_table(T: Any) -> dict[str, list[float]]:
 
 
 def copied_meshes(tables: Mapping[str, Any], copy: Callable[[Path, str], None]) -> dict[str, Any]:
-    """Returns tables with mesh files in the folder `meshes`.
+    """Returns tables whose mesh files `copy` has copied to a folder `meshes`.
 
-    `copy` is called with each file and its name in that folder.
+    Args:
+        copy: called with each file and its name in that folder.
     """
     result = dict(tables)
     folder = Path(result.get("directory", ""))
