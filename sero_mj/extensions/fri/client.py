@@ -19,7 +19,7 @@ _REQUIRED_CONTROL = {"wrench": "cartesian_impedance", "torque": "joint_impedance
 
 
 class FriClient(FriSession):
-    """A client of FRI. The simulated robot is an LWR, an iiwa, or another robot with seven joints."""
+    """A client of FRI. The simulated robot is an LWR, an iiwa or another robot of seven joints."""
 
     logged: ClassVar[tuple[str, ...]] = ("fri_state", "fri_quality", "step_lateness")
     title: ClassVar[str] = "client of FRI"
