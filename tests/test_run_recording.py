@@ -451,7 +451,7 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
         "udp", "other").replace("other\"", "udp\"").replace("32000", "32001"))  # fmt: skip
     with raises_with(
         UsageError,
-        reason=f"{tmp_path}/robot.csv may be of udp, other; choose one, for example with --source udp",
+        reason=f"{tmp_path}/robot.csv may be of udp, other; choose one with --source udp",
     ):
         find_tables(table).read_run(table, load_scene(str(path)), None, {})
     assert find_tables(table).read_run(table, load_scene(str(path)), "udp", {}).robots.keys() == {

@@ -111,7 +111,7 @@ class PacketFile(ABC):
             raise UsageError(Problem("", "no source", found=name, of=where, available=names))
         if not names:
             raise UsageError(f"{self.path}: {self.why_no_source()}")
-        how = f"choose one, for example with {by.replace('NAME', names[0])}" if by else "choose one"
+        how = f"choose one with {by.replace('NAME', names[0])}" if by else "choose one"
         raise UsageError(f"{self.path} has several sources: {self.about_sources()}; {how}")
 
     def why_no_source(self) -> str:
