@@ -151,7 +151,7 @@ dh_params = [[0.0, 0.0, 0.0, 0.1]]
         ),
         (
             '[routes]\n"arm.base_frame" = "lwr/flange"\n"lwr.base_frame" = "arm/link1"',
-            "s.toml:6: routes: frames that follow each other: arm -> lwr -> arm",
+            "s.toml:6: routes: frames that depend on each other: arm -> lwr -> arm",
         ),
         (
             '[routes]\n"arm.base_frame" = "lwr.fwd_kin"',
