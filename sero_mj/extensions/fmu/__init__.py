@@ -1,5 +1,1 @@
-"""Controllers as Functional Mock-up Units, as Simulink, Dymola and OpenModelica export them.
-
-In: a file .fmu. Out: the controller kind `fmu`.
-Open first: `fmu.py`.
-"""
+"""Controllers as Functional Mock-up Units: registers the controller kind `fmu`."""

@@ -1,7 +1,5 @@
-"""Robots that speak ROS 2, and their recordings, without ROS.
+"""Robots that use ROS 2, and their recordings, without an installation of ROS.
 
-In: messages of topics, over DDS, foxglove_bridge or zenoh, or from bags. Out: packets of one
-structure, as of any source.
-Open first: `joined_packets.py` for what becomes of messages, `ros_source.py` for a way by which
-they come.
+Registers sources that receive topics over DDS, foxglove_bridge, zenoh or JSON, recordings (bags),
+and the controller kind `ros2`. Start with `joined_packets.py`, which converts messages to packets.
 """

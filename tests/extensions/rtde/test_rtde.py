@@ -266,7 +266,8 @@ def test_ur_rtde_reads_the_same_from_the_same_controller() -> None:
         ({"O": message("O", b"\0" + b",".join([b"NOT_FOUND"] * 10))},
          "has none of the required variables", 0),
         ({"S": message("S", b"\0")}, "does not start to send", 0),
-        ({"S": message("S", b"\1") + message("S", b"\1")}, "sends message S between data packages", 1),
+        ({"S": message("S", b"\1") + message("S", b"\1")},
+         "sends message S between data packages", 1),
     ],
 )  # fmt: skip
 def test_protocol_errors_are_reported_and_retried(

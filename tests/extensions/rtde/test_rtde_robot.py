@@ -334,7 +334,7 @@ def test_a_client_that_sleeps_is_silent_until_it_answers_again(
         SILENT,
     }
     assert states[-1] == COMMANDED
-    assert "no answer to the package of 0.098 s" in caplog.text
+    assert "no answer to the package at 0.098 s" in caplog.text
     assert caplog.text.count("answers again") == 1
     assert np.abs(logged(simulation, "joint_angles") - HOME).max() < 1e-3
 
@@ -358,7 +358,7 @@ def test_in_real_time_a_silent_client_is_told(
 
 def test_a_client_may_connect_again(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     simulation = simulated(folder, "reconnect")
-    assert caplog.text.count("nobody commands at") == 1
+    assert caplog.text.count("the commanding client left at") == 1
     assert logged(simulation, "rtde_state").ravel()[-1] == COMMANDED
     angles = logged(simulation, "joint_angles")[:, 0]
     assert angles[-1] > angles[150] > 0.03
