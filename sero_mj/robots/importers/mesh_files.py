@@ -98,13 +98,13 @@ class MeshPiece:
 
 
 def _points_of_obj(contents: bytes) -> Array:
-    lines, text = _lines_of_obj(contents, b"v")
+    lines = re.findall(rb"\nv[ \t]([^\n]*)", contents)
     # Fast if all vertices have 3 numbers, or 6 with a color. Other text ends parsing.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        values = np.fromstring(text, sep=" ")
+        values = np.fromstring(b" ".join(lines), sep=" ")
     for count in (3, 6):
-        if len(values) == count * lines > 0:
+        if len(values) == count * len(lines) > 0:
             return values.reshape(-1, count)[:, :3]
     found = np.array(_VERTEX.findall(contents), np.bytes_)
     return found.reshape(-1, 3).astype(np.float64)
@@ -210,11 +210,8 @@ def _obj_as_it_is(path: Path, contents: bytes) -> tuple[MeshPiece, ...] | None:
 
 
 def _statements(contents: bytes, keyword: bytes) -> list[bytes]:
-    # Ten times faster than a regular expression.
-    lower, upper = (contents.split(b"\n" + key)[1:] for key in (keyword, keyword.upper()))
-    parts = lower + upper
-    lines = (part.partition(b"\n")[0] for part in parts)
-    return [line.strip() for line in lines if line[:1] in (b" ", b"\t") and line.strip()]
+    lines = re.findall(rb"\n(?i:%b)[ \t]+([^\n]+)" % keyword, contents)
+    return [line.strip() for line in lines if line.strip()]
 
 
 def _plain_name(name: bytes) -> bytes:
@@ -228,23 +225,12 @@ def without_bom(text: bytes) -> bytes:
     return text.removeprefix(codecs.BOM_UTF8)
 
 
-def _lines_of_obj(contents: bytes, kind: bytes) -> tuple[int, bytes]:
-    begin = contents.find(b"\n%b " % kind)
-    end = contents.find(b"\n", contents.rfind(b"\n%b " % kind) + 1)
-    text = contents[begin : end if end >= 0 else None]
-    count = text.count(b"\n%b " % kind)
-    if begin >= 0 and text.count(b"\n") == count:  # a single block takes a third of the time
-        return count, text.translate(bytes.maketrans(kind, b" "))
-    lines = re.findall(rb"\n%b[ \t]([^\n]*)" % kind, contents)
-    return len(lines), b" ".join(lines)
-
-
 def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
     """Returns vertex indices of all triangles of an OBJ file; None if there are other faces.
 
     Negative indices count from the last of `count` vertices.
     """
-    _, text = _lines_of_obj(contents, b"f")
+    text = b" ".join(re.findall(rb"\nf[ \t]([^\n]*)", contents))
     # A corner is `vertex/texture/normal`, and the latter two may be missing. In most files all
     # corners have the same form. Otherwise every corner is parsed separately.
     numbers = _integers(text.replace(b"/", b" "))
