@@ -69,8 +69,12 @@ def make_sink(options: SinkOptions, source: Source, structure: Structure) -> Udp
     if not port and not source.is_live:
         reason = "is a recording, to which nothing can be sent; give --port, and --host"
         raise UsageError(f"source '{source.name}' of the scene {reason}")
+    if source.place is None and not port:
+        how = "which does not receive UDP packets. Use --port to send its packets to a UDP port"
+        raise UsageError(f"source '{source.name}' is {source.about}, {how}")
     if not port:
-        raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
+        reason = "listens on a port that the system chooses (port = 0). Use --port to set it"
+        raise UsageError(f"source '{source.name}' of the scene {reason}")
     message_of = source.message_of if options.structure is None else None
     return UdpSink(options.host or "127.0.0.1", port, message_of)
 
