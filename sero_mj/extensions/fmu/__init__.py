@@ -1,1 +1,5 @@
-"""Controllers as Functional Mock-up Units: registers the controller kind `fmu`."""
+"""Controllers as Functional Mock-up Units, as Simulink, Dymola and OpenModelica export them.
+
+In: an FMU file. Out: the controller kind `fmu`.
+Open first: `fmu.py`.
+"""

@@ -1,5 +1,6 @@
 """Franka Robotics: the Franka Control Interface (FCI).
 
-Registers the source `franka`, and the controller kind `franka`, a simulated robot for clients that
-use libfranka. Start with `receiver.py`, or with `robot.py` for the simulated robot.
+In: states of a robot, or a client that uses libfranka. Out: the source `franka`, and the controller
+kind `franka`, a simulated robot for such a client.
+Open first: `receiver.py`, or `robot.py` for the simulated robot; `messages.py` has the protocol.
 """

@@ -1,6 +1,7 @@
 """KUKA's Fast Research Interface: 1.0 of the LWR 4, 1.x and 2.x of the LBR iiwa.
 
-Registers the source `fri`, the controller kind `fri`, a simulated robot for clients of FRI, and
-the emulated controller of `sero-mj send`. Start with `receiver.py`, or with `robot.py` for the
-simulated robot.
+In: packets of a controller, or a client of FRI. Out: the source `fri`, the controller kind `fri`, a
+simulated robot for such a client, and the emulated controller of `sero-mj send`.
+Open first: `receiver.py`, or `robot.py` for the simulated robot; `iiwa.py` has the messages of the
+iiwa.
 """

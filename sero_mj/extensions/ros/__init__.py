@@ -1,5 +1,7 @@
 """Robots that use ROS 2, and their recordings, without an installation of ROS.
 
-Registers sources that receive topics over DDS, foxglove_bridge, zenoh or JSON, recordings (bags),
-and the controller kind `ros2`. Start with `joined_packets.py`, which converts messages to packets.
+In: messages over DDS, foxglove_bridge, zenoh or JSON, or from bags. Out: sources and recordings
+with packets of one structure, and the controller kind `ros2`.
+Open first: `joined_packets.py`, which converts messages to packets; `ros_source.py` is the base of
+the sources.
 """

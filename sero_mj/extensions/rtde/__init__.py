@@ -1,5 +1,6 @@
 """Universal Robots: RTDE, version 2 of its protocol.
 
-Registers the source `rtde`, and the controller kind `rtde`, a simulated robot for clients of RTDE.
-Start with `receiver.py`, or with `robot.py` for the simulated robot.
+In: data packages of a controller, or a client of RTDE. Out: the source `rtde`, and the controller
+kind `rtde`, a simulated robot for such a client.
+Open first: `receiver.py`, or `robot.py` for the simulated robot; `server.py` has its sockets.
 """
