@@ -16,7 +16,6 @@ from shm_tools import block, needs_posix
 
 from sero_mj import Scene, SerialRobot, load_scene
 from sero_mj.base.errors import (
-    CsvError,
     DeclarationError,
     RecordingError,
     RenderError,
@@ -189,15 +188,6 @@ def test_endless_meshes_pieces_and_tables_are_refused(
         key="mjcf", reason=f"cannot be read: {tmp_path}/nothing.xml: No such file or directory"
     ):
         as_spec("nothing.xml", tmp_path)
-    from sero_mj.extensions.tables.table import read_csv
-
-    table = endless("table.csv")
-    with raises_with(
-        CsvError,
-        path=f"{tmp_path}/table.csv",
-        reason="cannot be read: is a device; expected a file",
-    ):
-        read_csv(table)
     with raises_with(
         reason="cannot be read: is a device; expected a file", file=f"{tmp_path}/scene.toml"
     ):

@@ -115,10 +115,10 @@ def test_what_is_not_given_has_its_default_and_is_known_as_not_given() -> None:
     plain = bake("cake")
     assert (plain.cake, plain.others, plain.kind, plain.hot) == ("cake", [], "short", False)
     assert (plain.duration, plain.size, plain.names, plain.port) == (30.0, (300, 200), [], None)
-    assert plain.given(*Bake.model_fields) == ["CAKE"]
+    assert plain.set_among(*Bake.model_fields) == ["CAKE"]
     same = bake("cake", "--duration", "30", "--for", "me")
     assert same.duration == plain.duration
-    assert same.given("duration", "names", "hot") == ["--duration", "--for"]
+    assert same.set_among("duration", "names", "hot") == ["--duration", "--for"]
 
 
 def test_text_becomes_what_is_declared() -> None:

@@ -57,7 +57,7 @@ class Photos(Background):
             )  # fmt: skip
         make_video = partial(
             render_video_over, over=over, camera_file=options.camera_file, offset=offset,
-            duration=options.duration if options.given("duration") else None,
+            duration=options.duration if options.set_among("duration") else None,
         )  # fmt: skip
         return video_with_progress(
             scene, options.output, options, quiet=options.quiet, make=make_video
