@@ -275,8 +275,8 @@ def test_infinity_minus_infinity_is_quiet() -> None:
          "side: routes can only add multiples of numbers"),
         ("2 / udp.values0", "character 3: found '/', expected a constant after it"),
         ("udp.values0 / [1, 0, 1, 1]", "character 13: found '/', expected a divisor other than 0"),
-        ("udp.values0 * deg + 3 * mm", "character 19: found '+', expected the same unit on both sides; "
-         "found an angle (rad) and a length (m)"),
+        ("udp.values0 * deg + 3 * mm", "character 19: found '+', expected the same unit on both "
+         "sides; found an angle (rad) and a length (m)"),
         ("[1 * deg, 2 * mm] - [1 * deg, 2 * N]", "found a length (m) and a force (N)"),
         ("udp.matrices0 + 2", "character 15: found '+', frames can only be multiplied by a number "
          "or a length, as in frames * mm"),
@@ -287,7 +287,7 @@ def test_infinity_minus_infinity_is_quiet() -> None:
         ("udp.matrices0 * deg", "character 15: found '*', expected a length as the factor of "
          "frames; found an angle (rad)"),
         ("udp.matrices0 * mm * mm", "character 20: found '*', expected a length as the factor"),
-        ("udp.matrices0 / mm", "character 15: found '/', expected a length as the factor of frames"),
+        ("udp.matrices0 / mm", "character 15: found '/', expected a length as the factor"),
         ("-1 * udp.matrices0", "character 4: found '*', expected a factor above 0; "
          "found -1"),
         ("udp.matrices0 * 0", "expected a factor above 0; found 0"),

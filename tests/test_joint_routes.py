@@ -174,8 +174,8 @@ def test_what_is_wrong_is_told_once_each() -> None:
     ]
     twice = {"fork.joint_angles": three | {"from": "udp.values2"}, "fork.l_leg.joint_angles": 0}
     assert problems_of(twice) == [
-        "routes.fork.l_leg.joint_angles: route fork.joint_angles already sets joint_angles of l_hip; "
-        "expected one route per joint"
+        "routes.fork.l_leg.joint_angles: route fork.joint_angles already sets joint_angles of "
+        "l_hip; expected one route per joint"
     ]
     assert problems_of({"fork.torques": "udp.values1[0:5]", "fork.l_leg.torques": 0.0}) == [
         "routes.fork.l_leg.torques: route fork.torques already sets torques of l_hip; expected one "

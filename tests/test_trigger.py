@@ -169,11 +169,11 @@ def test_no_data_fulfils_nothing_and_other_sources_keep_their_last_values() -> N
         ("lwr.torques > ", "character 15: found the end, expected an event such as"),
         ("lwr.torques > 20 20", "character 18: found '20', expected"),
         ("lwr.torques = 20",
-         "character 13: found '=', expected +, -, * or / between spaces, or the end; write == to compare"),
-        ("lwr.torques[9] > 1", "character 13: found '9', expected 0 to 6: there are 7"),
-        ("lwr.torques[0][0] > 1", "it is a single number"),
-        ("lwr.torques[1:3] > lwr.torques", "character 18: found '>', expected as many on both "
-         "sides; found 2 values and 7 values"),
+         "character 13: found '=', expected +, -, * or / between spaces, or the end; write =="),
+        ("lwr.torques[9] > 1", "character 13: found '9', expected 0 to 6"),
+        ("lwr.torques[0][0] > 1", "is a single number, which has no index"),
+        ("lwr.torques[1:3] > lwr.torques", "character 18: found '>', expected the same number on "
+         "both sides; found 2 values and 7 values"),
         ("abs(lwr.torques > 2) > 1", "expected numbers; use and, or to combine comparisons"),
         ("lwr.torques and lwr.torques > 1", "expected a comparison such as lwr.torques > 20"),
         ("any(lwr.torques) > 1", "expected numbers; use and, or to combine comparisons"),
