@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field
 
 from ...base.errors import (
-    Problem,
     mismatch,
 )
 from ...simulate.control.controller import PerJoint, Ratio, within
@@ -48,6 +47,7 @@ class FrankaClient(Reachable):
     )
     title: ClassVar[str] = "client of libfranka"
     order: ClassVar[int] = 80
+    protocol_joints: ClassVar[int] = JOINTS
 
     kind: Literal["franka"] = "franka"
     port: int = Field(PORT, ge=0, le=65535)
@@ -58,9 +58,6 @@ class FrankaClient(Reachable):
     damping: Ratio = np.array([1.0])
 
     def make(self, model: RobotModel, timestep: float) -> FrankaRobot:
-        if model.n != JOINTS:
-            reason = f"FCI is for {JOINTS} joints; {model.name} has {model.n}"
-            raise Problem("kind", reason).error()
         steps = round(CYCLE / timestep)
         if steps < 1 or abs(steps * timestep - CYCLE) > 1e-9:
             reason = "FCI has cycles of 1 ms; the time step is"

@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from ...base.errors import (
-    Problem,
     mismatch,
 )
 from ...simulate.control.robot_model import RobotModel
@@ -27,6 +26,7 @@ class FriClient(FriSession):
     logged: ClassVar[tuple[str, ...]] = ("fri_state", "fri_quality", "step_lateness")
     title: ClassVar[str] = "client of FRI"
     order: ClassVar[int] = 75
+    protocol_joints: ClassVar[int] = JOINTS
 
     kind: Literal["fri"] = "fri"
     port: int = Field(fri.PORT, ge=0, le=65535)
@@ -53,9 +53,6 @@ class FriClient(FriSession):
         return self
 
     def make(self, model: RobotModel, timestep: float) -> FriRobot:
-        if model.n != JOINTS:
-            reason = f"FRI is for {JOINTS} joints; {model.name} has {model.n}"
-            raise Problem("kind", reason).error()
         cycle = self.cycle or timestep
         steps = round(cycle / timestep)
         if steps < 1 or abs(steps * timestep - cycle) > 1e-9:

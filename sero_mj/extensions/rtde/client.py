@@ -22,6 +22,7 @@ class RtdeClient(RtdeSession):
     logged: ClassVar[tuple[str, ...]] = ("rtde_state", "command_age", "step_lateness")
     title: ClassVar[str] = "client of RTDE"
     order: ClassVar[int] = 77
+    protocol_joints: ClassVar[int] = JOINTS
 
     kind: Literal["rtde"] = "rtde"
     port: int = Field(rtde.PORT, ge=0, le=65535)
@@ -38,9 +39,6 @@ class RtdeClient(RtdeSession):
         return self
 
     def make(self, model: RobotModel, timestep: float) -> RtdeRobot:
-        if model.n != JOINTS:
-            reason = f"RTDE is for {JOINTS} joints; {model.name} has {model.n}"
-            raise Problem("kind", reason).error()
         steps = round(self.cycle / timestep)
         if steps < 1 or abs(steps * timestep - self.cycle) > 1e-9:
             expected = f"a multiple of the time step, {timestep:g} s"

@@ -1,4 +1,4 @@
-"""A run as a CSV table: `simulate --csv` writes it; its columns are read also where others did."""
+"""Runs as CSV tables, written by `simulate --csv` and by other programs."""
 
 from __future__ import annotations
 
@@ -19,19 +19,18 @@ _COLUMN = re.compile(r"(\w+)\[(.+)\]")
 def run_of_columns(
     path: Path, times: Array, columns: Mapping[str, Array], robots: Mapping[str, SerialRobot]
 ) -> RunLog | None:
-    """The run in a table with `ROBOT_SIGNAL[JOINT]`, as `lwr_torques[0]`; None where there is none.
+    """Returns the run in a table with columns `ROBOT_SIGNAL[JOINT]`, or None if there is no run.
 
-    A joint is a number, counted from 0, or its name. Signals of a table with the names of joints,
-    as `export` writes it of messages of ROS, need no robot before them: `torques[elbow]`.
+    JOINT is an index from 0 or a joint's name, as in `lwr_torques[0]`. With names, as in exported
+    ROS messages, ROBOT may be missing: `torques[elbow]`.
 
     Args:
-        times: (T,), s; those of the simulation, `time[0]`, count where a recording of one was
-            exported.
-        columns: name to values, (T,).
-        robots: by name; a table does not say what they are. Those without a column are left out.
+        times: shape (T,), s. A column `time[0]`, the simulated time, has priority.
+        columns: name to values, shape (T,).
+        robots: by name. Robots without columns are left out.
 
     Returns:
-        every signal that has a column for each joint; other columns are left out.
+        all signals that have a column for each joint.
     """
     found: dict[str, dict[str, Array]] = {}
     for name, values in columns.items():
@@ -59,12 +58,7 @@ def run_of_columns(
 
 
 def _labels(robot: SerialRobot, labels: Collection[str], *, numbered: bool) -> list[str]:
-    """Returns the labels of a robot's joints, n, among those of an event; empty without them all.
-
-    Args:
-        labels: in brackets, names or numbers.
-        numbered: whether they may be numbers.
-    """
+    """Returns the labels of a robot's joints among the names or numbers in brackets, or []."""
     prefix = prefix_before(robot.names, [*labels])
     named, numbers = [prefix + name for name in robot.names], [*map(str, range(robot.n))]
     if set(labels).issuperset(named):
@@ -75,7 +69,7 @@ def _labels(robot: SerialRobot, labels: Collection[str], *, numbered: bool) -> l
 def columns_of_events(
     columns: Mapping[str, Array], events: Mapping[str, tuple[int, ...]]
 ) -> dict[str, Array]:
-    """A source's events in a table, (T, count) each; nothing where one has no columns."""
+    """Returns the events of a source in a table, (T, count) each; empty if a column is missing."""
     names = {event: column_names({event: shape}) for event, shape in events.items()}
     if not all(name in columns for each in names.values() for name in each):
         return {}
@@ -84,10 +78,10 @@ def columns_of_events(
 
 
 def write_run_csv(layout: RunLayout, rows: Array, path: Path) -> None:
-    """Writes a log as a table: `time`, s, and `ROBOT_SIGNAL[JOINT]`, SI units.
+    """Writes a log as a table with `time` in seconds and `ROBOT_SIGNAL[JOINT]` in SI units.
 
     Args:
-        rows: (T, width), the log.
+        rows: the log, shape (T, width).
 
     Raises:
         CsvError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""A recording as a run: of a simulation, or of a robot that a scene's routes lead to."""
+"""Reads a recording as a run of a simulation, or of robots by a scene's routes."""
 
 from __future__ import annotations
 
@@ -49,33 +49,33 @@ from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
 log = logging.getLogger(__name__)
 
 _MODEL_FILES = (paths.ROBOT_FILE, paths.GROUP_FILE)
-# What a group's file says of its members' models; in a recording all models are beside each other.
+# The models of a group's members; in a recording, all models are in adjacent folders.
 _MODEL_NAMED = re.compile(r"""(\bmodel\s*=\s*)["']([^"'\n]+)["']""")
 _ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"
-# Before `angles`, in old events of a robot that has others as well.
+# Prefixes of `angles` in old events of the same robot.
 _DERIVED = ("actual_", "target_")
-_MANY = 4  # columns that are named
-_LOGGED = {"commanded_angles": "target_angles"}  # signals of tables that runs call otherwise
+_MANY = 4  # maximum number of columns in a message
+_LOGGED = {"commanded_angles": "target_angles"}  # signal in tables to signal in runs
 
 
 def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None = None) -> RunLog:
     """Reads a recording of a simulation, or of robots that a scene mirrors.
 
-    A source with the events `time` and `ROBOT_joint_angles` is a run as it was logged. Of others
-    the scene in the recording says what leads to which robot, in which unit. Time counts from the
-    start of the simulation, or from the first packet that tells where the robots are.
+    A source with the events `time` and `ROBOT_joint_angles` is a logged run. For other sources, the
+    scene's routes lead to robot inputs. Time starts with the simulation, or with the first packet
+    at which the poses of all robots are known.
 
     Args:
-        source: which of its sources; all that matter when None.
-        scene: the robots and the routes; those in the recording when None.
+        source: name of a source; None for all.
+        scene: robots and routes; None for the recorded scene.
 
     Returns:
-        The signals `joint_angles`, `joint_velocities` (by differences where they were not sent)
-        and, where there are such, `torques`, `commanded_torques`, and all others of a simulation.
+        run with `joint_angles`, `joint_velocities` (differentiated if they are not recorded), and
+            if recorded `torques`, `commanded_torques` and all signals of a simulation.
 
     Raises:
-        RecordingError: it cannot be read, is no recording, or has no robot.
-        UsageError: no such source, or there are several and one has to be chosen.
+        RecordingError: the file cannot be read, is not a recording, or has no robot.
+        UsageError: there is no such source, or one of several must be selected.
     """
     path = Path(path)
     topics = None
@@ -90,7 +90,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         if len(runs) > 1:
             found = ", ".join(runs)
             raise UsageError(
-                f"{path} has several runs: {found}; choose with --source {runs[0]}, say"
+                f"{path} has several runs: {found}; select one, for example with --source {runs[0]}"
             )
         if runs:
             return _simulated(recording, runs[0], scene)
@@ -99,8 +99,8 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         if not robots:
             found = f"found {', '.join(recording.attachments) or 'no files'}"
             if recording.names_joints:
-                found = "it describes none, and no shipped one has its joints"
-            reason = f"has no robot in it: {found}; expected a scene, give one"
+                found = "no robot description, and no shipped robot has these joints"
+            reason = f"has no robot: {found}; pass a scene"
             raise RecordingError(path, reason)
         receivers = {name: _receiver_of(recording, name) for name in names}
         return _mirrored(
@@ -113,7 +113,7 @@ def _opened(path: Path, topics: Mapping[str, Source] | None) -> Iterator[PacketF
     with open_recording(path, topics) as recording:
         try:
             yield recording
-        finally:  # it may be why the recording cannot be used
+        finally:  # a fault may be the reason of an error
             for fault in recording.faults:
                 log.warning("%s: %s", path, fault)
 
@@ -127,17 +127,17 @@ def read_run_table(
     """Reads a table of a simulation (`simulate --csv`), of packets (`export`), or of joints.
 
     Args:
-        scene: the robots, and the routes that lead from packets to them: a table says neither.
-        source: in the scene, whose packets they are; the only one with such columns when None.
-        columns: which columns are which signals of the robots; see `robots_in`. Times then count
-            from the first row.
+        scene: the robots, and the routes from packets to robots.
+        source: source of the packets in the scene; None for the only one with such columns.
+        columns: columns of the robots' signals; see `robots_in`. Times then count from the first
+            row.
 
     Returns:
         as of `read_run`.
 
     Raises:
-        CsvError: it cannot be read, or its columns are neither.
-        UsageError: no such source, or there are several and one has to be chosen.
+        CsvError: the file cannot be read, or its columns are unknown.
+        UsageError: there is no such source, or one of several must be selected.
     """
     path = Path(path)
     if source is not None and source not in scene.sources:
@@ -157,7 +157,7 @@ def read_run_table(
     if len(possible) > 1:
         first, *_ = possible
         found = ", ".join(possible)
-        raise UsageError(f"{path} may be of {found}; choose with --source {first}, say")
+        raise UsageError(f"{path} matches {found}; select one, for example with --source {first}")
     if not possible:
         return _run_of_joints(table, scene, columns, _expected_columns(table, scene, wanted))
     ((name, events),) = possible.items()
@@ -169,7 +169,7 @@ def read_run_table(
 
 
 def _run_of_joints(table: Table, scene: Scene, columns: Columns, expected: str) -> RunLog:
-    """The run in a table of joints; `expected` is what else would be missing, if anything."""
+    """Returns the run in a table of joints; `expected` names otherwise missing columns."""
     try:
         led = robots_in(table, scene.robots, columns)
     except CsvError as error:
@@ -177,7 +177,7 @@ def _run_of_joints(table: Table, scene: Scene, columns: Columns, expected: str) 
             raise
         raise CsvError(table.path, f"{expected}; {error.reason}") from None
     is_declared = any(key.rpartition(".")[2].startswith("torques") for key in columns)
-    for each in led.values():  # commanded torques, which are shown like measured ones, are none
+    for each in led.values():  # for display, commanded torques replace missing measured ones
         torques, commanded = each.get("torques"), each.get("commanded_torques")
         if commanded is None or torques is None or is_declared:
             continue
@@ -193,7 +193,7 @@ def _run_of_joints(table: Table, scene: Scene, columns: Columns, expected: str) 
 
 
 def _expected_columns(table: Table, scene: Scene, sources: Mapping[str, Source]) -> str:
-    """Which columns of a source's packets are missing; empty where no source was meant."""
+    """Returns which columns of a source are missing, or nothing if no source matches the table."""
     for name, source in sources.items():
         names = column_names(source.events)
         missing = [each for each in names if each not in table.columns]
@@ -236,7 +236,7 @@ def _chosen(recording: PacketFile, source: str | None) -> list[str]:
 
 
 def _robots_of(events: Iterable[str]) -> list[str]:
-    """Robots, as events call them, of a run that was logged; none when it is no such run."""
+    """Returns the robots of a logged run by their names in events; [] without such a run."""
     events = list(events)
     if TIME not in events:
         return []
@@ -266,7 +266,7 @@ def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
     receiver.allow_nan([event for event in receiver.events if event != TIME])
     series = read_events(recording, receiver, name)
     if len(series.times) == 0:
-        raise RecordingError(recording.path, f"has no good packet of '{name}'")
+        raise RecordingError(recording.path, f"has no valid packet of '{name}'")
     times = series.events[TIME][:, 0]
     rising = np.append(True, np.diff(np.maximum.accumulate(times)) > 0)
     declared = _recorded(recording).robots if scene is None else scene.robots
@@ -285,10 +285,10 @@ def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
             chosen = _meant(recording.path, prefix, count, declared)
         except UnknownName as error:
             near = did_you_mean(prefix, error.available)
-            reason = f"does not say what robot '{prefix}' is{near}; give a scene"
+            reason = f"does not describe robot '{prefix}'{near}; pass a scene"
             if scene is not None:
-                given = scene.file or f"the scene '{scene.name}'"
-                reason = f"is of another robot than {given} has: {error}"
+                where = scene.file or f"the scene '{scene.name}'"
+                reason = f"has a robot that is not in {where}: {error}"
             raise RecordingError(recording.path, reason) from error
         robots[chosen.name] = chosen
     signals = _with_velocities(robots, signals, times[rising])
@@ -300,11 +300,11 @@ def _row_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _meant(path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]) -> SerialRobot:
-    """The robot that events mean; raises UnknownName where it is none of these."""
+    """Returns the robot of some events. Raises UnknownName if there is none."""
     by_event = {event_of(name, "joint_angles").removesuffix(_ANGLES): each
                 for name, each in robots.items()}  # fmt: skip
     robot = by_event.get(prefix)
-    if robot is None and len(robots) == 1:  # its file alone does not tell how it was called
+    if robot is None and len(robots) == 1:  # a robot file has no name for its robot
         only = next(iter(robots.values()))
         robot = only.model_copy(update={"name": prefix}) if only.n == count else None
     if robot is None:
@@ -319,7 +319,7 @@ def _with_velocities(
     robots: Mapping[str, SerialRobot], signals: Mapping[str, Array], times: Array
 ) -> dict[str, Array]:
     found = dict(signals)
-    rising = np.append(True, np.diff(times) > 0)[: len(times)]  # several rows may have one time
+    rising = np.append(True, np.diff(times) > 0)[: len(times)]  # rows may have equal times
     for name in robots:
         event, angles = event_of(name, "joint_velocities"), event_of(name, "joint_angles")
         if event not in found and angles in found and rising.sum() > 1:
@@ -330,13 +330,13 @@ def _with_velocities(
 
 @dataclass
 class _Declared:
-    """What a scene says of its robots, in a recording or elsewhere.
+    """The robots and routes of a scene.
 
     Attributes:
-        robots: by name, those of groups included.
+        robots: by name, including those of groups.
         routes: input to origin.
         doubles: tables by name.
-        groups: tables by name, each with its robots.
+        groups: tables with the robots of each group, by name.
     """
 
     robots: dict[str, SerialRobot] = field(default_factory=dict)
@@ -352,13 +352,13 @@ def _declared_in(scene: Scene) -> _Declared:
 
 
 def _recorded(recording: PacketFile) -> _Declared:
-    """Robots by their names in the recorded scene, else by those of their folders; its routes.
+    """Returns the robots and routes of the recorded scene.
 
-    A robot that is installed here as it was recorded has its meshes; of another one the links grow
-    from its table.
+    Without a recorded scene, robots have the names of their folders. If the recorded model is
+    installed, its meshes are used. Otherwise link shapes are generated from the table.
 
     Raises:
-        RecordingError: a file in it is damaged, or declares a robot or a group wrongly.
+        RecordingError: a recorded file is damaged, or its declaration is invalid.
     """
     files = _read_tables(recording)
     models = {name: name.split("/")[-2] for name in files if name.split("/")[-1] in _MODEL_FILES}
@@ -370,7 +370,7 @@ def _recorded(recording: PacketFile) -> _Declared:
         found.doubles = found.doubles or _table(tables, "doubles")
     ending = f"/{paths.ROBOT_FILE}"
     of_robots = {folder: name for name, folder in models.items() if name.endswith(ending)}
-    if not scenes:  # a robot or a group by itself, which is called as its folder is
+    if not scenes:  # a single robot or group, which is named after its folder
         scenes = [{"robots": {folder: {"model": folder} for folder in of_robots}}]
         whole = next((models[name] for name in models if name not in of_robots.values()), None)
         if whole is not None:
@@ -398,22 +398,22 @@ def _table(tables: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _folder(model: str) -> str:
-    """The folder of a model that is named, by itself: all models of a recording are beside it.
+    """Returns the folder name of a model; for a file with an unusual name, the file name.
 
-    Of a file that is not called as those in folders of models are, it is the file's own name.
+    All models of a recording are in adjacent folders.
     """
     path = Path(model)
     return path.parent.name if path.name in _MODEL_FILES else path.name
 
 
 def _expanded(recording: PacketFile, groups: dict[str, Any], directory: Path) -> Expanded:
-    scene = directory / "scene.toml"  # which is not there: models are found beside it
+    scene = directory / "scene.toml"  # does not exist; models are found relative to it
     found = expand_groups(_in_folders(groups), scene, MOST_ENTRIES)
     if found.problems:
         problem = found.problems[0]
         file = str(problem.file).removeprefix(f"{directory}/")
         reason = str(replace(problem, file=None if file == scene.name else file))
-        raise RecordingError(recording.path, f"its groups cannot be read: {reason}; give a scene")
+        raise RecordingError(recording.path, f"its groups are invalid: {reason}; pass a scene")
     return found
 
 
@@ -427,18 +427,14 @@ def _in_folders(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_tables(recording: PacketFile) -> dict[str, dict[str, Any]]:
-    """Tables of every scene and robot file in a recording, by its name there.
-
-    Raises:
-        RecordingError: one is damaged or cannot be read.
-    """
+    """Returns the tables of every recorded scene and robot file by name. Raises RecordingError."""
     found = {}
     for name in table_names(recording):
         if name.endswith(".toml"):
             try:
                 found[name] = parse_toml(recording.read_attachment(name).decode("utf-8-sig"))
             except ValueError as error:
-                reason = f"file '{name}' in it is no TOML: {error}"
+                reason = f"its file '{name}' is not TOML: {error}"
                 raise RecordingError(recording.path, reason) from error
         elif name.lower().endswith(paths.scene_endings()):
             with TemporaryDirectory() as directory:
@@ -447,7 +443,7 @@ def _read_tables(recording: PacketFile) -> dict[str, dict[str, Any]]:
                 try:
                     found[name] = read_robot_file(path).tables
                 except DeclarationError as error:
-                    reason = f"file '{name}' in it cannot be read: {error.problems[0].message}"
+                    reason = f"its file '{name}' cannot be read: {error.problems[0].message}"
                     raise RecordingError(recording.path, reason) from error
     return found
 
@@ -456,7 +452,7 @@ def _robot(
     recording: PacketFile, name: str, table: dict[str, Any], models: Mapping[str, str]
 ) -> SerialRobot:
     model = table.pop("model", None)
-    # What is fixed to the flange may be in files that are not there; frames for mounts are not.
+    # Children may use files that are not recorded, unless they are shapes or frames of mounts.
     children = table.pop("children", None)
     if isinstance(children, list):
         table["children"] = [c for c in children if isinstance(c, Mapping) and c.get("shape")]
@@ -465,7 +461,7 @@ def _robot(
         return _built(recording, name, _without_meshes(fields), None)
     folder = _folder(str(model))
     attached, file = models.get(folder), paths.ROBOT_FILE
-    if attached is None:  # of a robot in a file of another name, as those in URDF are
+    if attached is None:  # a robot file with another name, such as a URDF file
         file = folder
         attached = next((each for each in table_names(recording) if _is_robot(each, folder)), None)
     if attached is None:
@@ -478,7 +474,7 @@ def _robot(
         path = Path(directory) / Path(folder).stem / file
         path.parent.mkdir()
         path.write_bytes(data)
-        with without_warnings():  # of meshes, say, which nothing here needs
+        with without_warnings():  # for example of meshes, which are not needed
             return _built(recording, name, _without_meshes(fields), str(path))
 
 
@@ -492,12 +488,12 @@ def _built(
     try:
         file = None if model is None else paths.find_model(model)
     except (UnknownName, DeclarationError) as error:
-        reason = f"its robot '{name}' is not in it, nor installed: {error}; give a scene"
+        reason = f"its robot '{name}' is neither recorded nor installed: {error}; pass a scene"
         raise RecordingError(recording.path, reason) from error
     try:
         return build_robot(fields, file)
     except DeclarationError as error:
-        reason = f"its robot '{name}' is declared wrongly: {error}"
+        reason = f"its robot '{name}' is invalid: {error}"
         raise RecordingError(recording.path, reason) from error
 
 

@@ -378,7 +378,11 @@ def test_a_wrong_declaration_names_its_key(fields: dict[str, Any], message: str)
 
 @pytest.mark.parametrize(
     ("robot", "timestep", "message"),
-    [("fr3", 2e-3, "cycles of 1 ms"), ("fr3", 3e-4, "cycles of 1 ms"), ("ur5e", 1e-3, "7 joints")],
+    [
+        ("fr3", 2e-3, "cycles of 1 ms"),
+        ("fr3", 3e-4, "cycles of 1 ms"),
+        ("ur5e", 1e-3, "expected 6"),
+    ],
 )
 def test_robots_and_steps_that_do_not_fit_are_refused(
     robot: str, timestep: float, message: str

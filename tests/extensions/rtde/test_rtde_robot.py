@@ -38,6 +38,7 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.control.robot_model import RobotModel
 from sero_mj.simulate.external_control.commanded_motion import HOLDS, SERVOS, CommandedMotion
+from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 
@@ -373,7 +374,7 @@ def test_a_program_that_is_done_leaves_the_robot_where_it_is(folder: Path) -> No
 
 
 def test_a_program_that_fails_ends_the_run(folder: Path) -> None:
-    with pytest.raises(SimulationError, match=r"exit status 1; its last lines: no more$"):
+    with pytest.raises(SimulationError, match=r"exit status 1; its last output: no more$"):
         simulated(folder, "fails")
 
 
@@ -492,9 +493,10 @@ def test_wrong_declarations_name_their_key(
 
 
 def test_a_robot_of_seven_joints_has_no_rtde() -> None:
-    model = RobotModel.of(SerialRobot.from_model("lwr"))
-    with pytest.raises(DeclarationError, match=r"RTDE is for 6 joints; lwr has 7$"):
-        RtdeClient().make(model, 1e-3)
+    scene = Scene(robots=[SerialRobot.from_model("lwr")])
+    with pytest.raises(DeclarationError) as caught:
+        Scenario(scene, controllers={"lwr": RtdeClient()})
+    assert [problem.key for problem in caught.value.problems] == ["controllers.lwr.kind"]
 
 
 @pytest.mark.thorough
