@@ -206,7 +206,7 @@ def test_a_recorded_simulation_without_its_robot_asks_for_a_scene(tmp_path: Path
         read_run(path)
     assert read_run(path, scene=simulated().scenario.scene).robots["lwr"].n == 7
     other = Scene(robots=[SerialRobot.from_model("scara", name="picker")], name="cell")
-    reason = "is of another robot than the scene 'cell' has: no robot 'lwr'; available: picker"
+    reason = "has a robot that is not in the scene 'cell': no robot 'lwr'; available: picker"
     with raises_with(RecordingError, path=f"{tmp_path}/alone.mcap", reason=reason):
         read_run(path, scene=other)
 

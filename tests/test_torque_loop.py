@@ -485,7 +485,7 @@ def test_rates_that_do_not_fit_are_all_told_at_once() -> None:
     with raises_with(
         key="drive_delay",
         found=0.0004,
-        expected="a multiple of the physics' step, 0.00025 s: 0.0005, for instance",
+        expected="a multiple of the physics time step (0.00025 s), for example 0.0005 s",
     ):
         Run(drive_delay=4e-4, physics_timestep=2.5e-4)
     assert Run(torque_control=True).substeps == 3
