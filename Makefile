@@ -58,6 +58,7 @@ lint: .venv/.test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	.ci/js check
+	$(BIN)/codespell README.md CONTRIBUTING.md CHANGELOG.md docs models scenes sero_mj
 
 docs: .venv/.test
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs out/docs

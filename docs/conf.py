@@ -33,7 +33,6 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings give shapes and units
 autodoc_default_options = {"members": True, "exclude-members": "model_config"}
 napoleon_use_ivar = True
-suppress_warnings = ["myst.xref_missing"]
 
 _HERE = Path(__file__).parent
 

@@ -24,7 +24,7 @@ choose_backend()
 import mujoco
 import numpy as np
 
-from sero_mj import render_picture
+from sero_mj import render_image
 from sero_mj.base import paths
 from sero_mj.data.drive.wiring import wire
 from sero_mj.load import load_scene
@@ -293,7 +293,7 @@ def main(names: Sequence[str]) -> None:
         if not names or shot.name in names:
             file = PICTURES / f"{shot.name}.webp"
             with _sender(shot):
-                render_picture(
+                render_image(
                     scene_of(shot), file, size=SIZE, camera=shot.camera, at=shot.at, quality="fine"
                 )
             print(file)
@@ -303,7 +303,7 @@ def main(names: Sequence[str]) -> None:
             file = START_PICTURES / f"{name}.jpg"
             with _sender(shot):
                 scene = start_scene_of(shot)
-                render_picture(
+                render_image(
                     scene, file, size=START_SIZE, camera=shot.camera, at=shot.at, quality="fine"
                 )
             print(file)

@@ -21,6 +21,7 @@ Where there is no display, `MUJOCO_GL` is not set and MuJoCo is not yet imported
 package sets it to what works without one; no graphics driver is loaded before the first picture.
 """
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -60,8 +61,8 @@ if TYPE_CHECKING:
     from .simulate.sensors import Sensors as Sensors
     from .simulate.simulation import Simulation as Simulation
     from .viewer.image.render import HeadlessRenderer as HeadlessRenderer
-    from .viewer.image.render import render_film as render_film
-    from .viewer.image.render import render_picture as render_picture
+    from .viewer.image.render import render_image as render_image
+    from .viewer.image.render import render_video as render_video
     from .viewer.player.capture import Mark as Mark
     from .viewer.player.page import export_html as export_html
     from .viewer.program.overlay import Overlay as Overlay
@@ -115,8 +116,8 @@ _HOME = {
     "Simulation": "simulate.simulation",
     "SensorErrors": "simulate.sensors",
     "Sensors": "simulate.sensors",
-    "render_film": "viewer.image.render",
-    "render_picture": "viewer.image.render",
+    "render_video": "viewer.image.render",
+    "render_image": "viewer.image.render",
     "HeadlessRenderer": "viewer.image.render",
     "export_html": "viewer.player.page",
     "Mark": "viewer.player.capture",
@@ -125,12 +126,19 @@ _HOME = {
     "Viewer": "viewer.program.viewer",
     "view": "viewer.program.viewer",
 }
+# Earlier names of public functions, available for one more version.
+_RENAMED = {"render_film": "render_video", "render_picture": "render_image"}
 
 
 __all__ = ["__version__", *_HOME]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> Any:
+    if name in _RENAMED:
+        warnings.warn(
+            f"'{name}' is deprecated; use '{_RENAMED[name]}'", DeprecationWarning, stacklevel=2
+        )
+        return __getattr__(_RENAMED[name])
     if name in _HOME:
         value = getattr(import_module(f".{_HOME[name]}", __name__), name)
     elif name.startswith("_") or name not in _added_names():

@@ -66,22 +66,26 @@ _LIVE = (*_SCREENS, "test_docs")
 # These simulate whole runs, or start many processes: half of the time of all tests of logic.
 _SLOW = (
     "test_bags", "test_biped", "test_calibrate", "test_camera_motion", "test_cartesian_control",
-    "test_compiler", "test_composition", "test_dlr_models", "test_doors", "test_environment",
-    "test_explain", "test_external_control", "test_foxglove", "test_framing", "test_franka_robot",
-    "test_free_base", "test_fri_robot", "test_gallery", "test_gymnasium", "test_hit_hand",
-    "test_hostile", "test_identify", "test_iiwa_robot", "test_import_robot",
-    "test_inverse_kinematics", "test_justin", "test_live_control", "test_many_environments",
-    "test_mutations", "test_new_files", "test_parallel_robots", "test_passes", "test_player",
-    "test_plot", "test_pulling", "test_recorder", "test_robot_places", "test_ros2",
-    "test_rtde_robot", "test_run_batch", "test_run_recording", "test_scenarios", "test_shm",
-    "test_simulate_command", "test_snippet", "test_stable_baselines", "test_torque_loop",
-    "test_trees", "test_trigger", "test_zenoh",
+    "test_compiler", "test_composition", "test_connecting", "test_dlr_models", "test_doors",
+    "test_environment", "test_explain", "test_external_control", "test_fmu", "test_foxglove",
+    "test_framing", "test_franka_robot", "test_free_base", "test_fri_robot", "test_gallery",
+    "test_gymnasium", "test_hit_hand", "test_hostile", "test_identify", "test_iiwa_robot",
+    "test_import_robot", "test_inverse_kinematics", "test_justin", "test_link_transforms",
+    "test_live_control", "test_many_environments", "test_mutations", "test_new_files",
+    "test_parallel_robots", "test_passes", "test_player", "test_plot", "test_pulling",
+    "test_recorder", "test_robot_places", "test_ros2", "test_rtde_robot", "test_run_batch",
+    "test_run_recording", "test_scenarios", "test_shm", "test_signs", "test_simulate_command",
+    "test_snippet", "test_stable_baselines", "test_torque_loop", "test_trees", "test_trigger",
+    "test_zenoh",
 )  # fmt: skip
 # These open the ports of shipped scenes; another worker runs them all.
 _PORTS = (
     "test_ahead", "test_cli", "test_docs", "test_film", "test_fri", "test_mirror", "test_shm",
     "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
 )  # fmt: skip
+
+# These parse all our files, which one worker does once.
+_SYNTAX = ("test_layers", "test_size")
 
 # The processes that pytest and multiprocessing need until the end, by parts of command lines.
 _OWN_CHILDREN = (b"multiprocessing.resource_tracker", b"multiprocessing.forkserver", b"playwright")
@@ -180,6 +184,12 @@ def backend() -> Iterator[None]:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--no-skips", action="store_true", help="a skipped test has failed")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Skips files of which `make quick` and `make core` run no test, without importing them."""
+    left_out = (*_SLOW, *_LIVE) if "not slow and not live" in config.option.markexpr else ()
+    return True if collection_path.name.startswith(left_out) else None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -300,6 +310,8 @@ class _GroupsByFile(LoadScopeScheduling):
         name = nodeid.partition("::")[0].rpartition("/")[2]
         if name.startswith(_SCREENS):
             return "pages" if name.startswith(_PAGES) else "windows"
+        if name.startswith(_SYNTAX):
+            return "syntax"
         # Larger scopes come first, then single tests in their order.
         return "ports" if name.startswith(_PORTS) else nodeid
 

@@ -13,7 +13,7 @@ from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
-from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.image_view import ImageView
 from sero_mj.viewer.decor.status import Status
 from sero_mj.viewer.decor.toggles import Toggles
 
@@ -27,11 +27,11 @@ def world_of(**fields: Any) -> World:
 
 def view_at(
     azimuth: float = 0.7, distance: float = 2.5, width: int = 1280, height: int = 800
-) -> PictureView:
+) -> ImageView:
     """A level look at the middle of a standing LWR."""
     forward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     up = np.array([0.0, 0.0, 1.0])
-    return PictureView(
+    return ImageView(
         position=np.array([0.0, 0.0, 0.6]) - distance * forward,
         right=np.cross(forward, up),
         up=up,
@@ -50,7 +50,7 @@ def toggles_of(world: World) -> Toggles:
     return toggles
 
 
-def drawn(world: World, view: PictureView | None = None, **shown: bool) -> Any:
+def drawn(world: World, view: ImageView | None = None, **shown: bool) -> Any:
     """The rows that decor draws for a world as declared, features set by name."""
     data = world.make_data()
     toggles = toggles_of(world)
@@ -70,7 +70,7 @@ def labels(rows: Any) -> list[str]:
     return [row["label"].decode() for row in of_kind(rows, GEOM.mjGEOM_LABEL)]
 
 
-def look(position: Any, at: Any, width: int = 1280, height: int = 800) -> PictureView:
+def look(position: Any, at: Any, width: int = 1280, height: int = 800) -> ImageView:
     """A view from one point to another; not for straight up or down."""
     position = np.array(position, float)
     forward = np.array(at, float) - position
@@ -79,7 +79,7 @@ def look(position: Any, at: Any, width: int = 1280, height: int = 800) -> Pictur
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
     tan = float(np.tan(np.deg2rad(22.5)))
-    return PictureView(position, right, up, forward, tan, 0.02, width, height)
+    return ImageView(position, right, up, forward, tan, 0.02, width, height)
 
 
 def turned(axis: Any, angle: float) -> Any:
@@ -104,14 +104,14 @@ def belonging(buffer: GeomBuffer, kind: Kind, item: int | None = None) -> Any:
     return buffer.rows[: buffer.count][these]
 
 
-def rectangle(view: PictureView, row: Any) -> tuple[Any, Any]:
+def rectangle(view: ImageView, row: Any) -> tuple[Any, Any]:
     """Lower left and upper right pixel of a panel."""
     half = row["mat"][:, :2] @ row["size"][:2]
     corners, _ = view.project(np.array([row["pos"] - half, row["pos"] + half], float))
     return corners[0], corners[1]
 
 
-def texts_in(view: PictureView, rows: Any, panel: Any) -> list[str]:
+def texts_in(view: ImageView, rows: Any, panel: Any) -> list[str]:
     """What is written on one panel, top first."""
     low, high = rectangle(view, panel)
     found = []

@@ -9,7 +9,7 @@ import numpy as np
 
 from sero_mj import SerialRobot, World
 from sero_mj.base.frames import Array
-from sero_mj.extensions.photo.photo_camera import PhotoCamera, PlanePicture
+from sero_mj.extensions.photo.photo_camera import PhotoCamera, PlaneImage
 from sero_mj.viewer.image.render import make_renderer
 
 POSE = [0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0]
@@ -47,7 +47,7 @@ def camera(lens: str = "barrel", size: tuple[int, int] = (640, 400)) -> PhotoCam
 
 def photo(world: World, data: mujoco.MjData, by: PhotoCamera) -> Array:
     """What it sees of a scene: drawn, and bent by OpenCV as the lens does."""
-    plane = PlanePicture(by, (4096, 4096))
+    plane = PlaneImage(by, (4096, 4096))
     renderer = make_renderer(world, *plane.size, is_draft=False)
     try:
         renderer.update_scene(data)

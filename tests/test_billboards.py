@@ -19,13 +19,13 @@ from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.robot_parts import ARROW_QUANTITIES, BillboardLine
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.viewer.decor import cards
+from sero_mj.viewer.decor import billboard_layout
 from sero_mj.viewer.decor.billboards import billboard_lines, joint_formats
-from sero_mj.viewer.decor.card_names import card_names, shortened, titles
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
+from sero_mj.viewer.decor.image_view import ImageView
+from sero_mj.viewer.decor.joint_titles import short_joint_names, shortened, titles
 from sero_mj.viewer.decor.layout import columns
-from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.decor.quantities import joint_values
 from sero_mj.viewer.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.viewer.decor.toggles import Toggles
@@ -36,7 +36,7 @@ from sero_mj.viewer.image.typesetting import Typesetter
 TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])
 
 
-def text_boxes(view: PictureView, rows) -> list[tuple[np.ndarray, np.ndarray]]:
+def text_boxes(view: ImageView, rows) -> list[tuple[np.ndarray, np.ndarray]]:
     """Pixel rectangle of every label, from its position and the font's widths."""
     boxes = []
     for row in of_kind(rows, GEOM.mjGEOM_LABEL):
@@ -169,7 +169,7 @@ def test_a_leader_runs_from_its_panel_to_its_joint(billboard_world) -> None:
 
 def test_a_joint_out_of_the_picture_has_no_billboard(billboard_world) -> None:
     behind = view_at()
-    turned = PictureView(
+    turned = ImageView(
         behind.position, -behind.right, behind.up, -behind.forward, 0.4, 0.02, 1280, 800
     )
     assert len(drawn(billboard_world, turned)) == 0
@@ -277,7 +277,7 @@ def test_long_names_are_shortened_in_the_middle_and_stay_distinct() -> None:
 def test_names_on_cards_are_without_what_repeats(
     robot: str, joints: list[str], expected: list[str]
 ) -> None:
-    assert card_names(joints, robot) == expected
+    assert short_joint_names(joints, robot) == expected
 
 
 def test_a_title_says_a_name_once() -> None:
@@ -424,7 +424,7 @@ def test_cards_leave_four_robots_free_where_the_picture_has_no_room_for_all() ->
         assert not within.all(axis=2).any()
         shown = [text for p in decor.panels if p.kind == Kind.LIMB for text in p.texts]
         assert 1 <= len(shown) <= 4
-        assert all(b"7 joints" in text[0] and b"most" in text[1] for text in shown)
+        assert all(b"7 joints" in text[0] and b"max" in text[1] for text in shown)
 
 
 def test_a_hand_has_one_card_that_says_which_joint_is_the_most_loaded() -> None:
@@ -452,7 +452,7 @@ def test_a_hand_has_one_card_that_says_which_joint_is_the_most_loaded() -> None:
         (lines,) = limbs.texts
         assert lines[0].split() == [b"hand", b"20", b"joints"]
         assert lines[1].endswith(b"  %.0f %%" % (100 * share[top]))
-        words = lines[1].decode().removeprefix("most ").rsplit("  ", 1)[0].partition("..")
+        words = lines[1].decode().removeprefix("max ").rsplit("  ", 1)[0].partition("..")
         assert label.startswith(words[0]) and label.endswith(words[2])
 
 
@@ -608,9 +608,11 @@ def test_cards_are_placed_anew_only_where_something_moves(monkeypatch) -> None:
     world = world_of(torques=TORQUES, show_billboards=True)
     data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
     placed = []
-    monkeypatch.setattr(cards, "columns", lambda *a, **k: placed.append(0) or columns(*a, **k))
+    monkeypatch.setattr(
+        billboard_layout, "columns", lambda *a, **k: placed.append(0) or columns(*a, **k)
+    )
 
-    def times_placed(view: PictureView) -> int:
+    def times_placed(view: ImageView) -> int:
         placed.clear()
         rows = decor.draw(data, toggles, view).rows[: decor.buffer.count]
         again = Decor(world).draw(data, toggles, view)
@@ -657,7 +659,7 @@ def test_cards_of_joints_without_data_are_not_called_the_most_loaded() -> None:
     def note() -> str:
         buffer = decor.draw(data, toggles, view)
         told = labels(buffer.rows[: buffer.count])
-        (found,) = [text for text in told if text.startswith("cards: ")]
+        (found,) = [text for text in told if text.startswith("billboards: ")]
         return found
 
     assert note().endswith(" of 27 joints")

@@ -20,9 +20,9 @@ from sero_mj.viewer.image.camera_motion import (
     orbit,
     read_camera_path,
 )
-from sero_mj.viewer.image.film_frames import film_frames
-from sero_mj.viewer.image.picture_options import FilmOptions
+from sero_mj.viewer.image.image_options import VideoOptions
 from sero_mj.viewer.image.render import HeadlessRenderer
+from sero_mj.viewer.image.video_frames import video_frames
 
 TIMES = np.array([0.0, 1.0, 1.5, 4.0, 5.0])
 VALUES = np.array([[0.0, 3.0], [2.0, 3.0], [2.5, -1.0], [2.6, 4.0], [2.6, 5.0]])
@@ -189,13 +189,13 @@ def test_pictures_follow_and_a_path_with_places_does_not(justin: World, tmp_path
         renderer.render(data)
         assert renderer.camera.lookat == pytest.approx(start + np.array([4.0, 0, 0]))
         with pytest.raises(UsageError, match="its look_at does not go with --follow justin"):
-            film_frames(None, renderer, 1, 1.0, FilmOptions(camera_path=file, follow="justin"))
-        film_frames(None, renderer, 1, 1.0, FilmOptions(camera_path=file))
+            video_frames(None, renderer, 1, 1.0, VideoOptions(camera_path=file, follow="justin"))
+        video_frames(None, renderer, 1, 1.0, VideoOptions(camera_path=file))
         drive(justin, data, 8.0, 0.1)
         renderer.render(data)
         assert renderer.camera.lookat[0] == pytest.approx(4.0 + start[0])
         with pytest.raises(UsageError, match="--orbit and --camera-path: both move the camera"):
-            film_frames(None, renderer, 1, 1.0, FilmOptions(camera_path=file, orbit=90))
+            video_frames(None, renderer, 1, 1.0, VideoOptions(camera_path=file, orbit=90))
 
 
 @pytest.mark.gl
@@ -207,7 +207,7 @@ def test_a_fixed_camera_does_not_turn() -> None:
         HeadlessRenderer(world, 32, 24, "front", "draft") as renderer,
         pytest.raises(UsageError, match=told),
     ):
-        film_frames(None, renderer, 1, 1.0, FilmOptions(orbit=90))
+        video_frames(None, renderer, 1, 1.0, VideoOptions(orbit=90))
 
 
 def test_a_fixed_camera_follows_nothing() -> None:

@@ -405,7 +405,7 @@ def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_pat
 def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) -> None:
     from PIL import Image
 
-    from sero_mj.viewer.image.render import render_picture
+    from sero_mj.viewer.image.render import render_image
 
     log = simulated().log
 
@@ -415,7 +415,7 @@ def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) 
         folder.mkdir()
         scene = compare_scene(align(log, shifted(log, **signals)))
         scene.robots["lwr"].show_billboards = False
-        render_picture(scene, folder / "x.png", size=(320, 200), wait=0.0)
+        render_image(scene, folder / "x.png", size=(320, 200), wait=0.0)
         r, g, b = np.moveaxis(np.asarray(Image.open(folder / "x.png").convert("RGB"), int), -1, 0)
         return (
             int(((g > r + 40) & (g > b + 20)).sum()),

@@ -13,7 +13,7 @@ from sero_mj.cli import main
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.degrees import FAR_BEYOND, degrees_warning, look_like_degrees
 from sero_mj.robots.declared.robot import SerialRobot
-from sero_mj.simulate.runs.run_recording import read_run_table
+from sero_mj.simulate.runs.tables import find_tables
 from sero_mj.simulate.scenario_file import read_scenario
 
 POSE = [0, 80, 0, -90, 0, 60, 0]  # degrees
@@ -117,6 +117,7 @@ def test_targets_beyond_the_limits_ask_about_degrees(
     assert all(("degrees" in str(each)) == asks for each in error.value.problems)
 
 
+@pytest.mark.extensions
 def test_a_table_in_degrees_is_warned_of_once_and_read(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -126,12 +127,13 @@ def test_a_table_in_degrees_is_warned_of_once_and_read(
     lines = [["time", *columns], *rows]
     table.write_text("\n".join(",".join(map(str, line)) for line in lines) + "\n")
     with caplog.at_level(logging.WARNING):
-        run = read_run_table(table, load_scene("lwr"))
+        run = find_tables(table).read_run(table, load_scene("lwr"), None, {})
     assert run.of("lwr", "joint_angles")[0].tolist() == POSE
     (record,) = caplog.records
     assert record.args[0] == table and record.args[1].startswith("lwr.A2: 80 rad")
 
 
+@pytest.mark.extensions
 @pytest.mark.parametrize("degrees", [False, True])
 def test_check_looks_at_all_of_a_recording(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], degrees: bool

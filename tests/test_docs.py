@@ -27,7 +27,7 @@ WITH_FPS = re.compile(r"(sero-mj (?:render|simulate) .*\.mp4)")  # `compare` has
 DURATION = re.compile(r"--duration [23]\b")
 SENDER = re.compile(r"(sero-mj send \w+)$", re.MULTILINE)
 LOOP = re.compile(r"\bbegin \+ 3\b")  # s, of a loop in Python
-FILM_IN_PYTHON = re.compile(r"(render_film\(.+)\)$", re.MULTILINE)
+FILM_IN_PYTHON = re.compile(r"(render_video\(.+)\)$", re.MULTILINE)
 # What a block writes: an option's or a command's file, or the text of a call in Python.
 OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xml|html|glb))")
 # A command with nothing that a shell would do for it.

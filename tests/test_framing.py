@@ -17,7 +17,7 @@ from sero_mj.robots.assemble.solids import geom_boxes, geom_corners
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.image_view import ImageView
 from sero_mj.viewer.image.camera import Navigator, find_camera
 from sero_mj.viewer.image.framing import Framing, stand_back
 from sero_mj.viewer.image.render import HeadlessRenderer
@@ -38,7 +38,7 @@ def corners_in_picture(
     scene = mujoco.MjvScene(world.model, maxgeom=0)
     mujoco.mjv_updateCamera(world.model, data, camera, scene)
     stand_back(scene, camera, *size, needed)
-    view = PictureView.of_scene(scene, *size)
+    view = ImageView.of_scene(scene, *size)
     points = geom_corners(world.model, data, world.geoms_in_view())
     return bool(view.sees(*view.project(points.reshape(-1, 3))).all())
 

@@ -8,7 +8,7 @@ import pytest
 from conftest import ROOT, import_script
 
 from sero_mj.base import paths
-from sero_mj.viewer.image.render import render_picture
+from sero_mj.viewer.image.render import render_image
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,5 @@ def test_every_shot_can_be_made_and_every_shipped_robot_is_shown(gallery):
 def test_a_shot_makes_its_picture(gallery, tmp_path):
     (shot,) = [shot for shot in gallery.SHOTS if shot.name == "flange_check"]
     file = tmp_path / "flange_check.png"
-    render_picture(
-        gallery.scene_of(shot), file, size=(300, 220), camera=shot.camera, quality="draft"
-    )
+    render_image(gallery.scene_of(shot), file, size=(300, 220), camera=shot.camera, quality="draft")
     assert file.stat().st_size > 5000

@@ -16,8 +16,8 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.scene import Camera, Scene, View
 from sero_mj.viewer.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, line_height
 from sero_mj.viewer.decor.geom_buffer import ARROW_SIZE_OF_LENGTH
+from sero_mj.viewer.decor.image_view import ImageView
 from sero_mj.viewer.decor.panels import PADDING
-from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.image import render
 from sero_mj.viewer.image.camera import Navigator, find_camera
 from sero_mj.viewer.image.framing import (
@@ -26,7 +26,7 @@ from sero_mj.viewer.image.framing import (
     needed_aspect,
     stand_back,
 )
-from sero_mj.viewer.image.render import HeadlessRenderer, render_picture
+from sero_mj.viewer.image.render import HeadlessRenderer, render_image
 
 pytestmark = pytest.mark.gl
 
@@ -224,7 +224,7 @@ def in_picture(world: World, camera: mujoco.MjvCamera, data: mujoco.MjData) -> b
     """Whether the middles of all geoms of the robot are in a square picture."""
     scene = mujoco.MjvScene(world.model, 10)
     mujoco.mjv_updateCamera(world.model, data, camera, scene)
-    view = PictureView.of_scene(scene, 600, 600)
+    view = ImageView.of_scene(scene, 600, 600)
     return bool(view.sees(*view.project(data.geom_xpos[world.geoms_in_view()])).all())
 
 
@@ -337,7 +337,7 @@ def test_a_fine_picture_is_smoother_and_has_the_same_size_panels_and_text(world)
 def test_a_fine_picture_says_its_resolution(quality, dpi, lwr, tmp_path) -> None:
     file = tmp_path / "lwr.png"
     scene, options = Scene(robots=[lwr]), {"size": (120, 90), "quality": quality}
-    render_picture(scene, file, **options, renderer="classic")
+    render_image(scene, file, **options, renderer="classic")
     with Image.open(file) as picture:
         assert picture.size == (120, 90)
         assert (dpi is None) == ("dpi" not in picture.info)
@@ -372,7 +372,7 @@ def test_robots_are_in_pictures_of_any_shape(name: str, size: tuple[int, int]) -
     scene = mujoco.MjvScene(world.model, maxgeom=0)
     mujoco.mjv_updateCamera(world.model, data, camera, scene)
     stand_back(scene, camera, *size, needed_aspect(world, camera))
-    view = PictureView.of_scene(scene, *size)
+    view = ImageView.of_scene(scene, *size)
     joints = world.joints.centre_site[: world.joints.of_robot]  # without doubles that have no pose
     pixels, depth = view.project(data.site_xpos[joints])
     assert view.sees(pixels, depth).all()

@@ -15,9 +15,9 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.assemble.gravity_torques import GravityTorques
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.viewer.image import film_frames
+from sero_mj.viewer.image import video_frames
 from sero_mj.viewer.image.held_torques import HeldTorques
-from sero_mj.viewer.image.render import render_film, render_picture
+from sero_mj.viewer.image.render import render_image, render_video
 from sero_mj.viewer.image.scene_decor import SceneDecor
 from sero_mj.viewer.player.capture import capture
 
@@ -79,7 +79,7 @@ def test_a_picture_shows_them_as_if_they_were_received(tmp_path: Path) -> None:
         (lwr(joint_angles=BENT, torques=held()), {"modelled": "1"}),
         (lwr(joint_angles=BENT), {"arrows": "0"}),
     ):
-        render_picture(scene, path, shown=shown, **SMALL)
+        render_image(scene, path, shown=shown, **SMALL)
         found.append(np.asarray(Image.open(path)).astype(int))
     assert np.array_equal(found[0], found[1])
     assert (np.abs(found[0] - found[2]).max(axis=2) > 50).sum() > 300
@@ -94,9 +94,9 @@ def test_a_film_shows_them_in_every_frame(tmp_path: Path, monkeypatch) -> None:
             torques.append(renderer.decor.toggles.modelled.all())
             yield pixels
 
-    drawn = film_frames._draw
-    monkeypatch.setattr(film_frames, "_draw", noted)
-    render_film(lwr(joint_angles=BENT), tmp_path / "a.gif", duration=0.2, fps=10, **SMALL)
+    drawn = video_frames._draw
+    monkeypatch.setattr(video_frames, "_draw", noted)
+    render_video(lwr(joint_angles=BENT), tmp_path / "a.gif", duration=0.2, fps=10, **SMALL)
     assert torques == [True, True]
 
 

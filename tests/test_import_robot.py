@@ -112,11 +112,11 @@ def test_an_imported_robot_is_the_same(folder: Path, name: str, capsys) -> None:
     assert size == {"tree": 3, "chain": 2}[name]
     listed = (folder / "my_arm.toml").read_text()
     assert f'structure = "{size}F{size}F"' in listed
-    assert "# The joints, in the order of packets:\n#   1 turn.table, 2 slide" in listed
-    follows = "# Not in packets, as they follow others (1):\n#   "
+    assert "# Order of the joints in packets:\n#   1 turn.table, 2 slide" in listed
+    follows = "# Coupled joints, not in packets (1):\n#   "
     assert (follows in listed) == robot.coupled.is_coupled
     text = (folder / "my_arm" / "robot.toml").read_text(encoding="utf-8")
-    assert text.startswith("#:schema ./robot.schema.json\n# Made of ")
+    assert text.startswith("#:schema ./robot.schema.json\n# Converted from ")
     assert ": joints 1 to 2, turn.table ... slide, on base, to lower\n" in text
     for limb, joints in robot.limb_joints.items():
         assert re.search(rf"^# - {limb}: joints? {joints[0] + 1}\b", text, re.MULTILINE)

@@ -21,7 +21,7 @@ from sero_mj.data.send.motion import CommonMotion
 from sero_mj.data.send.play import MotionPackets
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.simulate.scenario_file import read_scenario
-from sero_mj.viewer.decor.card_names import titles
+from sero_mj.viewer.decor.joint_titles import titles
 from sero_mj.viewer.decor.toggles import Toggles
 
 S = np.diag([1.0, -1.0, 1.0, 1.0])

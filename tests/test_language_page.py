@@ -16,7 +16,6 @@ from sero_mj.cli import main, structure
 from sero_mj.cli.options import read_options
 from sero_mj.data.receive.checksum import CRCS, SUMS
 from sero_mj.data.receive.language import KINDS, MAX_PACKET_BYTES, TYPES, parse
-from sero_mj.data.receive.sniffer import known_packets
 from sero_mj.data.receive.source import make_source
 from sero_mj.data.receive.structure import Structure
 
@@ -50,6 +49,7 @@ def test_python_on_the_page_runs() -> None:
 @pytest.mark.extensions
 def test_the_fri_packet_on_the_page_is_that_of_the_receiver() -> None:
     from sero_mj.extensions.fri.receiver import FriLayout
+    from sero_mj.extensions.sniff.guess import known_packets
 
     (table,) = (tomllib.loads(text)["sources"]["fri"] for text in blocks("toml"))
     layout = make_source("fri", table).layout

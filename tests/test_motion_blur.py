@@ -10,13 +10,13 @@ from sero_mj.data.drive.place import Placer
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.viewer.decor.picture_view import PictureView
-from sero_mj.viewer.image.film_frames import SHUTTER, SUBFRAMES, Exposure, film_frames
-from sero_mj.viewer.image.picture_options import FilmOptions
+from sero_mj.viewer.decor.image_view import ImageView
+from sero_mj.viewer.image.image_options import VideoOptions
 from sero_mj.viewer.image.render import HeadlessRenderer
+from sero_mj.viewer.image.video_frames import SHUTTER, SUBFRAMES, Exposure, video_frames
 
 AXES = np.eye(3)
-VIEW = PictureView(np.zeros(3), AXES[0], AXES[1], -AXES[2], 0.5, 0.01, 200, 100)
+VIEW = ImageView(np.zeros(3), AXES[0], AXES[1], -AXES[2], 0.5, 0.01, 200, 100)
 
 
 def test_the_mean_of_black_and_white_is_half_the_light() -> None:
@@ -97,7 +97,7 @@ def test_a_moving_arm_is_the_mean_of_its_pictures_in_linear_light(renderer, worl
     assert np.abs(255 * mean - blurred).max() < 2
 
 
-class FilmMirror:
+class VideoMirror:
     """As much of a mirror as films need: an arm that turns by an angle per second."""
 
     is_live = False
@@ -124,10 +124,10 @@ class FilmMirror:
 @pytest.mark.gl
 @pytest.mark.parametrize("quality", ["fine", "draft"])
 def test_a_film_opens_its_shutter_for_half_of_a_frame(world, quality: str) -> None:
-    mirror = FilmMirror(world, 2.0)
-    options = FilmOptions(size=(64, 48), quality=quality, camera="150,-14,2.2")
+    mirror = VideoMirror(world, 2.0)
+    options = VideoOptions(size=(64, 48), quality=quality, camera="150,-14,2.2")
     with HeadlessRenderer(world, 64, 48, options.camera, quality, renderer="classic") as renderer:
-        frames = [each.copy() for each in film_frames(mirror, renderer, 3, 10.0, options)]
+        frames = [each.copy() for each in video_frames(mirror, renderer, 3, 10.0, options)]
     assert len(frames) == 3
     count = SUBFRAMES if quality == "fine" else 1
     wanted = [(k + SHUTTER * j / SUBFRAMES) / 10 for k in range(3) for j in range(count)]
@@ -137,8 +137,8 @@ def test_a_film_opens_its_shutter_for_half_of_a_frame(world, quality: str) -> No
 
 @pytest.mark.gl
 def test_a_turntable_begins_at_the_view_and_turns_on(world) -> None:
-    mirror, angles = FilmMirror(world, 0.0), []
+    mirror, angles = VideoMirror(world, 0.0), []
     with HeadlessRenderer(world, 32, 24, "150,-14,2.2", "draft") as renderer:
-        for _ in film_frames(mirror, renderer, 8, 4.0, FilmOptions(orbit=180.0)):
+        for _ in video_frames(mirror, renderer, 8, 4.0, VideoOptions(orbit=180.0)):
             angles.append(renderer.camera.azimuth)
     assert angles == pytest.approx([150 + 22.5 * k for k in range(8)])

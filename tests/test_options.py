@@ -28,7 +28,7 @@ from sero_mj.base.options import (
 from sero_mj.cli.export import ExportOptions
 from sero_mj.cli.options import add_options, read_options
 from sero_mj.cli.record import RecordOptions
-from sero_mj.viewer.image.picture_options import FilmOptions, PictureOptions
+from sero_mj.viewer.image.image_options import ImageOptions, VideoOptions
 
 Picture = Annotated[Path, ending(".png", ".jpg")]
 
@@ -115,10 +115,10 @@ def test_what_is_not_given_has_its_default_and_is_known_as_not_given() -> None:
     plain = bake("cake")
     assert (plain.cake, plain.others, plain.kind, plain.hot) == ("cake", [], "short", False)
     assert (plain.duration, plain.size, plain.names, plain.port) == (30.0, (300, 200), [], None)
-    assert plain.given(*Bake.model_fields) == ["CAKE"]
+    assert plain.set_among(*Bake.model_fields) == ["CAKE"]
     same = bake("cake", "--duration", "30", "--for", "me")
     assert same.duration == plain.duration
-    assert same.given("duration", "names", "hot") == ["--duration", "--for"]
+    assert same.set_among("duration", "names", "hot") == ["--duration", "--for"]
 
 
 def test_text_becomes_what_is_declared() -> None:
@@ -213,28 +213,28 @@ def test_options_that_are_given_can_be_refused() -> None:
     ],
 )
 def test_clicks_are_text_or_values(clicks: list[Any], found: list[Any]) -> None:
-    assert PictureOptions(clicks=clicks).clicks == found
+    assert ImageOptions(clicks=clicks).clicks == found
 
 
 @pytest.mark.parametrize("click", ["3", "x,4", "3,4,5", "3,4,shift,double", "3,4,,"])
 def test_what_is_no_click_is_told(click: str) -> None:
     expected = "X,Y in pixels, or X,Y and shift, double, hover or touch"
     with raises_with(key="clicks.0", found=click, expected=expected):
-        PictureOptions(clicks=[click])
+        ImageOptions(clicks=[click])
 
 
 def test_switches_are_text_or_a_mapping() -> None:
     both = {"arrows": "1", "axes": "0101"}
-    assert PictureOptions(shown=["arrows=1", "axes=0101"]).shown == both
-    assert PictureOptions(shown=both).shown == both
-    assert PictureOptions(shown=None).shown == {}
+    assert ImageOptions(shown=["arrows=1", "axes=0101"]).shown == both
+    assert ImageOptions(shown=both).shown == both
+    assert ImageOptions(shown=None).shown == {}
     with raises_with(key="shown", reason="found 'arrows'; expected NAME=0 or NAME=1, arrows=1 say"):
-        PictureOptions(shown=["arrows"])
+        ImageOptions(shown=["arrows"])
 
 
 def test_options_take_from_others_what_they_know() -> None:
-    film = FilmOptions(size=(64, 48), duration=2.0, camera="top")
-    picture = PictureOptions.taken_from(film)
+    film = VideoOptions(size=(64, 48), duration=2.0, camera="top")
+    picture = ImageOptions.taken_from(film)
     assert (picture.size, picture.camera) == ((64, 48), "top")
     assert "duration" not in vars(picture)
 

@@ -16,13 +16,13 @@ from sero_mj.base.errors import UnknownName, UsageError
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
-from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.image_view import ImageView
 from sero_mj.viewer.decor.toggles import Toggles
 
 EVERYWHERE = look((2.0, -2.0, 1.5), (0.0, 0.0, 0.4))
 
 
-def drawn(overlay: Any, view: PictureView = EVERYWHERE) -> GeomBuffer:
+def drawn(overlay: Any, view: ImageView = EVERYWHERE) -> GeomBuffer:
     """What decor draws of an overlay."""
     return Decor(overlay.world).draw(overlay.data, overlay.toggles, view)
 
@@ -329,7 +329,8 @@ def test_cards_do_not_cover_each_other(size: tuple[int, int], count: int) -> Non
     cards = sum(len(p.texts) for p in found if p.has_values)
     notes = [line for p in found for lines in p.texts for line in lines if b" of 60 " in line]
     assert cards == 6 if count == 6 else 4 < cards < 48
-    assert notes == ([] if count == 6 else [b"cards: %d of 60 joints, the most loaded" % cards])
+    expected = [b"billboards: %d of 60 joints, the most loaded" % cards]
+    assert notes == ([] if count == 6 else expected)
 
 
 def test_cards_are_of_the_most_loaded_joints_and_stay() -> None:

@@ -17,7 +17,7 @@ from PIL import Image
 import sero_mj
 from sero_mj.base.errors import RenderError
 from sero_mj.robots.assemble.world import World
-from sero_mj.viewer.image.film import Picture
+from sero_mj.viewer.image.image_files import ImageArray
 from sero_mj.viewer.image.render import HeadlessRenderer
 
 pytestmark = pytest.mark.gl
@@ -285,7 +285,7 @@ def test_what_the_user_changes_is_in_the_next_picture(overlay: Any) -> None:
 
 def test_a_notebook_shows_an_overlay_and_every_picture(overlay: Any) -> None:
     picture = overlay.image(200, 100)
-    assert isinstance(picture, Picture) and isinstance(picture, np.ndarray)
+    assert isinstance(picture, ImageArray) and isinstance(picture, np.ndarray)
     shown = np.asarray(Image.open(io.BytesIO(picture._repr_png_() or b"")))
     assert np.array_equal(shown, picture)
     assert picture[10, 10]._repr_png_() is None  # a pixel is numbers

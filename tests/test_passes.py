@@ -19,7 +19,7 @@ from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Object, Scene
 from sero_mj.viewer.image.passes import palette, save_depth, save_segmentation
-from sero_mj.viewer.image.render import HeadlessRenderer, render_film, render_picture
+from sero_mj.viewer.image.render import HeadlessRenderer, render_image, render_video
 
 POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])
 SIZE = (321, 240)
@@ -142,7 +142,7 @@ def test_a_picture_is_the_same_after_its_passes(world, data) -> None:
 def test_pass_files_hold_the_arrays(world, data, tmp_path, suffix: str) -> None:
     files = {which: tmp_path / f"{which}{suffix}" for which in ("segmentation", "depth")}
     for which, path in files.items():
-        render_picture(world.scene, path, size=SIZE, render_pass=which)
+        render_image(world.scene, path, size=SIZE, render_pass=which)
     with HeadlessRenderer(world, *SIZE) as renderer:
         parts, depth, names = renderer.segmentation(data), renderer.depth(data), renderer.part_names
     legend = json.loads((tmp_path / "segmentation.parts.json").read_text())
@@ -192,9 +192,9 @@ def test_passes_are_not_written_where_numbers_would_change(lwr, tmp_path) -> Non
     scene = Scene(robots=[lwr])
     for path in ("parts.jpg", "parts.webp"):
         with pytest.raises(RenderError, match=r"\.png, \.npy"):
-            render_picture(scene, tmp_path / path, render_pass="segmentation")
+            render_image(scene, tmp_path / path, render_pass="segmentation")
     with pytest.raises(RenderError, match="films change colours"):
-        render_film(scene, tmp_path / "film.mp4", render_pass="depth")
+        render_video(scene, tmp_path / "film.mp4", render_pass="depth")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -15,11 +15,11 @@ from conftest import raises_with
 from polling import until
 from recordings import begin, record
 
-from sero_mj.base.errors import CsvError, RecordingError, UsageError
+from sero_mj.base.errors import RecordingError, UsageError
 from sero_mj.cli import main
 from sero_mj.data.receive.shm import ShmReader
 from sero_mj.data.receive.structure import Structure
-from sero_mj.data.send.playback import RecordedPackets, TablePackets, timed
+from sero_mj.data.send.playback import RecordedPackets, timed
 
 LAYOUT = Structure("2F1V1M")  # what `recordings` declares
 PACKETS = [
@@ -147,73 +147,9 @@ def test_which_source_has_to_be_clear(tmp_path: Path) -> None:
         RecordedPackets(path, "arm")
 
 
-# ---- tables
-
-
-def test_columns_are_called_like_the_numbers_of_a_packet(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("values0[1],time,values0[0],values1[0]\n1,5.0,0,2\n3,5.25,0,4\n")
-    found = TablePackets(path, Structure("2F1F2F"))
-    (first, one), (second, two) = found.packets()
-    assert (first, second, found.duration) == (0.0, 0.25, 0.25)
-    assert struct.unpack("<5d", one) == (0, 1, 2, 0, 0)
-    assert struct.unpack("<5d", two) == (0, 3, 4, 0, 0)
-
-
-@pytest.mark.parametrize("head", ["", "left,right,force\n"])
-def test_other_names_and_none_are_all_numbers_in_order(tmp_path: Path, head: str) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text(f"{head}1,2,3\n4,5,6\n")
-    found = TablePackets(path, Structure("2F1h"), rate=50)
-    assert [(t, *struct.unpack("<ddh", packet)) for t, packet in found.packets()] == [
-        (0.0, 1, 2, 3),
-        (0.02, 4, 5, 6),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("a,b\n1,2\n", "found 2 columns beside time: a, b, ...; expected 3 for '3F', or "
-         "values0[0], values0[1], values0[2], ..."),
-        ("values0[0],values0[7]\n1,2\n", "'3F' has no such number; did you mean 'values0[2]'?"),
-    ],
-)  # fmt: skip
-def test_columns_that_do_not_fit_are_told(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text(text)
-    with pytest.raises(CsvError) as caught:
-        TablePackets(path, Structure("3F"), rate=1)
-    assert message in str(caught.value) and str(path) in str(caught.value)
-
-
-def test_an_event_of_which_numbers_are_missing_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("values0[0],values0[2],values1[0]\n1,2,3\n")
-    with pytest.raises(CsvError) as caught:
-        TablePackets(path, Structure("7F1F"), rate=1)
-    assert str(caught.value) == (
-        f"{path}: has 2 of the 7 numbers of values0; no column is called values0[1], values0[3], "
-        "values0[4], values0[5], ..."
-    )
-
-
-def test_events_that_are_not_there_are_told_and_frames_are_frames(
-    tmp_path: Path, recording: Path
-) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("values0[0],values0[1]\n1,2\n")
-    structure = Structure("2F1M1V1H=7 1F")
-    note = (
-        "what is not there is sent all the same: vectors0, values1 as zeros, matrices0 as identity"
-    )
-    found = TablePackets(path, structure, rate=1)
-    assert found.notes == [note]
-    ((_, packet),) = found.packets()
-    assert structure.decode(packet)["matrices0"][0].tolist() == np.eye(4).tolist()
-    assert TablePackets(path, Structure("2F1H=7"), rate=1).notes == []
+def test_missing_events_are_reported(recording: Path) -> None:
     again = RecordedPackets(recording, structure=Structure("2F1M1F"))
-    assert again.notes == ["what is not there is sent all the same: values1 as zeros"]
+    assert again.notes == ["missing events: values1 (sent as zeros)"]
 
 
 # ---- times
@@ -244,6 +180,7 @@ def test_the_command_sends_a_recording(
     assert re.search(r"^sent 6 packets in 0\.\d+ s .* late by \d+ us \(median\)", out, re.MULTILINE)
 
 
+@pytest.mark.extensions
 def test_the_command_sends_a_table_that_it_has_exported(
     recording: Path, tmp_path: Path, listener: socket.socket
 ) -> None:

@@ -19,15 +19,11 @@ from runs import simulated
 
 from sero_mj.base.errors import RenderError, UsageError
 from sero_mj.load import load_scene
-from sero_mj.robots.declared.scene import Scene
-from sero_mj.robots.declared.surroundings import Object
 from sero_mj.study import run_report
 from sero_mj.study.run_marks import marks_of
 from sero_mj.viewer.decor.geom_buffer import Kind
-from sero_mj.viewer.player import gltf as gltf_module
 from sero_mj.viewer.player.capture import capture
 from sero_mj.viewer.player.encode import encode
-from sero_mj.viewer.player.gltf import write_glb
 from sero_mj.viewer.player.page import write_page
 
 
@@ -84,38 +80,6 @@ def test_marks_are_what_was_done_found_and_expected() -> None:
     assert {m.kind for m in marks if ": " in m.text} <= {"held", "failed", "finding"}
     assert len([m for m in marks if m.kind in ("held", "failed")]) == len(expected)
     assert marks_of(scene, 3.5) != marks
-
-
-def test_a_glb_has_a_node_for_each_body_that_is_seen_and_moves_them(tmp_path: Path) -> None:
-    pygltflib = pytest.importorskip("pygltflib")
-    found = capture(load_scene("impedance_push"), fps=10, begin=1.0, seconds=0.5)
-    write_glb(found, tmp_path / "push.glb")
-    gltf = pygltflib.GLTF2().load(str(tmp_path / "push.glb"))
-    names = {node.name for node in gltf.nodes}
-    assert {"world", "lwr/link1", "lwr/link7"} <= names
-    moved = {gltf.nodes[c.target.node].name for c in gltf.animations[0].channels}
-    assert "lwr/link3" in moved and "world" not in moved
-    assert gltf.accessors[gltf.animations[0].samplers[0].input].count == found.frames
-
-
-def test_a_mesh_that_geoms_share_is_made_once_for_a_glb(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pygltflib = pytest.importorskip("pygltflib")
-    ball = '<mujoco><asset><mesh name="m" builtin="sphere" params="2"/></asset><worldbody>'
-    ball += '<geom type="mesh" mesh="m"/>' * 3 + "</worldbody></mujoco>"
-    scene = Scene(objects=[Object(name="ball", mjcf=ball)])
-    corners, made = gltf_module._corners, []
-    monkeypatch.setattr(
-        gltf_module, "_corners", lambda model, geom: made.append(geom) or corners(model, geom)
-    )
-    write_glb(capture(scene), tmp_path / "ball.glb")
-    assert len(made) == 1
-    # Meshes of different names are as often equal.
-    found = capture(load_scene("justin"), seconds=0.0, wait=0.0)
-    write_glb(found, tmp_path / "justin.glb")
-    gltf = pygltflib.GLTF2().load(str(tmp_path / "justin.glb"))
-    assert len(gltf.meshes) < 0.7 * len(found.geoms)
 
 
 def test_the_legend_has_the_scale_of_an_arrow_while_the_arrow_is_there() -> None:

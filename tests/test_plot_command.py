@@ -19,7 +19,7 @@ from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.runs.run_csv import write_run_csv
 from sero_mj.simulate.runs.run_log import RunLog
-from sero_mj.simulate.runs.run_recording import read_run_table
+from sero_mj.simulate.runs.tables import find_tables
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +65,7 @@ def test_joints_and_times_are_chosen(folder: Path, tmp_path: Path) -> None:
     assert 0.1 <= float(peak.split()[3]) <= 0.3
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 @pytest.mark.slow
 def test_several_recordings_are_pages(folder: Path, tmp_path: Path) -> None:
@@ -76,6 +77,7 @@ def test_several_recordings_are_pages(folder: Path, tmp_path: Path) -> None:
     assert plot(run, run, "-o", tmp_path / "x.png") == 2
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 @pytest.mark.slow
 def test_a_table_is_the_same_run(folder: Path, tmp_path: Path) -> None:
@@ -110,6 +112,7 @@ def test_what_is_not_there_is_told(
     assert not (tmp_path / "x.png").exists()
 
 
+@pytest.mark.extensions
 def test_what_is_no_figure_or_no_table_is_told(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -129,14 +132,14 @@ def test_what_is_no_figure_or_no_table_is_told(
         reason="found the columns a, b[0]; expected 2 columns with joint angles, as "
         '--columns "joint_angles=NAME,NAME,..." tells',
     ):
-        read_run_table(table, Scene(robots=[two_joints()]))
+        find_tables(table).read_run(table, Scene(robots=[two_joints()]), None, {})
     with raises_with(
         CsvError,
         path=f"{tmp_path}/t.csv",
         reason="found the columns a, b[0]; expected columns with joint angles, as "
         '--columns "joint_angles=b[*]" tells',
     ):
-        read_run_table(table, Scene())
+        find_tables(table).read_run(table, Scene(), None, {})
     source = UdpReceiver(name="udp", structure="measured:2F commanded:2F", port=32000)
     scene = Scene(
         robots=[two_joints()], sources={"udp": source}, routes={"arm.torques": "udp.measured"}
@@ -149,7 +152,7 @@ def test_what_is_no_figure_or_no_table_is_told(
         "commanded[0], commanded[1]; expected 2 columns with joint angles, as "
         '--columns "joint_angles=commanded[*]" tells',
     ):
-        read_run_table(table, scene)
+        find_tables(table).read_run(table, scene, None, {})
 
 
 def test_robots_without_torques_are_left_out_of_a_plot_of_all(tmp_path: Path) -> None:

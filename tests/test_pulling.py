@@ -23,7 +23,7 @@ from sero_mj.simulate.save_pushes import save_pushes
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.simulate.tools.pulling import Pulling, target_of
-from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.image_view import ImageView
 from sero_mj.viewer.image.render import HeadlessRenderer
 from sero_mj.viewer.session.clock import Clock
 
@@ -202,7 +202,7 @@ def test_samples_hold_until_the_next_and_the_end() -> None:
 
 def test_the_pointer_pulls_in_the_plane_of_the_picture_through_the_point() -> None:
     forward = np.array([0.0, 0.6, -0.8])
-    view = PictureView(
+    view = ImageView(
         position=np.array([1.0, -2.0, 3.0]), right=np.array([1.0, 0, 0]),
         up=np.array([0, 0.8, 0.6]), forward=forward, tan_half_fovy=0.4, near=0.01, width=640,
         height=480,

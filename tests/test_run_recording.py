@@ -23,10 +23,11 @@ from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.declared.scene_file import read_scene_file
 from sero_mj.simulate.log_output import RunRecorder
-from sero_mj.simulate.runs._recorded_signals import spread_bunches
+from sero_mj.simulate.runs.recorded_signals import spread_bunches
 from sero_mj.simulate.runs.run_csv import write_run_csv
 from sero_mj.simulate.runs.run_log import event_of
-from sero_mj.simulate.runs.run_recording import read_run, read_run_table
+from sero_mj.simulate.runs.run_recording import read_run
+from sero_mj.simulate.runs.tables import find_tables
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulated_scene import SOURCE, simulated_scene
 from sero_mj.simulate.simulation import Simulation
@@ -405,6 +406,7 @@ structure = "7F7F"
 # ---- files of before, in which measured angles and velocities had other names
 
 
+@pytest.mark.extensions
 def test_an_old_recording_is_the_same_run(tmp_path: Path) -> None:
     new = read_run(record_run(simulated(), tmp_path / "new.mcap"))
     old = read_run(record_run(simulated(), tmp_path / "old.mcap", is_old=True))
@@ -421,6 +423,7 @@ def exported(recording: Path) -> Path:
     return table
 
 
+@pytest.mark.extensions
 def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_from(
     tmp_path: Path,
 ) -> None:
@@ -428,7 +431,7 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
     run = read_run(record_run(simulation, tmp_path / "simulated.mcap"))
     write_run_csv(simulation.layout, simulation.rows, tmp_path / "rows.csv")
     for table in (tmp_path / "rows.csv", exported(tmp_path / "simulated.mcap")):
-        log = read_run_table(table, simulation.scenario.scene)
+        log = find_tables(table).read_run(table, simulation.scenario.scene, None, {})
         np.testing.assert_array_equal(log.times, run.times)
         for signal in ("joint_angles", "joint_velocities", "torques", "commanded_torques"):
             np.testing.assert_array_equal(log.of("lwr", signal), run.of("lwr", signal))
@@ -443,7 +446,7 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
     files = {"scene.toml": DEGREES}
     recording = record_packets(tmp_path / "robot.mcap", "7F7F", rows, times, files)
     expected, table = read_run(recording), exported(recording)
-    found = read_run_table(table, load_scene(str(path)))
+    found = find_tables(table).read_run(table, load_scene(str(path)), None, {})
     np.testing.assert_allclose(found.times, expected.times, atol=1e-9)
     for signal in ("joint_angles", "joint_velocities", "torques"):
         np.testing.assert_allclose(found.of("lwr", signal), expected.of("lwr", signal), rtol=1e-6)
@@ -455,8 +458,10 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
             f"{tmp_path}/robot.csv matches udp, other; select one, for example with --source udp"
         ),
     ):
-        read_run_table(table, load_scene(str(path)))
-    assert read_run_table(table, load_scene(str(path)), "udp").robots.keys() == {"lwr"}
+        find_tables(table).read_run(table, load_scene(str(path)), None, {})
+    assert find_tables(table).read_run(table, load_scene(str(path)), "udp", {}).robots.keys() == {
+        "lwr"
+    }
     with raises_with(
         CsvError,
         path=f"{tmp_path}/robot.csv",
@@ -465,11 +470,12 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
             "lwr.torques; expected lwr.joint_angles"
         ),
     ):
-        read_run_table(table, load_scene(str(path)), "other")
+        find_tables(table).read_run(table, load_scene(str(path)), "other", {})
     with raises_with(UsageError, reason="no source", found="upd", of="in the scene", near="udp"):
-        read_run_table(table, load_scene(str(path)), "upd")
+        find_tables(table).read_run(table, load_scene(str(path)), "upd", {})
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     "arguments",
@@ -484,13 +490,17 @@ def test_commands_for_recordings_take_tables(arguments: list[str], tmp_path: Pat
     assert not ended.value.code
 
 
+@pytest.mark.extensions
 def test_an_old_table_is_the_same_run(tmp_path: Path) -> None:
     scene = simulated().scenario.scene
     write_run_csv(simulated().layout, simulated().rows, tmp_path / "new.csv")
     text = (tmp_path / "new.csv").read_text()
     assert "lwr_joint_angles[0]" in text
     (tmp_path / "old.csv").write_text(in_old_words(text))
-    new, old = (read_run_table(tmp_path / f"{name}.csv", scene) for name in ("new", "old"))
+    new, old = (
+        find_tables(tmp_path / f"{name}.csv").read_run(tmp_path / f"{name}.csv", scene, None, {})
+        for name in ("new", "old")
+    )
     assert new.signals.keys() == old.signals.keys() >= {"lwr_joint_angles", "lwr_joint_velocities"}
 
 

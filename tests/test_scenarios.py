@@ -265,6 +265,7 @@ def test_a_force_acts_by_its_profile() -> None:
 # ---- recorded motions
 
 
+@pytest.mark.extensions
 def test_a_recorded_motion_is_followed_again(tmp_path: Path) -> None:
     swing = {"lwr": {"kind": "sine", "amplitude_deg": 10.0, "frequency": 0.5}}
     first = Simulation(scenario(targets=swing, duration=2.0))
@@ -284,6 +285,7 @@ def test_a_recorded_motion_is_followed_again(tmp_path: Path) -> None:
         assert np.abs(target[100:1900] - first.log.of("lwr", "joint_angles")[100:1900]).max() < 0.02
 
 
+@pytest.mark.extensions
 @pytest.mark.parametrize(
     ("text", "message"),
     [

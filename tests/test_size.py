@@ -6,6 +6,8 @@ import ast
 from collections import Counter
 from pathlib import Path
 
+from syntax import nodes_of
+
 import sero_mj
 
 PACKAGE = Path(sero_mj.__file__).parent
@@ -24,7 +26,7 @@ def test_classes_have_few_methods() -> None:
     too_large = {
         f"{path.relative_to(PACKAGE)}: {node.name}": count
         for path, source in modules().items()
-        for node in ast.walk(ast.parse(source))
+        for node in nodes_of(source)
         if isinstance(node, ast.ClassDef)
         and (count := sum(isinstance(each, ast.FunctionDef) for each in node.body)) > MAX_METHODS
     }
@@ -43,7 +45,7 @@ def test_private_modules_are_imported_in_their_folder_only() -> None:
         if path.stem.startswith("_") and not path.stem.startswith("__")
     }
     for path, source in modules().items():
-        for node in ast.walk(ast.parse(source)):
+        for node in nodes_of(source):
             if isinstance(node, ast.ImportFrom):
                 for name in [*(node.module or "").split("."), *(each.name for each in node.names)]:
                     assert private.get(name, path.parent) == path.parent, f"{path}: {name}"

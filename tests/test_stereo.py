@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from window_tools import MISSING, SIZE, Driven, screen
 
-from sero_mj import HeadlessRenderer, Scene, SerialRobot, World, render_film, render_picture
+from sero_mj import HeadlessRenderer, Scene, SerialRobot, World, render_image, render_video
 from sero_mj.base.errors import RenderError
 from sero_mj.base.frames import Array
 from sero_mj.cli import main
@@ -127,12 +127,12 @@ def test_numbers_are_at_the_same_pixels_for_both_eyes_and_as_without_stereo() ->
 def test_pictures_and_films_of_a_scene_are_written_for_two_eyes(tmp_path: Path) -> None:
     scene = Scene(robots=[lwr()])
     small = {"size": (160, 100), "quality": "draft", "stereo": "side-by-side"}
-    render_picture(scene, tmp_path / "a.png", **small)  # type: ignore[arg-type]
+    render_image(scene, tmp_path / "a.png", **small)  # type: ignore[arg-type]
     pixels = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
     assert pixels.shape == (100, 160, 3)
     assert np.abs(pixels[:, :80] - pixels[:, 80:]).max() > 20
     options = {**small, "stereo": "anaglyph", "duration": 0.1}
-    render_film(scene, tmp_path / "a.mp4", **options)  # type: ignore[arg-type]
+    render_video(scene, tmp_path / "a.mp4", **options)  # type: ignore[arg-type]
     assert (tmp_path / "a.mp4").stat().st_size > 1000
 
 

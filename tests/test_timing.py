@@ -10,7 +10,7 @@ from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.data.receive._tracking import Timing
+from sero_mj.data.receive.tracking import Timing
 
 _GAPS = st.floats(0.0, 0.1) | st.sampled_from([0.0, 1.9, 2.1, 11.0])
 

@@ -7,8 +7,8 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from sero_mj.viewer.decor.card_names import card_names
 from sero_mj.viewer.decor.font import drawable, line_of, value_columns
+from sero_mj.viewer.decor.joint_titles import short_joint_names
 from sero_mj.viewer.decor.panels import Panels
 from sero_mj.viewer.image.typesetting import (
     PlacedPanel,
@@ -134,8 +134,8 @@ def test_lines_are_cut_between_characters() -> None:
 
 
 def test_cards_have_names_that_can_be_drawn() -> None:
-    assert card_names(["hüfte", "knie"], "bein") == ["hüfte", "knie"]
-    assert card_names(["a", "\ue000\ue001"], "bein") == ["a", "joint 2"]
+    assert short_joint_names(["hüfte", "knie"], "bein") == ["hüfte", "knie"]
+    assert short_joint_names(["a", "\ue000\ue001"], "bein") == ["a", "joint 2"]
 
 
 def test_the_licence_is_beside_the_typeface() -> None:

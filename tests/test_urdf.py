@@ -540,9 +540,9 @@ def test_numbers_that_make_no_sense_cost_themselves_alone(tmp_path: Path) -> Non
     told = [each for each in read.warnings if each not in whole.warnings]
     assert told == [
         "<inertial> without <mass value=...>, taken for none: link 'upper' (line 17)",
-        "damping is taken for 1e+09, the most: joint 'turn.table' (line 14)",
+        "damping is clipped to 1e+09: joint 'turn.table' (line 14)",
         "more than 3 numbers in xyz, the first are taken: joint 'sensor_joint' (line 23)",
-        "limits of 1000 m or rad and more are taken for none: 'slide' (line 32)",
+        "limits of 1000 rad or m and more are ignored: 'slide' (line 32)",
         "joints whose limits are in the wrong order are taken as without limits: 'finger a' "
         "(line 37)",
     ]

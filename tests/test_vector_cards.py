@@ -1,4 +1,4 @@
-"""Cards of smart arrows, and the scale that the legend states."""
+"""Billboards of smart arrows, and the scale that the legend states."""
 
 import re
 

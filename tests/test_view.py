@@ -1,4 +1,4 @@
-"""`PictureView`: projection there and back, and against MuJoCo's own camera."""
+"""`ImageView`: projection there and back, and against MuJoCo's own camera."""
 
 import mujoco
 import numpy as np
@@ -7,7 +7,7 @@ from decor_tools import view_at
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.image_view import ImageView
 
 
 @given(
@@ -55,7 +55,7 @@ def test_a_view_of_a_scene_is_mujocos_own_camera() -> None:
     mujoco.mjv_updateScene(
         model, data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, scene
     )
-    view = PictureView.of_scene(scene, 640, 480)
+    view = ImageView.of_scene(scene, 640, 480)
     assert view.position == pytest.approx(data.cam_xpos[0], abs=1e-6)
     assert view.facing == pytest.approx(data.cam_xmat[0].reshape(3, 3), abs=1e-6)
     assert 2 * np.arctan(view.tan_half_fovy) == pytest.approx(np.deg2rad(33), rel=1e-5)

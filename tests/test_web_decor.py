@@ -23,7 +23,7 @@ from sero_mj.robots.declared.cartesian import SmartArrow
 from sero_mj.robots.declared.scene import SceneToggles
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
-from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.image_view import ImageView
 from sero_mj.viewer.decor.round_arrows import ARROW_GEOMS
 from sero_mj.viewer.decor.scene_writer import SceneWriter
 from sero_mj.viewer.decor.toggles import Toggles
@@ -112,7 +112,7 @@ def buffer_of(
     scene, free = mujoco.MjvScene(world.model, 1000), find_camera(world, camera)
     everything = int(mujoco.mjtCatBit.mjCAT_ALL)
     mujoco.mjv_updateScene(world.model, data, mujoco.MjvOption(), None, free, everything, scene)
-    view = PictureView.of_scene(scene, *SIZE)
+    view = ImageView.of_scene(scene, *SIZE)
     return Decor(world, arrow_geoms=most).draw(data, Toggles(world), view)
 
 

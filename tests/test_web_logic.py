@@ -17,8 +17,8 @@ from sero_mj.base.errors import DeclarationError, RenderError, UsageError
 from sero_mj.cli import main
 from sero_mj.cli.view import Session, ViewOptions, wants_page
 from sero_mj.viewer.decor.font import DEFAULT_FONT
+from sero_mj.viewer.decor.image_view import ImageView
 from sero_mj.viewer.decor.panels import labels_at
-from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.session.keys import help_columns
 from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.web.page_state import card_lines
@@ -37,8 +37,8 @@ def test_lines_are_as_wide_as_their_characters() -> None:
     assert DEFAULT_FONT.line_widths(lines).tolist() == [DEFAULT_FONT.width(line) for line in lines]
 
 
-def picture_view(**options: Any) -> PictureView:
-    return PictureView(
+def image_view(**options: Any) -> ImageView:
+    return ImageView(
         position=np.array([0.0, -3.0, 0.5]),
         right=np.array([1.0, 0.0, 0.0]),
         up=np.array([0.0, 0.0, 1.0]),
@@ -52,7 +52,7 @@ def picture_view(**options: Any) -> PictureView:
 
 
 def test_panels_stay_clear_of_what_the_host_covers() -> None:
-    view = picture_view(inset=(300.0, 50.0, 100.0, 20.0))
+    view = image_view(inset=(300.0, 50.0, 100.0, 20.0))
     wanted = np.array([[0.0, 0.0], [790.0, 599.0], [400.0, 300.0]])
     centres, sizes = labels_at(view, wanted, [[b"one"], [b"two"], [b"three"]])
     low, high = centres - sizes / 2, centres + sizes / 2

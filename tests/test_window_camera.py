@@ -9,7 +9,7 @@ import pytest
 from sero_mj import Scene, SerialRobot, View, World
 from sero_mj.base.errors import UnknownName
 from sero_mj.robots.declared.surroundings import Camera as SceneCamera
-from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.image_view import ImageView
 from sero_mj.viewer.image.camera import Navigator
 from sero_mj.viewer.image.framing import axes
 
@@ -21,12 +21,12 @@ def world() -> World:
     return World(Scene(robots=[robot], cameras=cameras, view=View(distance=2.0)))
 
 
-def view_of(world: World, data: mujoco.MjData, camera: mujoco.MjvCamera) -> PictureView:
+def view_of(world: World, data: mujoco.MjData, camera: mujoco.MjvCamera) -> ImageView:
     scene = mujoco.MjvScene(world.model, maxgeom=2000)
     everything = mujoco.mjtCatBit.mjCAT_ALL
     option = mujoco.MjvOption()
     mujoco.mjv_updateScene(world.model, data, option, None, camera, everything, scene)
-    return PictureView.of_scene(scene, 800, 600)
+    return ImageView.of_scene(scene, 800, 600)
 
 
 def test_a_pan_keeps_what_is_looked_at_under_the_pointer(world: World) -> None:

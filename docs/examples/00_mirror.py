@@ -28,7 +28,7 @@ def send() -> None:
 
 thread = threading.Thread(target=send)
 thread.start()
-silent = sero_mj.render_picture(scene, "00_mirror.webp", size=(640, 400))
+silent = sero_mj.render_image(scene, "00_mirror.webp", size=(640, 400))
 stop.set()
 thread.join()
 print("sources without data:", silent)

@@ -15,4 +15,4 @@ for outcome in simulation.outcomes():
 
 # `load_scene` shows a scenario as a scene that simulates it.
 scene = sero_mj.load_scene("impedance_push")
-sero_mj.render_picture(scene, "01_simulate.webp", at=2.5, size=(640, 400))
+sero_mj.render_image(scene, "01_simulate.webp", at=2.5, size=(640, 400))

@@ -11,6 +11,6 @@ print(
 )
 
 # The same view as an image
-sero_mj.render_picture(
+sero_mj.render_image(
     scene, "06_page.webp", at=1.6, size=(640, 400), camera="120,-20,2.6"
 )

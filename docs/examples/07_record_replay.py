@@ -13,7 +13,7 @@ from sero_mj import (
     SerialRobot,
     UdpReceiver,
     record_sources,
-    render_picture,
+    render_image,
 )
 
 robot = SerialRobot.from_model("fr3", show_arrows=True)
@@ -36,4 +36,4 @@ with (
 recorded = Replay(file=Path("run.mcap"))
 print(f"{recorded.duration:.2f} s recorded")
 replayed = Scene(robots=[robot], sources={"udp": recorded}, routes=routes)
-render_picture(replayed, "07_record_replay.webp", at=0.5, size=(640, 400))
+render_image(replayed, "07_record_replay.webp", at=0.5, size=(640, 400))

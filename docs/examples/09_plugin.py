@@ -35,4 +35,4 @@ class Load(Feature):
 
 pose, torques = [0, 0.6, 0, -1.2, 0, 1.2, 0], [0, -60, 5, 35, 0, -8, 0]
 lwr = sero_mj.SerialRobot.from_model("lwr", joint_angles=pose, torques=torques)
-sero_mj.render_picture(sero_mj.Scene(robots=[lwr]), "09_plugin.webp", size=(640, 400))
+sero_mj.render_image(sero_mj.Scene(robots=[lwr]), "09_plugin.webp", size=(640, 400))

@@ -284,15 +284,15 @@ def replay_instead(
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
-    from ..data.drive.table_scene import lead_by_table
     from ..data.drive.wiring import topics_of
+    from ..data.record.csv_files import is_table, parse_columns
     from ..data.record.formats import look_into
-    from ..data.record.table import is_table
-    from ..data.record.table_signals import parse_columns
     from ..simulate.runs.run_log import routes_from_recording
 
     if is_table(file):
-        lead_by_table(scene, file, parse_columns(columns), start, source)
+        from ..simulate.runs.tables import find_tables
+
+        find_tables(file).move_scene(scene, file, parse_columns(columns), start, source)
         return
     if source is not None:
         _check_source(scene, file, source)
@@ -368,15 +368,16 @@ def read_recorded_run(
     Without a `scene` its robots are those in the recording. `source` limits it to one source, and
     `robots` to a scene with one of these names. `columns` are those of a table, `SIGNAL=COLUMNS`.
     """
+    from ..data.record.csv_files import is_table, parse_columns
     from ..data.record.formats import open_recording
-    from ..data.record.table import is_table
-    from ..data.record.table_signals import parse_columns
-    from ..simulate.runs.run_recording import read_run, read_run_table
+    from ..simulate.runs.run_recording import read_run
 
     if is_table(path):
         if scene is None:
             raise UsageError(f"{path} does not say what its robots are: give --scene SCENE")
-        return read_run_table(path, scene, source, parse_columns(columns))
+        from ..simulate.runs.tables import find_tables
+
+        return find_tables(path).read_run(path, scene, source, parse_columns(columns))
     if scene is None:
         with open_recording(path) as recording:
             found = list(recording.scenes("--scene NAME", source, robots))

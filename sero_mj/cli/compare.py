@@ -18,7 +18,7 @@ from ..base.declaration import expecting
 from ..base.errors import UsageError
 from ..base.options import NotNegative, Option, ending, positional
 from ..study.explanation import OF_ONE_RUN
-from ..viewer.image.picture_options import FILMS, FilmOptions, SizeOptions
+from ..viewer.image.image_options import VIDEO_FORMATS, SizeOptions, VideoOptions
 from .arguments import command, print_json, print_table, progress_bar
 from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
 
@@ -84,7 +84,7 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
     csv: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
     table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
     output: Annotated[Path | None, ending(".html"), Option("OUT.html", ("-o", "--output"))] = None
-    render: Annotated[Path | None, ending(*FILMS), Option("OUT.mp4")] = None
+    render: Annotated[Path | None, ending(*VIDEO_FORMATS), Option("OUT.mp4")] = None
     tolerance_torque: Annotated[NotNegative | None, Option("NM")] = None
     tolerance_angle: Annotated[NotNegative | None, Option("DEG")] = None
     quiet: bool = False
@@ -319,8 +319,8 @@ def _page(
 
 def _film(pair: Pair, output: Path, options: CompareOptions) -> None:
     from ..study.compare import compare_scene
-    from .render import film_with_progress
+    from .render import video_with_progress
 
     duration = float(pair.times[-1] - pair.times[0])
-    film = FilmOptions.taken_from(options).model_copy(update={"duration": duration, "wait": 0.0})
-    film_with_progress(compare_scene(pair), output, film, quiet=options.quiet)
+    film = VideoOptions.taken_from(options).model_copy(update={"duration": duration, "wait": 0.0})
+    video_with_progress(compare_scene(pair), output, film, quiet=options.quiet)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from ..base.options import Duration, Option, Options, Size
-from ..viewer.image.picture_options import DEFAULT_SIZE, FilmOptions
+from ..viewer.image.image_options import DEFAULT_SIZE, VideoOptions
 from .arguments import command
 
 _SCENE = "lwr_udp"
@@ -45,8 +45,8 @@ def run(options: DemoOptions) -> int:
     from ..base import paths
     from ..base.child_process import ChildProcess
     from ..load import load_scene
-    from ..viewer.image.render import render_picture
-    from .render import film_with_progress
+    from ..viewer.image.render import render_image
+    from .render import video_with_progress
 
     shown = {"lwr.show_billboards": True}
     scene = load_scene(paths.find_scene(_SCENE), shown)
@@ -58,11 +58,11 @@ def run(options: DemoOptions) -> int:
         stdout=subprocess.DEVNULL,
     )
     try:
-        chosen = FilmOptions(
+        chosen = VideoOptions(
             size=options.size, duration=options.duration, camera=_CAMERA, wait=30.0
         )
-        silent = film_with_progress(scene, film, chosen)
-        silent += render_picture(scene, picture, chosen)
+        silent = video_with_progress(scene, film, chosen)
+        silent += render_image(scene, picture, chosen)
     finally:
         sender.end()
     if silent:

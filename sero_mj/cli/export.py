@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from ..base.options import Duration, Option, Time, positional
 from ..base.plugins import EXPORTS, load_plugin, plugins
-from ..viewer.image.picture_options import Rate
+from ..viewer.image.image_options import Rate
 from .arguments import command, progress_bar, read_scene, writing
 from .shared_options import SceneArgument, ShownOptions
 
@@ -120,7 +120,8 @@ def run(options: ExportOptions) -> int:
 
 add_to = command("export", run, ExportOptions, _HELP)
 
-_PLAYED = (
+# Options of formats that contain a captured run.
+CAPTURE_OPTIONS = (
     *("seconds", "begin", "end", "fps", "camera", "settings", "replay", "start", "source"),
     *("columns", "look"),
 )
@@ -131,24 +132,15 @@ def write_page_of(options: ExportOptions) -> int:
     from ..study.run_marks import marks_of
     from ..viewer.player.page import write_page
 
-    options.accept(*_PLAYED, "follow", "name")
-    scene, found = _captured(options)
+    options.accept(*CAPTURE_OPTIONS, "follow", "name")
+    scene, found = capture_run(options)
     found.marks = marks_of(scene, found.begin)
     write_page(found, options.path, options.name)
-    return _report(options)
+    return report_size(options)
 
 
-def write_animation(options: ExportOptions) -> int:
-    """Writes a glTF animation of a scene or a run; returns 0."""
-    from ..viewer.player.gltf import write_glb
-
-    options.accept(*_PLAYED)
-    _, found = _captured(options)
-    write_glb(found, options.path)
-    return _report(options)
-
-
-def _captured(options: ExportOptions) -> tuple[Scene, CapturedRun]:
+def capture_run(options: ExportOptions) -> tuple[Scene, CapturedRun]:
+    """Returns the scene of the options and the run captured from it."""
     from ..viewer.player.capture import capture
     from .opening import with_scene
 
@@ -173,7 +165,8 @@ def _captured(options: ExportOptions) -> tuple[Scene, CapturedRun]:
     return scene, found
 
 
-def _report(options: ExportOptions) -> int:
+def report_size(options: ExportOptions) -> int:
+    """Prints the size of the written file; returns 0."""
     if not options.quiet:
         print(f"{options.path}: {options.path.stat().st_size / 1e6:.2f} MB")
     return 0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 from ..base import paths
 from ..base.errors import SeroError, UsageError, without_warnings
-from ..data.record.table import is_table
+from ..data.record.csv_files import is_table
 from .arguments import network_scene, note_choice, read_scene, replay_instead
 from .shared_options import is_recording
 

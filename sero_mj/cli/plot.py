@@ -65,7 +65,7 @@ def run(options: PlotOptions) -> int:
         )
     logs = [options.read_part(path) for path in options.recordings]
     from ..study.plot import plot_run
-    from ..viewer.image.film import check_writable
+    from ..viewer.image.image_files import check_writable
 
     check_writable(output)
     plot_run(logs, output, robots=options.robot, joints=options.joints)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Self
 from pydantic import model_validator
 
 from ..base.options import Option, Time, ending
-from ..viewer.image.picture_options import FILMS, PASS_ENDINGS, PICTURES, FilmOptions
+from ..viewer.image.image_options import IMAGE_ENDINGS, PASS_ENDINGS, VIDEO_FORMATS, VideoOptions
 from .arguments import command, progress_bar
 from .shared_options import EyeOptions, OverOptions, SceneArgument, ShownOptions
 
@@ -34,13 +34,13 @@ calibrate finds it. Needs `pip install 'sero-mj[camera]'`.
 """
 
 _OF_OTHERS = "the picture is as large as the photo or video, seen by its camera"
-_KINDS = f"{', '.join(PICTURES)} for a picture, or in {', '.join(FILMS)} for a film"
-PictureOrFilm = Annotated[Path, ending(*PICTURES, *FILMS, expected=_KINDS)]
-_AnyPicture = Annotated[Path, ending(*PICTURES, *FILMS, ".npy", expected=_KINDS)]
+_KINDS = f"{', '.join(IMAGE_ENDINGS)} for a picture, or in {', '.join(VIDEO_FORMATS)} for a film"
+PictureOrFilm = Annotated[Path, ending(*IMAGE_ENDINGS, *VIDEO_FORMATS, expected=_KINDS)]
+_AnyPicture = Annotated[Path, ending(*IMAGE_ENDINGS, *VIDEO_FORMATS, ".npy", expected=_KINDS)]
 GROUP, ORDER = "see", 12
 
 
-class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOptions):
+class RenderOptions(SceneArgument, VideoOptions, EyeOptions, ShownOptions, OverOptions):
     """Render a scene to a picture or a film, without a window.
 
     Attributes:
@@ -56,15 +56,17 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
     @property
     def is_film(self) -> bool:
         """Whether it is a film."""
-        return self.output.suffix.lower() in FILMS
+        return self.output.suffix.lower() in VIDEO_FORMATS
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
-        if not self.is_film and self.given("duration", "fps"):
-            films = ", ".join(FILMS)
+        if not self.is_film and self.set_among("duration", "fps"):
+            films = ", ".join(VIDEO_FORMATS)
             raise ValueError(f"-o {self.output}: --duration and --fps are for films ({films})")
-        if not self.is_film and (moves := self.given("orbit", "camera_path")):
-            raise ValueError(f"-o {self.output}: {moves[0]} is for films ({', '.join(FILMS)})")
+        if not self.is_film and (moves := self.set_among("orbit", "camera_path")):
+            raise ValueError(
+                f"-o {self.output}: {moves[0]} is for films ({', '.join(VIDEO_FORMATS)})"
+            )
         self._check_pass()
         if self.is_film and self.at is not None:
             raise ValueError(f"-o {self.output}: --at is for pictures; a film begins at the start")
@@ -76,7 +78,7 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
     def _check_pass(self) -> None:
         ends = self.output.suffix.lower()
         if self.render_pass == "colour":
-            if ends not in (*PICTURES, *FILMS):
+            if ends not in (*IMAGE_ENDINGS, *VIDEO_FORMATS):
                 expected = f"expected a name that ends in {_KINDS}"
                 raise ValueError(f"-o {self.output}: '{ends}' is for --pass; {expected}")
             return
@@ -102,12 +104,12 @@ def run(options: RenderOptions) -> int:
         silent = find_background().render(options, Path(options.over))
     elif options.is_film:
         scene = options.read(options.scene)
-        silent = film_with_progress(scene, options.output, options, quiet=options.quiet)
+        silent = video_with_progress(scene, options.output, options, quiet=options.quiet)
     else:
-        from ..viewer.image.render import render_picture
+        from ..viewer.image.render import render_image
 
         scene = options.read(options.scene)
-        silent = render_picture(scene, options.output, options, at=options.at or 0.0)
+        silent = render_image(scene, options.output, options, at=options.at or 0.0)
     for name in silent:
         print(
             f"sero-mj: no good packet for source '{name}' within {options.wait:g} s; "
@@ -122,16 +124,16 @@ def run(options: RenderOptions) -> int:
 add_to = command("render", run, RenderOptions, _HELP)
 
 
-def film_with_progress(
+def video_with_progress(
     scene: Scene,
     output: Path,
-    options: FilmOptions,
+    options: VideoOptions,
     *,
     quiet: bool = False,
     make: Callable[..., list[str]] | None = None,
 ) -> list[str]:
     """Makes a film with a progress bar, unless `quiet`; returns the silent sources."""
-    from ..viewer.image.render import render_film
+    from ..viewer.image.render import render_video
 
     frames = 0
 
@@ -142,7 +144,7 @@ def film_with_progress(
 
     try:
         with progress_bar("rendering", quiet=quiet, stays=True) as show:
-            return (make or render_film)(scene, output, options, on_progress=update)
+            return (make or render_video)(scene, output, options, on_progress=update)
     except KeyboardInterrupt:
         if frames:
             print(f"sero-mj: {output} holds the {frames} frames so far", file=sys.stderr)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 from pydantic import Field, model_validator
 
 from ..base.declaration import expecting
-from ..base.errors import CsvError, SimulationError, UsageError
+from ..base.errors import SimulationError, UsageError
 from ..base.options import Duration, NotNegative, Option, Options, Port, Positive, Seed
 from ..base.paths import list_scenarios
 from ..base.plugins import SENDERS, load_plugin, plugins
@@ -69,8 +69,12 @@ def make_sink(options: SinkOptions, source: Source, structure: Structure) -> Udp
     if not port and not source.is_live:
         reason = "is a recording, to which nothing can be sent; give --port, and --host"
         raise UsageError(f"source '{source.name}' of the scene {reason}")
+    if source.place is None and not port:
+        how = "which does not receive UDP packets. Use --port to send its packets to a UDP port"
+        raise UsageError(f"source '{source.name}' is {source.about}, {how}")
     if not port:
-        raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
+        reason = "listens on a port that the system chooses (port = 0). Use --port to set it"
+        raise UsageError(f"source '{source.name}' of the scene {reason}")
     message_of = source.message_of if options.structure is None else None
     return UdpSink(options.host or "127.0.0.1", port, message_of)
 
@@ -220,7 +224,7 @@ class SendOptions(SceneArgument, PlayOptions, ControllerOptions, SinkOptions):
     def _check_place(self) -> Self:
         if (self.rate or 0.0) > FASTEST:
             raise ValueError(f"--rate {self.rate:g}: expected at most {FASTEST:g} packets/s")
-        if self.shm is not None and self.given("host", "port"):
+        if self.shm is not None and self.set_among("host", "port"):
             raise ValueError("--shm and --host or --port: packets go to one of the two; choose")
         return self
 
@@ -331,14 +335,23 @@ def _print_notes(notes: list[str]) -> int:
 def _open_file(
     options: SendOptions, scene: Scene, source: Source, structure: Structure, file: Path
 ) -> Playback:
+    from ..data.record.csv_files import is_table, parse_columns
     from ..data.record.formats import open_recording
-    from ..data.record.table import is_table
     from ..data.send.playback import RecordedPackets
+    from ..simulate.runs.tables import find_tables
 
     if is_table(file):
         if options.recorded is not None:
             raise UsageError(f"--recorded is for recordings; {file} is a table")
-        return _open_table(options, scene, source, structure, file)
+        return find_tables(file).open_playback(
+            file,
+            scene,
+            source,
+            structure,
+            parse_columns(options.columns),
+            rate=options.rate,
+            declared=options.structure,
+        )
     options.refuse(("columns",), f" is for tables; {file} is a recording")
     if options.rate is not None:
         raise UsageError("--rate: a recording has its own times; --speed changes them")
@@ -347,30 +360,6 @@ def _open_file(
         with open_recording(file) as recording:
             name = source.name if source.name in recording.sources else ""
     return RecordedPackets(file, name, structure, only_whole=goes_to_shm(options, source))
-
-
-def _open_table(
-    options: SendOptions, scene: Scene, source: Source, structure: Structure, file: Path
-) -> Playback:
-    """The rows of a table: numbers of packets, or signals of joints that routes make packets."""
-    from ..data.drive.table_scene import read_for
-    from ..data.record.csv_files import column_names
-    from ..data.record.table_events import has_numbers
-    from ..data.record.table_signals import parse_columns
-    from ..data.send.playback import JointRows, TablePackets
-
-    columns = parse_columns(options.columns)
-    table = read_for(file, columns, options.rate, ", or --rate")
-    if has_numbers(table, structure.events) and not columns:
-        return TablePackets(file, structure, options.rate)
-    try:
-        return JointRows(table, scene, columns, source.name, options.structure)
-    except CsvError as error:
-        if columns or len(table.columns) != len(column_names(structure.events)):
-            count = len(column_names(structure.events))
-            others = f"or the {count} numbers of '{structure.text}' in order"
-            raise error if columns else CsvError(file, f"{error.reason}; {others}") from None
-    return TablePackets(file, structure, options.rate)
 
 
 def _send_simulation(options: SendOptions, scenario: Path) -> int:

@@ -18,11 +18,10 @@ from ..base.declaration import expecting
 from ..base.errors import UsageError, did_you_mean
 from ..base.options import Duration, Option, Options, Time, ending, positional, whole
 from ..base.plugins import BACKGROUNDS, ENGINES, load_first, load_plugin, plugins
-from ..data.record.table import TABLE_ENDINGS, is_table
-from ..data.record.table_signals import parse_columns
+from ..data.record.csv_files import TABLE_ENDINGS, is_table, parse_columns
 from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
 from ..study.figure import NO_MATPLOTLIB, SUFFIXES, has_matplotlib
-from ..viewer.image.picture_options import EYE_DISTANCE, CameraOptions, StereoOptions
+from ..viewer.image.image_options import EYE_DISTANCE, CameraOptions, StereoOptions
 from .arguments import read_recorded_run, read_scene, replay_instead
 
 if TYPE_CHECKING:

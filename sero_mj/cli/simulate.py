@@ -11,13 +11,13 @@ from pydantic import model_validator
 
 from ..base.errors import SimulationError, UsageError
 from ..base.options import NotNegative, Option, Seed, Time, ending, positional
-from ..viewer.image.picture_options import (
-    FILMS,
+from ..viewer.image.image_options import (
+    VIDEO_FORMATS,
     CameraOptions,
-    FilmOptions,
     MotionOptions,
     Rate,
     SizeOptions,
+    VideoOptions,
 )
 from .arguments import (
     command,
@@ -29,7 +29,7 @@ from .arguments import (
     print_table,
     progress_bar,
 )
-from .render import PictureOrFilm, film_with_progress
+from .render import PictureOrFilm, video_with_progress
 from .send import Sender, SinkOptions, in_real_time
 from .shared_options import Figure, JsonOptions, Settings
 
@@ -92,7 +92,7 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
     @property
     def is_picture(self) -> bool:
         """Whether what is rendered is a picture."""
-        return self.render is not None and self.render.suffix.lower() not in FILMS
+        return self.render is not None and self.render.suffix.lower() not in VIDEO_FORMATS
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
@@ -101,7 +101,7 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
         if self.is_picture and self.fps is not None:
             raise ValueError("--fps is for a film: --render OUT.mp4")
         is_film = self.render is not None and not self.is_picture
-        if not is_film and (moves := self.given("orbit", "camera_path")):
+        if not is_film and (moves := self.set_among("orbit", "camera_path")):
             raise ValueError(f"{moves[0]} is for a film: --render OUT.mp4")
         return self
 
@@ -200,17 +200,17 @@ def _simulate(
 
 def _render(simulation: Simulation, options: SimulateOptions, output: Path) -> None:
     from ..simulate.simulated_scene import simulated_scene
-    from ..viewer.image.render import render_picture
+    from ..viewer.image.render import render_image
 
-    scene, film = simulated_scene(simulation), FilmOptions.taken_from(options)
+    scene, film = simulated_scene(simulation), VideoOptions.taken_from(options)
     if not options.is_picture:
         film = film.model_copy(update={"duration": max(simulation.time, 1e-3)})
-        film_with_progress(scene, output, film, quiet=options.quiet)
+        video_with_progress(scene, output, film, quiet=options.quiet)
         return
     at = simulation.time if options.at is None else options.at
     if at > simulation.time:
         raise UsageError(f"--at {at:g}: the run ends at {simulation.time:g} s")
-    render_picture(scene, output, film, at=at)
+    render_image(scene, output, film, at=at)
 
 
 def _print(

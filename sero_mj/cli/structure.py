@@ -1,35 +1,27 @@
-"""`sero-mj structure`: what a structure string means, and what comes in on a port."""
+"""`sero-mj structure`: explains a structure string; `--sniff` shows the packets at a port."""
 
 from __future__ import annotations
 
-import contextlib
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict
 from importlib import resources
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import BeforeValidator, model_validator
 
 from ..base.declaration import expecting
-from ..base.errors import StructureError
+from ..base.errors import StructureError, UsageError
 from ..base.options import Count, Duration, Option, Port, Positive, positional
+from ..base.plugins import SNIFFERS, load_all
 from .arguments import command, print_json, read_scene
 from .shared_options import Flag, JsonOptions
 from .terminal import make_console
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
+    from rich.console import Console
 
     from ..data.receive.language import Item
-    from ..data.receive.sniffer import Guess, Sniffer, Stream
     from ..data.receive.structure import Structure
 
-_REFRESH = 0.25  # s between two pictures of a terminal
-_TELL_EVERY = 2.0  # s between two lines about a stream where there is no terminal
-_FIRST_NUMBERS = 4  # of an event
 _HELP = """\
 examples:
   sero-mj structure 7F7F                    offsets, types, events, size
@@ -92,7 +84,9 @@ def run(options: StructureOptions) -> int:
         return _print_scene(options.scene, options)
     layout = None if options.structure is None else _read(options.structure, options)
     if options.sniff:
-        return _sniff(options.sniff, options, layout)
+        for sniff in load_all(SNIFFERS).values():
+            return int(sniff(options.sniff, options, layout))
+        raise UsageError("--sniff: no extension that shows packets of a port is installed")
     if layout is None:
         _print_page()
     elif options.as_json:
@@ -239,181 +233,3 @@ def _layout_as_json(layout: Structure) -> dict[str, Any]:
             for item in layout.fields
         ],
     }
-
-
-def _sniff(port: int, options: StructureOptions, layout: Structure | None) -> int:
-    from ..data.receive.sniffer import Sniffer
-
-    host, interface = options.host or "127.0.0.1", options.interface or ""
-    with Sniffer(host, port, interface) as sniffer:
-        place = f"UDP {host}:{sniffer.port}"
-        begin = time.monotonic()
-        with (
-            contextlib.suppress(KeyboardInterrupt),
-            _shown(options, sniffer, layout, place) as show,
-        ):
-            _listen(sniffer, options, show)
-        seconds = time.monotonic() - begin
-        if options.as_json:
-            print_json(_sniffed_as_json(sniffer, layout, seconds))
-        else:
-            _make_console().print(_picture(sniffer, layout, _summary(place, sniffer, seconds)))
-    return 0
-
-
-def _listen(sniffer: Sniffer, options: StructureOptions, show: Callable[[], None]) -> None:
-    end = np.inf if options.duration is None else time.monotonic() + options.duration
-    most = options.count or 10**15
-    shown = -np.inf
-    while (now := time.monotonic()) < end and sniffer.received < most:
-        sniffer.receive(min(_REFRESH, end - now), most - sniffer.received)
-        if time.monotonic() - shown >= _REFRESH:
-            shown = time.monotonic()
-            show()
-    show()
-
-
-@contextlib.contextmanager
-def _shown(
-    options: StructureOptions, sniffer: Sniffer, layout: Structure | None, place: str
-) -> Iterator[Callable[[], None]]:
-    if options.as_json:
-        yield lambda: None
-    elif not sys.stdout.isatty():
-        print(f"listening on {place}; Ctrl-C ends", flush=True)
-        yield _teller(sniffer, layout)
-    else:
-        from rich.live import Live
-
-        title = f"listening on {place}; Ctrl-C ends"
-        with Live(console=_make_console(), auto_refresh=False, transient=True) as live:
-            yield lambda: live.update(_picture(sniffer, layout, title), refresh=True)
-
-
-def _teller(sniffer: Sniffer, layout: Structure | None) -> Callable[[], None]:
-    told: dict[tuple[bytes, int], tuple[float, int]] = {}
-
-    def tell() -> None:
-        now = time.monotonic()
-        for key, stream in sniffer.streams.items():
-            when, count = told.get(key, (-np.inf, 0))
-            if stream.count > count and now - when >= _TELL_EVERY:
-                told[key] = now, stream.count
-                words = _values(stream, layout)
-                print(f"{_head(stream)}{f': {words}' if words else ''}", flush=True)
-
-    return tell
-
-
-def _summary(place: str, sniffer: Sniffer, seconds: float) -> str:
-    count = len(sniffer.streams)
-    if not count:
-        return f"nothing came to {place} within {seconds:.1f} s"
-    return (
-        f"{sniffer.received} packets in {seconds:.1f} s on {place}, of {count} "
-        f"sender{'s and sizes' if count > 1 else ''}"
-        + (f"; {sniffer.untold} packets of further ones" if sniffer.untold else "")
-    )
-
-
-def _head(stream: Stream) -> str:
-    host, port = stream.sender
-    rate = f", {stream.timing.rate:.5g}/s" if stream.timing.rate else ""
-    return f"{host}:{port} sends {stream.size} bytes, {stream.count} times{rate}"
-
-
-def _picture(sniffer: Sniffer, layout: Structure | None, title: str) -> RenderableType:
-    from rich.console import Group
-    from rich.text import Text
-
-    lines = [Text(title, style="bold")]
-    for stream in sniffer.streams.values():
-        lines.append(Text(_head(stream)))
-        if words := stream.description:
-            lines.append(Text(f"    {words}", style="yellow"))
-        if words := _values(stream, layout):
-            lines.append(Text(f"    {words}", style="green" if _fits(stream, layout) else "red"))
-        if not _fits(stream, layout):
-            lines += [Text(f"    {line}") for line in _guess_lines(stream)]
-    return Group(*lines)
-
-
-def _fits(stream: Stream, layout: Structure | None) -> bool:
-    return (
-        layout is not None
-        and stream.size == layout.size
-        and not layout.find_wrong_constants(stream.rows[-1:])[0]
-        and not layout.find_wrong_checksums(stream.rows[-1:])[0]
-    )
-
-
-def _values(stream: Stream, layout: Structure | None) -> str:
-    if layout is None:
-        return ""
-    if stream.size != layout.size:
-        hint = layout.for_size(stream.size)
-        return f"{stream.size} bytes; '{layout.text}' has {layout.size}{hint and f'; {hint}'}"
-    row = stream.rows[-1:]
-    if wrong := layout.describe_wrong_constant(row) or layout.describe_wrong_checksum(row):
-        return wrong
-    return _numbers(layout.decode(stream.last[-1]))
-
-
-def _numbers(values: Mapping[str, Any]) -> str:
-    return "  ".join(f"{event} {_first(array)}" for event, array in values.items())
-
-
-def _first(array: Any) -> str:
-    numbers = [f"{number:.4g}" for number in array.ravel()[:_FIRST_NUMBERS]]
-    return " ".join(numbers) + (" ..." if array.size > _FIRST_NUMBERS else "")
-
-
-def _guess_lines(stream: Stream) -> list[str]:
-    if not stream.is_binary:
-        return []  # its description says what it is
-    guesses = stream.guesses()
-    if not guesses:
-        return ["would fit nothing that is made of numbers, counters, flags and padding"]
-    width = min(max(len(guess.structure) for guess in guesses), 40)
-    lines = []
-    for i, guess in enumerate(guesses):
-        begin = "would fit " if i == 0 else ""
-        lines.append(f"{begin:10}{guess.structure:{width}}  {_about(guess)}")
-        lines.append(f"{'':12}{_numbers(_values_by(guess, stream))}")
-    return lines
-
-
-def _values_by(guess: Guess, stream: Stream) -> dict[str, Any]:
-    from ..data.receive.structure import Structure
-
-    layout = Structure(guess.structure, is_double=guess.is_double, column_major=guess.column_major)
-    return dict(layout.decode(stream.last[-1]))
-
-
-def _about(guess: Guess) -> str:
-    likely = f"{guess.plausible:.0%} plausible"
-    options = "" if guess.is_double else ", double = false"
-    options += "" if guess.column_major else ", column_major = false"
-    return f"{guess.about}; {likely}{options}"
-
-
-def _sniffed_as_json(sniffer: Sniffer, layout: Structure | None, seconds: float) -> dict[str, Any]:
-    streams = []
-    for stream in sniffer.streams.values():
-        found: dict[str, Any] = {
-            "sender": "{}:{}".format(*stream.sender),
-            "size": stream.size,
-            "packets": stream.count,
-            "rate": stream.timing.rate,
-            "jitter": stream.timing.jitter,
-            "guesses": [
-                asdict(guess)
-                | {"values": {k: each.tolist() for k, each in _values_by(guess, stream).items()}}
-                for guess in stream.guesses()
-            ],
-        }
-        if layout is not None and _fits(stream, layout):
-            values = layout.decode(stream.last[-1])
-            found["values"] = {event: array.tolist() for event, array in values.items()}
-        streams.append(found)
-    return {"seconds": seconds, "packets": sniffer.received, "streams": streams}

@@ -14,7 +14,6 @@ import numpy as np
 from ..base.declaration import file_fields
 from ..base.dotted_keys import lacking, no_table, parts_of, with_value
 from ..base.errors import (
-    CsvError,
     DeclarationError,
     Problem,
     SeroError,
@@ -27,15 +26,15 @@ from ..base.frames import Array
 from ..base.paths import find_scenario, find_scene
 from ..base.toml_file import located, read_toml
 from ..base.trust import FileOrigin, is_allowed
-from ..data.drive.table_scene import robots_in
-from ..data.record.table import is_table, read_csv, read_table
+from ..data.record.csv_files import is_table
 from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
 from ..robots.declared.scene_file import read_scene_file, scene_from_tables
-from ..robots.importers.robot_file import is_robot_file
+from ..robots.importers.importer import is_robot_file
 from .control.make_controller import controller_kinds
 from .runs.monitor import Monitor
 from .runs.run_recording import read_run
+from .runs.tables import find_tables
 from .scenario import Run, Scenario, build_entry
 from .sections import OTHERS, SECTIONS
 
@@ -350,8 +349,8 @@ def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> 
     """Puts the motion that `file` names into a table of kind `recorded`.
 
     A recording (`.mcap`) has the angles of the robot of the same name, of that named `of`, or of
-    the only one. A table (`.csv`) has times and joint angles that are recognised, see
-    `data.record.table_signals`, or one column for every joint, in order.
+    the only one. A table (`.csv`) has times and joint angles that are recognized, or one column for
+    every joint, in order.
 
     Args:
         table: of the target; others than such with a `file` come back as they are.
@@ -376,8 +375,12 @@ def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> 
         if key in fields:
             raise _wrong(key, "is what the file says; leave it or `file` out")
     try:
-        read = _from_table if is_table(file) else _from_recording
-        times, angles = read(beside / file, robot, of)
+        if not is_table(file):
+            times, angles = _from_recording(beside / file, robot, of)
+        elif of is not None:
+            raise _wrong("of", "is for recordings, which may have several robots; leave it out")
+        else:
+            times, angles = find_tables(beside / file).read_motion(beside / file, robot)
     except SeroError as error:
         if isinstance(error, DeclarationError):
             raise
@@ -389,20 +392,6 @@ def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> 
     if len(moments) < 2:
         raise _wrong("file", f"{file} is shorter than {2 * _EVERY:g} s")
     return {**fields, "times": moments - moments[0], "angles": means}
-
-
-def _from_table(file: Path, robot: SerialRobot, of: object) -> tuple[Array, Array]:
-    if of is not None:
-        raise _wrong("of", "is for recordings, which may have several robots; leave it out")
-    try:
-        table = read_table(file)
-        return table.times, robots_in(table, {robot.name: robot}, {})[robot.name]["joint_angles"]
-    except CsvError:  # none are recognised: all columns are angles
-        times, columns = read_csv(file)
-    if len(columns) != robot.n:
-        found = f"found {len(columns)} columns beside time; expected {robot.n}, one per joint"
-        raise CsvError(file, found)
-    return times, np.stack(list(columns.values()), axis=1)
 
 
 def _from_recording(file: Path, robot: SerialRobot, of: object) -> tuple[Array, Array]:

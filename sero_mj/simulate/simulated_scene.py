@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ..base.frames import Array, frame
+from ..data.record.csv_files import is_table
 from ..data.record.formats import open_recording
-from ..data.record.table import is_table
 from ..robots.declared.cartesian import ReceivedFrame, SmartArrow
 from ..robots.declared.double import Double
 from ..robots.declared.scene import Scene

@@ -16,10 +16,6 @@ from numpy.typing import NDArray
 _Words = NDArray[np.uint32]
 
 _BLOCK = 256  # bytes for which a CRC has a table
-# What a checksum that is recognised must have taken, by its bytes: so many different values. Fewer
-# may fit one of these algorithms by chance.
-_DIFFERENT = {4: 2, 2: 3, 1: 8}
-_BEGINS = (0, 2, 4, 1, 3)  # the first byte that a recognised checksum covers
 
 
 @dataclass(frozen=True)
@@ -112,50 +108,6 @@ def compute(name: str, rows: NDArray[np.uint8], bits: int) -> NDArray[np.uint64]
         total = ~total + np.uint64(name == "-sum")
     within: NDArray[np.uint64] = total & np.uint64(2**bits - 1)
     return within
-
-
-@dataclass(frozen=True)
-class Recognized:
-    """A checksum at the end of packets.
-
-    Attributes:
-        name: see `compute`.
-        width: its bytes.
-        order: `<` or `>`.
-    """
-
-    name: str
-    width: int
-    order: str
-    begin: int
-
-
-def recognize(rows: NDArray[np.uint8]) -> Recognized | None:
-    """Returns the checksum that ends packets of one size; None if none is recognised.
-
-    Args:
-        rows: packets of one sender, (n, size).
-    """
-    for width, least in _DIFFERENT.items():
-        end = rows.shape[1] - width
-        for order in "<>"[: min(width, 2)]:
-            if end <= max(_BEGINS):
-                continue
-            found = np.ascontiguousarray(rows[:, end:]).view(f"{order}u{width}")[:, 0]
-            if len(np.unique(found)) < least:
-                continue
-            # More than a counter must vary, whose value a sum would follow.
-            varying = np.flatnonzero((rows[:, :end] != rows[0, :end]).any(axis=0))
-            for begin in _BEGINS:
-                if (varying >= begin).sum() < 2:
-                    continue
-                for name in (*CRCS, *SUMS):
-                    if (
-                        width_of(name) in (None, 8 * width)
-                        and (found == compute(name, rows[:, begin:end], 8 * width)).all()
-                    ):
-                        return Recognized(name, width, order, begin)
-    return None
 
 
 def _crcs(crc: Crc, rows: NDArray[np.uint8]) -> _Words:

@@ -25,6 +25,27 @@ if TYPE_CHECKING:
 # Events with a number for each joint, whose columns can have the names of joints.
 JOINT_EVENTS = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 TIME = "time"
+TABLE_ENDINGS = (".csv", ".tsv", ".txt")
+# Signal of a robot's joints to its columns: a name, a pattern with `*`, or a list of names.
+Columns = Mapping[str, str | Sequence[str]]
+
+
+def is_table(path: Path | str) -> bool:
+    """Whether a file is a table, by its extension."""
+    return str(path).lower().endswith(TABLE_ENDINGS)
+
+
+def parse_columns(texts: Sequence[str]) -> dict[str, str | list[str]]:
+    """Parses values of `--columns`: `joint_angles=q_*`, `time=Zeit [s]`; raises ValueError."""
+    found: dict[str, str | list[str]] = {}
+    for text in texts:
+        signal, equals, columns = text.partition("=")
+        if not (equals and signal.strip() and columns.strip()):
+            expected = "SIGNAL=COLUMNS, for example joint_angles=q_* or time=stamp"
+            raise ValueError(f"found '{text}'; expected {expected}")
+        names = [each.strip() for each in columns.split(",")]
+        found[signal.strip()] = names[0] if len(names) == 1 else names
+    return found
 
 
 @contextlib.contextmanager

@@ -18,12 +18,12 @@ from ...base.errors import (
     mismatch,
 )
 from ...base.plugins import SOURCES, load_plugin, plugins
-from ..receive.led_robot import LedJoint, LedLinks
+from ..receive.routed_joints import RoutedJoint, RoutedLinks
 from ..receive.source import Source
+from .csv_files import is_table
 from .file_source import FileSource
 from .formats import look_into, open_recording
 from .recording import PacketFile, RecordedSource
-from .table import is_table
 
 _OF_FILES = ("replay", "table")  # kinds that play a file, which a recording may not name
 
@@ -103,17 +103,17 @@ class Replay(FileSource):
             raise mismatch(stop, f"more than {begin:g}, {word}, in s")
         return stop
 
-    def led_to(self, joints: Sequence[LedJoint]) -> None:
+    def set_joints(self, joints: Sequence[RoutedJoint]) -> None:
         if joints and (source := self._messages_of_source(is_led=True)) is not None:
             self._of_messages = source
-            source.led_to(joints)
+            source.set_joints(joints)
             self._forget_original()
 
-    def led_to_links(self, links: LedLinks) -> None:
+    def set_links(self, links: RoutedLinks) -> None:
         source = self._of_messages or self._messages_of_source(is_led=False)
         if source is not None:
             self._of_messages = source
-            source.led_to_links(links)
+            source.set_links(links)
             self._forget_original()
 
     def _messages_of_source(self, *, is_led: bool) -> Source | None:
@@ -154,7 +154,7 @@ class Replay(FileSource):
         return _first_of(look_into(self.file, self._wanted))
 
     def open_recording(self) -> PacketFile:
-        return open_recording(self.file, self._wanted, self.tell_once)
+        return open_recording(self.file, self._wanted, self.log_once)
 
 
 def _message_source(file: Path, topics: Mapping[str, Any]) -> Source | None:

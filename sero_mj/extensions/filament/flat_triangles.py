@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Bools
-from ...viewer.image.film import Pixels
+from ...viewer.image.image_files import Pixels
 
 _TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)

@@ -9,7 +9,7 @@ import numpy as np
 from ...base.frames import Bools
 from ...robots.assemble.world_view import WorldView
 from ...viewer.image.added_surroundings import AddedSurroundings, added_surroundings
-from ...viewer.image.picture_options import Quality
+from ...viewer.image.image_options import Quality
 from ...viewer.image.renderer import Renderer
 from .probe import PACKAGES, filament_problem
 from .renderer import FilamentRenderer

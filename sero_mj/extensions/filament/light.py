@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from ...robots.declared.surroundings import Palette
+from ...viewer.image.image_options import Quality
 from ...viewer.image.mujoco_private import filament
-from ...viewer.image.picture_options import Quality
 from ...viewer.image.sky_light import linear
 from .environment import environment
 

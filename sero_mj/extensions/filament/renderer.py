@@ -21,9 +21,9 @@ from ...base.frames import Bools
 from ...robots.declared.surroundings import PALETTES
 from ...viewer.decor.geom_buffer import GEOM
 from ...viewer.decor.scene_writer import struct_view
-from ...viewer.image.film import Pixels
+from ...viewer.image.image_files import Pixels
+from ...viewer.image.image_options import Quality
 from ...viewer.image.mujoco_private import filament
-from ...viewer.image.picture_options import Quality
 from .flat_triangles import blend, corners_of, is_flat
 from .geoms import GeomPool, seen_rgba
 from .light import SceneLights, options_model

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...data.record.table_signals import ColumnNames
+from ...simulate.runs.tables import ColumnNames
 
 # `tau_J_d` is without gravity, and therefore not the commanded torque. External torques are those
 # that the robot exerts; docs/conventions.md has the sources.

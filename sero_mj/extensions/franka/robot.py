@@ -31,7 +31,7 @@ from .messages import (
     Messages,
 )
 from .model import urdf_of
-from .motion import CYCLE, JOINTS, MOST_LOST, MOST_NUMBER, Desired, Motion, Violation
+from .motion import CYCLE, JOINTS, MAX_LOST, MOST_NUMBER, Desired, Motion, Violation
 from .receiver import ERRORS
 from .state import FrankaState
 
@@ -262,8 +262,8 @@ class FrankaRobot(Controller):
         self.missed += 1
         motion.lost += 1
         motion.came.append(False)
-        if motion.lost >= MOST_LOST:
-            self._reflex(_LOST, f"{MOST_LOST} commands in a row have not come")
+        if motion.lost >= MAX_LOST:
+            self._reflex(_LOST, f"{MAX_LOST} commands in a row have not come")
         elif motion.generator in (JOINT_POSITION, JOINT_VELOCITY):
             self._desired.extrapolate()
 

@@ -31,7 +31,7 @@ from ...simulate.runs.run_source import RunSource
 from ...simulate.scenario import Scenario
 from ...simulate.simulated_scene import with_routes
 from ...simulate.simulation import Simulation
-from ...viewer.image.picture_options import DEFAULT_SIZE
+from ...viewer.image.image_options import DEFAULT_SIZE
 from ...viewer.image.render import HeadlessRenderer
 from .actions import (
     Action,

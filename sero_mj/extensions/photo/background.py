@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Literal
 
 from ...base.errors import UsageError
 from ...base.options import Options
-from ...cli.render import RenderOptions, film_with_progress
+from ...cli.render import RenderOptions, video_with_progress
 from ...cli.shared_options import Background
 from ...cli.terminal import make_console
 from .camera_feed import CameraFeed, VideoFeed
 from .camera_file import read_camera
 from .footage import Video, is_photo
-from .over import render_film_over, render_picture_over
+from .over import render_image_over, render_video_over
 from .video_offset import find_offset
 
 if TYPE_CHECKING:
@@ -51,15 +51,15 @@ class Photos(Background):
                 scene, over, options.camera_file, options.offset, options.quiet
             )
         if not options.is_film:
-            return render_picture_over(
+            return render_image_over(
                 scene, options.output, options, over=over, camera_file=options.camera_file,
                 at=options.at, offset=offset,
             )  # fmt: skip
         make_film = partial(
-            render_film_over, over=over, camera_file=options.camera_file, offset=offset,
-            duration=options.duration if options.given("duration") else None,
+            render_video_over, over=over, camera_file=options.camera_file, offset=offset,
+            duration=options.duration if options.set_among("duration") else None,
         )  # fmt: skip
-        return film_with_progress(
+        return video_with_progress(
             scene, options.output, options, quiet=options.quiet, make=make_film
         )
 

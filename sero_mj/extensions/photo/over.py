@@ -14,19 +14,19 @@ from ...data.drive.mirror import Mirror
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
 from ...viewer.decor.font import line_height
-from ...viewer.decor.picture_view import PictureView
-from ...viewer.image.film import check_film, default_fps
+from ...viewer.decor.image_view import ImageView
 from ...viewer.image.held_torques import HeldTorques
+from ...viewer.image.image_files import check_video, default_fps
+from ...viewer.image.image_options import VIDEO_FORMATS, ImageOptions, Quality
 from ...viewer.image.painter import Painter, perform_clicks
-from ...viewer.image.picture_options import FILMS, PictureOptions, Quality
 from ...viewer.image.render import (
     MAX_SIDE,
     QUALITIES,
     SUPERSAMPLING,
     OnProgress,
     make_renderer,
-    render_picture,
-    write_film,
+    render_image,
+    write_video,
 )
 from ...viewer.image.renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
 from ...viewer.image.scene_decor import SceneDecor
@@ -87,15 +87,15 @@ class PhotoRenderer(Painter):
         compose(pixels, self._typesetter.place(self.decor.panels))
         return pixels
 
-    def _look(self, data: mujoco.MjData) -> PictureView:
+    def _look(self, data: mujoco.MjData) -> ImageView:
         self.decor.fill(data, mujoco.MjvCamera(), self._renderer.scene)
         return self._painter.look(self._renderer.scene, self._typesetter.font)
 
 
-def render_picture_over(
+def render_image_over(
     scene: Scene,
     path: Path,
-    options: PictureOptions,
+    options: ImageOptions,
     *,
     over: Path,
     camera_file: Path,
@@ -121,20 +121,20 @@ def render_picture_over(
     pixels = read_frame(over, now - offset) if is_video else read_photo(over)
     camera = read_camera(camera_file, (pixels.shape[1], pixels.shape[0]))
 
-    def painter(mirror: Mirror, options: PictureOptions) -> PhotoRenderer:
+    def painter(mirror: Mirror, options: ImageOptions) -> PhotoRenderer:
         if is_video:
             refuse_live(mirror, over)
         renderer = PhotoRenderer(mirror.world, camera, options.quality, options.renderer)
         renderer.photo = pixels
         return renderer
 
-    return render_picture(scene, path, options, at=now, painter=painter)
+    return render_image(scene, path, options, at=now, painter=painter)
 
 
-def render_film_over(
+def render_video_over(
     scene: Scene,
     path: Path,
-    options: PictureOptions,
+    options: ImageOptions,
     *,
     over: Path,
     camera_file: Path,
@@ -163,7 +163,7 @@ def render_film_over(
         refuse_live(mirror, over)
         begin, end = recorded_span(mirror)
         length = video.duration if duration is None else min(duration, video.duration or duration)
-        fps = min(video.fps, FILMS[check_film(path).suffix.lower()].most_fps)
+        fps = min(video.fps, VIDEO_FORMATS[check_video(path).suffix.lower()].max_fps)
         if path.suffix.lower() == ".gif":
             fps = min(fps, default_fps(path))
         with PhotoRenderer(mirror.world, camera, options.quality, options.renderer) as renderer:
@@ -184,7 +184,7 @@ def render_film_over(
                     drawn += 1
                     yield renderer.render(mirror.data, pixels)
 
-            silent = write_film(
+            silent = write_video(
                 mirror, renderer, path, frames(), fps=fps, count=max(round(length * fps), 1),
                 options=options, on_progress=on_progress,
             )  # fmt: skip

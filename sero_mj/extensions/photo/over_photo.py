@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...base.frames import Bools
 from ...robots.assemble.world_view import WorldView
 from ...viewer.decor.font import Font
-from .photo_camera import PhotoCamera, PhotoView, PlanePicture, Size
+from .photo_camera import PhotoCamera, PhotoView, PlaneImage, Size
 
 Pixels = NDArray[np.uint8]
 Draw = Callable[[], Pixels]
@@ -43,7 +43,7 @@ class PhotoPainter:
         self, world: WorldView, camera: PhotoCamera, largest: Size, scale: int = 1
     ) -> None:
         self.camera = camera
-        self._plane = PlanePicture(camera, largest, scale)
+        self._plane = PlaneImage(camera, largest, scale)
         self.size = self._plane.size
         doubles = [double.bodies.ravel() for double in world.doubles.values()]
         bodies = np.concatenate(doubles) if doubles else np.zeros(0, np.intp)

@@ -19,7 +19,7 @@ from PIL import Image
 from ...base.errors import UsageError
 from ...base.frames import Array
 from ...viewer.decor.font import DEFAULT_FONT, Font
-from ...viewer.decor.picture_view import Depth, PictureView
+from ...viewer.decor.image_view import Depth, ImageView
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 MODELS: tuple[str, ...] = get_args(DistortionModel)
@@ -226,7 +226,7 @@ def _limits_of(
 
 
 @dataclass(frozen=True, eq=False)
-class PhotoView(PictureView):
+class PhotoView(ImageView):
     """A `PhotoCamera` for decor: pixels are those of the photo, with its distortion."""
 
     camera: PhotoCamera = None  # type: ignore[assignment]  # fields before it have defaults
@@ -273,7 +273,7 @@ class PhotoView(PictureView):
         return self.height - 0.5
 
 
-class PlanePicture:
+class PlaneImage:
     """Renders the view of a `PhotoCamera` in OpenGL, and maps it to the photo's pixels.
 
     Without distortion it is drawn directly. Else an undistorted picture of higher resolution is

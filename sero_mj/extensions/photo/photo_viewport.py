@@ -8,7 +8,7 @@ from PIL import Image
 
 from ...robots.assemble.world_view import WorldView
 from ...viewer.decor.toggles import Toggles
-from ...viewer.image.film import Pixels
+from ...viewer.image.image_files import Pixels
 from ...viewer.session.status_line import Piece
 from ...viewer.window.glfw_window import GlWindow
 from ...viewer.window.viewport import Pane, Viewport

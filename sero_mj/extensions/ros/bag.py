@@ -17,15 +17,14 @@ from typing import Any, ClassVar
 
 from mcap.writer import MCAP0_MAGIC
 
-from ...base.errors import Problem, RecordingError, UnknownName
+from ...base.errors import Problem, RecordingError, UnknownName, first_of
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
-from ...data.receive.led_robot import LedJoint
+from ...data.receive.routed_joints import RoutedJoint
 from ...data.receive.source import Source
 from ...data.record.formats import mcap_header, open_recording
 from ...data.record.mcap_reader import NOT_CLOSED
 from ...data.record.recording import PacketFile, RecordedSource
 from ...robots.declared.scene import Scene
-from ...robots.importers.imported_tables import first_of
 from .bag_scenes import led_by
 from .dds import Ros2
 from .described_scene import DESCRIPTION, described_scene, scenes_of_bag, shipped_robots_of
@@ -295,7 +294,7 @@ class Bag(PacketFile):
             name, names = topic.strip("/").replace("/", "_"), self._joints_of(topic)
             if names:
                 source = Ros2(name=name, joint_states=topic, joints=names, odometry=base)
-                source.led_to([LedJoint(joint, math.nan) for joint in names])  # of no robot
+                source.set_joints([RoutedJoint(joint, math.nan) for joint in names])  # of no robot
                 found[name] = source
             else:
                 self.nameless.append(topic)

@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field
 
 from ...data.receive import connecting
 from ...data.receive.connecting import Address
-from ...data.receive.receiving_thread import ClosedHere, Disconnected
+from ...data.receive.receiving_thread import Closing, Disconnected
 from .ros_source import MOST_KEPT, TYPES, Listener, RosSource, ros_type, wrong_with
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ class Client:
             try:
                 if source.closing.is_set():
                     sock.close()
-                    raise ClosedHere
+                    raise Closing
                 options: dict[str, Any] = {}
                 if source.tls:
                     options["ssl"] = ssl.create_default_context()
@@ -231,11 +231,9 @@ class Client:
             elif operation == "status":
                 said = _Said.model_validate_json(text)
                 if said.level >= _WARNING:
-                    self._source.tell_once(f"the server says: {said.message[:_MOST_SAID]}")
+                    self._source.log_once(f"the server says: {said.message[:_MOST_SAID]}")
         except (ValueError, AttributeError, RecursionError):
-            self._source.tell_once(
-                f"{self._source.url} tells what is not understood: {text[:80]!r}"
-            )
+            self._source.log_once(f"{self._source.url} tells what is not understood: {text[:80]!r}")
 
     def _advertise(self, channels: list[_Channel], connection: ClientConnection) -> None:
         self._source.note_trouble("")

@@ -60,7 +60,7 @@ class JsonUdp(UdpReceiver, RosSource):
     def of_messages(self) -> RosSource:
         fields = RosSource.model_fields.keys() & type(self).model_fields.keys()
         source = Ros2(**{key: getattr(self, key) for key in fields & self.model_fields_set})
-        source.led_to(self._led)
+        source.set_joints(self._led)
         source._links = self._links
         return source
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...data.record.table_signals import ColumnNames
+from ...simulate.runs.tables import ColumnNames
 
 COLUMNS = ColumnNames(
     {

@@ -23,9 +23,9 @@ from ...base.frames import (
     rotation_to_z,
 )
 from ...base.toml_file import located
+from ..importers.importer import read_robot_file
 from ..importers.joint_names import link_of_parent
 from ..importers.mjcf_file import is_file_name
-from ..importers.robot_file import read_robot_file
 from ..kinematics.dh import DhTable
 from ..kinematics.joint_tree import JointFrames, JointTree, PlanarBase
 from .couplings import CoupledJoints, coupled_joints

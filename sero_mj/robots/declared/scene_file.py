@@ -26,8 +26,7 @@ from ...base.errors import (
 )
 from ...base.plugins import DECOR, SOURCES, load_plugin
 from ...base.toml_file import located, read_toml
-from ..importers.importer import read_imported
-from ..importers.robot_file import read_robot_file
+from ..importers.importer import read_imported, read_robot_file
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
 from .group_model import Expanded, expand_groups, where

@@ -19,8 +19,7 @@ from ..assemble.robot_dynamics import GRAVITY
 from ..declared.cartesian import NamedFrame
 from ..declared.double import AXES_OPACITY, Double
 from ..declared.robot import SerialRobot
-from ..importers.mjcf_torque_limits import torque_limits
-from ..importers.mjcf_tree import frames_at_zero, link_poses
+from ..importers.mjcf_model import frames_at_zero, link_poses, torque_limits
 from ._model_trees import Tree, without_scope
 
 # Fields that a user can set for a robot of a model; the others come from the model.

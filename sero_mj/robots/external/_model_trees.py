@@ -19,7 +19,7 @@ import numpy as np
 
 from ...base.frames import Array, Ints
 from ..assemble.solids import geom_boxes, geoms_of
-from ..importers.mjcf_tree import driven_roots
+from ..importers.mjcf_model import driven_roots, read_links
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _RESERVED = ("world", "toggles")  # reserved names in routes
@@ -60,19 +60,8 @@ class Tree:
     last: int
 
     def carriers(self, model: mujoco.MjModel) -> Ints:
-        """Returns for each joint the number, from 1, of the one whose link carries it, (n,).
-
-        It is 0 for a joint on the root.
-        """
-        last = {0: 0}  # joint of a body, the last of several
-        found = np.zeros(len(self.joints), np.intp)
-        for i, body in enumerate(model.jnt_bodyid[self.joints].tolist()):
-            above = body
-            while above not in last:
-                above = int(model.body_parentid[above])
-            found[i] = last[above]
-            last[body] = i + 1
-        return found
+        """Returns the parent link of each joint, shape (n,): 0 for the root, i for joint i."""
+        return read_links(model, self.joints)[1]
 
 
 def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree]:

@@ -30,7 +30,7 @@ _FLANGES = (
 _MAX_LENGTH_RATIO = 10.0  # a table's lengths over the reach; above it, normals are too far away
 _MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative; as in `robots.declared.dynamics`
 NO_LIMIT = 1e3  # rad or m; limits beyond this mean no limit
-TOO_FAR = f"limits of {NO_LIMIT:g} m or rad and more are taken for none"
+TOO_FAR = f"limits of {NO_LIMIT:g} rad or m and more are ignored"
 
 
 def flange_body(parents: Sequence[int]) -> int:

@@ -19,10 +19,10 @@ from urllib.parse import unquote
 import numpy as np
 
 from ...base.declaration import LARGEST
-from ...base.errors import DeclarationError, Problem, did_you_mean, raise_any, reason_of
+from ...base.errors import DeclarationError, Problem, did_you_mean, first_of, raise_any, reason_of
 from ...base.frames import Array, frame, rotation_from_rpy
 from ...base.paths import format_of_file, read_file
-from .imported_tables import ImportedTables, NoJoints, first_of
+from .imported_tables import ImportedTables, NoJoints
 from .mesh_files import read_mesh
 from .package_files import ARGUMENTS_VARIABLE, find_file, package_folders, package_of
 from .robot_tree import (
@@ -575,7 +575,7 @@ class UrdfFile:
             if value < 0:
                 self._problem(dynamics, key, f"{what}: found {value:g}; expected 0 or more")
             elif value > LARGEST:
-                self._note(f"{what} is taken for {LARGEST:g}, the most", dynamics, key)
+                self._note(f"{what} is clipped to {LARGEST:g}", dynamics, key)
             setattr(joint, what, min(value, LARGEST))
 
     def _limit(self, limit: Element, joint: Joint, key: str) -> None:

@@ -9,14 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ...base import paths
 from ...base.errors import (
-    CsvError,
     DeclarationError,
     Problem,
     RecordingError,
@@ -27,23 +25,18 @@ from ...base.errors import (
 )
 from ...base.frames import Array
 from ...base.toml_file import parse_toml
-from ...data.drive.table_scene import read_for, robots_in
-from ...data.drive.wiring import topics_of, wired_source
+from ...data.drive.wiring import topics_of
 from ...data.receive.source import Source
-from ...data.record.csv_files import column_names
 from ...data.record.formats import look_into, open_recording
 from ...data.record.recording import PacketFile
 from ...data.record.replay import receiver_of
 from ...data.record.scene_files import table_names
-from ...data.record.table import Table
-from ...data.record.table_signals import Columns
 from ...robots.declared.degrees import degrees_warning
 from ...robots.declared.group_model import Expanded, expand_groups
 from ...robots.declared.robot import SerialRobot, build_robot
 from ...robots.declared.scene import MOST_ENTRIES, Scene
-from ...robots.importers.robot_file import read_robot_file
-from ._recorded_signals import Series, follow_routes, read_events, series_of
-from .run_csv import columns_of_events, run_of_columns
+from ...robots.importers.importer import read_robot_file
+from .recorded_signals import Series, follow_routes, read_events
 from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
 
 log = logging.getLogger(__name__)
@@ -54,8 +47,6 @@ _MODEL_NAMED = re.compile(r"""(\bmodel\s*=\s*)["']([^"'\n]+)["']""")
 _ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"
 # Prefixes of `angles` in old events of the same robot.
 _DERIVED = ("actual_", "target_")
-_MANY = 4  # maximum number of columns in a message
-_LOGGED = {"commanded_angles": "target_angles"}  # signal in tables to signal in runs
 
 
 def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None = None) -> RunLog:
@@ -94,7 +85,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
             )
         if runs:
             return _simulated(recording, runs[0], scene)
-        declared = _recorded(recording) if scene is None else _declared_in(scene)
+        declared = _recorded(recording) if scene is None else declared_in(scene)
         robots = declared.robots
         if not robots:
             found = f"found {', '.join(recording.attachments) or 'no files'}"
@@ -103,7 +94,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
             reason = f"has no robot: {found}; pass a scene"
             raise RecordingError(path, reason)
         receivers = {name: _receiver_of(recording, name) for name in names}
-        return _mirrored(
+        return mirrored_run(
             path, receivers, lambda name: read_events(recording, receivers[name], name), declared
         )
 
@@ -118,108 +109,25 @@ def _opened(path: Path, topics: Mapping[str, Source] | None) -> Iterator[PacketF
                 log.warning("%s: %s", path, fault)
 
 
-def read_run_table(
-    path: Path | str,
-    scene: Scene,
-    source: str | None = None,
-    columns: Columns = MappingProxyType({}),
-) -> RunLog:
-    """Reads a table of a simulation (`simulate --csv`), of packets (`export`), or of joints.
-
-    Args:
-        scene: the robots, and the routes from packets to robots.
-        source: source of the packets in the scene; None for the only one with such columns.
-        columns: columns of the robots' signals; see `robots_in`. Times then count from the first
-            row.
-
-    Returns:
-        as of `read_run`.
-
-    Raises:
-        CsvError: the file cannot be read, or its columns are unknown.
-        UsageError: there is no such source, or one of several must be selected.
-    """
-    path = Path(path)
-    if source is not None and source not in scene.sources:
-        where, known = "in the scene", scene.sources
-        raise UsageError(Problem("", "no source", found=source, of=where, available=known))
-    table = read_for(path, columns)
-    numbers = {name: table.columns[name] for name in table.columns if name not in table.wrong}
-    run = None if columns else run_of_columns(path, table.times, numbers, scene.robots)
-    if run is not None:
-        _warn_of_degrees(path, run)
-        return replace(run, signals=_with_velocities(run.robots, run.signals, run.times))
-    names = scene.sources if source is None else [source]
-    wanted = {name: wired_source(scene, name, scene.sources[name]) for name in names}
-    sent = {name: columns_of_events(numbers, each.events) for name, each in wanted.items()}
-    sent = {} if columns else sent
-    possible = {name: events for name, events in sent.items() if events}
-    if len(possible) > 1:
-        first, *_ = possible
-        found = ", ".join(possible)
-        raise UsageError(f"{path} matches {found}; select one, for example with --source {first}")
-    if not possible:
-        return _run_of_joints(table, scene, columns, _expected_columns(table, scene, wanted))
-    ((name, events),) = possible.items()
-    series = series_of(wanted[name], events, table.times)
-    try:
-        return _mirrored(path, {name: wanted[name]}, lambda _: series, _declared_in(scene))
-    except RecordingError as error:
-        raise CsvError(path, error.reason) from None
-
-
-def _run_of_joints(table: Table, scene: Scene, columns: Columns, expected: str) -> RunLog:
-    """Returns the run in a table of joints; `expected` names otherwise missing columns."""
-    try:
-        led = robots_in(table, scene.robots, columns)
-    except CsvError as error:
-        if columns or not expected:
-            raise
-        raise CsvError(table.path, f"{expected}; {error.reason}") from None
-    is_declared = any(key.rpartition(".")[2].startswith("torques") for key in columns)
-    for each in led.values():  # for display, commanded torques replace missing measured ones
-        torques, commanded = each.get("torques"), each.get("commanded_torques")
-        if commanded is None or torques is None or is_declared:
-            continue
-        if np.array_equal(torques, commanded, equal_nan=True):
-            del each["torques"]
-    robots = {name: scene.robots[name] for name in led}
-    signals = {event_of(name, _LOGGED.get(signal, signal)): values
-               for name, each in led.items() for signal, values in each.items()}  # fmt: skip
-    times = table.times - table.times[0]
-    run = RunLog(robots, _with_velocities(robots, signals, times), times, table.path.stem)
-    _warn_of_degrees(table.path, run)
-    return run
-
-
-def _expected_columns(table: Table, scene: Scene, sources: Mapping[str, Source]) -> str:
-    """Returns which columns of a source are missing, or nothing if no source matches the table."""
-    for name, source in sources.items():
-        names = column_names(source.events)
-        missing = [each for each in names if each not in table.columns]
-        if len(missing) < len(names) / 2:
-            more = f" and {len(missing) - _MANY} more" if len(missing) > _MANY else ""
-            return f"has no column {', '.join(missing[:_MANY])}{more}, of source '{name}'"
-    return ""
-
-
-def _mirrored(
+def mirrored_run(
     path: Path,
     receivers: Mapping[str, Source],
     read: Callable[[str], Series],
-    declared: _Declared,
+    declared: Declared,
 ) -> RunLog:
+    """Returns the run of robots that routes move; `read` reads the packets of a source."""
     robots = declared.robots
     signals, times = follow_routes(
         path, receivers, read, robots, declared.routes, declared.doubles, declared.groups
     )
     known = {name: robots[name] for name in robots if event_of(name, "joint_angles") in signals}
-    run = RunLog(known, _with_velocities(known, signals, times), times, path.stem)
-    _warn_of_degrees(path, run)
+    run = RunLog(known, with_velocities(known, signals, times), times, path.stem)
+    warn_of_degrees(path, run)
     return run
 
 
-def _warn_of_degrees(path: Path, run: RunLog) -> None:
+def warn_of_degrees(path: Path, run: RunLog) -> None:
+    """Logs a warning for each robot whose joint angles look like degrees."""
     for name, robot in run.robots.items():
         if warning := degrees_warning(robot, run.of(name, "joint_angles")):
             log.warning("%s: %s", path, warning)
@@ -291,7 +199,7 @@ def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
                 reason = f"has a robot that is not in {where}: {error}"
             raise RecordingError(recording.path, reason) from error
         robots[chosen.name] = chosen
-    signals = _with_velocities(robots, signals, times[rising])
+    signals = with_velocities(robots, signals, times[rising])
     return RunLog(robots, signals, times[rising], recording.path.stem)
 
 
@@ -315,9 +223,10 @@ def _meant(path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot
     return robot
 
 
-def _with_velocities(
+def with_velocities(
     robots: Mapping[str, SerialRobot], signals: Mapping[str, Array], times: Array
 ) -> dict[str, Array]:
+    """Returns the signals with joint velocities, which are differentiated if missing."""
     found = dict(signals)
     rising = np.append(True, np.diff(times) > 0)[: len(times)]  # rows may have equal times
     for name in robots:
@@ -329,7 +238,7 @@ def _with_velocities(
 
 
 @dataclass
-class _Declared:
+class Declared:
     """The robots and routes of a scene.
 
     Attributes:
@@ -345,13 +254,14 @@ class _Declared:
     groups: dict[str, Any] = field(default_factory=dict)
 
 
-def _declared_in(scene: Scene) -> _Declared:
+def declared_in(scene: Scene) -> Declared:
+    """Returns the robots, routes, doubles and groups of a scene."""
     doubles = {name: {"of": double.of} for name, double in scene.doubles.items()}
     groups = {name: {"robots": group.robots} for name, group in scene.groups.items()}
-    return _Declared(scene.robots, dict(scene.routes), doubles, groups)
+    return Declared(scene.robots, dict(scene.routes), doubles, groups)
 
 
-def _recorded(recording: PacketFile) -> _Declared:
+def _recorded(recording: PacketFile) -> Declared:
     """Returns the robots and routes of the recorded scene.
 
     Without a recorded scene, robots have the names of their folders. If the recorded model is
@@ -364,7 +274,7 @@ def _recorded(recording: PacketFile) -> _Declared:
     models = {name: name.split("/")[-2] for name in files if name.split("/")[-1] in _MODEL_FILES}
     scenes = [tables for name, tables in files.items() if name not in models]
     scenes = [tables for tables in scenes if {"robots", "groups"} & tables.keys()]
-    found = _Declared()
+    found = Declared()
     for tables in scenes:
         found.routes = found.routes or _table(tables, "routes")
         found.doubles = found.doubles or _table(tables, "doubles")

@@ -19,8 +19,8 @@ from ..decor.quantities import joint_name
 from ..decor.toggles import Toggles
 from ..image.camera import Navigator
 from ..image.clicks import KEYS, press_toggle
-from ..image.film import Pixels
-from ..image.picture_options import DEFAULT_SIZE
+from ..image.image_files import Pixels
+from ..image.image_options import DEFAULT_SIZE
 from ..image.sampling import recorded_poses
 from ..image.scene_decor import SceneDecor
 from ..panels.message import Message

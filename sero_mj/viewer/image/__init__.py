@@ -1,6 +1,7 @@
 """Geoms to pixels: images and videos without a window, and the item at a pixel.
 
 In: a scene, or a world and its state. Out: arrays, images and videos.
-Open first: `render.py`; `backend.py` chooses EGL or OSMesa, `renderer.py` the renderer, `film.py`
-writes files; `camera.py` and `framing.py` place the camera, `picking.py` finds the item at a pixel.
+Open first: `render.py`. `backend.py` chooses EGL or OSMesa, `renderer.py` the renderer.
+`image_files.py` writes files, `camera.py` and `framing.py` place the camera, and `picking.py` finds
+the item at a pixel.
 """

@@ -15,7 +15,7 @@ import numpy as np
 from ...base.frames import Ints
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
-from ..decor.limb_cards import card_limbs
+from ..decor.limb_billboards import billboard_limbs
 from ..decor.quantities import QUANTITY_NAMES, arrow_values, joint_values
 from ..decor.toggles import Toggles
 from .picking import Picked, Pixel
@@ -73,7 +73,7 @@ def _flip_limb(world: WorldView, toggles: Toggles, picked: Picked) -> None:
 
 
 def _card_limb(world: WorldView, picked: Picked) -> Ints:
-    return card_limbs(world).joints_of(picked.index)
+    return billboard_limbs(world).joints_of(picked.index)
 
 
 def _open_limb(world: WorldView, toggles: Toggles, picked: Picked) -> None:

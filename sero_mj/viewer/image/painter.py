@@ -10,12 +10,12 @@ from typing import Any, Self
 import mujoco
 
 from ...robots.assemble.world_view import WorldView
-from ..decor.picture_view import PictureView
+from ..decor.image_view import ImageView
 from ..decor.toggles import Toggles
 from .clicks import Gesture
-from .film import Pixels
+from .image_files import Pixels
+from .image_options import Click
 from .picking import TOUCH_TOLERANCE, Picked, Pixel
-from .picture_options import Click
 from .scene_decor import SceneDecor
 
 log = logging.getLogger(__name__)
@@ -73,7 +73,7 @@ class Painter(ABC):
     def render(self, data: mujoco.MjData) -> Pixels: ...
 
     @abstractmethod
-    def _look(self, data: mujoco.MjData) -> PictureView: ...
+    def _look(self, data: mujoco.MjData) -> ImageView: ...
 
     def close(self) -> None:
         self._renderer.close()

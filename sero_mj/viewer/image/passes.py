@@ -25,9 +25,9 @@ from ...base.frames import Array, Ints
 from ...robots.assemble.world_view import WorldView
 from ..decor.geom_buffer import GeomBuffer
 from ..decor.scene_writer import SceneWriter
-from .film import Pixels, check_writable, writing_to
+from .image_files import Pixels, check_writable, writing_to
+from .image_options import PASS_ENDINGS
 from .picking import picked_drawn, picked_geom
-from .picture_options import PASS_ENDINGS
 
 BACKGROUND, FLOOR = "background", "floor"
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)

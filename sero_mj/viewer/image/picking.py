@@ -17,7 +17,7 @@ from ...robots.assemble.parts import RobotPart, robots_of_bodies
 from ...robots.assemble.world_view import WorldView
 from ..decor.geom_buffer import ARROW_SIZE_OF_LENGTH, GeomBuffer, Kind
 from ..decor.handles import HANDLE_NAMES
-from ..decor.picture_view import PictureView
+from ..decor.image_view import ImageView
 
 PickedKind = Literal[
     "link",
@@ -75,7 +75,7 @@ def pick(
     world: WorldView,
     data: mujoco.MjData,
     buffer: GeomBuffer,
-    view: PictureView,
+    view: ImageView,
     pixel: Pixel,
     tolerance: float = 0.0,
 ) -> Picked | None:
@@ -98,13 +98,13 @@ def pick(
     return decor if decor.distance <= solid.distance else solid
 
 
-def _through(view: PictureView, pixel: Pixel) -> Array:
+def _through(view: ImageView, pixel: Pixel) -> Array:
     direction = view.at(np.array(pixel, float), 1.0) - view.position
     return np.asarray(direction / np.linalg.norm(direction))
 
 
 def point_at(
-    world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: PictureView, pixel: Pixel
+    world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: ImageView, pixel: Pixel
 ) -> Array | None:
     """Returns the world point (3,), m, at a pixel, including the floor; None for the sky."""
     direction = _through(view, pixel)
@@ -117,7 +117,7 @@ def point_at(
 
 
 def link_at(
-    world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: PictureView, pixel: Pixel
+    world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: ImageView, pixel: Pixel
 ) -> tuple[str, Array] | None:
     """Returns the frame of the robot's link at a pixel, and the world point there, (3,), m.
 
@@ -136,7 +136,7 @@ def link_at(
 
 
 def handle_at(
-    buffer: GeomBuffer, view: PictureView, pixel: Pixel, tolerance: float = 0.0
+    buffer: GeomBuffer, view: ImageView, pixel: Pixel, tolerance: float = 0.0
 ) -> int | None:
     """Returns the handle at a pixel, see `viewer.decor.handles`; None for none."""
     handles = buffer.kinds[: buffer.count] == Kind.HANDLE
@@ -153,7 +153,7 @@ def handle_at(
 def _pick_decor(
     world: WorldView,
     buffer: GeomBuffer,
-    view: PictureView,
+    view: ImageView,
     origin: Array,
     direction: Array,
     tolerance: float,
@@ -195,7 +195,7 @@ def picked_of(world: WorldView, kind: Kind, item: int, distance: float = 0.0) ->
 def _nearest_decor(
     among: Bools,
     buffer: GeomBuffer,
-    view: PictureView,
+    view: ImageView,
     origin: Array,
     direction: Array,
     tolerance: float,

@@ -25,33 +25,33 @@ from ...robots.assemble.solids import geom_corners
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
 from ..decor.font import line_height
-from ..decor.picture_view import PictureView
+from ..decor.image_view import ImageView
 from .added_surroundings import added_surroundings
 from .backend import adopt_backend, backend_problem
 from .camera import Follower, find_camera, followed
-from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
-from .film_frames import SUBFRAMES, Exposure, film_frames
 from .framing import Framing, bounding_sphere, declared_data, stand_back
 from .held_torques import HeldTorques
+from .image_files import ImageArray, Pixels, VideoWriter, check_writable, default_fps, save_image
+from .image_options import (
+    DEFAULT_SIZE,
+    EYE_DISTANCE,
+    ImageOptions,
+    Pass,
+    Quality,
+    Stereo,
+    VideoOptions,
+)
 from .mujoco_private import context_of
 from .painter import Painter, perform_clicks
 from .passes import PassRenderer, check_pass_file, save_depth, save_segmentation
 from .picking import Pixel
-from .picture_options import (
-    DEFAULT_SIZE,
-    EYE_DISTANCE,
-    FilmOptions,
-    Pass,
-    PictureOptions,
-    Quality,
-    Stereo,
-)
 from .renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
 from .scene_decor import SceneDecor
 from .stereo import anaglyph, check_stereo, each_eye, looked_at
 from .switches import apply_switches
 from .textures import upload_textures, without_textures
 from .typesetting import Typesetter, compose
+from .video_frames import SUBFRAMES, Exposure, video_frames
 
 log = logging.getLogger(__name__)
 
@@ -179,7 +179,7 @@ class HeadlessRenderer(Painter):
         self._passes: PassRenderer | None = None
 
     @classmethod
-    def of_scene(cls, mirror: Mirror, options: PictureOptions, frames: int = 1) -> Self:
+    def of_scene(cls, mirror: Mirror, options: ImageOptions, frames: int = 1) -> Self:
         """Returns a renderer for pictures of a mirrored scene as they were chosen."""
         return cls(
             mirror.world,
@@ -205,7 +205,7 @@ class HeadlessRenderer(Painter):
         if self._stereo is None and self._scale == 1:
             pixels: Pixels = self._renderer.render(out=out)
             compose(pixels, text)
-            return pixels if out is not None else pixels.view(Picture)
+            return pixels if out is not None else pixels.view(ImageArray)
         pixels = np.zeros((*self.size[::-1], 3), np.uint8) if out is None else out
         if self._stereo == "anaglyph":
             pixels[:] = anaglyph(*self._eyes())
@@ -218,7 +218,7 @@ class HeadlessRenderer(Painter):
         else:
             pixels[:] = self._drawn()
             compose(pixels, text)
-        return pixels if out is not None else pixels.view(Picture)
+        return pixels if out is not None else pixels.view(ImageArray)
 
     def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None:
         """Moves the camera so that robots are in the picture in all of some poses.
@@ -289,7 +289,7 @@ class HeadlessRenderer(Painter):
         pixels[:] = exposure.picture()
         if text is not None:
             compose(pixels, text)
-        return pixels if out is not None else pixels.view(Picture)
+        return pixels if out is not None else pixels.view(ImageArray)
 
     def _drawn(self) -> Pixels:
         drawn: Pixels = self._renderer.render()
@@ -302,14 +302,14 @@ class HeadlessRenderer(Painter):
         distance = looked_at(scene, self.camera, self._centre)
         return [self._drawn() for _ in each_eye(scene, self._eye_distance, distance)]
 
-    def _look(self, data: mujoco.MjData) -> PictureView:
+    def _look(self, data: mujoco.MjData) -> ImageView:
         scene = self._renderer.scene
         if self._follower is not None:
             self.camera.lookat = self.camera.lookat + self._follower.displacement(data)
         else:
             self._framing.fit(self.camera, data)
         self._fill(scene, data, self._half)
-        return PictureView.of_scene(scene, *self._half, self._typesetter.font)
+        return ImageView.of_scene(scene, *self._half, self._typesetter.font)
 
     def _fill(self, scene: mujoco.MjvScene, data: mujoco.MjData, size: tuple[int, int]) -> None:
         self.decor.fill(data, self.camera, scene)
@@ -350,20 +350,20 @@ MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
 OnProgress = Callable[[int, int], None]
 
 
-def render_picture(
+def render_image(
     scene: Scene,
     path: Path | str,
-    options: PictureOptions | None = None,
+    options: ImageOptions | None = None,
     *,
     at: float = 0.0,
-    painter: Callable[[Mirror, PictureOptions], Painter] = HeadlessRenderer.of_scene,
+    painter: Callable[[Mirror, ImageOptions], Painter] = HeadlessRenderer.of_scene,
     **keywords: Any,
 ) -> list[str]:
     """Renders a picture of the current state of a scene.
 
     Args:
         path: the file; .png, or another format of Pillow.
-        **keywords: of `PictureOptions`: `size` (width, height), `quality`, `camera`, `stereo`,
+        **keywords: of `ImageOptions`: `size` (width, height), `quality`, `camera`, `stereo`,
             `eye_distance`, `follow`, `clicks`, `shown`, `selected`, `render_pass`, `wait`.
 
     Returns:
@@ -372,7 +372,7 @@ def render_picture(
     Raises:
         SeroError: a problem of the scene, its sources, the camera, an option or the file.
     """
-    path, options = Path(path), options or PictureOptions(**keywords)
+    path, options = Path(path), options or ImageOptions(**keywords)
     if options.render_pass != "colour":
         check_pass_file(path)
     with Mirror(scene) as mirror:
@@ -391,7 +391,7 @@ def render_picture(
                 _save_pass(path, drawn, mirror.data, options.render_pass)
                 return silent
             dpi = PRINT_DPI if options.quality == "fine" else None
-            save_picture(path, drawn.render(mirror.data), dpi)
+            save_image(path, drawn.render(mirror.data), dpi)
     return silent
 
 
@@ -404,10 +404,10 @@ def _save_pass(path: Path, drawn: Painter, data: mujoco.MjData, which: Pass) -> 
         save_depth(path, drawn.depth(data))
 
 
-def render_film(
+def render_video(
     scene: Scene,
     path: Path | str,
-    options: FilmOptions | None = None,
+    options: VideoOptions | None = None,
     *,
     on_progress: OnProgress | None = None,
     **keywords: Any,
@@ -416,8 +416,8 @@ def render_film(
 
     Args:
         path: the file; .mp4, .webm or .gif.
-        **keywords: of `FilmOptions`: `duration` (s), `fps`, `orbit` (degrees), `camera_path` (a
-            file), and all of `render_picture`; clicks are performed before the first frame.
+        **keywords: of `VideoOptions`: `duration` (s), `fps`, `orbit` (degrees), `camera_path` (a
+            file), and all of `render_image`; clicks are performed before the first frame.
 
     Returns:
         names of the sources without data.
@@ -425,7 +425,7 @@ def render_film(
     Raises:
         SeroError: a problem of the scene, its sources, the camera, an option or the file.
     """
-    path, options = Path(path), options or FilmOptions(**keywords)
+    path, options = Path(path), options or VideoOptions(**keywords)
     if options.render_pass != "colour":
         expected = "a picture: films change colours, by which parts and depths are told"
         raise RenderError(Problem(file=str(path), found=options.render_pass, expected=expected))
@@ -437,14 +437,14 @@ def render_film(
     with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options, drawn) as renderer:
         clicks = partial(perform_clicks, renderer, clicks=options.clicks)
         held = HeldTorques(mirror, renderer.toggles)
-        frames = film_frames(mirror, renderer, count, fps, options, clicks, held.update)
-        return write_film(
+        frames = video_frames(mirror, renderer, count, fps, options, clicks, held.update)
+        return write_video(
             mirror, renderer, path, frames,
             fps=fps, count=count, options=options, on_progress=on_progress,
         )  # fmt: skip
 
 
-def write_film(
+def write_video(
     mirror: Mirror,
     painter: Painter,
     path: Path,
@@ -452,7 +452,7 @@ def write_film(
     *,
     fps: float,
     count: int,
-    options: PictureOptions,
+    options: ImageOptions,
     on_progress: OnProgress | None,
 ) -> list[str]:
     """Writes frames that a painter draws as a film.
@@ -460,7 +460,7 @@ def write_film(
     Returns:
         names of the sources without data.
     """
-    with FilmWriter(path, *painter.size, fps) as film:
+    with VideoWriter(path, *painter.size, fps) as film:
         silent = mirror.wait(options.wait)
         apply_switches(mirror.world, painter.toggles, options.shown, options.selected)
         for frame in frames:

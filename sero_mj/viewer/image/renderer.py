@@ -17,8 +17,8 @@ from ...base.errors import Problem, RenderError
 from ...base.plugins import RENDERERS, load_all
 from ...robots.assemble.world_view import WorldView
 from .added_surroundings import AddedSurroundings
-from .film import Pixels
-from .picture_options import Quality
+from .image_files import Pixels
+from .image_options import Quality
 
 log = logging.getLogger(__name__)
 

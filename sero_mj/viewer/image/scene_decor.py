@@ -11,9 +11,9 @@ from ...robots.assemble.world_view import WorldView
 from ..decor.draw import Decor
 from ..decor.feature import Drawn
 from ..decor.geom_buffer import CAPACITY, GeomBuffer
+from ..decor.image_view import ImageView
 from ..decor.model_drawing import ModelDrawing
 from ..decor.panels import Panels
-from ..decor.picture_view import PictureView
 from ..decor.round_arrows import ARROW_GEOMS
 from ..decor.scene_writer import SceneWriter
 from ..decor.toggles import Toggles
@@ -46,7 +46,7 @@ class SceneDecor:
     ) -> None:
         self.world = world
         self.toggles = Toggles(world) if toggles is None else toggles
-        self.view: PictureView | None = None
+        self.view: ImageView | None = None
         self.dropped = 0
         self.drawing = ModelDrawing(world)
         self._decor = Decor(world, capacity, arrow_geoms)
@@ -73,11 +73,11 @@ class SceneDecor:
     def fill(self, data: mujoco.MjData, camera: mujoco.MjvCamera, scene: mujoco.MjvScene) -> None:
         self.drawing.fill(data, self.toggles, camera, scene)
 
-    def lay_out(self, data: mujoco.MjData, view: PictureView) -> None:
+    def lay_out(self, data: mujoco.MjData, view: ImageView) -> None:
         self.view = view
         self._decor.draw(data, self.toggles, view)
 
-    def draw(self, data: mujoco.MjData, view: PictureView, scene: mujoco.MjvScene) -> int:
+    def draw(self, data: mujoco.MjData, view: ImageView, scene: mujoco.MjvScene) -> int:
         """Lays out one frame and adds it to a scene that MuJoCo has filled."""
         self.lay_out(data, view)
         if self._host is None or self._host[0] is not scene:

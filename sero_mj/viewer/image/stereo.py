@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.errors import RenderError, shown
-from .picture_options import Stereo
+from .image_options import Stereo
 
 STEREO: tuple[str, ...] = get_args(Stereo)
 _MOST_APART = 1.0  # m

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Ints
-from .film import Pixels
+from .image_files import Pixels
 
 _SRGB = mujoco.mjtColorSpace.mjCOLORSPACE_SRGB
 _FACES = 6  # of a cube, one below the other

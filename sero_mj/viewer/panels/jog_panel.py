@@ -8,7 +8,7 @@ import numpy as np
 
 from ...base.frames import Array, frame, inverse, rotation_from_rpy, rpy_from_rotation
 from ...robots.assemble.world_view import WorldView
-from ..decor.card_names import card_names
+from ..decor.joint_titles import short_joint_names
 from ..session.joint_goal import JointGoal, as_command, as_python, as_toml
 from ..session.widgets import Widgets
 
@@ -70,7 +70,7 @@ class JointSliders:
     def _joints(self, ui: Widgets, goal: JointGoal, joints: Sequence[int]) -> None:
         robot, angles = goal.robot, goal.angles
         free = set(robot.coupled.independent.tolist())
-        names = card_names(robot.names, robot.name)  # without what all have in common
+        names = short_joint_names(robot.names, robot.name)  # without what all have in common
         longest = max(len(names[joint]) for joint in joints)
         name_width = min(max(_CHARACTER * longest, _LEAST_NAME), _MOST_NAME)
         if not ui.table(f"##angles{joints[0]}", (name_width, 0, _NUMBER)):

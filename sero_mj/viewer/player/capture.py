@@ -22,14 +22,14 @@ from ...robots.declared.scene import Scene
 from ..decor.billboards import LineFormat, has_chosen_lines, joint_formats, shows_errors
 from ..decor.draw import Decor
 from ..decor.geom_buffer import GEOM, Kind
+from ..decor.image_view import ImageView
 from ..decor.legend import Legend
-from ..decor.picture_view import PictureView
 from ..decor.quantities import joint_name
 from ..decor.toggles import Toggles
 from ..image.camera import Follower, find_camera, followed
 from ..image.framing import Framing, declared_data, needed_aspect
 from ..image.held_torques import HeldTorques
-from ..image.picture_options import DEFAULT_SIZE
+from ..image.image_options import DEFAULT_SIZE
 from ..image.sampling import known_poses, sampled_states
 from .copied_bodies import CopiedBody
 from .frame import CapturedFrame, FrameTaker, body_poses, shown_bodies
@@ -161,7 +161,7 @@ class FrameCapturer:
                 feature.is_steady = False
         self._taker = FrameTaker(world, np.ones(len(world.joints.names), bool))
         self._decor.features.append(self._taker)
-        self._view: PictureView | None = None
+        self._view: ImageView | None = None
 
     def take(self, data: mujoco.MjData) -> CapturedFrame:
         if self._view is None:
@@ -335,12 +335,12 @@ def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float
     return int(np.floor(seconds * fps + 1e-9)) + 1
 
 
-def _view(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera) -> PictureView:
+def _view(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera) -> ImageView:
     scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 64)
     everything = int(mujoco.mjtCatBit.mjCAT_ALL)
     option, perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
     mujoco.mjv_updateScene(model, data, option, perturb, camera, everything, scene)
-    return PictureView.of_scene(scene, *_SIZE)
+    return ImageView.of_scene(scene, *_SIZE)
 
 
 def _keep_last(poses: Array, far: Bools) -> None:

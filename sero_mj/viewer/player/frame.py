@@ -10,7 +10,7 @@ import numpy as np
 from ...base.frames import Array, Bools, Ints
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
-from ..decor.cards import Cards
+from ..decor.billboard_layout import BillboardGroup
 from ..decor.feature import Frame
 from ..decor.geom_buffer import GeomBuffer, Kind
 from ..decor.legend import SCALE
@@ -75,7 +75,7 @@ class FrameTaker:
         self.bodies, self.copies = shown_bodies(world), CopiedBodies(world)
         self._soft = SoftParts(world.model)
         self.corners: list[tuple[bool, list[str]]] = []
-        self.cards: list[Cards] = []
+        self.cards: list[BillboardGroup] = []
         self.beside: list[Panels] = []
         self.frame: Frame | None = None
 
@@ -85,10 +85,10 @@ class FrameTaker:
             for group in frame.corners
             for lines in group.texts
         ]
-        self.cards = [*frame.cards]
+        self.cards = [*frame.billboards]
         # Names have places of their own, see `labels_of`.
         self.beside = [each for each in frame.panels if each.kind not in (Kind.NAME, Kind.PART)]
-        for groups in (frame.corners, frame.cards, frame.panels):
+        for groups in (frame.corners, frame.billboards, frame.panels):
             groups.clear()
 
     def draw(self, frame: Frame) -> None:

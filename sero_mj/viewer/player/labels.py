@@ -9,8 +9,8 @@ import numpy as np
 
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
-from ..decor.card_names import frame_titles
 from ..decor.feature import Frame
+from ..decor.joint_titles import frame_titles
 from ..decor.part_names import named_parts
 from .packing import PackedArrays
 

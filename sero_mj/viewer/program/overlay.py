@@ -18,15 +18,15 @@ from ...robots.declared.scene import SceneToggles
 from ...robots.external.model_world import ModelWorld
 from ...robots.importers.mjcf_file import as_spec, is_mjcf_object
 from ..decor.font import DEFAULT_FONT, Font
-from ..decor.picture_view import PictureView
+from ..decor.image_view import ImageView
 from ..decor.toggles import Toggles
 from ..image.backend import adopt_backend
 from ..image.camera import find_camera
 from ..image.clicks import Gesture
-from ..image.film import Picture
+from ..image.image_files import ImageArray
+from ..image.image_options import DEFAULT_SIZE
 from ..image.mujoco_private import context_of
 from ..image.picking import Picked, Pixel
-from ..image.picture_options import DEFAULT_SIZE
 from ..image.render import HeadlessRenderer
 from ..image.scene_decor import SceneDecor
 from .robot_inputs import RobotInputs
@@ -56,7 +56,7 @@ class Overlay:
         return self._decor.toggles
 
     @property
-    def view(self) -> PictureView | None:
+    def view(self) -> ImageView | None:
         return self._drawn.view
 
     @property
@@ -138,7 +138,7 @@ class Overlay:
             )
         self.check_frames()
         self._drawn = self._decor
-        view = PictureView.of_scene(scene, width, height, font)
+        view = ImageView.of_scene(scene, width, height, font)
         return self._decor.draw(self.data, view, scene)
 
     def pick(self, x: float, y: float, tolerance: float = 0.0) -> Picked | None:
@@ -170,7 +170,7 @@ class Overlay:
         width: int = DEFAULT_SIZE[0],
         height: int = DEFAULT_SIZE[1],
         camera: str | mujoco.MjvCamera | None = None,
-    ) -> Picture:
+    ) -> ImageArray:
         """Renders a picture without a window; notebooks display it, `.save("out.png")` writes it.
 
         Args:
@@ -193,7 +193,7 @@ class Overlay:
             renderer.toggles = self.toggles
         named = camera is None or isinstance(camera, str)
         renderer.camera = find_camera(self.world, camera) if named else camera
-        picture: Picture = renderer.render(self.data).view(Picture)
+        picture: ImageArray = renderer.render(self.data).view(ImageArray)
         self._drawn = renderer.decor
         return picture
 

@@ -27,7 +27,7 @@ import mujoco
 from ...base.child_process import ChildProcess
 from ...base.errors import RenderError, UsageError
 from ...robots.importers.mjcf_file import as_spec, is_mjcf_object
-from ..image.film import Pixels
+from ..image.image_files import Pixels
 from ..image.picking import Picked
 
 log = logging.getLogger(__name__)

@@ -20,8 +20,8 @@ from ...robots.declared.surroundings import Look
 from ...robots.external.model_world import ModelWorld
 from ..host.pointer import OnClick
 from ..image.backend import has_display
-from ..image.film import Picture
-from ..image.picture_options import DEFAULT_SIZE
+from ..image.image_files import ImageArray
+from ..image.image_options import DEFAULT_SIZE
 from ..panels.user_widgets import TOOL as PANELS
 from .memory import OverlayMemory, SceneMemory, ViewerMemory
 from .outbox import Outbox, UserSignals
@@ -167,14 +167,14 @@ class Viewer:
         """
         self._signals.add(name, value)
 
-    def picture(self) -> Picture:
+    def picture(self) -> ImageArray:
         """Returns a picture of the values set so far, without status line and messages.
 
         Raises:
             RenderError: it is closed, or no picture can be made.
         """
         self._memory.sync()
-        picture: Picture = self._process.picture().view(Picture)
+        picture: ImageArray = self._process.picture().view(ImageArray)
         return picture
 
     def close(self) -> None:

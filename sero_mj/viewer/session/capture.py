@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from ...base.errors import SeroError
-from ..image.film import FilmWriter, Pixels, save_picture
+from ..image.image_files import Pixels, VideoWriter, save_image
 
 FPS = 30.0
 # Maximum number of queued frames; further ones are replaced by a longer following frame.
@@ -50,7 +50,7 @@ class PictureWriter:
         self._pool = ThreadPoolExecutor(1, "pictures")
         self._pending: list[tuple[Future[None], str, Path]] = []
         self._waiting = threading.Semaphore(_MAX_WAITING)
-        self._film: FilmWriter | None = None
+        self._film: VideoWriter | None = None
         self._film_path = Path()
         self._size = (0, 0)
         self._begin = 0.0
@@ -62,13 +62,13 @@ class PictureWriter:
 
     def picture(self, pixels: Pixels) -> None:
         path = unused_name(self._folder, self._scene, ".png", datetime.now())
-        future = self._pool.submit(save_picture, path, pixels)
+        future = self._pool.submit(save_image, path, pixels)
         self._pending.append((future, "screenshot", path))
 
     def start(self, size: tuple[int, int], time: float) -> str:
         """Starts a film and returns a message for the user."""
         path = unused_name(self._folder, self._scene, ".mp4", datetime.now())
-        self._film, self._film_path = FilmWriter(path, *size, FPS), path
+        self._film, self._film_path = VideoWriter(path, *size, FPS), path
         self._size, self._begin, self._sent = size, time, 0
         self.seconds = 0.0
         return f"filming to {path}"

@@ -17,7 +17,7 @@ from platformdirs import user_state_path
 from ...base import paths
 from ...base.errors import UsageError
 from ...robots.declared.scene import Scene
-from ..image.film import Pixels
+from ..image.image_files import Pixels
 from .view_state import ViewState
 
 MOST = 8

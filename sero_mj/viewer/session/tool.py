@@ -25,7 +25,7 @@ from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..decor.feature import Frame
 from ..decor.toggles import Toggles
-from ..image.film import Pixels
+from ..image.image_files import Pixels
 from ..image.picking import Picked, Pixel
 from ..image.scene_decor import SceneDecor
 from .clock import Clock, Tick

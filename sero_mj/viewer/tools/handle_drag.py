@@ -6,14 +6,14 @@ import numpy as np
 
 from ...base.frames import Array
 from ..decor.handles import CUBE, ring_radius
-from ..decor.picture_view import PictureView
+from ..decor.image_view import ImageView
 from ..image.picking import Pixel
 
 _EDGE_ON = 0.2  # of a ring's axis along the line of sight; below it the ring is seen from the side
 _HEAD_ON = 0.05  # of 1 - the same for an arrow; below it the arrow points at the camera
 
 
-def dragged(pose: Array, handle: int, view: PictureView, begin: Pixel, now: Pixel) -> Array:
+def dragged(pose: Array, handle: int, view: ImageView, begin: Pixel, now: Pixel) -> Array:
     """Returns the pose of a frame whose handle the pointer has dragged.
 
     An arrow moves it by what the point of its axis nearest to the line of sight moves; a ring turns
@@ -35,17 +35,17 @@ def dragged(pose: Array, handle: int, view: PictureView, begin: Pixel, now: Pixe
     return found
 
 
-def _ray(view: PictureView, pixel: Pixel) -> Array:
+def _ray(view: ImageView, pixel: Pixel) -> Array:
     ray = view.at(np.array(pixel, float), 1.0) - view.position
     return np.asarray(ray / np.linalg.norm(ray))
 
 
-def _in_picture(view: PictureView, origin: Array, pixel: Pixel) -> Array:
+def _in_picture(view: ImageView, origin: Array, pixel: Pixel) -> Array:
     ray = view.at(np.array(pixel, float), 1.0)
     return target_of(view.position, view.forward, origin, ray)
 
 
-def _along(view: PictureView, origin: Array, axis: Array, pixel: Pixel) -> float:
+def _along(view: ImageView, origin: Array, axis: Array, pixel: Pixel) -> float:
     ray = _ray(view, pixel)
     across = float(ray @ axis)
     apart = 1.0 - across**2
@@ -55,7 +55,7 @@ def _along(view: PictureView, origin: Array, axis: Array, pixel: Pixel) -> float
     return float((way @ axis - across * (way @ ray)) / apart)
 
 
-def _about(view: PictureView, origin: Array, axis: Array, begin: Pixel, now: Pixel) -> float:
+def _about(view: ImageView, origin: Array, axis: Array, begin: Pixel, now: Pixel) -> float:
     sight = (origin - view.position) / np.linalg.norm(origin - view.position)
     if abs(float(sight @ axis)) < _EDGE_ON:
         # The nearer side of the ring goes along this line of the picture.

@@ -7,7 +7,7 @@ import time
 from collections.abc import Collection, Mapping
 from typing import ClassVar
 
-from ..image.film import Pixels
+from ..image.image_files import Pixels
 from ..session.capture import PictureWriter
 from ..session.clock import time_text
 from ..session.keys import Key

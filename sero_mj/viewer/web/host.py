@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from ...data.drive.mirror import LiveWorld
 from ..host.live import LiveHost
-from ..image.film import Pixels
-from ..image.picture_options import DEFAULT_SIZE
+from ..image.image_files import Pixels
+from ..image.image_options import DEFAULT_SIZE
 from ..image.scene_decor import SceneDecor
 from ..player.page import live_page, look_asked_for, player_files
 from .browsers import Browsers

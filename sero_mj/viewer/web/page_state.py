@@ -14,11 +14,11 @@ import numpy as np
 
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
-from ..decor.cards import Cards
+from ..decor.billboard_layout import BillboardGroup
 from ..decor.feature import Frame
 from ..decor.geom_buffer import Kind
+from ..decor.image_view import ImageView
 from ..decor.panels import Panels
-from ..decor.picture_view import PictureView
 from ..image.scene_decor import SceneDecor
 from ..player.capture import capture_pose
 from ..player.encode import METRE_STEP, ROTATION_STEP, arrow_looks, encode
@@ -116,7 +116,7 @@ class PageState(FrameTaker):
         ]
         self._sections.put("items", b"".join(part.tobytes() for part in parts))
 
-    def _put_labels(self, view: PictureView, labels: dict[Any, Any], beside: list[Panels]) -> None:
+    def _put_labels(self, view: ImageView, labels: dict[Any, Any], beside: list[Panels]) -> None:
         found: list[tuple[str, Any, int, int]] = []
         for (what, item), (text, place) in labels.items():
             found.append((text, place, Kind.NAME if what == "name" else Kind.NONE, item))
@@ -134,7 +134,7 @@ class PageState(FrameTaker):
             ],
         )
 
-    def _in_world(self, view: PictureView, pixel: Array) -> Array:
+    def _in_world(self, view: ImageView, pixel: Array) -> Array:
         """Returns the place at a pixel, as far away as the robots."""
         return view.at(np.asarray(pixel, float), self._depth)
 
@@ -144,7 +144,7 @@ class PageState(FrameTaker):
         parts = [state.site_xpos[rows], turns]
         return b"".join(each.astype(np.float32).tobytes() for each in parts)
 
-    def _cards_of(self, frame: Frame, cards: Cards) -> list[dict[str, Any]]:
+    def _cards_of(self, frame: Frame, cards: BillboardGroup) -> list[dict[str, Any]]:
         joints, found = self._world.joints, []
         is_of_joint = cards.kind == Kind.BILLBOARD
         for k, item in enumerate(cards.items.tolist()):

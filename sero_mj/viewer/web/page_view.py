@@ -9,7 +9,7 @@ import numpy as np
 
 from ...robots.assemble.world_view import WorldView
 from ..decor.font import DEFAULT_FONT, Font
-from ..decor.picture_view import PictureView
+from ..decor.image_view import ImageView
 from ..image.camera import Navigator
 from ..image.framing import stand_back
 from .sections import Sections
@@ -33,11 +33,11 @@ class PageView:
         self._last: tuple[object, ...] = ()  # camera that browsers know of
         self._serial = 0  # counts how often the host has moved it
 
-    def picture(self, data: mujoco.MjData) -> PictureView:
+    def picture(self, data: mujoco.MjData) -> ImageView:
         scene, camera, (width, height) = self._scene, self.navigator.camera, self.size
         mujoco.mjv_updateCamera(self._world.model, data, camera, scene)
         stand_back(scene, camera, width, height, self.navigator.needed)
-        return PictureView.of_scene(scene, width, height, _FONT)
+        return ImageView.of_scene(scene, width, height, _FONT)
 
     def take(self, fixed: int, look_at: Sequence[float], numbers: Sequence[float]) -> None:
         """Takes the camera of the browser in control, which is not sent back to it.

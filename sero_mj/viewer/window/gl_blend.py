@@ -8,7 +8,7 @@ from typing import Any
 
 import glfw
 
-from ..image.film import Pixels
+from ..image.image_files import Pixels
 from ..image.typesetting import PlacedPanel
 
 # Of gl.h.

@@ -15,7 +15,7 @@ import numpy as np
 from ...base.errors import RenderError, shown
 from ...robots.assemble.world_view import WorldView
 from ..decor.font import line_height
-from ..image.film import Pixels
+from ..image.image_files import Pixels
 from ..image.render import check_size, offscreen_size
 from ..image.typesetting import Typesetter
 from ..session.input import LEFT, MIDDLE, RIGHT, Event

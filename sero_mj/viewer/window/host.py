@@ -15,8 +15,8 @@ from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..decor.toggles import Toggles
 from ..host.live import LiveHost
-from ..image.film import Pixels
-from ..image.picture_options import DEFAULT_SIZE
+from ..image.image_files import Pixels
+from ..image.image_options import DEFAULT_SIZE
 from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.keys import help_columns
 from ..session.status_line import status_pieces

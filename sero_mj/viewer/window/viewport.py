@@ -9,12 +9,12 @@ import numpy as np
 
 from ...robots.assemble.world_view import WorldView
 from ..decor.geom_buffer import CAPACITY
-from ..decor.picture_view import PictureView
+from ..decor.image_view import ImageView
 from ..decor.toggles import Toggles
 from ..image.added_surroundings import added_surroundings
 from ..image.framing import bounding_sphere, stand_back
+from ..image.image_options import EYE_DISTANCE, Stereo
 from ..image.picking import Pixel
-from ..image.picture_options import EYE_DISTANCE, Stereo
 from ..image.scene_decor import SceneDecor
 from ..image.stereo import check_stereo, each_eye, looked_at
 from ..image.typesetting import Typesetter
@@ -62,7 +62,7 @@ class Viewport(SceneDecor):
         self.rect = rect
         stand_back(scene, camera, self.width, rect.height, self.needed)
         inset = (min(covered, 0.6 * self.width), 0.0, 0.0, 0.0)
-        view = PictureView.of_scene(scene, self.width, rect.height, pane.typesetter.font, inset)
+        view = ImageView.of_scene(scene, self.width, rect.height, pane.typesetter.font, inset)
         self.draw(data, view, scene)
 
     @property

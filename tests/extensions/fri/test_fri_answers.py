@@ -178,7 +178,7 @@ def test_a_state_that_is_not_good_is_in_the_corner(
         mirror.advance()
         assert corner_lines(mirror)[:2] == [
             "fri: 1 of 2 packets not applied",
-            "  another kind of packet: a constant is wrong",
+            "  wrong constant: another kind of packet",
         ]
 
 

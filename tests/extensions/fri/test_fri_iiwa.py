@@ -240,7 +240,7 @@ def test_what_is_left_out_is_as_fri_has_it() -> None:
     assert make_source("arm", {"kind": "fri", "version": "iiwa-1", "port": 5}).place[1] == 5
     with raises_with(key="version", found="3", expected="'1', 'iiwa-1' or 'iiwa-2'"):
         make_source("arm", {"kind": "fri", "version": "3"})
-    with raises_with(key="structure", reason="found '7F'; FRI fixes it: leave it out"):
+    with raises_with(key="structure", reason="found '7F'; FRI determines this field. Leave it out"):
         make_source("arm", {"kind": "fri", "version": "iiwa-1", "structure": "7F"})
     source.version = "iiwa-1"
     assert source.structure == STRUCTURES["iiwa-1"]
@@ -297,7 +297,7 @@ def test_an_iiwa_is_mirrored_recorded_and_replayed(
         said = Status(mirror.world)._awaited(mirror.data, Toggles(mirror.world), view_at())
         assert said is not None
         lines = [text.decode() for text in said.texts[0]]
-        assert lines[1:] == ["  awaited: FRI messages"]  # and nothing that `send` could play
+        assert lines[1:] == ["  expected: FRI messages"]  # and nothing that `send` could play
         with record_sources(mirror.sources, recording, scene=scene):
             give(source, controller, monitoring(1), monitoring(2)[:-9], framed(monitoring(3)))
         mirror.advance()
@@ -348,7 +348,7 @@ def test_a_state_that_is_not_good_is_in_the_corner(
         mirror.advance()
         assert corner_lines(mirror)[:2] == [
             "fri: 1 of 2 packets not applied",
-            "  a FRI message that cannot be used, 5 bytes",
+            "  invalid FRI message, 5 bytes",
         ]
 
 

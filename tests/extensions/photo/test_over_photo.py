@@ -19,8 +19,8 @@ from sero_mj.extensions.photo.camera_file import write_camera
 from sero_mj.extensions.photo.footage import Video, at_rate, upright
 from sero_mj.extensions.photo.over import PhotoRenderer
 from sero_mj.extensions.photo.over_photo import PhotoPainter
-from sero_mj.extensions.photo.photo_camera import PhotoCamera, PhotoView, PlanePicture
-from sero_mj.viewer.image.film import FilmWriter
+from sero_mj.extensions.photo.photo_camera import PhotoCamera, PhotoView, PlaneImage
+from sero_mj.viewer.image.image_files import VideoWriter
 from sero_mj.viewer.image.render import make_renderer
 from sero_mj.viewer.image.scene_decor import SceneDecor
 
@@ -117,7 +117,7 @@ def test_geoms_are_drawn_within_half_a_pixel_of_where_opencv_projects_them(lens:
 
 def drawn_alone(world: World, data: mujoco.MjData, by: PhotoCamera, *, decor: bool) -> Array:
     """The scene as windows show it, by this camera, without panels."""
-    plane = PlanePicture(by, (4096, 4096))
+    plane = PlaneImage(by, (4096, 4096))
     renderer = make_renderer(world, *plane.size, is_draft=False)
     renderer.update_scene(data)
     plane.look(renderer.scene)
@@ -195,7 +195,7 @@ def test_a_click_is_on_what_the_lens_shows_there() -> None:
 
 
 def write_video(path: Path, pictures: list[Array], fps: float = 10.0) -> Path:
-    with FilmWriter(path, pictures[0].shape[1], pictures[0].shape[0], fps) as film:
+    with VideoWriter(path, pictures[0].shape[1], pictures[0].shape[0], fps) as film:
         for picture in pictures:
             film.add(picture)
     return path

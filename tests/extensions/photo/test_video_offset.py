@@ -22,9 +22,9 @@ from sero_mj.data.receive.intake import pad_packets
 from sero_mj.data.receive.structure import Structure
 from sero_mj.extensions.photo.camera_file import write_camera
 from sero_mj.extensions.photo.footage import Video
-from sero_mj.extensions.photo.photo_camera import PhotoCamera, PlanePicture
+from sero_mj.extensions.photo.photo_camera import PhotoCamera, PlaneImage
 from sero_mj.extensions.photo.video_offset import correlate, match
-from sero_mj.viewer.image.film import FilmWriter
+from sero_mj.viewer.image.image_files import VideoWriter
 from sero_mj.viewer.image.render import make_renderer
 
 FPS, RATE, SECONDS = 25.0, 100.0, 20.0
@@ -65,10 +65,10 @@ def write_video(
     """What the camera sees of the motion from a time on, with noise, compressed."""
     world = World(Scene(robots=[lwr()]))
     data, rng = world.make_data(), np.random.default_rng(0)
-    plane = PlanePicture(by, (1024, 1024))
+    plane = PlaneImage(by, (1024, 1024))
     renderer = make_renderer(world, *plane.size, is_draft=True)
     times = np.arange(len(angles)) / RATE
-    with FilmWriter(path, by.width, by.height, FPS) as film:
+    with VideoWriter(path, by.width, by.height, FPS) as film:
         for k in range(int(seconds * FPS)):
             pose = [np.interp(begin + k / FPS, times, joint) for joint in angles.T]
             world.set_input(data, "lwr.joint_angles", pose)

@@ -18,7 +18,7 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.extensions.photo.background import open_feed
 from sero_mj.extensions.photo.camera_feed import CameraFeed, VideoFeed
 from sero_mj.extensions.photo.camera_file import write_camera
-from sero_mj.viewer.image.film import FilmWriter
+from sero_mj.viewer.image.image_files import VideoWriter
 
 SETTINGS = (
     f"lwr.joint_angles={POSE}",
@@ -28,7 +28,7 @@ SETTINGS = (
 
 
 def write_video(path: Path, shades: list[int], size: tuple[int, int] = (320, 180)) -> str:
-    with FilmWriter(path, *size, 20.0) as film:
+    with VideoWriter(path, *size, 20.0) as film:
         for shade in shades:
             film.add(np.full((size[1], size[0], 3), shade, np.uint8))
     return str(path)
@@ -66,7 +66,7 @@ def test_opencv_s_cameras_are_in_the_right_colours_and_tried_again_when_they_end
     tmp_path: Path,
 ) -> None:
     write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
-    with FilmWriter(tmp_path / "v.mp4", 320, 180, 20.0) as film:
+    with VideoWriter(tmp_path / "v.mp4", 320, 180, 20.0) as film:
         for _ in range(5):
             film.add(np.full((180, 320, 3), (200, 100, 30), np.uint8))
     # An address that OpenCV opens, of which frames come at once, and then no more.

@@ -30,19 +30,20 @@ from sero_mj.cli.arguments import replay_instead
 from sero_mj.cli.shared_options import is_recording
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.wiring import wire
-from sero_mj.data.receive.led_robot import LedJoint
+from sero_mj.data.receive.routed_joints import RoutedJoint
 from sero_mj.data.record.replay import Replay
-from sero_mj.data.record.table import read_csv
 from sero_mj.extensions.ros.bag import DESCRIPTION, Bag, open_recording
 from sero_mj.extensions.ros.described_scene import scenes_of_bag
+from sero_mj.extensions.tables.run import read_run_table
+from sero_mj.extensions.tables.table import read_csv
 from sero_mj.load import load_scene
-from sero_mj.simulate.runs.run_recording import read_run, read_run_table
+from sero_mj.simulate.runs.run_recording import read_run
 
 KINDS = ("mcap", "db3", "bag")
 COUNT, STEP = 400, 10**7  # messages, and ns between them
 ORDER = [3, 1, 7, 2, 4, 6, 5]  # of the joints in messages
 NAMES = [f"fr3_joint{i}" for i in ORDER]
-LED = [LedJoint(f"fr3_joint{i}") for i in range(1, 8)]
+LED = [RoutedJoint(f"fr3_joint{i}") for i in range(1, 8)]
 
 
 def angles(k: int) -> np.ndarray:
@@ -73,7 +74,7 @@ def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 def test_packets_are_those_of_the_messages_in_the_robot_s_order(bag: Path) -> None:
     replay = Replay(name="drive", file=bag)
-    replay.led_to(LED)
+    replay.set_joints(LED)
     assert replay.events["joint_angles"] == (7,)
     with open_recording(bag) as recording:
         assert isinstance(recording, Bag)

@@ -1,0 +1,169 @@
+"""Options of images and videos, in Python and in commands; their file name extensions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from ...base.declaration import expecting
+from ...base.options import Duration, Option, Options, Positive, Size, Time
+
+Quality = Literal["draft", "normal", "fine"]
+Stereo = Literal["side-by-side", "anaglyph"]
+DEFAULT_SIZE = (1280, 800)
+EYE_DISTANCE = 0.065  # m, of people
+_GESTURES = ("shift", "double", "hover")
+
+
+def _click(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    x, y, *how = value.split(",")
+    gestures = [word for word in how if word in _GESTURES]
+    if len(gestures) > 1 or not {*how} <= {*gestures, "touch"}:
+        raise ValueError(how)
+    return float(x), float(y), gestures[0] if gestures else "click", "touch" in how
+
+
+def _switches(value: Any) -> Any:
+    if not isinstance(value, list):
+        return {} if value is None else value
+    parts = [text.partition("=") for text in value]
+    for text, (_, equals, digits) in zip(value, parts, strict=True):
+        if not (equals and digits.isdecimal()):
+            raise ValueError(f"found '{text}'; expected NAME=0 or NAME=1, arrows=1 say")
+    return {name: digits for name, _, digits in parts}
+
+
+Degrees = Annotated[
+    float, Field(allow_inf_nan=False, ge=-36_000, le=36_000), expecting("degrees, up to 36000")
+]
+Pass = Literal["colour", "segmentation", "depth"]
+Rate = Annotated[Positive, Option("N")]
+# Pixel from the upper left corner, x and y; `click`, `shift`, `double` or `hover`; by touch.
+Click = tuple[float, float, str, bool]
+Switches = Annotated[dict[str, str], BeforeValidator(_switches)]
+_GivenClick = Annotated[
+    Click,
+    BeforeValidator(_click),
+    expecting("X,Y in pixels, or X,Y and shift, double, hover or touch"),
+]
+
+
+class SizeOptions(Options):
+    """Size and quality of pictures.
+
+    Attributes:
+        size: width and height, pixels.
+        quality: draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is
+            software; fine: for print, with 300 dots per inch; its films blur what moves.
+        renderer: classic: OpenGL; or one of an extension, of which `check` tells (default: one
+            with soft shadows for --quality fine where it runs, else classic).
+    """
+
+    size: Size = DEFAULT_SIZE
+    quality: Quality = "normal"
+    renderer: Annotated[str | None, Option("NAME")] = None
+
+
+class StereoOptions(Options):
+    """Pictures for two eyes.
+
+    Attributes:
+        stereo: for two eyes: a half of the picture for each, or for red-cyan glasses.
+        eye_distance: between the eyes, m; more shows more depth.
+    """
+
+    stereo: Stereo | None = None
+    eye_distance: Annotated[Positive, Option("M")] = EYE_DISTANCE
+
+
+class CameraOptions(Options):
+    """The camera of pictures.
+
+    Attributes:
+        camera: name of a camera, or azimuth,elevation,distance in degrees and m.
+        follow: move the free camera with a robot or group by its base, or with a frame, lwr/flange.
+    """
+
+    camera: Annotated[str | None, Option("CAM")] = None
+    follow: Annotated[str | None, Option("NAME")] = None
+
+
+class MotionOptions(Options):
+    """How the camera of a film moves.
+
+    Attributes:
+        orbit: turn the camera about what it looks at, by degrees over the whole film.
+        camera_path: move the camera through the key frames of a TOML file: tables [[keys]] with
+            time and azimuth_deg, elevation_deg, distance or look_at.
+    """
+
+    orbit: Annotated[Degrees | None, Option("DEG")] = None
+    camera_path: Annotated[Path | None, Option("KEYS.toml")] = None
+
+
+class ImageOptions(SizeOptions, StereoOptions, CameraOptions):
+    """Options of a picture of a scene; the fields are keywords of `render_image`.
+
+    Attributes:
+        clicks: click on a pixel, counted from the upper left, before rendering; HOW is shift,
+            double, hover or touch (as with a finger); may be repeated.
+        shown: switch arrows, billboards, axes, legend, inertias, transparent, ... on or off: a
+            digit for all of them, or one for each joint, frame, ...; may be repeated.
+        render_pass: instead of the picture, which link or object every pixel shows, or how far
+            away it is; .png or .npy.
+        selected: light a joint, as one that was clicked on is.
+        wait: how long to wait for the first packet of every source, s.
+    """
+
+    clicks: Annotated[list[_GivenClick], Option("X,Y[,HOW]", ("--click",))] = []
+    shown: Annotated[Switches, Option("NAME=0|1", ("--show",))] = {}
+    selected: Annotated[str | None, Option("ROBOT/JOINT", ("--select",))] = None
+    render_pass: Annotated[Pass, Option(flags=("--pass",))] = "colour"
+    wait: Time = 2.0
+
+
+class VideoOptions(ImageOptions, MotionOptions):
+    """Options of a film of a scene; the fields are keywords of `render_video`.
+
+    Attributes:
+        duration: length of a film, s.
+        fps: frames per second (default 30; of a GIF 20).
+    """
+
+    duration: Duration = 5.0
+    fps: Rate | None = None
+
+
+@dataclass(frozen=True)
+class VideoFormat:
+    """Encoding of films with one file name extension.
+
+    Attributes:
+        codec: of FFmpeg.
+        options: of the codec; chosen to be fast compared to rendering.
+        has_palette: whether frames are limited to 256 colours.
+        fps: default frames per second.
+        max_fps: maximum frames per second that programs can show.
+    """
+
+    codec: str
+    options: Mapping[str, str]
+    has_palette: bool = False
+    fps: float = 30.0
+    max_fps: float = float("inf")
+
+
+_VP9 = {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "5", "row-mt": "1"}
+VIDEO_FORMATS = {
+    ".mp4": VideoFormat("libx264", {"crf": "18", "preset": "veryfast"}),
+    ".webm": VideoFormat("libvpx-vp9", _VP9),
+    ".gif": VideoFormat("gif", {}, has_palette=True, fps=20.0, max_fps=50.0),
+}
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
+PASS_ENDINGS = (".png", ".npy")  # of segmentation and depth

@@ -1,0 +1,208 @@
+"""The frames of a video: states of a mirror, a camera that may move, and motion blur."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.errors import Problem, UsageError
+from ...base.frames import Array
+from ...data.drive.mirror import Mirror, restore
+from ...robots.assemble.world import World
+from ...robots.assemble.world_view import WorldView
+from ..decor.image_view import ImageView
+from .camera_motion import CameraMotion, orbit, read_camera_path
+from .image_files import Pixels
+from .image_options import VideoOptions
+from .sampling import known_poses, sampled_states
+
+_TURNS = 24  # of a turntable, by which the camera is placed
+_FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+SUBFRAMES = 8
+SHUTTER = 0.5  # open, of the time between two frames
+_LEAST_SHIFT = 0.5  # pixels; what moves less is not drawn again
+_LEVELS = 1 << 16  # of linear light, fine enough to distinguish the darkest two of 256 levels
+# Source: IEC 61966-2-1 (sRGB).
+_CODES = np.arange(256) / 255
+_LINEAR = np.where(
+    _CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4
+).astype(np.float32)  # fmt: skip
+_LIGHT = np.arange(_LEVELS) / (_LEVELS - 1)
+_CODE_OF = np.where(_LIGHT <= 0.0031308, 12.92 * _LIGHT, 1.055 * _LIGHT ** (1 / 2.4) - 0.055)
+_SRGB = np.round(255 * _CODE_OF).astype(np.uint8)
+OnState = Callable[[mujoco.MjData], None]
+
+
+class VideoRenderer(Protocol):
+    """What draws a film: a `HeadlessRenderer`.
+
+    Attributes:
+        camera: may be moved between frames.
+    """
+
+    world: WorldView
+    camera: mujoco.MjvCamera
+    size: tuple[int, int]
+
+    def follow_nothing(self) -> None: ...
+
+    def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None: ...
+
+    def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels: ...
+
+    def render_blurred(
+        self, moments: Iterable[mujoco.MjData], out: Pixels | None = None
+    ) -> Pixels: ...
+
+
+def video_frames(
+    mirror: Mirror,
+    renderer: VideoRenderer,
+    count: int,
+    fps: float,
+    options: VideoOptions,
+    on_first: OnState = lambda data: None,
+    on_state: OnState = lambda data: None,
+) -> Iterator[Pixels]:
+    """Draws the state at the time of every frame, always into the same array."""
+    _check_motion(renderer, options)
+    path = None if options.camera_path is None else read_camera_path(options.camera_path)
+    if path is not None and path.has_look_at:
+        if options.follow is not None:
+            reason = f"its look_at does not go with --follow {options.follow}"
+            raise UsageError(f"--camera-path {options.camera_path}: {reason}; leave one out")
+        renderer.follow_nothing()
+    return _draw(mirror, renderer, count, fps, options, path, on_first, on_state)
+
+
+def _draw(
+    mirror: Mirror,
+    renderer: VideoRenderer,
+    count: int,
+    fps: float,
+    options: VideoOptions,
+    motion: CameraMotion | None,
+    on_first: OnState,
+    on_state: OnState,
+) -> Iterator[Pixels]:
+    world, data = mirror.world, mirror.world.make_data()
+    is_placed = motion is not None
+    if not mirror.is_live and not is_placed:
+        renderer.hold(known_poses(mirror, 0.0, count / fps), _turns(options))
+    pixels = np.empty((*renderer.size[::-1], 3), np.uint8)
+    is_blurred = options.quality == "fine" and options.stereo is None and not mirror.is_live
+    subframes = SUBFRAMES if is_blurred else 1
+
+    def move(time: float) -> None:
+        if motion is not None:
+            motion(renderer.camera, time)
+
+    for k, states in enumerate(_opened(mirror, count, fps, subframes)):
+        if k == 0:
+            restore(world, data, states[0])
+            if mirror.is_live and not is_placed:
+                renderer.hold([data], _turns(options))
+            if options.orbit is not None:
+                motion = orbit(renderer.camera, options.orbit, count / fps)
+            move(0.0)
+            on_state(data)
+            on_first(data)
+        times = (k + SHUTTER * np.arange(len(states)) / subframes) / fps
+        moments = _moments(world, data, zip(times.tolist(), states, strict=True), move, on_state)
+        if is_blurred:
+            yield renderer.render_blurred(moments, out=pixels)
+        else:
+            yield renderer.render(next(moments), out=pixels)
+
+
+def _moments(
+    world: World,
+    data: mujoco.MjData,
+    states: Iterable[tuple[float, Array]],
+    move: Callable[[float], None],
+    on_state: OnState,
+) -> Iterator[mujoco.MjData]:
+    for time, state in states:
+        restore(world, data, state)
+        move(time)
+        on_state(data)
+        yield data
+
+
+def _opened(mirror: Mirror, count: int, fps: float, subframes: int) -> Iterator[list[Array]]:
+    if subframes == 1:
+        yield from ([state] for state in sampled_states(mirror, count, fps))
+        return
+    for k in range(count):
+        states = []
+        for j in range(subframes):
+            mirror.advance((k + SHUTTER * j / subframes) / fps)
+            states.append(mirror.state())
+        yield states
+
+
+def _turns(options: VideoOptions) -> list[float]:
+    if options.orbit is None:
+        return [0.0]
+    end = min(max(options.orbit, -360.0), 360.0)
+    return [end * i / _TURNS for i in range(_TURNS + 1)]
+
+
+def _check_motion(renderer: VideoRenderer, options: VideoOptions) -> None:
+    names = ("orbit", "camera_path")
+    moved = [options.spelled(name) for name in names if getattr(options, name) is not None]
+    if len(moved) > 1:
+        raise UsageError(f"{' and '.join(moved)}: both move the camera; leave one of them out")
+    if moved and renderer.camera.type != _FREE:
+        name = renderer.world.model.camera(renderer.camera.fixedcamid).name
+        expected = "the free camera, azimuth,elevation,distance or the scene's view"
+        raise UsageError(Problem(moved[0], "cannot move camera", found=name, expected=expected))
+
+
+class Exposure:
+    """Collects the pictures of a frame, of moments at equal intervals.
+
+    A moment in which nothing has moved since the last one needs no picture: that one counts again.
+    """
+
+    def __init__(self) -> None:
+        self._seen: tuple[Array, Array] | None = None  # pixels and depths of points, when drawn
+        self._last: NDArray[np.float32] | None = None
+        self._sum: NDArray[np.float32] | None = None
+        self._count = 0
+
+    def moves(self, view: ImageView, points: Array) -> bool:
+        """Whether a moment needs a picture of its own, for `add`.
+
+        Args:
+            view: of the camera at that moment.
+            points: of all that may move, (..., 3), m.
+        """
+        pixels, depth = view.project(points)
+        if self._seen is not None:
+            before, depth_before = self._seen
+            seen = view.sees(pixels, depth) | view.sees(before, depth_before)
+            shift = np.abs(pixels - before)[seen]
+            if not len(shift) or shift.max() < _LEAST_SHIFT:
+                return False
+        self._seen = pixels, depth
+        return True
+
+    def add(self, picture: Pixels | None = None) -> None:
+        if picture is not None:
+            self._last = _LINEAR[picture]
+        assert self._last is not None
+        if self._sum is None:
+            self._sum = self._last.copy()
+        else:
+            self._sum += self._last
+        self._count += 1
+
+    def picture(self) -> Pixels:
+        assert self._sum is not None
+        mean = self._sum * ((_LEVELS - 1) / self._count) + 0.5
+        return np.asarray(_SRGB[mean.astype(np.int32).clip(0, _LEVELS - 1)])
