@@ -197,7 +197,7 @@ LIMITS = (
     ("links of a URDF", "robots.importers.urdf", "_MAX_LINKS", ""),
     ("MJCF file", "robots.importers.mjcf_file", "_MAX_BYTES", "bytes"),
     ("bodies, geoms and sites of an MJCF file", "robots.importers.mjcf_file", "_MAX_ELEMENTS", ""),
-    ("mesh or texture of an MJCF file", "robots.importers.mjcf_file", "MOST_ASSET_BYTES", "bytes"),
+    ("mesh or texture of an MJCF file", "robots.importers.mjcf_file", "MAX_ASSET_BYTES", "bytes"),
     ("X3D or VRML file, uncompressed", "extensions.x3d.vrml", "MOST_BYTES", "bytes"),
     ("mesh that MuJoCo reads", "robots.importers.mesh_files", "MOST_MESH_BYTES", "bytes"),
     ("any other mesh", "robots.importers.mesh_files", "MOST_CONVERTED_BYTES", "bytes"),

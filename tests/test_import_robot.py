@@ -144,7 +144,7 @@ def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
         (["no.urdf"], "no.urdf: no such file"),
         (["robot.toml"], "FILE: expected a name that ends in .urdf, .xacro, .xml"),
         (["arm.usda"], "arm.usda: is a USD file; expected URDF, xacro or MJCF"),
-        (["ball.urdf"], "ball.urdf:1: robot: has no joint that moves"),
+        (["ball.urdf"], "ball.urdf:1: robot: has no movable joint"),
         (["tree.urdf", "--arg", "ur5e"], "--arg: found 'ur5e'; expected NAME=VALUE"),
         (["no.xml"], "no.xml: no such file"),
         (["sdf.xml"], "sdf.xml: is an SDF file; expected URDF (<robot>) or MJCF (<mujoco>)"),

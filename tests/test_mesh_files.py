@@ -537,7 +537,7 @@ def test_missing_meshes_cost_themselves_and_are_named_once(package: Path) -> Non
     assert Path(read.tables["directory"]) == package / "meshes"
     missing, unread, _ = read.warnings
     assert missing == (
-        "2 mesh files are not found and not shown; --package odd=DIR says where it is: "
+        "2 mesh files were not found; set its folder with --package odd=DIR: "
         "package://odd/meshes/no.stl, ../meshes/none.dae"
     )
     assert unread.startswith(f"mesh {package}/meshes/bad.dae: cannot be read: ")

@@ -226,10 +226,6 @@ class FrankaReceiver(ConnectingSource):
             self._version = version
 
     def _talk(self, connection: Connection) -> int:
-        """Asks for states and receives until the connection ends.
-
-        Returns at once the server's version where it refuses ours.
-        """
         with socket.socket(connection.socket.family, socket.SOCK_DGRAM) as states:
             with suppress(OSError):  # some systems refuse so much
                 states.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, DEFAULT_BUFFER)

@@ -178,11 +178,6 @@ class FrankaRobot(Controller):
             self._miss(motion)
 
     def _keep_time(self, time: float) -> None:
-        """Sends a state in lockstep: time stands still until a motion has its next command.
-
-        So does it between motions, for as long as is declared: where the next one begins depends on
-        the client alone, and not on how fast this machine is.
-        """
         link = self._link
         while link.is_connected:
             self._first = self._number + 1
@@ -270,7 +265,6 @@ class FrankaRobot(Controller):
     # ---- motions
 
     def _end(self, status: str, mode: int) -> None:
-        """Ends the motion: the robot brakes, and holds where it then is."""
         motion = self._motion
         assert motion is not None
         if motion.is_external:

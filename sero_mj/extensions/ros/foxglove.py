@@ -177,7 +177,6 @@ class Client:
                 sock.close()
 
     def _converse(self, connection: ClientConnection) -> None:
-        """Subscribes and receives until the connection ends."""
         self._channels, self._subscribed, self._number = {}, {}, 0
         self._comes_again = self._source.receive_trigger > 0
         due = clock.monotonic() + _LOOKS
@@ -213,11 +212,6 @@ class Client:
             self._listener.hear([(tells, received[_HEAD.size :], b"")])
 
     def _acknowledge(self) -> None:
-        """Has the kernel acknowledge at once what has come, as far as it can.
-
-        A server that waits for that before it sends more (Nagle's algorithm, as of the SDK) is
-        otherwise up to 40 ms late.
-        """
         if (lever := self._lever) is not None and hasattr(socket, "TCP_QUICKACK"):
             lever.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
 

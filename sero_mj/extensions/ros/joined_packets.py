@@ -159,7 +159,6 @@ class JoinedPackets:
         return values.tobytes() if makes else None
 
     def _take_joints(self, values: Array, message: Any) -> bool:
-        """Takes the values of some joints; whether the first of all is among them."""
         count = len(message.name)
         if message.name != self._found:
             self._match(message.name, len(message.position))
@@ -324,7 +323,6 @@ def event_of_frame(name: str) -> str:
 
 
 def _pose(position: Sequence[float], quaternion: Sequence[float]) -> Array | None:
-    """A pose (4, 4) from a position, m, and a quaternion w, x, y, z; None if it is none."""
     length = float(np.linalg.norm(quaternion))
     if not np.isfinite(position).all() or not abs(length - 1.0) <= _UNIT_TOLERANCE:
         return None

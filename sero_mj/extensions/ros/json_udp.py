@@ -74,8 +74,7 @@ class JsonUdp(UdpReceiver, RosSource):
         stamp = float(values["stamp"][0])
         return message_of(self.joint_names, stamp, values["joint_angles"], velocities, efforts)
 
-    def _subscribe(self, listener: Listener) -> None:
-        """Does nothing: the socket receives all messages."""
+    def _subscribe(self, listener: Listener) -> None: ...
 
     def _accept(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None

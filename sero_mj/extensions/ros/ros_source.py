@@ -266,8 +266,7 @@ class RosSource(Source):
         self.stop_receiving()
 
     @abstractmethod
-    def _subscribe(self, listener: Listener) -> None:
-        """Begins to pass the messages of `topics` to the listener; raises SourceError."""
+    def _subscribe(self, listener: Listener) -> None: ...
 
 
 class Listener:

@@ -112,7 +112,6 @@ class Session:
                 session.close()
 
     def _open(self, found: Sequence[tuple[Any, ...]]) -> Any:
-        """Opens a session by the first address that answers; zenoh would stay with the first."""
         zenoh = _zenoh(self._source.name)
         failure: Exception = OSError("no address")
         for *_, address in found:
@@ -215,7 +214,6 @@ def _zenoh(owner: str) -> Any:
 
 
 def _endpoint(address: tuple[Any, ...]) -> str:
-    """An address of `socket.getaddrinfo` as zenoh has it."""
     host, port = address[:2]
     return f"tcp/[{host}]:{port}" if ":" in host else f"tcp/{host}:{port}"
 
@@ -226,5 +224,4 @@ def _publisher(attachment: Any) -> bytes:
 
 
 def _first(error: Exception) -> str:
-    """What an error says, without where in zenoh's sources it was noticed."""
     return str(error).partition(" at /")[0].strip()

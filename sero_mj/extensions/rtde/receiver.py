@@ -129,10 +129,6 @@ class RtdeReceiver(ConnectingSource):
                 left_out |= self._talk(connection, left_out)
 
     def _talk(self, connection: _Connection, left_out: frozenset[str]) -> frozenset[str]:
-        """Agrees on a recipe and receives until the connection ends.
-
-        Returns at once the variables that the controller lacks, if there are any.
-        """
         if connection.ask(ASK_VERSION, struct.pack(">H", VERSION), self._hear) != b"\1":
             raise ProtocolError("does not accept version 2 of RTDE")
         answer = connection.ask(ASK_CONTROLLER, b"", self._hear)
@@ -218,7 +214,6 @@ class _Connection(Connection):
         self._messages: deque[tuple[int, bytes]] = deque()
 
     def ask(self, kind: int, question: bytes, hear: Callable[[bytes], None]) -> bytes:
-        """Sends a question, and returns the payload of its answer; `hear` gets texts before it."""
         self.socket.sendall(HEAD.pack(HEAD.size + len(question), kind) + question)
         deadline = clock.monotonic() + connecting.PATIENCE
         while True:
@@ -259,8 +254,6 @@ class _Connection(Connection):
 
 
 class _Packages:
-    """Turns payloads of data packages into packets."""
-
     def __init__(self, recipe: int, left_out: frozenset[str], rate: float, fastest: float) -> None:
         self._recipe = recipe
         places, at = {}, 1  # behind the recipe's number

@@ -22,7 +22,7 @@ from .imported_tables import ImportedTables
 from .joint_names import joint_names_of, parents_of
 from .mjcf_file import as_spec, is_file_name
 from .mjcf_model import ON_JOINT, MjcfTree, find_tree, torque_limits
-from .robot_tree import TOO_FAR, flange_body, meant_limits, plain_name, six_of
+from .robot_tree import TOO_FAR, flange_body, plain_name, plausible_limits, six_of
 
 _INITIAL_KEYS = ("home", "stand", "init", "default")  # keyframes for the initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
@@ -58,7 +58,7 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     names = _joint_names(model, joints)
     limited = model.jnt_limited[joints].astype(bool)
     declared = np.where(limited[:, None], model.jnt_range[joints], [-np.inf, np.inf])
-    limits = meant_limits(declared)
+    limits = plausible_limits(declared)
     lost = list(tree.left_out)
     if (far := (limits != declared).any(axis=1)).any():
         lost.append(f"{TOO_FAR}: {_some(names, far)}")
