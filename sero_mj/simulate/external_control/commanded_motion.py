@@ -152,8 +152,8 @@ class CommandedMotion:
             if self._ends and np.abs(self._goal - self.angles).max() < _STILL:
                 self.hold()
         elif self.mode == SPEEDS:
-            limit = self._acceleration * duration
-            change = np.clip(self._speeds - self.velocities, -limit, limit)
+            max_change = self._acceleration * duration
+            change = np.clip(self._speeds - self.velocities, -max_change, max_change)
             before = self.angles.copy()
             self.velocities += change
             self.angles += self.velocities * duration
