@@ -231,12 +231,12 @@ def test_pushes_are_kept_where_the_log_is_cut(
     assert pull.first + len(pull.forces) == len(rows) - 1
     assert np.array(pull.forces) == pytest.approx(logged[pull.first : -1])
     assert np.linalg.norm(logged[-1]) > 1
-    assert keep() == "kept: lwr.mcap; sero-mj plot lwr.mcap draws it"
+    assert keep() == "saved lwr.mcap; sero-mj plot lwr.mcap plots it"
     kept = read_run(tmp_path / "lwr.mcap")
     assert len(kept.times) == len(rows)
     assert kept.times[-1] - kept.times[0] == pytest.approx(rows[-1, 0] - rows[0, 0])
     said = keep()
-    assert said is not None and said.startswith("kept: lwr_2.mcap")
+    assert said is not None and said.startswith("saved lwr_2.mcap")
 
 
 def test_after_an_error_it_starts_again() -> None:
@@ -248,7 +248,7 @@ def test_after_an_error_it_starts_again() -> None:
     ui = ScriptedWidgets()
     panel.build(ui)
     assert any(t.startswith("stopped: ") and "it runs away" in t for t in ui.texts())
-    panel.build(ScriptedWidgets({"start again": True}))
+    panel.build(ScriptedWidgets({"restart": True}))
     assert said == ["from the declared pose"]
     played.go(0.5)
     assert played.source.error is None and played.clock.time == pytest.approx(0.5, abs=0.05)

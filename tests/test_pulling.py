@@ -255,7 +255,7 @@ def test_what_is_under_the_pointer_is_grabbed_and_what_cannot_be_says_why() -> N
         assert not (pulling.is_on or toggles.cards[card])
         text, is_bad = pulling.grab(at)  # type: ignore[misc]
         assert is_bad
-        assert text == "the past cannot be pushed: go on from 0.20 s, where the run is"
+        assert text == "the past cannot be pushed: continue at 0.20 s, the current time"
 
 
 @pytest.mark.gl
