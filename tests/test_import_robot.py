@@ -287,7 +287,7 @@ def test_xacro_takes_arguments(folder: Path, capsys) -> None:
     pytest.importorskip("xacro")
     path = write(folder, UR, "ur.urdf.xacro")
     assert run("check", "ur.urdf.xacro") == 2
-    assert "--arg ur_type=VALUE says what it is" in capsys.readouterr().err
+    assert "set it with --arg ur_type=VALUE" in capsys.readouterr().err
     reach = {
         kind: SerialRobot.from_urdf(path, arguments={"ur_type": kind}).reach
         for kind in ("ur5e", "ur10e")

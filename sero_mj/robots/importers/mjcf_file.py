@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -69,19 +69,20 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
         root = _root_element(source)
         return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
     if is_file_name(source):
-        _check_elements(read_file(folder / source, _MAX_BYTES), (folder / source).parent)
+        _read_included(read_file(folder / source, _MAX_BYTES), (folder / source).parent)
         found = format_of_file(folder / source)
         if found not in (None, "an MJCF file", "a URDF file"):  # MuJoCo reports invalid XML
             raise ValueError(f"is {found}; expected MJCF, which begins with <mujoco>")
         return mujoco.MjSpec.from_file(str(folder / source))
-    _check_elements(source.encode(), folder)
-    spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))
+    spec = mujoco.MjSpec.from_string(source, include=_read_included(source.encode(), folder))
     spec.modelfiledir = str(folder)
     return spec
 
 
-def _check_elements(text: bytes, folder: Path) -> None:
-    waiting, known, count = [text], set[str](), 0
+def _read_included(text: bytes, folder: Path) -> dict[str, bytes]:
+    """Returns the included files by name. Raises ValueError for too many elements."""
+    found: dict[str, bytes] = {}
+    waiting, count = [text], 0
     while waiting:
         part = waiting.pop()
         count += len(_ELEMENT.findall(part)) + sum(map(int, _REPEATED.findall(part)))
@@ -90,27 +91,10 @@ def _check_elements(text: bytes, folder: Path) -> None:
                 f"has too many bodies, geoms and sites; expected at most {_MAX_ELEMENTS:,}"
             )
         names = {name.decode("utf-8", "replace") for name in _INCLUDED.findall(part)}
-        for name in names - known:
+        for name in names - found.keys():
             if (folder / name).is_file():  # else MuJoCo reports it
-                waiting.append(read_file(folder / name, _MAX_BYTES))
-        known |= names
-
-
-def _included(text: str, folder: Path) -> Mapping[str, bytes]:
-    from xml.etree import ElementTree
-
-    found: dict[str, bytes] = {}
-    waiting = [text.encode()]
-    while waiting:
-        try:
-            names = {
-                tag.get("file", "") for tag in ElementTree.fromstring(waiting.pop()).iter("include")
-            }
-        except ElementTree.ParseError:
-            continue  # MuJoCo reports the position
-        for name in names - set(found):
-            found[name] = read_file(folder / name, _MAX_BYTES)
-            waiting.append(found[name])
+                found[name] = read_file(folder / name, _MAX_BYTES)
+                waiting.append(found[name])
     return found
 
 

@@ -22,7 +22,15 @@ from .imported_tables import ImportedTables
 from .joint_names import joint_names_of, parents_of
 from .mjcf_file import as_spec, is_file_name
 from .mjcf_model import ON_JOINT, MjcfTree, find_tree, torque_limits
-from .robot_tree import TOO_FAR, flange_body, plain_name, plausible_limits, six_of
+from .robot_tree import (
+    TOO_FAR,
+    UrdfLink,
+    flange_body,
+    joint_inertia,
+    plain_name,
+    plausible_limits,
+    six_of,
+)
 
 _INITIAL_KEYS = ("home", "stand", "init", "default")  # keyframes for the initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
@@ -180,25 +188,19 @@ def _joint_names(model: mujoco.MjModel, joints: Ints) -> list[str]:
 
 
 def _inertias(tree: MjcfTree) -> dict[str, Any]:
-    model, n = tree.model, len(tree.poses)
-    masses, firsts, tensors = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
+    model, back = tree.model, inverse(tree.poses)
+    parts: list[list[tuple[UrdfLink, Array]]] = [[] for _ in tree.poses]
     for body in np.flatnonzero(tree.links >= 0).tolist():
-        link, mass = tree.links[body], float(model.body_mass[body])
-        inertial = frame(rotation_from_quat(model.body_iquat[body]), model.body_ipos[body])
-        T = inverse(tree.poses[link]) @ tree.bodies[body] @ inertial
-        axes, at = T[:3, :3], T[:3, 3]
-        masses[link] += mass
-        firsts[link] += mass * at
+        axes = rotation_from_quat(model.body_iquat[body])
         tensor = axes @ np.diag(model.body_inertia[body]) @ axes.T
-        tensors[link] += tensor + mass * (at @ at * np.eye(3) - np.outer(at, at))
-    centers = firsts / np.where(masses > 0, masses, 1.0)[:, None]
-    for k, c in enumerate(centers):
-        tensors[k] -= masses[k] * (c @ c * np.eye(3) - np.outer(c, c))
-    tensors = np.where((masses > 0)[:, None, None], tensors, 0.0)
+        part = UrdfLink("", None, float(model.body_mass[body]), model.body_ipos[body], tensor)
+        link = int(tree.links[body])
+        parts[link].append((part, back[link] @ tree.bodies[body]))
+    masses, centers, tensors = zip(*map(joint_inertia, parts), strict=True)
     return {
-        "masses": masses,
-        "centers_of_mass": centers,
-        "inertias": tensors,
+        "masses": np.array(masses),
+        "centers_of_mass": np.array(centers),
+        "inertias": np.array(tensors),
         "inertia_repair": "balance",
     }
 

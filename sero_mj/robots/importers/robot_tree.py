@@ -270,7 +270,7 @@ class TreeTables:
         dynamics: dict[str, Any] = {}
         if any(link.mass > 0 for body in self._bodies for link, _ in body.links):
             sums = [
-                _inertia([(link, T_carried @ T) for link, T in body.links])
+                joint_inertia([(link, T_carried @ T) for link, T in body.links])
                 for body, T_carried in zip(self._bodies, self._carried, strict=True)
             ]
             dynamics = {
@@ -420,7 +420,8 @@ def _merged(links: list[UrdfLink], joints: list[Joint], root: str) -> list[_Body
     return bodies
 
 
-def _inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Array]:
+def joint_inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Array]:
+    """Returns mass, center of mass, and inertia tensor about it of links with T_body_link."""
     mass = sum(link.mass for link, _ in parts)
     if mass <= 0.0:
         return 0.0, np.zeros(3), np.zeros((3, 3))

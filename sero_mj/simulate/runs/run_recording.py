@@ -81,7 +81,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         if len(runs) > 1:
             found = ", ".join(runs)
             raise UsageError(
-                f"{path} has several runs: {found}; select one, for example with --source {runs[0]}"
+                f"{path} has several runs: {found}; choose one with --source {runs[0]}"
             )
         if runs:
             return _simulated(recording, runs[0], scene)

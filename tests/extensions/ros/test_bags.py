@@ -193,14 +193,14 @@ def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys
         "fr3_joint1, fr3_joint7 and 4 more)"
         for name in "ab"
     )
-    chosen = f'{several}; choose with source = "a_joint_states", say'
+    chosen = f'{several}; choose one with source = "a_joint_states"'
     with pytest.raises(DeclarationError, match=re.escape(chosen)):
         Replay(file=bag)
     status, _, told = run(capsys, "export", str(bag), str(tmp_path / "out.csv"))
-    assert status == 2 and f"{several}; choose with --source a_joint_states, say" in told
+    assert status == 2 and f"{several}; choose one with --source a_joint_states" in told
     picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
     status, _, told = run(capsys, "render", "fr3", "--replay", str(bag), *picture)
-    assert status == 2 and several in told and "choose with --source a_joint_states, say" in told
+    assert status == 2 and several in told and "choose one with --source a_joint_states" in told
     command = ["render", str(bag), *picture, "--source"]
     status, _, told = run(capsys, *command, "b_joint_stats")
     assert status == 2 and "; did you mean 'b_joint_states'?" in told
@@ -293,7 +293,7 @@ def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
     path.write_bytes(data)
     with open_recording(path) as recording:
         found = list(recording.packets("joint_states"))
-        assert "is damaged (its check sum differs) and left out" in recording.faults[0]
+        assert "is damaged (its checksum is wrong) and left out" in recording.faults[0]
     times = np.diff([time for time, _ in found])
     assert 20 * STEP < 1e9 * times.max() < 40 * STEP and len(found) > 120
 
@@ -530,7 +530,7 @@ def test_a_robot_is_led_by_the_topic_with_its_joints(tmp_path: Path, capsys: Any
             assert list(scene.sources) == [source]
     log = read_run(both, scene=load_scene("fr3"))
     assert log.signals["fr3_joint_angles"][9] == pytest.approx(angles(9))
-    with pytest.raises(UsageError, match="choose with --source "):
+    with pytest.raises(UsageError, match="choose one with --source "):
         read_run(both, scene=load_scene("ur5e"))
     assert run(capsys, "plot", str(both), "-o", str(tmp_path / "both.pdf"))[0] == 0
 
