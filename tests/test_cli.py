@@ -324,7 +324,7 @@ def test_a_click_in_a_picture_brings_up_what_it_would_in_a_window(capsys, caplog
     a, b = (np.asarray(Image.open(path), int) for path in (plain, clicked))
     assert (np.abs(a - b).max(axis=2) > 60).sum() > 500  # a billboard
     run(capsys, "render", "lwr", "-o", str(clicked), *options, "--click", "2,2")
-    assert "click at 2,2: nothing there" in caplog.text
+    assert "click at 2,2: no item" in caplog.text
     status, _, err = run(capsys, "render", "lwr", "-o", str(clicked), "--click", "2")
     assert status == 2
     assert "expected X,Y in pixels, or X,Y and shift, double, hover or touch" in err

@@ -228,7 +228,9 @@ def test_switches_are_text_or_a_mapping() -> None:
     assert ImageOptions(shown=["arrows=1", "axes=0101"]).shown == both
     assert ImageOptions(shown=both).shown == both
     assert ImageOptions(shown=None).shown == {}
-    with raises_with(key="shown", reason="found 'arrows'; expected NAME=0 or NAME=1, arrows=1 say"):
+    with raises_with(
+        key="shown", reason="found 'arrows'; expected NAME=0 or NAME=1, for example arrows=1"
+    ):
         ImageOptions(shown=["arrows"])
 
 

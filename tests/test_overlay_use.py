@@ -55,7 +55,7 @@ def test_what_finds_no_room_is_counted_and_said_once(overlay: Any, room: int, ca
         assert left_out == overlay.dropped == needed.ngeom - before - room
         assert scene.ngeom == scene.maxgeom
     assert len(caplog.records) == 1
-    assert f"{left_out} decor geoms are not shown" in caplog.text
+    assert f"{left_out} decor geoms are not drawn" in caplog.text
     assert f"capacity is {scene.maxgeom}" in caplog.text
 
 
