@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ...base.errors import mismatch
+from ...base.errors import Problem, mismatch
 from ...simulate.control.robot_model import RobotModel
 from . import iiwa as fri_iiwa
 from . import receiver as fri
@@ -51,6 +51,9 @@ class FriClient(FriSession):
         return self
 
     def make(self, model: RobotModel, timestep: float) -> FriRobot:
+        if model.n != JOINTS:
+            reason = f"FRI requires {JOINTS} joints; {model.name} has {model.n}"
+            raise Problem("kind", reason).error()
         cycle = self.cycle or timestep
         steps = self.steps_per_cycle(cycle, timestep)
         if cycle < fri.CYCLES[0] - 1e-9:

@@ -15,8 +15,7 @@ from sero_mj.extensions.fri.client import FriClient
 from sero_mj.extensions.fri.lwr_fri import LwrFri
 from sero_mj.extensions.fri.receiver import FriLayout
 from sero_mj.extensions.fri.robot import FriRobot
-from sero_mj.robots.declared.scene import Scene
-from sero_mj.simulate.scenario import Scenario
+from sero_mj.simulate.control.robot_model import RobotModel
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 
@@ -244,7 +243,6 @@ def test_wrong_declarations_name_their_key(
 
 
 def test_a_robot_of_six_joints_has_no_fri() -> None:
-    scene = Scene(robots=[SerialRobot.from_model("ur5e")])
-    with pytest.raises(DeclarationError) as caught:
-        Scenario(scene, controllers={"ur5e": FriClient()})
-    assert [problem.key for problem in caught.value.problems] == ["controllers.ur5e.kind"]
+    model = RobotModel.of(SerialRobot.from_model("ur5e"))
+    with pytest.raises(DeclarationError, match=r"FRI requires 7 joints; ur5e has 6$"):
+        FriClient().make(model, 1e-3)

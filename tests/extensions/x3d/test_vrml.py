@@ -94,7 +94,7 @@ def test_a_proto_makes_nodes_with_its_values_and_its_defaults() -> None:
 
 
 @pytest.mark.parametrize("sign", ["←", "↩", "\\", "¬", "⏎", ""])
-def test_a_line_goes_on_behind_the_signs_that_papers_print(sign: str) -> None:
+def test_continuation_marks_of_papers_are_ignored(sign: str) -> None:
     node = parse(f'R {{ a [ 1 2, {sign}\n 3 4 ] b [ "x", {sign} \n "y" ] }}')
     assert read_field(node.fields["a"], "MFFloat").tolist() == [1, 2, 3, 4]
     assert read_field(node.fields["b"], "MFString") == ["x", "y"]
@@ -161,7 +161,7 @@ def test_every_type_is_read_in_either_form(kind: str, text: str, expected: objec
         ("SFFloat", "Box {}", "found Box; expected numbers"),
     ],
 )
-def test_a_value_of_another_type_is_told(kind: str, text: str, message: str) -> None:
+def test_a_value_of_another_type_is_reported(kind: str, text: str, message: str) -> None:
     value = parse(f"N {{ f {text} }}").fields["f"]
     if not message:
         assert isinstance(read_field(value, kind), Node)
@@ -219,7 +219,7 @@ def test_errors_are_reported_with_lines(text: str, messages: list[str]) -> None:
     assert wrong(text) == messages
 
 
-def test_everything_that_is_wrong_is_told_at_once_and_not_twice() -> None:
+def test_all_errors_are_reported_once() -> None:
     text = "Box { size ]\n }\nGroup { children [ Box { size 1 ]\n } ] }\nUSE x\nSphere { radius }\n"
     lines = [int(line.split(":")[1]) for line in wrong(text)]
     assert lines == [1, 3, 5, 6]
@@ -242,9 +242,7 @@ def test_everything_that_is_wrong_is_told_at_once_and_not_twice() -> None:
     # Workers of pytest-xdist compare names of tests, and what gzip packs has the time in it.
     ids=["empty", "xml", "vrml1", "stl", "damaged", "cut", "long"],
 )  # fmt: skip
-def test_other_files_are_told_by_what_they_are(
-    contents: bytes, message: str, tmp_path: Path
-) -> None:
+def test_other_file_formats_are_named(contents: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / "a.wrl"
     path.write_bytes(contents)
     with pytest.raises(DeclarationError) as caught:
@@ -259,7 +257,7 @@ def test_parts_without_a_header_are_read(tmp_path: Path) -> None:
         assert read_document(path).nodes[0].kind == "Box"
 
 
-def test_a_packed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+def test_a_compressed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.wrl"
     path.write_bytes(gzip.compress("\ufeff#VRML V2.0 utf8\nDEF größe Box {}".encode()))
     assert "größe" in read_document(path).names
@@ -271,7 +269,7 @@ def test_a_packed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
     ["[" * 700_000, "}" * 30_000, "[1 a " * 30_000, '"' * 30_001, "a " * 30_000,
      "Shape { x [" + "1 " * 50_000, "A { x [ 1 a " * 5_000, "PROTO P [" * 20_000],
 )  # fmt: skip
-def test_long_nonsense_takes_no_longer_than_its_length(text: str) -> None:
+def test_long_invalid_text_takes_linear_time(text: str) -> None:
     began = time.process_time()
     with pytest.raises(DeclarationError):
         parse_document(text, HERE)
@@ -279,7 +277,7 @@ def test_long_nonsense_takes_no_longer_than_its_length(text: str) -> None:
 
 
 @pytest.mark.thorough
-def test_uses_of_uses_and_protos_of_protos_end(tmp_path: Path) -> None:
+def test_nested_uses_and_protos_terminate(tmp_path: Path) -> None:
     uses = ["DEF a0 Group { children Shape { geometry Box {} } }"]
     uses += [f"DEF a{i} Group {{ children [ USE a{i - 1} USE a{i - 1} ] }}" for i in range(1, 40)]
     protos = ["PROTO P0 [] { Shape { geometry Box {} } }"]
@@ -329,7 +327,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @settings(max_examples=120, deadline=None)
 @given(text=mutated())
-def test_a_mutated_file_is_read_or_told_to_be_wrong(text: str, folder: Path) -> None:
+def test_a_mutated_file_is_read_or_reported(text: str, folder: Path) -> None:
     path = folder / "a.x3d"
     path.write_text("#X3D V3.0 utf8\n" + text, encoding="utf-8")
     for read in (read_x3d, read_wrl):
