@@ -155,7 +155,7 @@ WRONG = {
     "controllers.lwr.dampin": 1.0,
     "targets.lwr.speed": -1.0,
     "run.duratio": 3.0,
-    "expect.it_arrives.belo": 1.0,
+    "expect.final_position_error.belo": 1.0,
     "view.azimut": 3.0,
     "foo": 1,
 }

@@ -43,7 +43,7 @@ angles = { noise = 1e-5 }
 [targets.lwr]
 kind = "recorded"
 file = "MOTION"
-[expect.it_follows]
+[expect.position_error]
 measure = "position_error"
 below = 0.005
 """
