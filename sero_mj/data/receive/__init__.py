@@ -1,7 +1,7 @@
-"""Receives packets on a separate thread for each source, and decodes them when they are taken.
+"""Receives packets in one thread per source, and decodes them when they are taken.
 
-In: UDP packets and shared memory. Out: checked packets by event name, and counters of rejected
-ones.
-Open first: `source.py` (the common base of sources); `structure.py` decodes packets
-(`decode_rows`), in the language that STRUCTURE.md explains; `intake.py` checks and counts them.
+In: UDP packets and shared memory. Out: valid packets by event name, and counters of other packets.
+The path of a UDP packet: `udp.UdpReceiver._receive` reads it, `intake.Intake.take` checks it,
+`mailbox.Mailbox` stores it, and `structure.Structure.decode_rows` decodes it when `Source.take` is
+called. STRUCTURE.md describes the structure language; `source.Source` is the base of all sources.
 """
