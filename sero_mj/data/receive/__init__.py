@@ -1,7 +1,8 @@
 """Receives packets in one thread per source, and decodes them when they are taken.
 
 In: UDP packets and shared memory. Out: valid packets by event name, and counters of other packets.
-The path of a UDP packet: `udp.UdpReceiver._receive` reads it, `intake.Intake.take` checks it,
-`mailbox.Mailbox` stores it, and `structure.Structure.decode_rows` decodes it when `Source.take` is
-called. STRUCTURE.md describes the structure language; `source.Source` is the base of all sources.
+Open first: `source.py`, the base of all sources; STRUCTURE.md describes the structure language.
+A UDP packet is read by `UdpReceiver._receive` in `udp.py`, checked by `Intake.take` in `intake.py`,
+stored by `Mailbox` in `mailbox.py`, and decoded by `Structure.decode_rows` in `structure.py` when
+`Source.take` is called.
 """
