@@ -157,13 +157,13 @@ def test_what_cannot_be_saved_or_grabbed_is_told(tmp_path: Path) -> None:
     [
         ("extends = 3", "extends: found 3; expected the name or file of a scenario"),
         ('extends = "impedance_pusch"', "did you mean 'impedance_push'"),
-        ('extends = "own.toml"', "extends: found own.toml, which extends this file itself"),
+        ('extends = "own.toml"', "extends: found own.toml, which itself extends this file"),
         ('extends = "impedance_push"\nset = 3', "set: found 3; expected a table"),
         ('extends = "impedance_push"\n[robots.b]\nmodel = "lwr"',
-         "own.toml:2: robots: belongs to what is extended, impedance_push"),
+         "own.toml:2: robots: can only be changed in [set] of a scenario that extends "),
         ('extends = "impedance_push"\n[disturbances.a]\nkind = "force"\nat = "lwr/flansch"\n'
          "force = [0, 0, 1]", "own.toml:4: disturbances.a.at: no frame 'lwr/flansch'"),
-        ('[set]\n"run.seed" = 3\n[run]', "set: is for a scenario that extends another one"),
+        ('[set]\n"run.seed" = 3\n[run]', "set: requires `extends`"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_a_scenario_that_extends_another(

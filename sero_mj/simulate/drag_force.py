@@ -137,11 +137,7 @@ class DragForce:
         rows[:, frame] = np.eye(4).ravel()
 
     def drop_oldest(self, dropped: int, kept: int) -> None:
-        """Discards pulls in dropped rows of the log.
-
-        Args:
-            kept: number of rows that are left.
-        """
+        """Discards pulls in dropped rows of the log, of which `kept` rows are left."""
         for pull in self.pulls:
             pull.first -= dropped
             if pull.first < 0:

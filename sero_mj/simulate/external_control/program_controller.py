@@ -349,7 +349,7 @@ class Answering(Reachable):
     """Base of controllers that answer each state with a command.
 
     Attributes:
-        on_silence: reaction to a missing answer: `stop` ends the run, `hold` keeps the last
+        on_silence: reaction to a missing answer: `stop` ends the run, `hold` repeats the last
             command, and `gravity_compensation` only compensates gravity until the next answer.
     """
 
