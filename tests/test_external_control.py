@@ -683,7 +683,7 @@ def test_in_real_time_a_command_that_is_old_at_the_end_is_told(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     signals(simulation(folder, program("silent"), duration=0.2, clock="real_time"))
-    assert any("no command for 0.1" in record.message for record in caplog.records)
+    assert any("no command in the last 0.1" in record.message for record in caplog.records)
 
 
 def test_in_real_time_a_viewer_gets_steps_answered_too(folder: Path) -> None:
