@@ -97,7 +97,7 @@ class RecordedPackets(Playback):
         self.is_raw = _is_same(layout, self._replay.layout)
         events = self._replay.events
         self._events = [] if self.is_raw else _common(layout, events, f"'{name}' in {file}")
-        how = "unchanged" if self.is_raw else f"events {', '.join(self._events)}"
+        how = "bit for bit" if self.is_raw else f"events {', '.join(self._events)}"
         about = f"{file}, source {name}, {how}"
         super().__init__(layout, about, recorded.count, recorded.last - recorded.first)
         self._note(recording.faults)
