@@ -159,7 +159,7 @@ def test_a_scene_without_a_camera_cannot_be_drawn_on(overlay: Any) -> None:
 def test_a_size_must_be_positive_and_a_click_needs_a_frame(overlay: Any) -> None:
     with raises_with(UsageError, key="size", reason="found 0 x 480", expected="pixels above 0"):
         overlay.draw(scene_of(overlay), size=(0, 480))
-    with raises_with(UsageError, reason="nothing was drawn yet: call draw or image before"):
+    with raises_with(UsageError, reason="nothing has been drawn yet: call draw or image first"):
         overlay.click(10, 10)
 
 

@@ -47,10 +47,10 @@ class Both:
     def to_view(self) -> None:
         message = self.take()
         if message is not None:
-            self.tool.hear(message)
+            self.tool.receive(message)
 
     def to_program(self) -> None:
-        answer = self.tool.answer()
+        answer = self.tool.reply()
         if answer is not None:
             self.panels.hear(answer)
 
@@ -289,11 +289,11 @@ def test_widgets_work_in_a_window_and_outlive_it(monkeypatch: pytest.MonkeyPatch
             def is_pressed() -> bool:
                 at = ["xdotool", "mousemove", "30", str(next(places)), "click", "1"]
                 subprocess.run(at, check=True, timeout=20)
-                shown = viewer.pictures
-                assert until(lambda: viewer.pictures > shown + 2, 60)
+                shown = viewer.frame_count
+                assert until(lambda: viewer.frame_count > shown + 2, 60)
                 return until(lambda: reset.value > 0, 0.2)
 
-            assert until(lambda: viewer.pictures > 3, 60)
+            assert until(lambda: viewer.frame_count > 3, 60)
             assert until(is_pressed, 120)
             assert threads == []
             assert viewer.sync()

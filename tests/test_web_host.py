@@ -29,7 +29,7 @@ from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver, World
 from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.viewer.decor.geom_buffer import Kind
-from sero_mj.viewer.host.restoring import keep, restore
+from sero_mj.viewer.host.restoring import restore, save
 from sero_mj.viewer.image.scene_decor import SceneDecor
 from sero_mj.viewer.player.frame import shown_bodies
 from sero_mj.viewer.web import browsers
@@ -351,7 +351,7 @@ def test_a_link_opens_the_page_with_its_view(page: WebHost, client: PageClient) 
     assert page.clock.is_paused
     client.say("view", text="<script>")
     client.until(lambda: page.notice.is_bad)
-    assert page.notice.text.startswith("found no state of a view in '<script>': ")
+    assert page.notice.text.startswith("is not a valid view '<script>': ")
 
 
 def test_panels_switch_what_is_shown_and_the_time_line_scrubs(
@@ -379,7 +379,7 @@ def test_sections_are_as_they_were_left_when_it_is_started_again(
     client.say("fold", tree="panel", id="Model", open=True)
     client.say("fold", tree="panel", id="lwr/lwr", open=False)
     client.until(lambda: client.widget("panel", "Model")["open"])
-    keep(page)
+    save(page)
     with Mirror(load_scene("impedance_push", by_hand=True)) as mirror, WebHost(mirror) as again:
         restore(again)
         with PageClient(again) as other:
@@ -708,11 +708,11 @@ def test_screenshots_and_films_are_made_of_pages_too(tmp_path: Path, home: None)
         page.frame()
         page.actions.press("f2")
         page.actions.press("f3")
-        assert said[-1].startswith("filming to ")
+        assert said[-1].startswith("recording a video: ")
         for _ in range(6):
             page.frame()
         page.actions.press("f3")
-        assert said[-1] == "the film is complete"
+        assert said[-1] == "video recording stopped"
         assert until(lambda: page.frame() and sum("saved: " in each for each in said) == 2)
         expected = page.picture()
     (picture,), (film,) = tmp_path.glob("*.png"), tmp_path.glob("*.mp4")

@@ -387,7 +387,7 @@ def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
             page.wait_for_function("() => document.title === 'evil - sero-mj'", timeout=60_000)
             dialog = page.get_by_role("dialog", name="This file asks to run programs")
             dialog.get_by_text(f"run the program touch {ran} '{{port}}'").wait_for()
-            dialog.get_by_role("button", name="show only").click()
+            dialog.get_by_role("button", name="display only").click()
             dialog.wait_for(state="hidden")
             page.get_by_role("button", name="programs of this file").click()
             assert not ran.exists()

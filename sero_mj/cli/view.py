@@ -320,7 +320,7 @@ class Session:
             host.others.ask(self.plain.withheld, lambda: self.open(RecentView(name)))
         for tool in host.tools.values():
             if isinstance(tool, RollingRecorder):
-                tool.finishes_films = self.options.finish_films
+                tool.finishes_videos = self.options.finish_films
         if self._warnings:
             more = f" (and {len(self._warnings) - 1} more)" if len(self._warnings) > 1 else ""
             # What is wrong is behind the folder.
@@ -351,7 +351,7 @@ class Session:
 
     def _run(self, host: LiveHost) -> None:
         from ..viewer.host.live import SECTION
-        from ..viewer.host.restoring import keep
+        from ..viewer.host.restoring import save
         from ..viewer.session.recent_views import RecentView, remember_view
         from .opening import is_temporary
 
@@ -365,11 +365,11 @@ class Session:
         try:
             host.run()
         finally:
-            keep(host)
+            save(host)
         if is_kept:
             # A page draws its pictures where it is served, which takes a while.
-            is_pictured = self.on_page and (view.picture.is_file() or view.is_shipped)
-            remember_view(view, None if is_pictured else host.picture())
+            is_pictured = self.on_page and (view.image.is_file() or view.is_shipped)
+            remember_view(view, None if is_pictured else host.image())
         if self.plain is plain:  # else another one is shown next
             panel = {
                 name: is_shown

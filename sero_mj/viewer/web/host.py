@@ -131,7 +131,7 @@ class WebHost(LiveHost):
             path = self._dropped.pop(0)
             if not self.others.open_file(path):
                 drops.discard(path)
-        self._advance(lambda: self.clock.advance(0.0 if self._is_held else passed))
+        self._advance(0.0 if self._is_held else passed)
         self.navigator.advance(self.data)
         self.decor.lay_out(self.data, self.view.picture(self.data))
         self._input.point()
@@ -147,8 +147,8 @@ class WebHost(LiveHost):
         )
         self.server.call(self.browsers.wake)
         self.work = time.monotonic() - begin
-        self.tools.give_picture(self.picture)
-        if not self.tools.takes_pictures:
+        self.tools.distribute_image(self.image)
+        if not self.tools.takes_images:
             self._end_renderer()
         return self.is_open
 
@@ -170,14 +170,14 @@ class WebHost(LiveHost):
     # ---- pictures
 
     @property
-    def picture_size(self) -> tuple[int, int]:
+    def image_size(self) -> tuple[int, int]:
         return DEFAULT_SIZE
 
-    def picture(self) -> Pixels:
+    def image(self) -> Pixels:
         from ..image.render import HeadlessRenderer
 
         if self._renderer is None:
-            self._renderer = HeadlessRenderer(self.world, *self.picture_size)
+            self._renderer = HeadlessRenderer(self.world, *self.image_size)
         renderer = self._renderer
         renderer.camera, renderer.toggles = self.navigator.camera, self.toggles
         return renderer.render(self.data).copy()

@@ -10,7 +10,7 @@ from ..host.live import LiveHost
 from ..panels import help as help_panel
 from ..panels import request_panel
 from ..panels.dom_widgets import DomWidgets, Node
-from ..panels.status_line import build_time_line
+from ..panels.status_line import build_timeline
 from ..session.keys import help_columns
 from ..session.status_line import status_pieces
 from ..session.tool import Tool, tool_keys
@@ -75,7 +75,7 @@ class PagePanels:
         put("status", [list(piece) for piece in status_pieces(sources, host.clock, frame_rate)])
         self._put_tree("panel", self._host.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
         wide = self._width / _EM
-        self._put_tree("timeLine", host.has_time_line, self._time_line, (wide, 2.0))
+        self._put_tree("timeLine", host.has_timeline, self._time_line, (wide, 2.0))
         room = min(help_panel.WIDTH, wide - 2), _TALL
         self._put_tree("help", host.shows_help, self._help, room)
         room = min(request_panel.WIDTH, wide - 2), _TALL
@@ -123,7 +123,7 @@ class PagePanels:
             self._host.actions.perform("link")
 
     def _time_line(self, ui: DomWidgets) -> None:
-        build_time_line(ui, self._host.clock, self._host.tools.ticks)
+        build_timeline(ui, self._host.clock, self._host.tools.ticks)
 
     def _help(self, ui: DomWidgets) -> None:
         help_panel.build_help(ui, help_columns(tool_keys(), on_page=True))

@@ -22,8 +22,8 @@ from ..host.start_page import (
     PortMonitor,
     StartPage,
 )
-from ..panels.message import Message as Notice
 from ..session.recent_views import RecentView
+from ..session.status_line import Message as Notice
 from .browsers import Browsers
 from .messages import ForStartPage, Left, MessageSender, OpenShown, OpenTile, PageMessage
 from .sections import Sections
@@ -115,9 +115,9 @@ class StartHost:
             return PageAnswer(json.dumps(self._described(words)).encode(), ".json")
         tiles, number = self._page.tiles, path.removeprefix(_PICTURES)
         if path.startswith(_PICTURES) and number.isdecimal() and int(number) < len(tiles):
-            picture = tiles[int(number)].picture
+            image = tiles[int(number)].image
             try:
-                return PageAnswer(picture.read_bytes() if picture else b"", ".jpg")
+                return PageAnswer(image.read_bytes() if image else b"", ".jpg")
             except OSError:
                 return None
         return None
@@ -138,7 +138,7 @@ class StartHost:
                             "number": numbers[id(tile)],
                             "title": tile.title,
                             "about": tile.about,
-                            "has_picture": tile.picture is not None,
+                            "has_picture": tile.image is not None,
                         }
                         for tile in section.tiles
                     ],
@@ -153,7 +153,7 @@ class StartHost:
             self._page.choose(tiles[message.number].view)
 
     def _open_shown(self, message: OpenShown) -> None:
-        shown = {view.scene: view for each in self._page.awaited() for view in each.shown}
+        shown = {view.scene: view for each in self._page.expected() for view in each.shown}
         if message.scene in shown:
             self._page.choose(shown[message.scene])
 
@@ -169,7 +169,7 @@ class StartHost:
         elif not told.is_shown:
             self._sections.put("notice", None)  # for browsers that come later
         self._reported = now
-        self._sections.put("awaited", [_as_json(each) for each in self._page.awaited()])
+        self._sections.put("awaited", [_as_json(each) for each in self._page.expected()])
         self.server.call(self.browsers.wake)
 
     def close(self) -> None:
@@ -182,11 +182,11 @@ class StartHost:
         self.close()
 
 
-def _as_json(awaited: ExpectedPackets) -> dict[str, Any]:
+def _as_json(packets: ExpectedPackets) -> dict[str, Any]:
     return {
-        "text": awaited.text,
-        "expected": awaited.expected,
-        "command": awaited.command,
-        "mood": awaited.mood,
-        "shown": [view.scene for view in awaited.shown],
+        "text": packets.text,
+        "expected": packets.packets,
+        "command": packets.command,
+        "mood": packets.mood,
+        "shown": [view.scene for view in packets.shown],
     }

@@ -23,6 +23,7 @@ from ros_tools import (
     read_joint_states,
     write_bag,
 )
+from sero_mj.data.record.table import read_csv
 from test_cli import run
 
 from sero_mj.base.errors import DeclarationError, RecordingError, UsageError
@@ -32,7 +33,6 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.led_robot import LedJoint
 from sero_mj.data.record.replay import Replay
-from sero_mj.data.record.table import read_csv
 from sero_mj.extensions.ros.bag import DESCRIPTION, Bag, open_recording
 from sero_mj.extensions.ros.described_scene import scenes_of_bag
 from sero_mj.load import load_scene
