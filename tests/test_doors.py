@@ -380,7 +380,7 @@ with Mirror(load_scene("lwr")) as mirror:
 """)  # fmt: skip
     lines = printed.splitlines()  # with those of the log
     assert "True False True" in lines
-    assert lines[-1] == "False [('broken has failed and is removed: a fault', True)]"
+    assert lines[-1] == "False [('the tool broken has failed and is removed: a fault', True)]"
 
 
 def test_an_action_of_a_taken_name_is_told_and_left_out(tmp_path: Path) -> None:

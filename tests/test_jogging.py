@@ -114,7 +114,7 @@ def test_joints_stay_within_their_limits_and_say_so() -> None:
     assert goal.trouble.startswith("A1 is at its limit of 170 deg, A2 is at")
     for wrong in (np.nan, np.inf):
         goal.set_joint(1, wrong)
-        assert goal.trouble == "found no finite number; the robot does not move"
+        assert goal.trouble == "expected a finite number; the robot does not move"
         goal.move_flange(np.eye(4), frame(np.eye(3), [wrong, 0.0, 0.5]), at_once=True)
         assert goal.trouble.startswith("found no finite number") and np.isfinite(goal.angles).all()
     # Typed poses that are out of reach change nothing.

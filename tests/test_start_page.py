@@ -157,7 +157,7 @@ def test_data_that_is_awaited_is_heard(tmp_path: Path) -> None:
         assert (found.mood, found.command) == ("good", "")
         assert [Path(view.scene).name for view in found.shown] == ["cell24.toml"]
         sender.send(bytes(10))
-        found = until(listening, "1/s of 10 bytes, which is not expected")
+        found = until(listening, "1/s of 10 bytes (unexpected size)")
         assert found.mood == "bad"
 
 
@@ -272,19 +272,22 @@ def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
 @pytest.mark.parametrize(
     ("message", "text"),
     [
-        ("nonsense", "found no list of files; expected paths and sizes"),
-        (b"\xff", "found no list of files"),
-        ('[{"path": "a.toml", "size": 1e999}]', "found no list of files"),
-        ('[{"path": "a.toml", "size": 1.5}]', "found no list of files"),
-        ("[" * 100_000, "found no list of files"),
-        ('{"files": []}', "found no list of files"),  # without a key
-        ('[{"path": "a.toml", "size": 1, "more": 1}]', "found no list of files"),
+        ("nonsense", "expected a list of files with paths and sizes"),
+        (b"\xff", "expected a list of files"),
+        ('[{"path": "a.toml", "size": 1e999}]', "expected a list of files"),
+        ('[{"path": "a.toml", "size": 1.5}]', "expected a list of files"),
+        ("[" * 100_000, "expected a list of files"),
+        ('{"files": []}', "expected a list of files"),  # without a key
+        ('[{"path": "a.toml", "size": 1, "more": 1}]', "expected a list of files"),
         ('[{"path": "' + "a/" * 30 + 'a.toml", "size": 1}]', "found the path 'a/a/"),
-        ("[]", "found no file; drop a robot, a scene or a recording"),
-        ('[{"path": "../a", "size": 1}]', "found the path '../a'; expected a plain one"),
+        ("[]", "the drop contains no file; drop a robot"),
+        (
+            '[{"path": "../a", "size": 1}]',
+            "found the path '../a'; expected a relative path without",
+        ),
         ('[{"path": "/etc/a", "size": 1}]', "found the path '/etc/a'"),
         (r'[{"path": "C:\\a", "size": 1}]', "found the path 'C:"),
-        ('[{"path": "a.toml", "size": 900000000}]', "found 900 MB; a page takes at most 500"),
+        ('[{"path": "a.toml", "size": 900000000}]', "found 900 MB; expected at most 500"),
         (json.dumps([{"path": f"{k}", "size": 0} for k in range(2001)]), "found 2001 files; at"),
     ],
 )

@@ -173,7 +173,7 @@ def test_what_goes_wrong_there_is_told_here(caplog: pytest.LogCaptureFixture) ->
     with raises_with(UnknownName, kind="camera", name="frnt"):
         sero_mj.view("lwr", web=True, camera="frnt")
     with pytest.raises(
-        RenderError, match=r"no page at 'nowhere\.invalid': this machine has no such"
+        RenderError, match=r"cannot serve a page at 'nowhere\.invalid': this machine has no such"
     ):
         sero_mj.view("lwr", web=True, host="nowhere.invalid")
 
@@ -270,7 +270,7 @@ def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
 def test_a_class_of_a_script_is_refused_with_what_to_do() -> None:
     scene = Scene(robots=[SerialRobot.from_model("lwr")])
     scene.sources["mine"] = lambda: None
-    with pytest.raises(UsageError, match=r"cannot be handed to the viewer's process .*picklable"):
+    with pytest.raises(UsageError, match=r"cannot be sent to the viewer's process .*picklable"):
         sero_mj.view(scene, web=True)
 
 

@@ -351,7 +351,7 @@ def test_a_link_opens_the_page_with_its_view(page: WebHost, client: PageClient) 
     assert page.clock.is_paused
     client.say("view", text="<script>")
     client.until(lambda: page.notice.is_bad)
-    assert page.notice.text.startswith("is not a valid view '<script>': ")
+    assert page.notice.text.startswith("view: '<script>' is not a valid view: ")
 
 
 def test_panels_switch_what_is_shown_and_the_time_line_scrubs(
@@ -484,7 +484,7 @@ def test_whatever_a_browser_says_the_page_goes_on(fuzzed: WebHost, said: list[An
     reader = MessageReader(ForScene)
     messages = [message for each in said if (message := reader.read(json.dumps(each)))]
     fuzzed._input.take(Said(message, MessageSender(1, is_local=True)) for message in messages)
-    fuzzed.decor.lay_out(fuzzed.data, fuzzed.view.picture(fuzzed.data))
+    fuzzed.decor.lay_out(fuzzed.data, fuzzed.view.of_data(fuzzed.data))
     assert np.isfinite(fuzzed.navigator.camera.lookat).all()
 
 
@@ -694,7 +694,9 @@ def test_a_port_that_is_taken_is_told(home: None) -> None:
         port = taken.getsockname()[1]
         with pytest.raises(RenderError) as found:
             WebHost(mirror, port=port)
-        assert str(found.value) == f"no page at 127.0.0.1:{port}: Address already in use"
+        assert (
+            str(found.value) == f"cannot serve a page at 127.0.0.1:{port}: Address already in use"
+        )
         for wrong in (70000, -1, "a"):
             with pytest.raises(RenderError, match=f"port {wrong!r}: expected 1 to 65535"):
                 WebHost(mirror, port=wrong)  # type: ignore[arg-type]

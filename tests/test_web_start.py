@@ -209,7 +209,7 @@ def test_files_are_taken_whole_and_what_is_wrong_is_told(opened: Opened) -> None
         assert told["text"] == "r.urdf: found 300000 bytes; expected a robot"
         assert 1 < told["seconds"] < 60
         answer = opened.upload(browser.key, [{"path": "a.toml", "size": 2}], b"abc")
-        assert answer == {"error": "a.toml: found other contents than its 2 bytes"}
+        assert answer == {"error": "a.toml: expected contents of 2 bytes"}
     assert opened.asked.empty()
 
 
@@ -247,9 +247,12 @@ def test_refused_drops_leave_nothing_and_full_space_is_told(
 @pytest.mark.parametrize(
     ("listed", "told"),
     [
-        ([{"path": "a.toml", "size": float("inf")}], "found no list of files; expected paths"),
-        ([{"path": f"{'x' * 300}/a.toml", "size": 1}], f"{'x' * 300}/a.toml: cannot be kept: "),
-        ([{"path": "m", "size": 0}, {"path": "m/a.toml", "size": 1}], "m/a.toml: cannot be kept: "),
+        ([{"path": "a.toml", "size": float("inf")}], "expected a list of files with paths"),
+        ([{"path": f"{'x' * 300}/a.toml", "size": 1}], f"{'x' * 300}/a.toml: cannot be stored: "),
+        (
+            [{"path": "m", "size": 0}, {"path": "m/a.toml", "size": 1}],
+            "m/a.toml: cannot be stored: ",
+        ),
     ],
 )
 def test_files_that_cannot_be_kept_are_told_by_their_own_names(
