@@ -24,7 +24,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from ...robots.declared.scene import Scene
-from ...viewer.player.page import cell_page, look_asked_for
+from ...viewer.player.page import cell_page, requested_look
 from ...viewer.program.process import ViewerProcess
 from ...viewer.web.server import socket_url
 
@@ -85,7 +85,7 @@ class Cells:
     """
 
     def __init__(self, scene: Scene, url: str, process: ViewerProcess) -> None:
-        self._title, self._look, self._url = scene.name, look_asked_for(scene), url
+        self._title, self._look, self._url = scene.name, requested_look(scene), url
         self._process = process
         self._cells: list[_Cell] = []
         self._has_run = threading.Event()

@@ -82,7 +82,7 @@ class Browsers:
             yield self._queue.popleft()
 
     def send_event(self, event: dict[str, Any]) -> None:
-        """Queues an event for the browser in control; call `wake` on the server's thread after it."""
+        """Queues an event for the browser in control; call `wake` on the server's thread next."""
         with self._lock:
             browser = self._browsers.get(self._holder or 0)
         if browser is not None:

@@ -13,7 +13,7 @@ from ..host.live import LiveHost
 from ..image.image_files import Pixels
 from ..image.image_options import DEFAULT_SIZE
 from ..image.scene_decor import SceneDecor
-from ..player.page import live_page, look_asked_for, player_files
+from ..player.page import live_page, player_files, requested_look
 from .browsers import Browsers
 from .messages import ForScene
 from .page_input import PageInput
@@ -80,7 +80,7 @@ class WebHost(LiveHost):
         self._input = PageInput(self, self.view, self._panels)
         self._dropped: list[Path] = []
         self.server = PageServer(
-            live_page(look_asked_for(world.scene)),
+            live_page(requested_look(world.scene)),
             player_files(),
             self.browsers.talk,
             "/live",
