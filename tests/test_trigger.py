@@ -132,7 +132,7 @@ def test_models_of_robots_are_signals() -> None:
     hits = trigger("lwr.friction_torques > 1.2", moved).find("udp", events)
     assert np.array_equal(hits.holds, (friction > 1.2).any(axis=1))
     assert hits.describe(int(np.argmax(hits.holds))).startswith("lwr/A")
-    reason = "nothing is routed to lwr.joint_velocities, which lwr.friction_torques needs"
+    reason = "lwr.friction_torques needs a route to lwr.joint_velocities"
     for text in ("lwr.friction_torques[0] > 1", "1 < lwr.billboard_values[0]"):
         still = scene(**{"lwr.billboard_values": "udp.values1 - lwr.friction_torques"})
         with raises_with(RouteError, reason=reason, position=4 if text[0] == "1" else 0):
@@ -169,14 +169,14 @@ def test_no_data_fulfils_nothing_and_other_sources_keep_their_last_values() -> N
         ("lwr.torques > ", "character 15: found the end, expected an event such as"),
         ("lwr.torques > 20 20", "character 18: found '20', expected"),
         ("lwr.torques = 20",
-         "character 13: found '=', expected +, -, * or / between spaces, or the end; equal is =="),
-        ("lwr.torques[9] > 1", "character 13: found '9', expected 0 to 6: there are 7"),
-        ("lwr.torques[0][0] > 1", "expected none: it is a single number"),
-        ("lwr.torques[1:3] > lwr.torques", "character 18: found '>', expected as many on both "
-         "sides; there are 2 values and 7 values"),
-        ("abs(lwr.torques > 2) > 1", "expected numbers; comparisons are joined by and, or"),
+         "character 13: found '=', expected +, -, * or / between spaces, or the end; write =="),
+        ("lwr.torques[9] > 1", "character 13: found '9', expected 0 to 6"),
+        ("lwr.torques[0][0] > 1", "is a single number, which has no index"),
+        ("lwr.torques[1:3] > lwr.torques", "character 18: found '>', expected the same number on "
+         "both sides; found 2 values and 7 values"),
+        ("abs(lwr.torques > 2) > 1", "expected numbers; use and, or to combine comparisons"),
         ("lwr.torques and lwr.torques > 1", "expected a comparison such as lwr.torques > 20"),
-        ("any(lwr.torques) > 1", "expected numbers; comparisons are joined by and, or"),
+        ("any(lwr.torques) > 1", "expected numbers; use and, or to combine comparisons"),
         ("any(lwr.torques)", "expected a comparison such as lwr.torques > 20"),
         ("lwr.torques % 2 > 1", "character 13: found '%', expected +, -, * or /"),
         ("", "character 1: found the end"),
@@ -193,7 +193,7 @@ def test_what_is_no_condition_is_told_with_its_place(text: str, message: str) ->
 def test_the_torque_error_needs_both_torques() -> None:
     of = scene()
     of.routes = {key: route for key, route in of.routes.items() if "commanded" not in key}
-    reason = "nothing is routed to lwr.commanded_torques, which it is made of"
+    reason = "it needs routes to lwr.commanded_torques"
     with raises_with(RouteError, position=0, reason=reason):
         trigger("lwr.torque_error > 1", of)
 
@@ -273,7 +273,7 @@ def test_waiting_lasts_until_all_packets_have_been_looked_at(tmp_path: Path) -> 
         assert looking.wait(60)  # the queue is empty, and nothing has been seen
 
         def wait() -> None:
-            made.wait_until_seen()
+            made.wait_until_handled()
             seen.append(made.statistics.packets)
 
         waiting = threading.Thread(target=wait)
@@ -289,7 +289,7 @@ def test_memory_holds_no_more_than_the_last_seconds(tmp_path: Path) -> None:
     with recorder(tmp_path, before=1.0) as made:
         for k in range(100):
             made.take("udp", rows, lengths, k + np.arange(1000) / 1000)
-            made.wait_until_seen()
+            made.wait_until_handled()
         size = made.statistics.kept_bytes
     assert 1000 * LAYOUT.size < size < 4000 * (LAYOUT.size + 100)
     assert made.statistics.forgotten == 0 and not made.events
@@ -297,7 +297,7 @@ def test_memory_holds_no_more_than_the_last_seconds(tmp_path: Path) -> None:
     with recorder(tmp_path, before=60.0, kept_bytes=500_000) as made:
         for k in range(20):
             made.take("udp", rows, lengths, k + np.arange(1000) / 1000)
-            made.wait_until_seen()
+            made.wait_until_handled()
         assert made.statistics.kept_bytes < 700_000
         assert made.statistics.forgotten > 15_000
         late = pad_packets([numbered(1, {0: 99})[0][0]], LAYOUT.size)
@@ -322,11 +322,11 @@ def test_what_cannot_be_written_ends_it_and_is_told(tmp_path: Path) -> None:
     packets, times = numbered(3, {1: 30})
     made = recorder(tmp_path)
     made.take("udp", *pad_packets(packets, LAYOUT.size), times)
-    made.wait_until_seen()
+    made.wait_until_handled()
     with raises_with(
         RecordingError,
         path=f"{tmp_path}/1.mcap",
-        reason="exists already; choose another name, or remove it",
+        reason="exists already. Choose another name, or remove it",
     ):
         made.close()
     assert not made.take("udp", *pad_packets(packets, LAYOUT.size), times)

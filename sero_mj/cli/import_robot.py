@@ -14,8 +14,7 @@ from ..base.errors import UsageError
 from ..base.options import Option, positional
 from ..base.paths import format_of_file, model_name
 from ..base.plugins import COMMANDS, is_own_class, plugins
-from ..robots.importers.importer import find_importer
-from ..robots.importers.known_formats import Mjcf
+from ..robots.importers.importer import Mjcf, find_importer
 from .arguments import check_ending, check_new, command, writing
 from .new import print_next, scene_text, write_scene
 from .shared_options import PackageOptions
@@ -136,7 +135,7 @@ def _read(options: ImportOptions) -> _Source:
                 described, tables, limbs, file=path.name, bodies=bodies, flange=flange
             )
 
-        return _Source(described, write_geoms, "geoms of MJCF stand in the frames of its joints")
+        return _Source(described, write_geoms, "MJCF geoms are placed in joint frames")
     file = UrdfFile(path, convention=options.convention or "craig")
     file.check()
 
@@ -149,13 +148,13 @@ def _read(options: ImportOptions) -> _Source:
             file.described, tables, limbs, file=path.name, bodies=bodies, flange=flange
         )
 
-    return _Source(file.described, write_meshes, "no chain of such rows has its frames")
+    return _Source(file.described, write_meshes, "no DH table describes its joint frames")
 
 
 def _about_joints(robot: SerialRobot) -> str:
     coupled, names = robot.coupled, robot.names
     independent = coupled.independent.tolist()
-    lines = ["# The joints, in the order of packets:"]
+    lines = ["# Order of the joints in packets:"]
     lines += _comment([f"{k + 1} {names[i]}" for k, i in enumerate(independent)])
     followers = [
         f"{names[i]} = {coupled.ratio[i]:g} {names[independent[source]]}"
@@ -164,7 +163,7 @@ def _about_joints(robot: SerialRobot) -> str:
         if i not in independent
     ]
     if followers:
-        lines += [f"# Not in packets, as they follow others ({len(followers)}):"]
+        lines += [f"# Coupled joints, not in packets ({len(followers)}):"]
         lines += _comment(followers)
     return "".join(f"{line}\n" for line in lines)
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from types import NoneType
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
-from ..base.declaration import meanings
+from ..base.declaration import field_descriptions
 from ..base.errors import DeclarationError
 from ..base.options import Options
 
@@ -22,7 +22,7 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
     What is given is text in the parsed namespace, or lists of it, and what is not given is not
     there: `read_options` checks the one and knows the other.
     """
-    about = meanings(kind)
+    about = field_descriptions(kind)
     # What is declared anew stays among those of the first class that has declared it.
     owners = {name: owner for owner in kind.__mro__ for name in inspect.get_annotations(owner)}
     for name in kind.model_fields:

@@ -60,10 +60,10 @@ class RenderOptions(SceneArgument, VideoOptions, EyeOptions, ShownOptions, OverO
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
-        if not self.is_film and self.given("duration", "fps"):
+        if not self.is_film and self.set_among("duration", "fps"):
             films = ", ".join(VIDEO_FORMATS)
             raise ValueError(f"-o {self.output}: --duration and --fps are for films ({films})")
-        if not self.is_film and (moves := self.given("orbit", "camera_path")):
+        if not self.is_film and (moves := self.set_among("orbit", "camera_path")):
             raise ValueError(
                 f"-o {self.output}: {moves[0]} is for films ({', '.join(VIDEO_FORMATS)})"
             )

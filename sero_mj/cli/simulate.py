@@ -101,7 +101,7 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
         if self.is_picture and self.fps is not None:
             raise ValueError("--fps is for a film: --render OUT.mp4")
         is_film = self.render is not None and not self.is_picture
-        if not is_film and (moves := self.given("orbit", "camera_path")):
+        if not is_film and (moves := self.set_among("orbit", "camera_path")):
             raise ValueError(f"{moves[0]} is for a film: --render OUT.mp4")
         return self
 

@@ -5,7 +5,7 @@
  */
 #include "sero_mj_controller.h"
 
-/* Joint impedance: a spring and a damper about the target, on top of gravity. */
+/* Joint impedance: stiffness and damping about the target, plus gravity compensation. */
 void control(struct sero_mj_robot *robot) {
   const double stiffness = 800.0, damping = 40.0; /* Nm/rad, Nm s/rad */
   for (int i = 0; i < robot->n; i++)

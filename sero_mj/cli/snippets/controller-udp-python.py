@@ -1,4 +1,4 @@
-"""A controller for sero-mj as a program of its own, over UDP; it needs numpy alone.
+"""A controller for sero-mj as a separate program, over UDP. It requires only numpy.
 
 sero-mj simulate controller.toml     (sero-mj new --snippet controller-udp-python --scene prints it)
 """
@@ -22,7 +22,7 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
     peer.bind(("127.0.0.1", port))
     while True:
         size, robot = peer.recvfrom_into(received)
-        # Joint impedance: a spring and a damper about the target, on top of gravity.
+        # Joint impedance: stiffness and damping about the target, plus gravity compensation.
         answer["step"] = state["step"]
         answer["torques"] = (
             800.0 * (state["target_angles"] - state["angles"])

@@ -350,7 +350,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             # Whoever got it before may have changed it.
             before = {name: value.copy() for name, value in self._observation.items()}
             return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, before)
-        self.plant.rows.physics.look_ahead()  # `data` is as up to date as after MuJoCo's own step
+        self.plant.rows.physics.forward()  # `data` is as up to date as after MuJoCo's own step
         self._is_over = simulation.is_done
         self._observation = self._observe()
         end = dm_env.truncation if self._is_over else dm_env.transition

@@ -50,7 +50,7 @@ class AgentRobot:
 
     def base(self) -> Array:
         """T_world_base now, (4, 4), m; of a mounted robot it moves with what carries it."""
-        self.plant.rows.physics.look_ahead()
+        self.plant.rows.physics.forward()
         data, body = self.plant.data, self.plant.world.robots[self.name].bodies[0]
         return frame(data.xmat[body].reshape(3, 3), data.xpos[body])
 

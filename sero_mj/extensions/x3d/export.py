@@ -1,4 +1,4 @@
-"""X3D scenes as TOML and TOML scenes as X3D, for `sero-mj export`."""
+"""Converts X3D scenes to TOML and TOML scenes to X3D, for `sero-mj export`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
-from ...base.errors import UsageError
+from ...base.errors import Problem, UsageError, raise_any
+from ...base.frames import Array, frame, rotation_about, rotation_from_quat
 from ...cli.arguments import check_new, read_scene, writing
+from ...robots.assemble.link_geometry import drawn_geoms
 from .importer import X3d
+from .writer import face_set, shape_lines, x3d_text
 
 if TYPE_CHECKING:
     from ...base.declaration import Declaration
@@ -22,17 +26,20 @@ if TYPE_CHECKING:
     from ...robots.declared.robot_parts import LinkGeometry
     from ...robots.declared.scene import Scene
 
-# Fields of robots in other units or orders, which are converted when a robot is built.
+# Robot fields that are converted when a robot is created.
 _OTHER_FORMS = ("name", "dh_params", "dh_columns", "length_unit")
+_CREASE = 0.7  # rad; MuJoCo shades sharper edges as edges
+_UPRIGHT = frame(rotation_about(0, np.pi / 2))  # from z, the cylinder axis of MuJoCo, to y
+Geom = mujoco.mjtGeom
 
 
 def write_toml(options: ExportOptions) -> int:
-    """Writes an X3D scene as TOML; returns 0."""
+    """Writes an X3D scene as TOML, and returns the exit code."""
     return _write(options, to_x3d=False)
 
 
 def write_x3d(options: ExportOptions) -> int:
-    """Writes a scene as X3D, with its links as VRML97 files in OUT_links/ROBOT; returns 0."""
+    """Writes a scene as X3D, and its links as VRML97 files in OUT_links/ROBOT."""
     return _write(options, to_x3d=True)
 
 
@@ -41,7 +48,8 @@ def _write(options: ExportOptions, *, to_x3d: bool) -> int:
     output = options.path
     if to_x3d == (Path(options.scene).suffix.lower() in X3d.endings):
         both = "X3D" if to_x3d else "TOML"
-        raise UsageError(f"{options.scene} and {output}: both are {both}; expected one of each")
+        message = f"both are {both}; expected one X3D file and one TOML file"
+        raise UsageError(f"{options.scene} and {output}: {message}")
     files: dict[Path, str] = {}
     if to_x3d:
         text, lost = _as_x3d(options.scene, output, files)
@@ -49,14 +57,14 @@ def _write(options: ExportOptions, *, to_x3d: bool) -> int:
         text, lost = _as_toml(options.scene, output), []
     files[output] = text
     if not options.overwrite:
-        check_new(files, "--overwrite writes over it")
+        check_new(files, "use --overwrite to replace it")
     with writing():
         for path, contents in files.items():
             if path is not output:
                 path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(contents, encoding="utf-8")
     if lost:
-        line = f"sero-mj: left out, as X3D or its protos have no word for it: {', '.join(lost)}"
+        line = f"sero-mj: left out, because X3D cannot express it: {', '.join(lost)}"
         print(fill(line, 100, subsequent_indent="  ", break_on_hyphens=False), file=sys.stderr)
     print(output)
     return 0
@@ -66,13 +74,13 @@ def _as_toml(name: str, output: Path) -> str:
     from ...robots.importers.toml_text import toml_text
     from .reader import read_x3d
 
-    read_scene(name)  # tells all that is wrong, also what is wrong with robots and sources
+    read_scene(name)  # reports all errors, including those of robots and sources
     described = read_x3d(Path(name))
     for robot in described.tables.get("robots", {}).values():
         if robot.get("directory"):
             folder = Path(name).parent / robot["directory"]
             robot["directory"] = _relative(folder, output)
-    comments = [f"{Path(name).name}, as a scene of sero-mj."]
+    comments = [f"Converted from {Path(name).name}."]
     for warning in described.warnings:
         comments += fill(f"Note: {warning}", 98, subsequent_indent="  ").splitlines()
     return toml_text(described.tables, comments)
@@ -86,20 +94,16 @@ def _relative(folder: Path, output: Path) -> str:
 
 
 def _as_x3d(name: str, output: Path, files: dict[Path, str]) -> tuple[str, list[str]]:
-    from .writer import x3d_text
-
     text, lost = x3d_text(scene_tables(read_scene(name), output, files))
     if "SerialRobot {" not in text and "Shape {" not in text:
-        raise UsageError(f"{name}: nothing of it can be said in X3D; left out: {', '.join(lost)}")
+        raise UsageError(f"{name}: X3D cannot express any part of it; left out: {', '.join(lost)}")
     return text, lost
 
 
 def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str, Any]:
-    """Returns the tables of a scene file with all fields of the robots, without `model`.
+    """Returns the tables of a scene file with robot fields instead of `model`.
 
-    Args:
-        output: a file; folders are relative to its own.
-        files: gets the texts of files of links, to be written.
+    Folders are relative to that of `output`. The texts of link files are added to `files`.
     """
     from ...data.drive.wiring import wire
 
@@ -128,7 +132,7 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
 
 
 def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dict[str, Any]:
-    """Returns a robot's fields that differ from their defaults, SI units; see `scene_tables`."""
+    """Returns the fields of a robot that differ from their defaults; see `scene_tables`."""
     table = _changed(robot, *_OTHER_FORMS)
     if robot.dh is not None:
         dh = robot.dh
@@ -146,15 +150,13 @@ def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dic
         table["filenames"] = [str(link[0].file) if link else "" for link in robot.filenames]
         table["directory"] = _relative(Path(robot.directory), output)
     elif robot.dh is not None and robot.dh_convention == "craig" and not robot.mirrored:
-        from .link_files import link_files
-
         folder = output.parent / f"{output.stem}_links" / robot.name
         texts = link_files(robot)
         files |= {folder / name: text for name, text in texts.items()}
         table["filenames"] = [*texts]
         table["directory"] = _relative(folder, output)
     else:
-        table["filenames"] = []  # they are in other frames; named where they are left out
+        table["filenames"] = []  # the meshes are in other frames; the writer reports them
     return table
 
 
@@ -163,12 +165,12 @@ def _is_vrml(part: LinkGeometry) -> bool:
     return is_file and not _changed(part, "file")
 
 
-def _changed(declaration: Declaration, *but: str) -> dict[str, Any]:
+def _changed(declaration: Declaration, *excluded: str) -> dict[str, Any]:
     changed = {}
     for key, field in type(declaration).model_fields.items():
         value = getattr(declaration, key)
         default = field.get_default(call_default_factory=True)
-        if key not in but and _plain(value) != _plain(default):
+        if key not in excluded and _plain(value) != _plain(default):
             changed[key] = _plain(value)
     return changed
 
@@ -181,3 +183,50 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]
     return _changed(value) if hasattr(type(value), "model_fields") else value
+
+
+def link_files(robot: SerialRobot) -> dict[str, str]:
+    """Returns the texts of the files of base and links by file name, in the order of links."""
+    root, problems = mujoco.MjSpec(), list[Problem]()
+    links = drawn_geoms(root, robot, problems)
+    raise_any(problems)
+    owners = [i for i, geoms in enumerate(links) for _ in geoms]
+    for geom in (geom for geoms in links for geom in geoms):
+        root.worldbody.add_geom(contype=0, conaffinity=0, mass=0, **geom)
+    model = root.compile()
+    files = {}
+    for i in range(len(links)):
+        lines = ["#VRML V2.0 utf8", f"# {robot.name}, {'base' if i == 0 else f'link {i}'}; m"]
+        for k in (k for k, owner in enumerate(owners) if owner == i):
+            lines += _shapes(model, k)
+        files[f"link{i}.wrl" if i else "base.wrl"] = "\n".join([*lines, ""])
+    return files
+
+
+def _shapes(model: Any, k: int) -> list[str]:
+    kind, size = Geom(model.geom_type[k]), model.geom_size[k]
+    T = frame(rotation_from_quat(model.geom_quat[k]), model.geom_pos[k])
+    rgba = model.geom_rgba[k].round(6).tolist()
+    if kind == Geom.mjGEOM_MESH:
+        return shape_lines(_face_set(model, int(model.geom_dataid[k]), T), rgba)
+    if kind == Geom.mjGEOM_BOX:
+        lengths = " ".join(f"{2 * length:.7g}" for length in size)
+        return shape_lines(f"Box {{ size {lengths} }}", rgba, T)
+    if kind == Geom.mjGEOM_SPHERE:
+        return shape_lines(f"Sphere {{ radius {size[0]:.7g} }}", rgba, T)
+    if kind == Geom.mjGEOM_ELLIPSOID:
+        return shape_lines("Sphere { radius 1 }", rgba, T, size)
+    tube = f"Cylinder {{ radius {size[0]:.7g} height {2 * size[1]:.7g} }}"
+    lines = shape_lines(tube, rgba, T @ _UPRIGHT)
+    if kind == Geom.mjGEOM_CAPSULE:
+        for end in (-size[1], size[1]):
+            there = T @ frame(position=np.array([0.0, 0.0, end]))
+            lines += shape_lines(f"Sphere {{ radius {size[0]:.7g} }}", rgba, there)
+    return lines
+
+
+def _face_set(model: Any, mesh: int, T: Array) -> str:
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    points = model.mesh_vert[first : first + count].astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+    face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    return face_set(points, model.mesh_face[face : face + faces], _CREASE)

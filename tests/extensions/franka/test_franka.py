@@ -54,8 +54,8 @@ of = "fr3"
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect follow each other quickly."""
-    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.002)
-    monkeypatch.setattr(receiving_thread, "LONGEST", 0.02)
+    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 0.002)
+    monkeypatch.setattr(receiving_thread, "MAX_PAUSE", 0.02)
 
 
 @pytest.fixture
@@ -168,23 +168,25 @@ def test_states_that_are_missing_are_lost(server: FrankaServer) -> None:
 @pytest.mark.parametrize(
     ("said", "trouble", "counted"),
     [
-        (b"HTTP/1.1 400 Bad Request\r\n", " answers by what is no message of FCI", 1),
-        (answer(command=1), " answers by what is no message of FCI", 1),
-        (answer(number=2), " answers by what is no message of FCI", 1),
-        (struct.pack("<III", 0, 1, 12), " answers by what is no message of FCI", 1),
-        (struct.pack("<III", 0, 1, 2**31), " answers by what is no message of FCI", 1),
-        (answer() + b"x", " says more than it was asked", 1),
-        (answer(status=2), " refuses to connect, by status 2", 0),
-        (answer(1, version=11), " has version 11 of the server; 3 to 10 are known", 0),
-        (answer(1, version=2), " has version 2 of the server; 3 to 10 are known", 0),
-        (answer(0, version=11), " has version 11 of the server; 3 to 10 are known", 0),
-        (answer(1, version=10), " refuses version 10, and says that it has 10", 0),
-        (b"", ": it closed the connection without an answer; is another client connected?", 0),
+        (b"HTTP/1.1 400 Bad Request\r\n", " sends an invalid FCI message", 1),
+        (answer(command=1), " sends an invalid FCI message", 1),
+        (answer(number=2), " sends an invalid FCI message", 1),
+        (struct.pack("<III", 0, 1, 12), " sends an invalid FCI message", 1),
+        (struct.pack("<III", 0, 1, 2**31), " sends an invalid FCI message", 1),
+        (answer() + b"x", " sends more than the answer", 1),
+        (answer(status=2), " rejects the connection with status 2", 0),
+        (answer(1, version=11), " has server version 11; supported: 3 to 10", 0),
+        (answer(1, version=2), " has server version 2; supported: 3 to 10", 0),
+        (answer(0, version=11), " has server version 11; supported: 3 to 10", 0),
+        (answer(1, version=10), " rejects version 10, but has version 10", 0),
+        (
+            b"",
+            ": the peer closed the connection without an answer; is another client connected?",
+            0,
+        ),
     ],
 )
-def test_a_peer_that_refuses_or_talks_nonsense_is_told_and_tried_again(
-    said: bytes, trouble: str, counted: int
-) -> None:
+def test_protocol_errors_are_reported_and_retried(said: bytes, trouble: str, counted: int) -> None:
     with FrankaServer(answers=[said] * 3) as server, receiver_of(server) as receiver:
         seen = set()
         assert until(lambda: seen.add(receiver.trouble) or server.started.is_set())
@@ -205,7 +207,7 @@ def test_two_versions_that_name_each_other_are_no_endless_loop() -> None:
         assert [question[12] for question in server.asked] == [10, 9, 9, 10]
 
 
-def test_what_is_no_state_is_counted_and_told(server: FrankaServer) -> None:
+def test_invalid_states_are_counted_and_reported(server: FrankaServer) -> None:
     with receiver_of(server) as receiver:
         assert server.started.wait(5.0)
         good = server.state(q=SEVEN)
@@ -213,7 +215,7 @@ def test_what_is_no_state_is_counted_and_told(server: FrankaServer) -> None:
         counters = receiver.counters
         assert (counters.wrong_size, receiver.receive_trigger) == (4, 2)
         assert counters.last_fault == (
-            "9000 bytes; a state of the robot has 1377, 2085, 2341, 2373"
+            "9000 bytes; expected a state of 1377, 2085, 2341, 2373 bytes"
         )
         give(receiver, server, server.state(q=[float("nan")] * 7))
         assert counters.not_finite == 1
@@ -252,7 +254,7 @@ def test_what_is_said_besides_states_ends_the_connection(server: FrankaServer) -
         assert receiver.counters.wrong_size == 1
 
 
-def test_a_robot_that_stalls_is_left(
+def test_a_stalled_robot_is_disconnected(
     server: FrankaServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(connecting, "PATIENCE", 0.05)
@@ -265,7 +267,7 @@ def test_a_robot_that_stalls_is_left(
         where = f"127.0.0.1:{server.port}: "
         assert until(lambda: is_told(f"{where}does not answer; is another client connected?"))
         assert until(lambda: is_told(f"{where}sends no states to UDP port "))
-        assert is_told("; is it closed by a firewall?")
+        assert is_told("; is it blocked by a firewall?")
         server.on_start = lambda: server.send(server.state())
         assert until(lambda: is_told(f"{where}sends nothing for 0.05 s"))
 
@@ -287,12 +289,12 @@ def test_a_robot_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture) -> 
         told = f"127.0.0.1:{port}: Connection refused; is FCI activated in Desk?"
         assert until(lambda: receiver.trouble == told)
         rows = {row[0]: row for row in describe(report(receiver))}
-        assert rows["state"][1:] == ("silent", f"no good packet yet: {told}")
+        assert rows["state"][1:] == ("silent", f"no valid packet yet: {told}")
         with FrankaServer(port=port) as server:
             assert server.started.wait(5.0)
             give(receiver, server, server.state())
     texts = [text for text in caplog.messages if "refused" in text]
-    assert texts == [f"source 'franka': {told}; it is tried again"]
+    assert texts == [f"source 'franka': {told}; trying again"]
 
 
 @settings(max_examples=examples(80))
@@ -388,8 +390,16 @@ def test_modes_and_errors_are_told_in_words() -> None:
     [
         ({}, "host", "is required"),
         ({"host": ""}, "host", "found ''; expected an address such as 192.168.0.3"),
-        ({"host": "a", "structure": "7F"}, "structure", "found '7F'; FCI fixes it: leave it out"),
-        ({"host": "a", "time_scale": 1.0}, "time_scale", "found 1; FCI fixes it: leave it out"),
+        (
+            {"host": "a", "structure": "7F"},
+            "structure",
+            "found '7F'; FCI determines this",
+        ),
+        (
+            {"host": "a", "time_scale": 1.0},
+            "time_scale",
+            "found 1; FCI determines this",
+        ),
         ({"host": "a", "port": 0}, "port", "found 0; expected"),
     ],
 )
@@ -411,7 +421,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             assert isinstance(source, FrankaReceiver)
             awaited = Status(mirror.world)._awaited(mirror.data, Toggles(mirror.world), view_at())
             assert awaited is not None
-            assert awaited.texts[0][1].decode() == "  awaited: states"
+            assert awaited.texts[0][1].decode() == "  expected: states"
             assert server.started.wait(5.0)
             target = [angle + 0.25 for angle in SEVEN]
             with record_sources(mirror.sources, recording, scene=scene):
@@ -424,7 +434,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             mirror.advance()
             assert corner_lines(mirror) == [
                 "fci: 1 of 3 packets not applied",
-                "  a state that cannot be used, 2365 bytes",
+                "  invalid state, 2365 bytes",
                 "fci: robot stopped by its user",
             ]
     scene.sources["fci"] = Replay(name="fci", file=recording)

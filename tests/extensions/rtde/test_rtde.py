@@ -75,8 +75,8 @@ if len(sys.argv) > 1:
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect follow each other quickly."""
-    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.002)
-    monkeypatch.setattr(receiving_thread, "LONGEST", 0.02)
+    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 0.002)
+    monkeypatch.setattr(receiving_thread, "MAX_PAUSE", 0.02)
 
 
 @pytest.fixture
@@ -164,8 +164,9 @@ def test_a_controller_without_torques_shows_the_commanded_ones(
             assert until(lambda: not server.started.is_set())
     said = [text for text in caplog.messages if "actual_current_as_torque" in text]
     assert said == [
-        "source 'rtde': controller 5.11.6 does not measure torques (actual_current_as_torque, from "
-        "PolyScope 5.23 and 10.11 on); those shown are the commanded ones (target_moment)"
+        "source 'rtde': controller 5.11.6 does not measure torques "
+        "(actual_current_as_torque requires PolyScope 5.23 or 10.11); the commanded torques "
+        "(target_moment) are shown instead"
     ]
 
 
@@ -254,21 +255,22 @@ def test_ur_rtde_reads_the_same_from_the_same_controller() -> None:
     ("answers", "trouble", "counted"),
     [
         ({"V": b"HTTP/1.1 400 Bad Request\r\n"},
-         "sends what is no message of RTDE: 18516 bytes of type 84", 1),
-        ({"V": bytes(3)}, "sends what is no message of RTDE: 0 bytes of type 0", 1),
-        ({"V": b"\xff\xffU"}, "sends what is no message of RTDE: 65535 bytes of type 85", 1),
+         "sends an invalid RTDE message: 18516 bytes of type 84", 1),
+        ({"V": bytes(3)}, "sends an invalid RTDE message: 0 bytes of type 0", 1),
+        ({"V": b"\xff\xffU"}, "sends an invalid RTDE message: 65535 bytes of type 85", 1),
         ({"V": message("V", b"\0")}, "does not accept version 2 of RTDE", 0),
-        ({"V": message("v", bytes(16))}, "answers question V by message v", 1),
-        ({"v": message("v", bytes(3))}, "does not tell its version", 1),
-        ({"O": message("O", b"\1DOUBLE")}, "told 1 types of 10 variables", 1),
-        ({"O": message("O", b"")}, "told 1 types of 10 variables", 0),
+        ({"V": message("v", bytes(16))}, "answers request V with v", 1),
+        ({"v": message("v", bytes(3))}, "sends an invalid version", 1),
+        ({"O": message("O", b"\1DOUBLE")}, "sends 1 types for 10 variables", 1),
+        ({"O": message("O", b"")}, "sends 1 types for 10 variables", 0),
         ({"O": message("O", b"\0" + b",".join([b"NOT_FOUND"] * 10))},
-         "has none of the variables that are needed", 0),
+         "has none of the required variables", 0),
         ({"S": message("S", b"\0")}, "does not start to send", 0),
-        ({"S": message("S", b"\1") + message("S", b"\1")}, "sent message S among data packages", 1),
+        ({"S": message("S", b"\1") + message("S", b"\1")},
+         "sends message S between data packages", 1),
     ],
 )  # fmt: skip
-def test_a_peer_that_talks_nonsense_is_told_and_tried_again(
+def test_protocol_errors_are_reported_and_retried(
     answers: dict[str, bytes], trouble: str, counted: int
 ) -> None:
     with RtdeServer(answers=answers) as server, receiver_of(server) as receiver:
@@ -278,23 +280,21 @@ def test_a_peer_that_talks_nonsense_is_told_and_tried_again(
         assert receiver.counters.malformed == receiver.counters.received
         assert receiver.latest() is None
         told = {row[0]: row for row in describe(report(receiver))}
-        assert told["state"][1:] == ("silent", f"no good packet yet: {receiver.trouble}")
+        assert told["state"][1:] == ("silent", f"no valid packet yet: {receiver.trouble}")
         answers.clear()
         assert until(lambda: receiver.trouble == "")
         give(receiver, server, server.package(actual_q=SIX))
         assert receiver.latest() is not None
 
 
-def test_texts_are_told_once_wherever_they_come(
-    server: RtdeServer, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_texts_are_logged_once(server: RtdeServer, caplog: pytest.LogCaptureFixture) -> None:
     server.answers["hello"] = text_message("SafetySetup has not been confirmed yet")
     with receiver_of(server) as receiver:
         assert server.started.wait(5.0)
         server.send(text_message("later"), message("M"), message("M", b"\xffcut off"))
         server.send(text_message("later"))
         give(receiver, server, server.package())
-    said = [text.partition("says: ")[2] for text in caplog.messages]
+    said = [text.partition("controller: ")[2] for text in caplog.messages]
     assert [text.strip("\xff\ufffd") for text in said] == [
         "SafetySetup has not been confirmed yet", "later", "", "cut off",
     ]  # fmt: skip
@@ -308,17 +308,19 @@ def test_data_packages_that_were_not_agreed_are_counted(server: RtdeServer) -> N
         give(receiver, server, good, server.package(recipe=2), message("U", good[3:-8]),
              message("U", b"\1" + bytes(size - 1)), message("U"), good)  # fmt: skip
         assert (receiver.counters.wrong_size, receiver.receive_trigger) == (4, 2)
-        assert receiver.counters.last_fault == "0 bytes that are no data package as agreed"
+        assert receiver.counters.last_fault == "0 bytes are not a data package of the agreed recipe"
         nan = server.package(actual_q=[float("nan")] * 6)
         give(receiver, server, nan)
         assert receiver.counters.not_finite == 1
 
 
-def test_a_peer_that_stalls_is_left(server: RtdeServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stalled_peer_is_disconnected(
+    server: RtdeServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(connecting, "PATIENCE", 0.05)
     with receiver_of(server) as receiver:
         server.answers["v"] = b""
-        assert until(lambda: receiver.trouble.endswith(": does not answer question v"))
+        assert until(lambda: receiver.trouble.endswith(": does not answer request v"))
         del server.answers["v"]
         assert until(lambda: receiver.trouble.endswith(": sends nothing for 0.05 s"))
         assert receiver.counters.received == 0
@@ -327,7 +329,7 @@ def test_a_peer_that_stalls_is_left(server: RtdeServer, monkeypatch: pytest.Monk
 def test_a_peer_that_closes_at_once_is_told(server: RtdeServer) -> None:
     server.answers["V"] = lambda _: server.drop() or b""
     with receiver_of(server) as receiver:
-        told = f"127.0.0.1:{server.port}: it closed the connection"
+        told = f"127.0.0.1:{server.port}: the peer closed the connection"
         assert until(lambda: receiver.trouble == told and server.connections > 2)
 
 
@@ -352,7 +354,7 @@ def test_a_controller_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture
             assert server.started.wait(5.0)
             give(receiver, server, server.package())
     texts = [text for text in caplog.messages if "refused" in text]
-    assert texts == [f"source 'rtde': 127.0.0.1:{port}: Connection refused; it is tried again"]
+    assert texts == [f"source 'rtde': 127.0.0.1:{port}: Connection refused; trying again"]
     with RtdeReceiver(host="no.such.host.invalid") as receiver:
         assert until(lambda: receiver.trouble.startswith("no.such.host.invalid:30004: "))
     with RtdeReceiver(host="a..b", debug_level=0) as receiver:
@@ -391,8 +393,16 @@ def test_random_bytes_end_a_connection_and_nothing_else(chunks: list[bytes]) -> 
         ({}, "host", "is required"),
         ({"host": ""}, "host", "found ''; expected an address such as 192.168.0.3"),
         ({"host": "a b"}, "host", "found 'a b'; expected an address such as 192.168.0.3"),
-        ({"host": "a", "structure": "7F"}, "structure", "found '7F'; RTDE fixes it: leave it out"),
-        ({"host": "a", "sequence": ""}, "sequence", "found ''; RTDE fixes it: leave it out"),
+        (
+            {"host": "a", "structure": "7F"},
+            "structure",
+            "found '7F'; RTDE determines this",
+        ),
+        (
+            {"host": "a", "sequence": ""},
+            "sequence",
+            "found ''; RTDE determines this",
+        ),
         ({"host": "a", "frequency": 501.0}, "frequency", "found 501; expected"),
         ({"host": "a", "port": 0}, "port", "found 0; expected"),
     ],
@@ -416,8 +426,8 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             awaited = Status(mirror.world)._awaited(mirror.data, Toggles(mirror.world), view_at())
             assert awaited is not None
             assert [text.decode() for text in awaited.texts[0]] == [
-                f"nothing yet on UR RTDE of 127.0.0.1:{server.port}",
-                "  awaited: data packages",
+                f"no packet yet on UR RTDE of 127.0.0.1:{server.port}",
+                "  expected: data packages",
             ]
             mirror.advance()  # while nothing is there
             assert until(lambda: server.connections == 2) and server.started.wait(5.0)
@@ -433,7 +443,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             mirror.advance()
             assert corner_lines(mirror) == [
                 "ur: 1 of 3 packets not applied",
-                f"  a data package that cannot be used, {len(good) - 4} bytes",
+                f"  invalid data package, {len(good) - 4} bytes",
                 "ur: robot idle, safety: protective stop",
             ]
     scene.sources["ur"] = Replay(name="ur", file=recording)
@@ -466,10 +476,10 @@ def test_status_tells_what_the_controller_says(tmp_path: Path, capsys: Any) -> N
     assert ["controller", "robot", "idle,", "safety:", "normal"] in lines
 
 
-def test_nothing_but_questions_is_sent() -> None:
+def test_only_requests_are_sent() -> None:
     text = Path(rtde.__file__).read_text()
     assert text.count("sendall(") == 1
-    assert "connection.ask(" in text
+    assert "connection.request(" in text
     assert {kind for kind in "IUP" if f"ord('{kind}')" in text} == set()
 
 

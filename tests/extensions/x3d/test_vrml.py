@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from sero_mj.base.errors import DeclarationError
 from sero_mj.extensions.x3d.reader import read_x3d
 from sero_mj.extensions.x3d.vrml import parse_document, read_document
-from sero_mj.extensions.x3d.vrml_nodes import FieldValue, Node, instance, read_field, walk
+from sero_mj.extensions.x3d.vrml_nodes import FieldValue, Node, instance, read_field
 from sero_mj.extensions.x3d.wrl import read_wrl
 
 FIG7 = ROOT / "tests" / "fig7.x3d"
@@ -56,6 +56,16 @@ def wrong(text: str) -> list[str]:
     return str(caught.value).splitlines()
 
 
+def nodes_of(node: Node) -> list[Node]:
+    """Returns a node and its descendants, each once."""
+    found = {id(node): node}
+    for value in node.fields.values():
+        for item in value.items:
+            if isinstance(item, Node):
+                found |= {id(each): each for each in nodes_of(item)}
+    return [*found.values()]
+
+
 def test_every_kind_of_statement_is_read() -> None:
     document = parse_document(WHOLE, HERE)
     assert set(document.names) == {"arm", "turn", "box", "udp"}
@@ -74,7 +84,7 @@ def test_every_kind_of_statement_is_read() -> None:
         [0, 0, 0, 0.31], [1.5, 0, 0, 0],
     ]  # fmt: skip
     assert read_field(arm.fields["jointAngles"], "MFFloat").tolist() == [0.1, 0.2]
-    used = [node for node in walk(document.nodes) if node.kind == "Box"]
+    used = [node for root in document.nodes for node in nodes_of(root) if node.kind == "Box"]
     assert used == [document.names["box"]]  # once, though it is used twice
 
 
@@ -85,8 +95,8 @@ def test_a_proto_makes_nodes_with_its_values_and_its_defaults() -> None:
     radii, tones = [], []
     for shape in made:
         assert shape is not None
-        (sphere,) = [node for node in walk([shape]) if node.kind == "Sphere"]
-        (material,) = [node for node in walk([shape]) if node.kind == "Material"]
+        (sphere,) = [node for node in nodes_of(shape) if node.kind == "Sphere"]
+        (material,) = [node for node in nodes_of(shape) if node.kind == "Material"]
         radii.append(read_field(sphere.fields["radius"], "SFFloat"))
         tones.append(read_field(material.fields["diffuseColor"], "SFColor").tolist())
     assert radii == [2.0, 0.5]
@@ -94,7 +104,7 @@ def test_a_proto_makes_nodes_with_its_values_and_its_defaults() -> None:
 
 
 @pytest.mark.parametrize("sign", ["←", "↩", "\\", "¬", "⏎", ""])
-def test_a_line_goes_on_behind_the_signs_that_papers_print(sign: str) -> None:
+def test_continuation_marks_of_papers_are_ignored(sign: str) -> None:
     node = parse(f'R {{ a [ 1 2, {sign}\n 3 4 ] b [ "x", {sign} \n "y" ] }}')
     assert read_field(node.fields["a"], "MFFloat").tolist() == [1, 2, 3, 4]
     assert read_field(node.fields["b"], "MFString") == ["x", "y"]
@@ -151,9 +161,9 @@ def test_every_type_is_read_in_either_form(kind: str, text: str, expected: objec
         ("SFVec3f", "[]", "found nothing; expected 3 numbers"),
         ("MFVec4f", "[1 2 3]", "found 3 numbers; expected 4 for each entry"),
         ("SFBool", "1", "found 1; expected TRUE or FALSE"),
-        ("SFString", "5", 'found 5; expected a text in quotes, "..."'),
-        ("SFString", '["a" "b"]', 'found 2 values; expected a text in quotes, "..."'),
-        ("MFString", '["a" 5 6]', 'found "a" 5 6; expected texts in quotes, "..."'),
+        ("SFString", "5", 'found 5; expected a quoted string, "..."'),
+        ("SFString", '["a" "b"]', 'found 2 values; expected a quoted string, "..."'),
+        ("MFString", '["a" 5 6]', 'found "a" 5 6; expected quoted strings, "..."'),
         ("SFNode", "Box {}", ""),
         ("SFNode", '"Box"', 'found "Box"; expected a node'),
         ("MFNode", "[Box {} 1]", "found Box 1; expected nodes"),
@@ -161,7 +171,7 @@ def test_every_type_is_read_in_either_form(kind: str, text: str, expected: objec
         ("SFFloat", "Box {}", "found Box; expected numbers"),
     ],
 )
-def test_a_value_of_another_type_is_told(kind: str, text: str, message: str) -> None:
+def test_a_value_of_another_type_is_reported(kind: str, text: str, message: str) -> None:
     value = parse(f"N {{ f {text} }}").fields["f"]
     if not message:
         assert isinstance(read_field(value, kind), Node)
@@ -176,7 +186,7 @@ def test_a_value_of_another_type_is_told(kind: str, text: str, message: str) -> 
     [
         ("Box { size }", ["scene.x3d:1: Box.size: found '}'; expected its value"]),
         ("Box { size 1 1 1", ["scene.x3d:1: the { of Box is not closed"]),
-        ("Box size 1", ["scene.x3d:1: found 'size'; expected { behind Box"]),
+        ("Box size 1", ["scene.x3d:1: found 'size'; expected { after Box"]),
         ("\n}", ["scene.x3d:2: found '}'; expected a node, PROTO, EXTERNPROTO or ROUTE"]),
         (
             "DEF a Box { size 1.2.3 }\nBox { size “x” }",
@@ -187,12 +197,12 @@ def test_a_value_of_another_type_is_told(kind: str, text: str, message: str) -> 
         ),
         (
             'A { name "x }\n',
-            ["scene.x3d:1: A.name: found a \" that is not closed; expected its value"],
+            ["scene.x3d:1: A.name: found an unclosed \"; expected its value"],
         ),
         ("DEF lwr Box {}\nUSE lwt", [
-            "scene.x3d:2: USE lwt: no node has this name above here; did you mean 'lwr'?"]),
+            "scene.x3d:2: USE lwt: no preceding node has this name; did you mean 'lwr'?"]),
         ("DEF a Group { children USE a }", [
-            "scene.x3d:1: USE a: the node would be inside itself"]),
+            "scene.x3d:1: USE a: the node would contain itself"]),
         ("ROUTE a.b c.d", ["scene.x3d:1: found 'c'; expected ROUTE node.event TO node.event"]),
         ("ROUTE a TO c.d", ["scene.x3d:1: found 'TO'; expected ROUTE node.event TO node.event"]),
         ("PROTO P [ field SFFlot x 1 ] { Box {} }", [
@@ -204,22 +214,22 @@ def test_a_value_of_another_type_is_told(kind: str, text: str, message: str) -> 
             "scene.x3d:1: x: found TRUE; expected numbers"]),
         ("EXTERNPROTO P []", [
             "scene.x3d:1: EXTERNPROTO P: found the end of the file; expected its value"]),
-        ("Box { size 1 1 1 size 2 2 2 }", ["scene.x3d:1: Box.size: stands there twice"]),
+        ("Box { size 1 1 1 size 2 2 2 }", ["scene.x3d:1: Box.size: is set twice"]),
         ("Group { children [ Box {} ", [
-            "scene.x3d:1: Group.children: found the end of the file; expected ] behind the values",
+            "scene.x3d:1: Group.children: found the end of the file; expected ] after the values",
             "scene.x3d:1: the { of Group is not closed"]),
         ("DEF a Group {\n children [\n DEF Transform { children [] } ] }\nSphere { radius }", [
             "scene.x3d:3: found '{'; expected the type of a node",
             "scene.x3d:4: Sphere.radius: found '}'; expected its value"]),
         ("Group { children " * 300, [
-            "scene.x3d:1: nodes inside nodes are deeper than 120; nothing as deep is read"]),
+            "scene.x3d:1: nodes are nested more than 120 levels deep; expected fewer levels"]),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_told_with_its_line(text: str, messages: list[str]) -> None:
+def test_errors_are_reported_with_lines(text: str, messages: list[str]) -> None:
     assert wrong(text) == messages
 
 
-def test_everything_that_is_wrong_is_told_at_once_and_not_twice() -> None:
+def test_all_errors_are_reported_once() -> None:
     text = "Box { size ]\n }\nGroup { children [ Box { size 1 ]\n } ] }\nUSE x\nSphere { radius }\n"
     lines = [int(line.split(":")[1]) for line in wrong(text)]
     assert lines == [1, 3, 5, 6]
@@ -232,19 +242,17 @@ def test_everything_that_is_wrong_is_told_at_once_and_not_twice() -> None:
     [
         (b"", "is empty; expected a first line #X3D V3.0 utf8 or #VRML V2.0 utf8"),
         (b'<?xml version="1.0"?>\n<X3D/>', "is X3D in the XML encoding; expected a first line"),
-        (b"#VRML V1.0 ascii\nSeparator {}\n", "is VRML V1.0, which is older than VRML97"),
+        (b"#VRML V1.0 ascii\nSeparator {}\n", "is VRML V1.0, which precedes VRML97"),
         (b"solid cube\n", "begins with 'solid cube'; expected a first line #X3D V3.0 utf8"),
-        (b"\x1f\x8bxx", "is packed by gzip, and damaged"),
-        (gzip.compress(b"#VRML V2.0 utf8\n")[:-9], "is packed by gzip, and ends too soon"),
+        (b"\x1f\x8bxx", "is a damaged gzip file"),
+        (gzip.compress(b"#VRML V2.0 utf8\n")[:-9], "is a truncated gzip file"),
         (gzip.compress(b"#VRML V2.0 utf8\n" + b" " * 60_000_000),
-         "is packed by gzip, and longer than it may be: expected at most 50 MB"),
+         "is a gzip file with too large contents; expected at most 50 MB"),
     ],
     # Workers of pytest-xdist compare names of tests, and what gzip packs has the time in it.
     ids=["empty", "xml", "vrml1", "stl", "damaged", "cut", "long"],
 )  # fmt: skip
-def test_other_files_are_told_by_what_they_are(
-    contents: bytes, message: str, tmp_path: Path
-) -> None:
+def test_other_file_formats_are_named(contents: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / "a.wrl"
     path.write_bytes(contents)
     with pytest.raises(DeclarationError) as caught:
@@ -259,7 +267,7 @@ def test_parts_without_a_header_are_read(tmp_path: Path) -> None:
         assert read_document(path).nodes[0].kind == "Box"
 
 
-def test_a_packed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+def test_a_compressed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.wrl"
     path.write_bytes(gzip.compress("\ufeff#VRML V2.0 utf8\nDEF größe Box {}".encode()))
     assert "größe" in read_document(path).names
@@ -271,7 +279,7 @@ def test_a_packed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
     ["[" * 700_000, "}" * 30_000, "[1 a " * 30_000, '"' * 30_001, "a " * 30_000,
      "Shape { x [" + "1 " * 50_000, "A { x [ 1 a " * 5_000, "PROTO P [" * 20_000],
 )  # fmt: skip
-def test_long_nonsense_takes_no_longer_than_its_length(text: str) -> None:
+def test_long_invalid_text_takes_linear_time(text: str) -> None:
     began = time.process_time()
     with pytest.raises(DeclarationError):
         parse_document(text, HERE)
@@ -279,7 +287,7 @@ def test_long_nonsense_takes_no_longer_than_its_length(text: str) -> None:
 
 
 @pytest.mark.thorough
-def test_uses_of_uses_and_protos_of_protos_end(tmp_path: Path) -> None:
+def test_nested_uses_and_protos_terminate(tmp_path: Path) -> None:
     uses = ["DEF a0 Group { children Shape { geometry Box {} } }"]
     uses += [f"DEF a{i} Group {{ children [ USE a{i - 1} USE a{i - 1} ] }}" for i in range(1, 40)]
     protos = ["PROTO P0 [] { Shape { geometry Box {} } }"]
@@ -329,7 +337,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @settings(max_examples=120, deadline=None)
 @given(text=mutated())
-def test_a_mutated_file_is_read_or_told_to_be_wrong(text: str, folder: Path) -> None:
+def test_a_mutated_file_is_read_or_reported(text: str, folder: Path) -> None:
     path = folder / "a.x3d"
     path.write_text("#X3D V3.0 utf8\n" + text, encoding="utf-8")
     for read in (read_x3d, read_wrl):
