@@ -248,8 +248,11 @@ def test_of_several_files_one_is_opened(names: list[str], chosen: str) -> None:
 @pytest.mark.parametrize(
     ("names", "text"),
     [
-        (["a.txt", "b", "c", "d"], "found a.txt, b, c, ...; expected a file that ends in .toml"),
-        (["a.urdf", "b.urdf"], "found a.urdf and b.urdf; drop one of them, or its folder"),
+        (
+            ["a.txt", "b", "c", "d"],
+            "found a.txt, b, c, ...; expected a file with the extension .toml",
+        ),
+        (["a.urdf", "b.urdf"], "found a.urdf and b.urdf; drop only one of them, or its folder"),
     ],
 )
 def test_what_cannot_be_opened_is_told(names: list[str], text: str) -> None:
@@ -266,7 +269,7 @@ def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
     except UsageError:
         return
     assert Path("/folder", found).resolve().is_relative_to("/folder")
-    assert 0 <= size <= uploads.MOST_BYTES
+    assert 0 <= size <= uploads.MAX_BYTES
 
 
 @pytest.mark.parametrize(
@@ -288,7 +291,10 @@ def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
         ('[{"path": "/etc/a", "size": 1}]', "found the path '/etc/a'"),
         (r'[{"path": "C:\\a", "size": 1}]', "found the path 'C:"),
         ('[{"path": "a.toml", "size": 900000000}]', "found 900 MB; expected at most 500"),
-        (json.dumps([{"path": f"{k}", "size": 0} for k in range(2001)]), "found 2001 files; at"),
+        (
+            json.dumps([{"path": f"{k}", "size": 0} for k in range(2001)]),
+            "found 2001 files; expected at",
+        ),
     ],
 )
 def test_lists_of_files_are_checked(message: str | bytes, text: str) -> None:

@@ -52,7 +52,7 @@ class Both:
     def to_program(self) -> None:
         answer = self.tool.reply()
         if answer is not None:
-            self.panels.hear(answer)
+            self.panels.receive(answer)
 
     def use(self, **does: Any) -> ScriptedWidgets:
         """Lets the user of the view do something, and the program hear of it."""
@@ -166,7 +166,7 @@ def test_numbers_that_are_typed_are_in_range_or_refused_with_the_range() -> None
         (lambda p: p.choice("k", ["gravity"], value="gravty"), "found 'gravty'; did you mean 'gra"),
         (lambda p: p.button(""), "label: found ''; expected a text without '##'"),
         (lambda p: p.button("a##b"), "label: found 'a##b'; expected a text without '##'"),
-        (lambda p: p.button("old"), "old: the panel 'Tuning' has a widget of that name"),
+        (lambda p: p.button("old"), "old: the panel 'Tuning' already has a widget"),
         (lambda p: p.button("k", on_click=5), "k: on_click: found 5; expected a function"),
         (lambda p: p.check("k", on_change="f"), "k: on_change: found 'f'; expected a function"),
     ],
@@ -189,7 +189,7 @@ def test_a_closed_viewer_takes_no_new_widgets_but_the_loop_goes_on() -> None:
     both.is_open = False
     gain.value = 0.5
     assert gain.value == 0.5
-    with pytest.raises(RenderError, match="reset: no widget: the viewer is closed"):
+    with pytest.raises(RenderError, match="reset: cannot add a widget: the viewer is closed"):
         panel.button("reset")
     with pytest.raises(RenderError, match="panel 'More': the viewer is closed"):
         both.panels.panel("More")

@@ -54,7 +54,7 @@ from sero_mj.viewer.web.messages import (
     PageMessage,
     PageSize,
     PointerMessage,
-    Said,
+    Received,
     ViewMessage,
     Wheel,
     Widget,
@@ -483,7 +483,7 @@ def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebHost]:
 def test_whatever_a_browser_says_the_page_goes_on(fuzzed: WebHost, said: list[Any]) -> None:
     reader = MessageReader(ForScene)
     messages = [message for each in said if (message := reader.read(json.dumps(each)))]
-    fuzzed._input.take(Said(message, MessageSender(1, is_local=True)) for message in messages)
+    fuzzed._input.take(Received(message, MessageSender(1, is_local=True)) for message in messages)
     fuzzed.decor.lay_out(fuzzed.data, fuzzed.view.of_data(fuzzed.data))
     assert np.isfinite(fuzzed.navigator.camera.lookat).all()
 
@@ -618,8 +618,8 @@ def test_a_browser_that_sends_too_much_waits(page: WebHost, client: PageClient) 
     with ThreadPoolExecutor(1) as thread:
         # An odd number of times.
         sending = thread.submit(lambda: [client.say("key", key="t") for _ in range(sent + 1)])
-        assert until(lambda: len(page.browsers._said) == browsers._MOST_SAID, 20)
-        client.until(lambda: len(page.browsers._said) < 10 and sending.done())
+        assert until(lambda: len(page.browsers._queue) == browsers._MOST_SAID, 20)
+        client.until(lambda: len(page.browsers._queue) < 10 and sending.done())
     client.until(lambda: client.state["panel"] is not None)
     assert page.browsers.refused == refused
 
@@ -628,7 +628,7 @@ def test_a_page_closes_while_a_browser_waits(home: None) -> None:
     with Mirror(load_scene("lwr")) as mirror, WebHost(mirror) as page, PageClient(page) as client:
         with ThreadPoolExecutor(1) as thread, suppress(ConnectionClosed):
             sending = thread.submit(lambda: [client.say("hold") for _ in range(10_000)])
-            assert until(lambda: len(page.browsers._said) == browsers._MOST_SAID, 20)
+            assert until(lambda: len(page.browsers._queue) == browsers._MOST_SAID, 20)
             page.close()
             sending.result(10)
         assert not page.server.is_running

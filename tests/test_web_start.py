@@ -218,7 +218,7 @@ def test_refused_drops_leave_nothing_and_full_space_is_told(
 ) -> None:
     monkeypatch.setattr(uploads, "drops", uploads.Drops())
     monkeypatch.setattr(start_host, "drops", uploads.drops)
-    monkeypatch.setattr(uploads, "MOST_BYTES", 1000)
+    monkeypatch.setattr(uploads, "MAX_BYTES", 1000)
     folders = paths.make_temporary_folder().parent
     with Onlooker(opened) as browser:
         before = set(folders.iterdir())

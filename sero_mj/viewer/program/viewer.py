@@ -71,7 +71,7 @@ class Viewer:
         self._outbox = Outbox(process.tell)
         self._panels = UserPanels(self._outbox, lambda: self.is_open)
         self._signals = UserSignals(self._outbox)
-        process.answers[PANELS] = self._panels.hear
+        process.answers[PANELS] = self._panels.receive
         self._cells: NotebookCells | None = None
         _shown.append(self)
 
@@ -260,7 +260,7 @@ def view(
 
     The viewer stays open without further calls, for example in a notebook. Another call for a scene
     with the same name and robots, for example when a cell is run again, replaces the window or
-    page; the page keeps its port.
+    page; the page stays at its port.
 
     Args:
         scene: a scene; a TOML file or the name of a shipped scene, scenario or robot; or an

@@ -52,7 +52,7 @@ class Clock:
         is_playing: whether there are sources; otherwise the user sets all inputs.
         speed: displayed time per real time.
         begin: start of the timeline, s.
-        end: end of the timeline, s; None if a source has no end. For live sources and endless
+        end: end of the timeline, s; None if a source has no end. For live sources and infinite
             simulations, the newest time.
         step_size: size of a single step, s.
         on_state: called for each new state of the mirror. While it is set, recordings and

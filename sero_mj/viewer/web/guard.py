@@ -24,7 +24,7 @@ Other users are refused by a token, which a page has by default:
   which all browsers display.
 - The server listens on both loopback addresses. Otherwise another user could listen on the other
   one, and browsers that resolve `localhost` to it would send the token there.
-- A token is valid as long as its viewer. A viewer keeps its port from page to page, see
+- A token is valid as long as its viewer. A viewer uses the same port for all its pages, see
   `PageListener`. If another user gets the port after that, a received token is of no use.
 
 Programs send neither `Origin` nor `Sec-Fetch-Site`; Host and token are sufficient for them.

@@ -23,7 +23,6 @@ from ros_tools import (
     read_joint_states,
     write_bag,
 )
-from sero_mj.data.record.table import read_csv
 from test_cli import run
 
 from sero_mj.base.errors import DeclarationError, RecordingError, UsageError
