@@ -366,7 +366,7 @@ def test_panels_switch_what_is_shown_and_the_time_line_scrubs(
     client.say("widget", tree="timeLine", id="##time", value=0.2)
     client.until(lambda: page.clock.time == 0.2)
     client.until(lambda: client.state["time"] == pytest.approx(0.2, abs=1e-3))
-    client.say("widget", tree="panel", id="copy a link to this view", value=True)
+    client.say("widget", tree="panel", id="copy link to this view", value=True)
     assert client.until(lambda: client.events)[0]["copy"].startswith(page.link.partition("%22")[0])
     client.say("fold", tree="panel", id="Sources", open=False)
     client.until(lambda: client.widget("panel", "Sources")["nodes"] == [])
@@ -614,11 +614,11 @@ def test_a_browser_that_sends_too_much_waits(page: WebHost, client: PageClient) 
     """While the page shows no frames, messages stay in the connection, and later all arrive."""
     client.say("key", key="t")
     client.until(lambda: client.state["panel"] is None)
-    refused, sent = page.browsers.refused, 3 * browsers._MOST_SAID
+    refused, sent = page.browsers.refused, 3 * browsers._MAX_QUEUED
     with ThreadPoolExecutor(1) as thread:
         # An odd number of times.
         sending = thread.submit(lambda: [client.say("key", key="t") for _ in range(sent + 1)])
-        assert until(lambda: len(page.browsers._queue) == browsers._MOST_SAID, 20)
+        assert until(lambda: len(page.browsers._queue) == browsers._MAX_QUEUED, 20)
         client.until(lambda: len(page.browsers._queue) < 10 and sending.done())
     client.until(lambda: client.state["panel"] is not None)
     assert page.browsers.refused == refused
@@ -628,7 +628,7 @@ def test_a_page_closes_while_a_browser_waits(home: None) -> None:
     with Mirror(load_scene("lwr")) as mirror, WebHost(mirror) as page, PageClient(page) as client:
         with ThreadPoolExecutor(1) as thread, suppress(ConnectionClosed):
             sending = thread.submit(lambda: [client.say("hold") for _ in range(10_000)])
-            assert until(lambda: len(page.browsers._queue) == browsers._MOST_SAID, 20)
+            assert until(lambda: len(page.browsers._queue) == browsers._MAX_QUEUED, 20)
             page.close()
             sending.result(10)
         assert not page.server.is_running
@@ -637,7 +637,7 @@ def test_a_page_closes_while_a_browser_waits(home: None) -> None:
 def test_no_more_browsers_are_let_in_than_can_be_served(
     page: WebHost, client: PageClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(browsers, "_MOST_BROWSERS", 1)
+    monkeypatch.setattr(browsers, "_MAX_BROWSERS", 1)
     address = socket_url(page.url, "/live")
     with connect(address) as other, pytest.raises(ConnectionClosed, match="1013"):
         other.recv(timeout=5)
