@@ -1,4 +1,4 @@
-/* Call sero_send in your control loop: it never blocks, allocates or fails loudly. */
+/* Call sero_send in your control loop: it never blocks, allocates memory or raises errors. */
 #include <arpa/inet.h>
 #include <stdint.h>
 #include <string.h>
@@ -11,7 +11,7 @@
 
 #pragma pack(push, 1)
 struct sero_packet {
-  uint32_t count; /* little-endian, as all that follows; x86 and ARM are */
+  uint32_t count; /* all values are little-endian, as on x86 and ARM */
   double time, angles[SERO_JOINTS]; /* s, rad */
   double torques[SERO_JOINTS], commanded[SERO_JOINTS]; /* Nm */
 };

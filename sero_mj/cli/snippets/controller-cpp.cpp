@@ -1,17 +1,17 @@
 // A controller for sero-mj as a shared library:
 //
 //     c++ -O2 -std=c++17 -shared -fPIC controller.cpp -o controller.so
-//     sero-mj simulate controller.toml          (sero-mj new --snippet controller-cpp --scene prints it)
+//     sero-mj simulate controller.toml          (printed by sero-mj new --snippet controller-cpp --scene)
 #include "sero_mj_controller.h"
 
 namespace {
 
-// Joint impedance with a filtered velocity: state lives between the steps.
+// Joint impedance with a filtered velocity, which is stored between the steps.
 class Impedance {
  public:
   void control(sero_mj_robot &robot) {
     if (robot.is_first) filtered_[0] = 0.0;
-    for (int i = 0; i < robot.n && i < kMostJoints; i++) {
+    for (int i = 0; i < robot.n && i < kMaxJoints; i++) {
       if (robot.is_first) filtered_[i] = robot.velocities[i];
       filtered_[i] += kShare * (robot.velocities[i] - filtered_[i]);
       robot.torques_out[i] = kStiffness * (robot.target_angles[i] - robot.angles[i]) +
@@ -20,10 +20,10 @@ class Impedance {
   }
 
  private:
-  static constexpr int kMostJoints = 64;
+  static constexpr int kMaxJoints = 64;
   static constexpr double kStiffness = 800.0, kDamping = 40.0;  // Nm/rad, Nm s/rad
-  static constexpr double kShare = 0.5;                         // of a new velocity
-  double filtered_[kMostJoints] = {};
+  static constexpr double kShare = 0.5;                         // weight of a new velocity
+  double filtered_[kMaxJoints] = {};
 };
 
 Impedance impedance;

@@ -1,27 +1,27 @@
 // A controller for sero-mj as a shared library:
 //
 //     rustc -O --crate-type cdylib controller.rs -o controller.so
-//     sero-mj simulate controller.toml          (sero-mj new --snippet controller-rust --scene prints it)
+//     sero-mj simulate controller.toml          (printed by sero-mj new --snippet controller-rust --scene)
 use std::os::raw::{c_double, c_int};
 
-/// The state of a robot with n joints (rad, Nm; prismatic ones m, N); the same arrays in every step.
+/// The state of a robot with n joints (rad, Nm; m, N for prismatic joints). The arrays are the same in every step.
 #[repr(C)]
 pub struct Robot {
     n: c_int,
     is_first: c_int,     // 1 in the first step of a run
     time: c_double,      // s since the start
     timestep: c_double,  // s between two steps
-    angles: *const c_double, // what the sensors measure
+    angles: *const c_double, // measured
     velocities: *const c_double,
     torques: *const c_double,
-    target_angles: *const c_double, // what is asked for
+    target_angles: *const c_double, // targets
     target_velocities: *const c_double,
     target_accelerations: *const c_double,
     gravity: *const c_double, // torques that hold the robot; null with gravity = false
-    torques_out: *mut c_double, // to be written; holds those of the last step
+    torques_out: *mut c_double, // output; contains the values of the last step
 }
 
-/// Joint impedance: a spring and a damper about the target, on top of gravity.
+/// Joint impedance: a spring and a damper at the target, and gravity compensation.
 ///
 /// # Safety
 /// `robot` points to a robot whose arrays have n numbers.

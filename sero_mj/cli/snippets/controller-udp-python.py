@@ -1,6 +1,6 @@
-"""A controller for sero-mj as a program of its own, over UDP; it needs numpy alone.
+"""A controller for sero-mj as a separate program over UDP. It needs only numpy.
 
-sero-mj simulate controller.toml     (sero-mj new --snippet controller-udp-python --scene prints it)
+sero-mj simulate controller.toml    (printed by sero-mj new --snippet controller-udp-python --scene)
 """
 
 import socket
@@ -22,7 +22,7 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
     peer.bind(("127.0.0.1", port))
     while True:
         size, robot = peer.recvfrom_into(received)
-        # Joint impedance: a spring and a damper about the target, on top of gravity.
+        # Joint impedance: a spring and a damper at the target, and gravity compensation.
         answer["step"] = state["step"]
         answer["torques"] = (
             800.0 * (state["target_angles"] - state["angles"])

@@ -1,4 +1,4 @@
-"""Passes on IIWA_STATUS of drake-iiwa-driver: `python lcm.py`, with the packages lcm and drake."""
+"""Forwards IIWA_STATUS of drake-iiwa-driver to sero-mj. It needs the packages lcm and drake."""
 
 import itertools
 import socket
@@ -17,7 +17,7 @@ to = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 def send(channel, data):
     """Sends a status: positions in rad, torques in Nm.
 
-    The driver passes on KUKA's measured and commanded torques, which have the opposite sign.
+    The measured and commanded torques from KUKA have the opposite sign.
     """
     status = lcmt_iiwa_status.decode(data)
     values = (

@@ -32,6 +32,6 @@ impl SeroMj {
         for (place, value) in packet[12..].chunks_exact_mut(8).zip(values) {
             place.copy_from_slice(&value.to_le_bytes());
         }
-        let _ = self.socket.send_to(&packet, TO); // nobody may listen
+        let _ = self.socket.send_to(&packet, TO); // ignores a missing receiver
     }
 }

@@ -32,7 +32,7 @@ import numpy as np
 from ...base.errors import UsageError
 from ...base.frames import Array, Bools
 from ...simulate.runs.run_log import RunLog
-from ...study.explanation import FLANGE, LINKS, MOST_SURE, OF_ONE_RUN, Explanation
+from ...study.explanation import FLANGE, LINKS, MAX_CONFIDENCE, OF_ONE_RUN, Explanation
 from .explain_search import LEAST_ROWS, Search
 from .torque_residuals import TorqueResiduals, torque_residuals
 
@@ -282,7 +282,7 @@ def _wrong_drives(found: TorqueResiduals, least: float) -> list[Explanation]:
         while first > 0 and abs(error[first - 1]) > held + 0.01 * scale:
             first -= 1
         told.append(Explanation(
-            name, "sign", "drive", -1.0, "", np.nan, MOST_SURE, float(found.times[first]),
+            name, "sign", "drive", -1.0, "", np.nan, MAX_CONFIDENCE, float(found.times[first]),
             None if last >= len(found.times) - 1 else float(found.times[last - 1]),
             False, {}, (name,),
         ))  # fmt: skip
@@ -306,7 +306,7 @@ def _still_joints(found: TorqueResiduals) -> list[Explanation]:
         begin = first if first > 0 else int(np.argmax(excess))
         told.append(Explanation(
             name, "stuck", "joint", float(lag[np.argmax(np.abs(lag))]), _unit(found, joint),
-            np.nan, MOST_SURE, float(found.times[begin]),
+            np.nan, MAX_CONFIDENCE, float(found.times[begin]),
             None if last >= len(found.times) - 1 else float(found.times[last - 1]),
             begin == 0, {}, (name,),
         ))  # fmt: skip
@@ -323,7 +323,7 @@ def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
         if end - begin < _STANDS or not len(expected) or np.ptp(expected) < least:
             continue
         told.append(Explanation(
-            name, "stuck", "torque sensor", value, _unit(found, joint), np.nan, MOST_SURE, begin,
+            name, "stuck", "torque sensor", value, _unit(found, joint), np.nan, MAX_CONFIDENCE, begin,
             None if end >= found.times[-1] else end, begin <= found.times[0], {}, (name,),
         ))  # fmt: skip
     return told
@@ -351,7 +351,7 @@ def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
         if begin is None or not np.isfinite(size):
             continue
         told.append(Explanation(
-            name, "noise", "torque sensor", size, _unit(a, joint), np.nan, MOST_SURE,
+            name, "noise", "torque sensor", size, _unit(a, joint), np.nan, MAX_CONFIDENCE,
             float(a.noise.times[begin]) if begin else float(a.times[0]), None, begin == 0, {},
             (name,),
         ))  # fmt: skip

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array, Bools
-from ...study.explanation import FLANGE, LINKS, MOST_SURE, Explanation, Kind, Part
+from ...study.explanation import FLANGE, LINKS, MAX_CONFIDENCE, Explanation, Kind, Part
 from .torque_residuals import DELAYS, TorqueResiduals
 
 _erf = np.vectorize(erf)
@@ -644,4 +644,6 @@ def _solved(H: Array, g: Array, inverse: Array, total: float, count: int) -> tup
 def _odds(scores: Sequence[float]) -> float:
     """Probability of the first of several, by their scores."""
     differences = np.asarray(scores[1:], np.float64) - scores[0]
-    return min(float(1.0 / (1.0 + np.exp(0.5 * np.minimum(differences, 60.0)).sum())), MOST_SURE)
+    return min(
+        float(1.0 / (1.0 + np.exp(0.5 * np.minimum(differences, 60.0)).sum())), MAX_CONFIDENCE
+    )

@@ -589,5 +589,5 @@ def test_the_shipped_scenario_can_be_swept() -> None:
     ("left", "workers", "size"), [(64, 1, 32), (64, 2, 32), (70, 1, 35), (5, 8, 1), (300, 2, 50)]
 )
 def test_batches_of_all_workers_are_of_one_size(left: int, workers: int, size: int) -> None:
-    work = Work(Variants(Path("shove.toml"), {}), [], most=64)
-    assert work.size(left, workers) == size
+    work = Work(Variants(Path("shove.toml"), {}), [], max_batch=64)
+    assert work.batch_size(left, workers) == size
