@@ -81,9 +81,7 @@ class Explanation:
         stuck = f"no motion at up to {abs(size):.3g} {unit}"
         if part == "torque sensor":
             stuck = f"constant {size:.4g} {unit} of the {part}"
-        unknown = (
-            "on the drive side" if part == "drive" else "possibly contact or an external force"
-        )
+        unknown = "on the drive side" if part == "drive" else "possibly contact or external force"
         texts = {
             "sign": f"wrong sign of the {part} (gain {size:.2f})",
             "gain": f"{size:+.3f}{_about(error)} of the {part}, A minus B"

@@ -79,7 +79,7 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Span:
-    """An event of a run, shown as a band behind the panels; `end` is None for the end of the run."""
+    """An event of a run, shown as a band behind the panels; `end` is None until the end."""
 
     name: str
     begin: float
@@ -88,6 +88,7 @@ class Span:
 
 
 def has_matplotlib() -> bool:
+    """Whether figures can be drawn."""
     return find_spec("matplotlib") is not None
 
 

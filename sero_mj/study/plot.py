@@ -66,7 +66,7 @@ def plot_run(
     spans: Sequence[Span] = (),
     size_mm: tuple[float, float] | None = None,
 ) -> None:
-    """Draws runs, with one row per joint: torques on the left, commanded minus measured on the right.
+    """Draws runs with one row per joint: torques on the left, torque errors on the right.
 
     Lines are envelopes, so every peak is visible even with a million rows.
 

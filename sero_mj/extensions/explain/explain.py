@@ -323,8 +323,8 @@ def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
         if end - begin < _STANDS or not len(expected) or np.ptp(expected) < least:
             continue
         told.append(Explanation(
-            name, "stuck", "torque sensor", value, _unit(found, joint), np.nan, MAX_CONFIDENCE, begin,
-            None if end >= found.times[-1] else end, begin <= found.times[0], {}, (name,),
+            name, "stuck", "torque sensor", value, _unit(found, joint), np.nan, MAX_CONFIDENCE,
+            begin, None if end >= found.times[-1] else end, begin <= found.times[0], {}, (name,),
         ))  # fmt: skip
     return told
 
