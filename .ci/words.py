@@ -72,9 +72,7 @@ def main(names: list[str]) -> int:
     allowed = (ROOT / ".ci" / "words.allow").read_text("utf-8").splitlines()
     named = [Path(name).resolve() for name in names]
     files = [
-        file
-        for path in named
-        for file in (sorted(path.rglob("*.py")) if path.is_dir() else [path])
+        file for path in named for file in (sorted(path.rglob("*.py")) if path.is_dir() else [path])
     ] or [
         path
         for pattern in (

@@ -31,8 +31,8 @@ from foreign import OUT, POSES, SIZE, WITHIN, contact_sheet, forget, seconds_of_
 from sero_mj import HeadlessRenderer, World
 from sero_mj.base.errors import DeclarationError, SeroError
 from sero_mj.load import load_scene
+from sero_mj.robots.importers.mjcf_model import MjcfTree
 from sero_mj.robots.importers.mjcf_robot import tree_of
-from sero_mj.robots.importers.mjcf_tree import MjcfTree
 
 FOLDERS = {
     "robosuite": ("models/assets/robots", "models/assets/grippers"),

@@ -103,7 +103,7 @@ FUZZED = (
     )),
     Target("meshes", (
         "test_mesh_files.py::test_damaged_files_raise_nothing_but_declaration_errors",
-        "test_mesh_files.py::test_what_is_no_mesh_is_refused",
+        "test_mesh_files.py::test_invalid_meshes_are_rejected",
     )),
     Target("WebSocket messages of a page", (
         "test_web_host.py::test_whatever_a_browser_says_the_page_goes_on",
@@ -197,10 +197,10 @@ LIMITS = (
     ("links of a URDF", "robots.importers.urdf", "_MAX_LINKS", ""),
     ("MJCF file", "robots.importers.mjcf_file", "_MAX_BYTES", "bytes"),
     ("bodies, geoms and sites of an MJCF file", "robots.importers.mjcf_file", "_MAX_ELEMENTS", ""),
-    ("mesh or texture of an MJCF file", "robots.importers.mjcf_file", "MOST_ASSET_BYTES", "bytes"),
-    ("X3D or VRML file, uncompressed", "extensions.x3d.vrml", "MOST_BYTES", "bytes"),
-    ("mesh that MuJoCo reads", "robots.importers.mesh_files", "MOST_MESH_BYTES", "bytes"),
-    ("any other mesh", "robots.importers.mesh_files", "MOST_CONVERTED_BYTES", "bytes"),
+    ("mesh or texture of an MJCF file", "robots.importers.mjcf_file", "MAX_ASSET_BYTES", "bytes"),
+    ("X3D or VRML file, uncompressed", "extensions.x3d.vrml", "MAX_BYTES", "bytes"),
+    ("mesh that MuJoCo reads", "robots.importers.mesh_files", "MAX_MESH_BYTES", "bytes"),
+    ("any other mesh", "robots.importers.mesh_files", "MAX_CONVERTED_BYTES", "bytes"),
     ("chunk of a recording, uncompressed", "data.record.mcap_reader", "MAX_CHUNK_BYTES", "bytes"),
     ("camera file", "extensions.photo.camera_file", "_MAX_BYTES", "bytes"),
     ("packet", "data.receive.language", "MAX_PACKET_BYTES", "bytes"),

@@ -21,8 +21,7 @@ from .robots.declared.robot import SerialRobot
 from .robots.declared.scene import Scene
 from .robots.declared.scene_file import read_scene_file, scene_from_tables
 from .robots.importers.imported_tables import NoJoints
-from .robots.importers.importer import find_importer
-from .robots.importers.robot_file import is_robot_file
+from .robots.importers.importer import find_importer, is_robot_file
 from .simulate.sections import is_scenario
 
 if TYPE_CHECKING:

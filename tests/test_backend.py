@@ -33,7 +33,7 @@ def nothing_installed(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
         ("glfw", "has_egl", "MUJOCO_GL=glfw needs a display, which is missing; "
                             "MUJOCO_GL=egl works here"),
         ("1", "has_egl", "MUJOCO_GL=1 needs a display, which is missing; MUJOCO_GL=egl works here"),
-        ("egl", "", "MUJOCO_GL=egl needs EGL, OpenGL and a driver, of which some are not "
+        ("egl", "", "MUJOCO_GL=egl needs EGL, OpenGL and a driver, but some of them are not "
                     "installed; install libegl1 libgl1 libgl1-mesa-dri"),
         ("egl", "has_egl", ""),
         ("osmesa", "has_osmesa", ""),

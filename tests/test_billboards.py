@@ -424,7 +424,7 @@ def test_cards_leave_four_robots_free_where_the_picture_has_no_room_for_all() ->
         assert not within.all(axis=2).any()
         shown = [text for p in decor.panels if p.kind == Kind.LIMB for text in p.texts]
         assert 1 <= len(shown) <= 4
-        assert all(b"7 joints" in text[0] and b"most" in text[1] for text in shown)
+        assert all(b"7 joints" in text[0] and b"max" in text[1] for text in shown)
 
 
 def test_a_hand_has_one_card_that_says_which_joint_is_the_most_loaded() -> None:
@@ -452,7 +452,7 @@ def test_a_hand_has_one_card_that_says_which_joint_is_the_most_loaded() -> None:
         (lines,) = limbs.texts
         assert lines[0].split() == [b"hand", b"20", b"joints"]
         assert lines[1].endswith(b"  %.0f %%" % (100 * share[top]))
-        words = lines[1].decode().removeprefix("most ").rsplit("  ", 1)[0].partition("..")
+        words = lines[1].decode().removeprefix("max ").rsplit("  ", 1)[0].partition("..")
         assert label.startswith(words[0]) and label.endswith(words[2])
 
 

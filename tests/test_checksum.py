@@ -151,7 +151,7 @@ def test_a_corrupted_packet_is_counted_and_not_applied() -> None:
         assert receiver.receive_trigger == 2
         assert latest is not None and latest.values["values0"][0] == 2
         told = {cause: (count, why) for cause, count, why in describe(report(receiver))}
-    assert told["wrong_checksum"] == ("1", "corrupted: another checksum than that of its bytes")
+    assert told["wrong_checksum"] == ("1", "corrupted: wrong checksum")
     assert told["last fault"][1].startswith("CRC-16/MODBUS of bytes 0 to 59 is 0x")
 
 

@@ -303,7 +303,7 @@ def test_render_sets_fields_over_the_scenes(capsys, tmp_path) -> None:
     options = ["--size", "160x120", "--wait", "0"]
     status, _, err = run(capsys, "render", "lwr_udp", "-o", str(plain), *options)
     assert status == 0
-    assert "no good packet for source 'udp' within 0 s" in err
+    assert "no valid packet for source 'udp' within 0 s" in err
     settings = ["--set", "lwr.joint_angles=0,1,0,-1.5,0,1,.5", "--set", "lwr.torques=9,9,9,9,9,9,9"]
     status, out, err = run(capsys, "render", "lwr_udp", "-o", str(posed), *options, *settings)
     assert (status, err, out.strip()) == (0, "", str(posed))  # nothing is left to receive
@@ -324,7 +324,7 @@ def test_a_click_in_a_picture_brings_up_what_it_would_in_a_window(capsys, caplog
     a, b = (np.asarray(Image.open(path), int) for path in (plain, clicked))
     assert (np.abs(a - b).max(axis=2) > 60).sum() > 500  # a billboard
     run(capsys, "render", "lwr", "-o", str(clicked), *options, "--click", "2,2")
-    assert "click at 2,2: nothing there" in caplog.text
+    assert "click at 2,2: no item" in caplog.text
     status, _, err = run(capsys, "render", "lwr", "-o", str(clicked), "--click", "2")
     assert status == 2
     assert "expected X,Y in pixels, or X,Y and shift, double, hover or touch" in err
@@ -380,8 +380,8 @@ def test_a_port_in_use_is_a_clear_error_before_anything_opens(tmp_path) -> None:
         done = sero_mj("render", str(scene), "-o", str(tmp_path / "x.png"))
     assert done.returncode == 2
     assert done.stderr.strip() == (
-        f"sero-mj: source 'udp': UDP port {port} on 127.0.0.1 is in use by another program; "
-        "close that, or choose another port"
+        f"sero-mj: source 'udp': UDP port {port} on 127.0.0.1 is in use by another program. "
+        "Close it, or choose another port"
     )
     assert not (tmp_path / "x.png").exists()
 

@@ -61,7 +61,7 @@ def test_declared_angles_may_leave_coupled_joints_out() -> None:
     with pytest.raises(DeclarationError) as caught:
         finger(joint_angles=[0.3, 0.2, 0.4, 0.0])
     assert str(caught.value) == (
-        "joint_angles: found 0.4 for J3; its coupling has it at 0.5: leave it out"
+        "joint_angles: found 0.4 for J3; expected 0.5 because of its coupling"
     )
     with pytest.raises(DeclarationError) as caught:
         finger(joint_angles=[0.3, 0.2, 0.4])

@@ -18,8 +18,8 @@ from sero_mj.data.record.recording import Recording
 from sero_mj.load import load_scene
 
 PACKETS = moving(40)
-DAMAGED = r"the chunk at byte \d+ is damaged \(.+\): what arrived from \S+ s to \S+ s is left out"
-CUT = r"is cut off or damaged at byte \d+ \(.+\): \d+ bytes are left out"
+DAMAGED = r"the chunk at byte \d+ is damaged \(.+\): packets from \S+ s to \S+ s are missing"
+CUT = r"is truncated or damaged at byte \d+ \(.+\): \d+ bytes are ignored"
 
 
 @pytest.fixture

@@ -154,7 +154,7 @@ def test_a_hidden_double_does_not_say_that_it_is_stale():
     )
     buffer = draw(scene, never)
     said = labels(buffer.rows[: buffer.count])
-    assert said[0] == "nothing yet on UDP 127.0.0.1:1"
+    assert said[0] == "no packet yet on UDP 127.0.0.1:1"
     assert not any(text.startswith("g:") for text in said)
 
 

@@ -131,7 +131,7 @@ def test_one_that_cannot_be_imported_is_told_and_left(
     assert (
         "sero_mj.decor: 'temperature' of temperature-gauge 0.1 "
         "(temperature_gauge:TemperatureGauge) cannot be loaded: "
-        "ModuleNotFoundError: No module named 'no_such_module'; left out"
+        "ModuleNotFoundError: No module named 'no_such_module'; skipped"
     ) in caplog.text
 
 

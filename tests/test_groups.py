@@ -414,9 +414,9 @@ def test_groups_and_doubles_have_poses_in_degrees(tmp_path: Path) -> None:
     told = [each for each in problems_in(path) if "joint_angles_deg" in each]
     assert len(told) == 2
     assert told[0].startswith(
-        "3: doubles.goal.joint_angles_deg: is for revolute joints only, and b"
+        "3: doubles.goal.joint_angles_deg: is for revolute joints only, but b"
     )
-    assert ": groups.pair.joint_angles_deg: is for revolute joints only, and b" in told[1]
+    assert ": groups.pair.joint_angles_deg: is for revolute joints only, but b" in told[1]
     with raises_with(reason="found both joint_angles and joint_angles_deg; expected one"):
         Double(name="goal", of="a", joint_angles=[0], joint_angles_deg=[0])
 
@@ -446,7 +446,7 @@ def test_wrong_values_of_a_group_are_told_once(
     scene = POSED.replace("[0.1, 0.2, 1,", "[0.1, 0.2, 0.5, 1,").replace("9, 10]", "9]")
     (tmp_path / "wrong.toml").write_text(scene)
     assert problems_in(tmp_path / "wrong.toml") == [
-        "11: groups.pair.joint_angles: found 0.5 for J3; its coupling has it at 0.4: leave it out"
+        "11: groups.pair.joint_angles: found 0.5 for J3; expected 0.4 because of its coupling"
     ]
     (tmp_path / "wrong.toml").write_text(POSED.replace("9, 10]", "9, 10, 11]"))
     assert problems_in(tmp_path / "wrong.toml") == [

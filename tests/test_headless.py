@@ -189,8 +189,8 @@ def test_a_free_camera_takes_azimuth_elevation_distance(world) -> None:
     camera = find_camera(world, "30,-20,3.5")
     assert (camera.azimuth, camera.elevation, camera.distance) == (30, -20, 3.5)
     expected = (
-        "a name or azimuth,elevation,distance (degrees, degrees, m above 0), e.g. 150,-15,2.2; "
-        "with ,x,y,z of what it looks at (m)"
+        "a name or azimuth,elevation,distance (degrees, degrees, m above 0) and optionally "
+        "the look-at point ,x,y,z (m), for example 150,-15,2.2"
     )
     for wrong in ("30,-20", "30,-20,0", "a,b,c", "1,2,nan", 5):
         with raises_with(UsageError, key="camera", found=wrong, expected=expected):
@@ -278,7 +278,7 @@ def test_a_camera_that_was_placed_or_moved_stays() -> None:
 def test_sizes_out_of_range_are_refused(world) -> None:
     for size in ((0, 100), (100, 20000)):
         told = {"found": size, "expected": "1 to 16384 pixels a side"}
-        with raises_with(RenderError, key="picture size", **told):
+        with raises_with(RenderError, key="image size", **told):
             HeadlessRenderer(world, *size)
 
 

@@ -12,12 +12,10 @@ from typing import Any
 
 import pytest
 from conftest import raises_with
-from sero_mj.data.record.table import read_csv
 from shm_tools import block, needs_posix
 
 from sero_mj import Scene, SerialRobot, load_scene
 from sero_mj.base.errors import (
-    CsvError,
     DeclarationError,
     RecordingError,
     RenderError,
@@ -173,6 +171,7 @@ def test_a_pipe_is_no_shared_memory(block: str) -> None:
         os.unlink(f"/dev/shm/{block}")
 
 
+@pytest.mark.extensions
 def test_endless_meshes_pieces_and_tables_are_refused(
     tmp_path: Path, endless: Callable[[str], Path]
 ) -> None:
@@ -189,13 +188,6 @@ def test_endless_meshes_pieces_and_tables_are_refused(
         key="mjcf", reason=f"cannot be read: {tmp_path}/nothing.xml: No such file or directory"
     ):
         as_spec("nothing.xml", tmp_path)
-    table = endless("table.csv")
-    with raises_with(
-        CsvError,
-        path=f"{tmp_path}/table.csv",
-        reason="cannot be read: is a device; expected a file",
-    ):
-        read_csv(table)
     with raises_with(
         reason="cannot be read: is a device; expected a file", file=f"{tmp_path}/scene.toml"
     ):

@@ -112,11 +112,11 @@ def test_an_imported_robot_is_the_same(folder: Path, name: str, capsys) -> None:
     assert size == {"tree": 3, "chain": 2}[name]
     listed = (folder / "my_arm.toml").read_text()
     assert f'structure = "{size}F{size}F"' in listed
-    assert "# The joints, in the order of packets:\n#   1 turn.table, 2 slide" in listed
-    follows = "# Not in packets, as they follow others (1):\n#   "
+    assert "# Order of the joints in packets:\n#   1 turn.table, 2 slide" in listed
+    follows = "# Coupled joints, not in packets (1):\n#   "
     assert (follows in listed) == robot.coupled.is_coupled
     text = (folder / "my_arm" / "robot.toml").read_text(encoding="utf-8")
-    assert text.startswith("#:schema ./robot.schema.json\n# Made of ")
+    assert text.startswith("#:schema ./robot.schema.json\n# Converted from ")
     assert ": joints 1 to 2, turn.table ... slide, on base, to lower\n" in text
     for limb, joints in robot.limb_joints.items():
         assert re.search(rf"^# - {limb}: joints? {joints[0] + 1}\b", text, re.MULTILINE)
@@ -144,7 +144,7 @@ def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
         (["no.urdf"], "no.urdf: no such file"),
         (["robot.toml"], "FILE: expected a name that ends in .urdf, .xacro, .xml"),
         (["arm.usda"], "arm.usda: is a USD file; expected URDF, xacro or MJCF"),
-        (["ball.urdf"], "ball.urdf:1: robot: has no joint that moves"),
+        (["ball.urdf"], "ball.urdf:1: robot: has no movable joint"),
         (["tree.urdf", "--arg", "ur5e"], "--arg: found 'ur5e'; expected NAME=VALUE"),
         (["no.xml"], "no.xml: no such file"),
         (["sdf.xml"], "sdf.xml: is an SDF file; expected URDF (<robot>) or MJCF (<mujoco>)"),
@@ -287,7 +287,7 @@ def test_xacro_takes_arguments(folder: Path, capsys) -> None:
     pytest.importorskip("xacro")
     path = write(folder, UR, "ur.urdf.xacro")
     assert run("check", "ur.urdf.xacro") == 2
-    assert "--arg ur_type=VALUE says what it is" in capsys.readouterr().err
+    assert "set it with --arg ur_type=VALUE" in capsys.readouterr().err
     reach = {
         kind: SerialRobot.from_urdf(path, arguments={"ur_type": kind}).reach
         for kind in ("ur5e", "ur10e")

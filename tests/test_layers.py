@@ -53,8 +53,8 @@ ORDER = (
 )
 # Extensions that import others; what two of them need is in the core.
 BETWEEN: dict[str, tuple[str, ...]] = {}
-ROOMS = [folder for folder in ORDER if folder not in ("", "load", "__main__")]
-WINGS = ("robots", "data", "viewer")  # that have no files of their own
+FOLDERS = [folder for folder in ORDER if folder not in ("", "load", "__main__")]
+PARENTS = ("robots", "data", "viewer")  # folders without files
 # What the independent check and the packet layer must do without.
 NO_MUJOCO = (
     *("extensions.x3d.reader", "extensions.x3d.wrl", "robots.kinematics.dh", "base.frames"),
@@ -128,7 +128,7 @@ def resolved(module: str, source: str, modules: tuple[str, ...]) -> list[tuple[i
 
 @cache
 def folder_of(module: str) -> str:
-    """Its place in the order: the innermost folder with one; a wing itself has the first."""
+    """Returns the innermost folder of `ORDER` that contains a module."""
     parts = module.split(".")
     folders = [".".join(parts[:count]) for count in range(len(parts), 0, -1)]
     return next((folder for folder in folders if folder in ORDER), "")
@@ -154,7 +154,7 @@ def violations(modules: dict[str, str]) -> list[str]:
                 if target:
                     graph[module].add(target)
                 beside = folder_of(target) == folder_of(module)
-                internal = "._" in f".{target}"  # of its room
+                internal = "._" in f".{target}"  # of another folder
                 if (rank(target) >= rank(module) or internal) and not beside:
                     wrong.append(f"{module}:{line} imports {target}")
                 elif is_other_extension(module, target):
@@ -164,10 +164,10 @@ def violations(modules: dict[str, str]) -> list[str]:
 
 def is_other_extension(module: str, target: str) -> bool:
     """Whether a module imports an extension, and is not of it."""
-    room, own, to = "extensions", folder_of(module), folder_of(target)
-    if not to.startswith(f"{room}.") or own == to:
+    parent, own, to = "extensions", folder_of(module), folder_of(target)
+    if not to.startswith(f"{parent}.") or own == to:
         return False
-    return to.removeprefix(f"{room}.") not in BETWEEN.get(own.removeprefix(f"{room}."), ())
+    return to.removeprefix(f"{parent}.") not in BETWEEN.get(own.removeprefix(f"{parent}."), ())
 
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
@@ -203,7 +203,7 @@ def reachable(start: str, modules: dict[str, str]) -> dict[str, list[str]]:
 
 def test_every_file_is_in_a_folder_of_the_design() -> None:
     nowhere = {module for module in read_package() if not folder_of(module)}
-    assert nowhere == {"", *WINGS}
+    assert nowhere == {"", *PARENTS}
 
 
 def test_every_import_goes_up_or_beside_without_circles() -> None:
@@ -382,8 +382,8 @@ def test_the_view_knows_no_simulation_and_a_simulation_the_view_in_one_folder() 
     modules = read_package()
     found = []
     for module in modules:
-        wing = module.partition(".")[0]
-        apart = {"viewer": ".simulate", "simulate": ".viewer"}.get(wing)
+        parent = module.partition(".")[0]
+        apart = {"viewer": ".simulate", "simulate": ".viewer"}.get(parent)
         if apart is None or module.startswith("simulate.tools"):
             continue
         found += [
@@ -397,16 +397,16 @@ def test_the_view_knows_no_simulation_and_a_simulation_the_view_in_one_folder() 
 def test_the_readme_s_map_is_the_order_that_imports_keep() -> None:
     text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
     mapped = re.findall(r"^\| `([\w/]+)` \| ", text.partition("## Packages")[2], re.MULTILINE)
-    rooms = [room for room in ROOMS if not room.startswith("extensions.")]
-    assert mapped == [room.replace(".", "/") for room in rooms]
+    folders = [folder for folder in FOLDERS if not folder.startswith("extensions.")]
+    assert mapped == [folder.replace(".", "/") for folder in folders]
     tops = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert {name.partition("/")[0] for name in mapped} == tops
 
 
 @pytest.mark.parametrize(
-    "folder", [*WINGS, *(room for room in ROOMS if room not in ("cli", "extensions"))]
+    "folder", [*PARENTS, *(name for name in FOLDERS if name not in ("cli", "extensions"))]
 )
-def test_every_room_says_what_comes_in_what_goes_out_and_where_to_begin(folder: str) -> None:
+def test_each_folder_documents_input_output_and_first_file(folder: str) -> None:
     folder = folder.replace(".", "/")
     source = (PACKAGE / folder / "__init__.py").read_text(encoding="utf-8")
     about = ast.get_docstring(ast.parse(source)) or ""

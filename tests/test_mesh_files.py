@@ -310,7 +310,7 @@ def test_corners_of_faces_have_any_form(tmp_path: Path, forms: str, last: int) -
     path = tmp_path / "forms.obj"
     path.write_text(points + "vt 0 0\n" * 9 + "vn 0 0 1\n" * 9 + faces, encoding="utf-8")
     if last and " " not in forms:
-        assert refused(path) == "mesh forms.obj: has faces of vertices that it does not have"
+        assert refused(path) == "mesh forms.obj: has faces with nonexistent vertices"
     elif not last:
         assert read_mesh(path)[0].points.shape == (4, 3)
 
@@ -325,22 +325,22 @@ def test_corners_of_faces_have_any_form(tmp_path: Path, forms: str, last: int) -
         ("nan.stl", bytes(80) + struct.pack("<I12fH", 1, *[np.nan] * 12, 0),
          "mesh nan.stl: has vertices that are not finite numbers"),
         ("point.stl", bytes(80) + struct.pack("<I", 1) + bytes(50),
-         "mesh point.stl: has fewer than 4 different vertices"),
+         "mesh point.stl: has fewer than 4 distinct vertices"),
         ("text.obj", b"v 0 0 0\nv 1 x 0\nv 0 1 0\nf 1 2 3\n",
          "mesh text.obj: has a vertex that is not three numbers"),
         ("none.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n", "mesh none.obj: "),
         ("odd.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 5\n",
-         "mesh odd.obj: has faces of vertices that it does not have"),
+         "mesh odd.obj: has faces with nonexistent vertices"),
         ("odd.msh", struct.pack("<4i", 4, 0, 0, 1) + np.eye(4, 3, dtype="<f4").tobytes()
-         + struct.pack("<3i", 0, 1, 4), "mesh odd.msh: has faces of vertices that it does not"),
-        ("short.msh", b"123", "mesh short.msh: is not as long as its counts"),
+         + struct.pack("<3i", 0, 1, 4), "mesh odd.msh: has faces with nonexistent vertices"),
+        ("short.msh", b"123", "mesh short.msh: does not have the size"),
         ("bad.dae", b"<COLLADA", "mesh bad.dae: cannot be read: "),
         ("other.dae", b"<robot/>", "mesh other.dae: "),
         ("bad.ply", b"ply\nformat", "mesh bad.ply: cannot be read: "),
         ("bad.glb", b"glTF\2\0\0\0\1\0\0\0", "mesh bad.glb: cannot be read: "),
     ],
 )  # fmt: skip
-def test_what_is_no_mesh_is_refused(
+def test_invalid_meshes_are_rejected(
     tmp_path: Path, name: str, contents: bytes | None, expected: str
 ) -> None:
     if contents is not None:
@@ -397,8 +397,8 @@ def test_damaged_files_raise_nothing_but_declaration_errors(
 def test_a_file_that_is_too_large_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mesh_files, "MOST_MESH_BYTES", 100)
-    monkeypatch.setattr(mesh_files, "MOST_CONVERTED_BYTES", 50)
+    monkeypatch.setattr(mesh_files, "MAX_MESH_BYTES", 100)
+    monkeypatch.setattr(mesh_files, "MAX_CONVERTED_BYTES", 50)
     for name, size, most in (("a.stl", 200, "0.0001"), ("a.dae", 80, "5e-05")):
         (tmp_path / name).write_bytes(bytes(size))
         found = refused(tmp_path / name)
@@ -417,12 +417,12 @@ def test_what_was_read_is_kept_until_the_file_changes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("head", [b"", b"solid made by "])
-def test_a_cut_stl_says_how_many_triangles_are_missing(tmp_path: Path, head: bytes) -> None:
+def test_a_truncated_stl_reports_how_many_triangles_it_has(tmp_path: Path, head: bytes) -> None:
     path = tmp_path / "box.stl"
     BOX.export(path)
     whole = path.read_bytes()
     path.write_bytes(head + whole[len(head) : 84 + 3 * 50 + 20])
-    assert "box.stl: is cut off: it announces 12 triangles, found 3" in refused(path)
+    assert "box.stl: is truncated: found 3 of 12 triangles" in refused(path)
 
 
 def test_only_what_touches_or_weighs_gets_a_hull(tmp_path: Path) -> None:
@@ -537,7 +537,7 @@ def test_missing_meshes_cost_themselves_and_are_named_once(package: Path) -> Non
     assert Path(read.tables["directory"]) == package / "meshes"
     missing, unread, _ = read.warnings
     assert missing == (
-        "2 mesh files are not found and not shown; --package odd=DIR says where it is: "
+        "2 mesh files were not found; set its folder with --package odd=DIR: "
         "package://odd/meshes/no.stl, ../meshes/none.dae"
     )
     assert unread.startswith(f"mesh {package}/meshes/bad.dae: cannot be read: ")

@@ -129,7 +129,7 @@ def test_its_joints_limits_and_couplings_are_those_of_the_file(robot, caplog):
     assert robot.free_base and robot.flange_on == "left knee"
 
 
-def test_what_it_leaves_out_is_told(path, caplog):
+def test_warnings_name_what_is_left_out(path, caplog):
     text = path.read_text()
     more = '<geom type="plane" size="3 3 1"/><geom name="wall" size="1 1 1"/><camera name="side"/>'
     text = text.replace("<worldbody>", f"<worldbody>{more}<site name='s1'/><site name='s2'/>", 1)
@@ -139,7 +139,7 @@ def test_what_it_leaves_out_is_told(path, caplog):
         SerialRobot.from_mjcf(path)
     told = [record.getMessage().partition("xml: ")[2] for record in caplog.records]
     assert told == [
-        "bodies that no drive of the robot moves are left out: ball, target",
+        "bodies that no actuator of the robot moves are left out: ball, target",
         "geoms of the world are left out: wall",
         "spatial tendons are left out: rope",
         "cameras are left out: side",
@@ -332,12 +332,12 @@ def test_what_is_no_robot_is_told(tmp_path, text, message):
     assert message in str(caught.value)
 
 
-def test_ball_joints_are_held_and_told(caplog):
+def test_ball_joints_are_fixed_with_a_warning(caplog):
     text = ARM.replace('<joint name="j1" axis="0 1 0"/>', '<joint name="wrist" type="ball"/>')
     with caplog.at_level(logging.WARNING):
         robot = SerialRobot.from_mjcf(text, name="arm")
     assert robot.n == 1
-    assert "ball joints are held where they are, they have no single axis: wrist" in caplog.text
+    assert "ball joints are fixed, because they have no single axis: wrist" in caplog.text
 
 
 def test_objects_with_mjcf_in_python_are_robots_too():
@@ -367,13 +367,13 @@ def test_geoms_that_touch_are_not_drawn_over_those_that_are_to_be_seen():
     assert kinds == [int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_SPHERE)]
 
 
-def test_torque_limits_that_mean_none_are_taken_for_none(caplog):
+def test_implausible_torque_limits_are_ignored(caplog):
     drives = '<actuator><motor joint="j1" ctrlrange="-9e5 9e5"/></actuator></mujoco>'
     text = ARM.replace("</mujoco>", drives)
     with caplog.at_level(logging.WARNING):
         robot = SerialRobot.from_mjcf(text, name="arm")
     assert robot.torque_limits is None
-    assert "torque limits up to 900000 are over 10 times what holds all" in caplog.text
+    assert "torque limits up to 900000 exceed 10 times the torque" in caplog.text
 
 
 BOUNDS = """
@@ -488,12 +488,12 @@ def test_couplings_are_the_linear_constraints_of_joints_and_tendons(caplog):
     np.testing.assert_allclose(violated[:4], 0.0, atol=1e-12)
     assert np.abs(violated[4:]).min() > 0.001
     for who, reason in (
-        ("j1, j5, j6", "a coupling joins two joints"),
+        ("j1, j5, j6", "a coupling has two joints"),
         ("j5", "the length of a spatial tendon is not linear"),
         ("j2, j7", "it is not linear"),
-        ("j7", "a coupling joins two joints"),
-        ("j3", "it leads to a joint that is not part of the robot"),
-        ("j1, j7", "others couple them already"),
+        ("j7", "a coupling has two joints"),
+        ("j3", "it contains a joint that is not part of the robot"),
+        ("j1, j7", "they are coupled already"),
     ):
         assert f"the constraint of {who} is left out: {reason}" in caplog.text
 
@@ -628,7 +628,7 @@ def test_robots_of_dm_control_are_those_of_plain_mujoco(name):
     assert masses == pytest.approx(model.body_mass[mine].sum(), rel=1e-6)
 
 
-def test_values_beyond_all_robots_are_taken_for_the_most_or_none(tmp_path):
+def test_implausible_values_are_clipped_or_ignored(tmp_path):
     joint = '<joint name="lift" type="slide" axis="0 0 1" {}/>'
     stated = joint.format('damping="1e11" limited="true" range="-999999 999999"')
     (tmp_path / "fetch.xml").write_text(ALONE.format(f'{stated}<geom size="0.1"/>'))
@@ -637,8 +637,8 @@ def test_values_beyond_all_robots_are_taken_for_the_most_or_none(tmp_path):
     assert (robot.position_limits, robot.reach) == (None, 0.0)
     _, lost = mjcf_tables("fetch.xml", tmp_path)
     assert lost == [
-        "limits of 1000 m or rad and more are taken for none: lift",
-        "damping is taken for 1e+09, the most: lift",
+        "limits of 1000 rad or m and more are ignored: lift",
+        "damping is clipped to 1e+09: lift",
     ]
 
 
@@ -661,14 +661,14 @@ def test_the_only_key_frame_is_the_initial_pose_also_without_a_name(tmp_path, ke
     assert expected is None or found.tolist() == expected
 
 
-def test_a_negative_damping_as_it_was_identified_is_taken_for_none(tmp_path):
+def test_negative_damping_is_set_to_zero(tmp_path):
     joint = '<joint name="wrist" damping="-0.0132" frictionloss="0.2"/>'
     (tmp_path / "panda.xml").write_text(ALONE.format(f'{joint}<geom size="0.1"/>'))
     robot = SerialRobot.from_model(str(tmp_path / "panda.xml"))
     assert robot.dynamics.viscous_friction.tolist() == [0.0]
     assert robot.dynamics.coulomb_friction.tolist() == [0.2]
     _, lost = mjcf_tables("panda.xml", tmp_path)
-    assert lost == ["negative damping is taken for none: wrist"]
+    assert lost == ["negative damping is set to 0: wrist"]
 
 
 WORDS = ["0", "-1", "nan", "1e400", "", "a", "free", "ball", "mesh", "left knee", "tiled", "../x"]

@@ -12,7 +12,7 @@ from sero_mj.robots.assemble.decor_sizes import MeasuredBodies, Sizes, measure
 from sero_mj.robots.assemble.solids import Solids
 from sero_mj.robots.external._model_trees import Tree, find_trees, without_scope
 from sero_mj.robots.external.model_world import ModelWorld
-from sero_mj.robots.importers.mjcf_torque_limits import torque_limits
+from sero_mj.robots.importers.mjcf_model import torque_limits
 
 
 def body(name: str, inside: str = "<joint/>") -> str:

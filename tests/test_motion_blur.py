@@ -23,7 +23,7 @@ def test_the_mean_of_black_and_white_is_half_the_light() -> None:
     exposure = Exposure()
     for level in (0, 255):
         exposure.add(np.full((2, 2, 3), level, np.uint8))
-    assert exposure.picture()[0, 0].tolist() == [188, 188, 188]  # sRGB of 0.5
+    assert exposure.image()[0, 0].tolist() == [188, 188, 188]  # sRGB of 0.5
 
 
 def test_every_level_of_a_still_picture_stays() -> None:
@@ -32,7 +32,7 @@ def test_every_level_of_a_still_picture_stays() -> None:
     exposure.add(levels)
     for _ in range(SUBFRAMES - 1):
         exposure.add()  # nothing has moved
-    assert np.array_equal(exposure.picture(), levels)
+    assert np.array_equal(exposure.image(), levels)
 
 
 def test_what_moves_by_less_than_half_a_pixel_needs_no_picture() -> None:

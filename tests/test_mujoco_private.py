@@ -1,4 +1,4 @@
-"""Private parts of MuJoCo: where one is gone, the user is told which, and what would be right."""
+"""Private parts of MuJoCo: an error names the missing part and the expected version."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ def test_a_renderer_has_its_context() -> None:
         assert isinstance(context_of(renderer), mujoco.MjrContext)
 
 
-def test_a_renderer_without_a_context_is_told() -> None:
+def test_a_missing_context_is_reported() -> None:
     with pytest.raises(RenderError) as caught:
         context_of(SimpleNamespace())  # type: ignore[arg-type]
     assert str(caught.value) == (
         f"MuJoCo {mujoco.__version__} has no SimpleNamespace._mjr_context, which is needed for "
-        "pictures; expected MuJoCo 4.0"
+        "images; expected MuJoCo 4.0"
     )
 
 
-def test_filament_is_there_and_its_materials_are_found() -> None:
+def test_filament_and_its_materials_are_found() -> None:
     module = filament()
     assert {"Context", "ModelRenderables", "ModelResources", "Material"} <= {*dir(module)}
 
 
-def test_a_mujoco_without_filament_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_filament_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(mujoco, "mjrf", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco.mjrf", None)
     with pytest.raises(RenderError, match=r"has no Filament renderer .*; expected MuJoCo 4\.0"):

@@ -115,10 +115,10 @@ def test_what_is_not_given_has_its_default_and_is_known_as_not_given() -> None:
     plain = bake("cake")
     assert (plain.cake, plain.others, plain.kind, plain.hot) == ("cake", [], "short", False)
     assert (plain.duration, plain.size, plain.names, plain.port) == (30.0, (300, 200), [], None)
-    assert plain.given(*Bake.model_fields) == ["CAKE"]
+    assert plain.set_among(*Bake.model_fields) == ["CAKE"]
     same = bake("cake", "--duration", "30", "--for", "me")
     assert same.duration == plain.duration
-    assert same.given("duration", "names", "hot") == ["--duration", "--for"]
+    assert same.set_among("duration", "names", "hot") == ["--duration", "--for"]
 
 
 def test_text_becomes_what_is_declared() -> None:
@@ -228,7 +228,9 @@ def test_switches_are_text_or_a_mapping() -> None:
     assert ImageOptions(shown=["arrows=1", "axes=0101"]).shown == both
     assert ImageOptions(shown=both).shown == both
     assert ImageOptions(shown=None).shown == {}
-    with raises_with(key="shown", reason="found 'arrows'; expected NAME=0 or NAME=1, arrows=1 say"):
+    with raises_with(
+        key="shown", reason="found 'arrows'; expected NAME=0 or NAME=1, for example arrows=1"
+    ):
         ImageOptions(shown=["arrows"])
 
 

@@ -388,7 +388,7 @@ def test_a_file_that_is_named_without_its_ending_is_pointed_to(
 ) -> None:
     (tmp_path / "gripper6.toml").write_text("")
     monkeypatch.chdir(tmp_path)
-    hint = "; a file is named with its ending: gripper6.toml"
+    hint = "; did you mean the file gripper6.toml?"
     with raises_with(
         UnknownName,
         kind="scene",

@@ -136,7 +136,7 @@ def test_which_source_has_to_be_clear(tmp_path: Path) -> None:
     with raises_with(
         UsageError,
         reason=f"{tmp_path}/two.mcap has several sources: arm, hand; "
-        "choose with --recorded arm, say",
+        "choose one with --recorded arm",
     ):
         RecordedPackets(path)
     with raises_with(

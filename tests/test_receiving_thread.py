@@ -34,8 +34,8 @@ class Broken(Exception):
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.002)
-    monkeypatch.setattr(receiving_thread, "LONGEST", 0.02)
+    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 0.002)
+    monkeypatch.setattr(receiving_thread, "MAX_PAUSE", 0.02)
 
 
 @contextmanager
@@ -147,7 +147,7 @@ def test_an_error_of_the_socket_ends_nothing(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_closing_does_not_wait_for_the_next_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(receiving_thread, "SHORTEST", 1000.0)  # s; the test has less
+    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 1000.0)  # s; the test has less
     with udp() as (source, send):
         source.record_to(failing(1, Broken()))
         send(1.0)

@@ -108,7 +108,7 @@ def test_a_damaged_chunk_loses_only_itself(tmp_path: Path) -> None:
         list(recording.packets("arm"))
         (fault,) = recording.faults
         assert f"the chunk at byte {chunk.chunk_start_offset} is damaged" in fault
-        assert f"from {lost[0][0]:.3f} s to {lost[-1][0]:.3f} s is left out" in fault
+        assert f"from {lost[0][0]:.3f} s to {lost[-1][0]:.3f} s are missing" in fault
         before = expected[expected.index(lost[0]) - 1]
         assert recording.last_before("arm", lost[0][0]) == before
 
@@ -125,9 +125,9 @@ def foreign(path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (b"", "is empty; expected a file that sero-mj record wrote"),
-        (b"time,a\n0,1\n", r"is no MCAP file: found b'time,a\\n0' at its beginning"),
-        (b"\x89MCAP0\r\n", "is cut off or damaged at byte 8 .*; expected a file that"),
+        (b"", "is empty; expected a file from sero-mj record"),
+        (b"time,a\n0,1\n", r"is not an MCAP file: it begins with b'time,a\\n0'"),
+        (b"\x89MCAP0\r\n", "is truncated or damaged at byte 8 .*; expected a file from"),
     ],
 )
 def test_what_is_no_recording_is_told(tmp_path: Path, content: bytes, expected: str) -> None:
@@ -143,8 +143,8 @@ def test_a_file_of_another_program_is_told(tmp_path: Path) -> None:
         RecordingError,
         path=f"{tmp_path}/a.mcap",
         reason=(
-            "is an MCAP file of another program: found the topics /camera/image (ros1); "
-            "expected a file that sero-mj record wrote"
+            "is an MCAP file of another program with the topics /camera/image (ros1); "
+            "expected a file from sero-mj record"
         ),
     ):
         Recording(tmp_path / "a.mcap")
@@ -162,7 +162,7 @@ def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
     with raises_with(
         RecordingError,
         path=f"{tmp_path}/a.mcap",
-        reason="exists already; choose another name, or remove it",
+        reason="exists already. Choose another name, or remove it",
     ):
         RecordingWriter(path, about={})
     assert path.read_bytes() == b"precious"
@@ -173,7 +173,7 @@ def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
     ):
         RecordingWriter(tmp_path / "no" / "a.mcap", about={})
     with begin(path, "arm") as writer:
-        with pytest.raises(ValueError, match="source 'arm' is in the recording already"):
+        with pytest.raises(ValueError, match="the recording already has a source 'arm'"):
             writer.add_source("arm", kind="udp", declared={}, events={}, size=0)
         with raises_with(UnknownName, kind="source", name="leg"):
             writer.write_raw("leg", b"", 0.0)
@@ -227,13 +227,13 @@ def test_a_full_disk_ends_the_recording_and_leaves_a_file_that_all_can_read(
             assert [packet for _, packet in recording.packets("arm")] == packets
             assert len(recording.faults) == 1 and "was not closed" in recording.faults[0]
         assert line.startswith(
-            f"1 {path.stat().st_size} {path}: the file has reached the largest size that the "
-            f"system allows; the recording ends here, {len(messages)} packets over "
+            f"1 {path.stat().st_size} {path}: the file has reached the maximum size of the "
+            f"system. The recording has ended; it has {len(messages)} packets over "
         )
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 def test_a_disk_that_was_full_before_is_told() -> None:
-    expected = "/dev/full: no space left on the disk; the recording ends here, nothing is kept"
+    expected = "/dev/full: no space left on the disk. The recording has ended; it has no packets"
     with pytest.raises(RecordingError, match=expected):
         RecordingWriter("/dev/full", about={}, overwrite=True)

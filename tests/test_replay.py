@@ -187,9 +187,9 @@ def test_a_replay_knows_how_the_source_decoded() -> None:
     ("fields", "message"),
     [
         ({"file": "none.mcap"}, "file: none.mcap: cannot be read: No such file or directory"),
-        ({"file": 7}, "file: found 7; expected the name of a recording, REC.mcap say"),
+        ({"file": 7}, "file: found 7; expected the name of a recording, such as REC.mcap"),
         ({"source": "upd"}, "source: no source 'upd' in {file}; did you mean 'udp'?"),
-        ({"structure": "7F"}, "structure: is what the recording says; leave it out"),
+        ({"structure": "7F"}, "structure: is what the recording says. Leave it out"),
         ({"speed": 0.0}, "speed: found 0;"),
     ],
 )
@@ -258,7 +258,7 @@ def test_the_commands_record_render_and_export(
     with pytest.raises(SystemExit) as caught:
         main(["record", str(scene), str(run), "--duration", "1"])
     assert caught.value.code == 2
-    assert "run.mcap: exists already; choose another name, or remove it" in capsys.readouterr().err
+    assert "run.mcap: exists already. Choose another name, or remove it" in capsys.readouterr().err
     with pytest.raises(SystemExit) as caught:
         main(["render", "lwr", "--replay", str(run), "-o", str(film)])
     assert caught.value.code == 2

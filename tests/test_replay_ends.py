@@ -56,7 +56,7 @@ def test_status_plays_it(recording: Path, more: str, capsys: pytest.CaptureFixtu
     [
         ("start = 50", "start: found 50; the recording ends at 1.00 s"),
         ("start = 0.5\nstop = 0.5", "stop: found 0.5; expected more than 0.5, start, in s"),
-        ("stop = -1", "stop: found -1; expected more than 0, where its first packet came, in s"),
+        ("stop = -1", "stop: found -1; expected more than 0, the time of its first packet, in s"),
     ],
 )
 def test_times_with_nothing_between_them_are_told(recording: Path, more: str, said: str) -> None:

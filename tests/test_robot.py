@@ -154,7 +154,7 @@ WRONG = [
     ({"dh_params": TWO_JOINTS, "joint_names": ["a", "a"]},
      Problem("joint_names", "'a' appears twice; expected different names")),
     *(({"joint_names": [name]}, Problem("joint_names.0", found=name,
-                                        expected="1 to 200 characters that can be printed"))
+                                        expected="1 to 200 printable characters"))
       for name in ("A1\n", " ", "j\u202e1")),
     ({"position_limits": [[1, -1]]},
      Problem("position_limits", "row 1 is", found=[1.0, -1.0], expected="lower < upper")),

@@ -237,7 +237,7 @@ def test_what_is_wrong_is_told(tmp_path: Path, mirrored: tuple[Path, object, obj
         RecordingError,
         path=f"{tmp_path}/text.mcap",
         reason=(
-            "is no MCAP file: found b'time,ang' at its beginning; expected a file that "
+            "is not an MCAP file: it begins with b'time,ang'; expected a file that "
             "sero-mj record wrote"
         ),
     ):
@@ -451,7 +451,7 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
         "udp", "other").replace("other\"", "udp\"").replace("32000", "32001"))  # fmt: skip
     with raises_with(
         UsageError,
-        reason=f"{tmp_path}/robot.csv may be of udp, other; choose with --source udp, say",
+        reason=f"{tmp_path}/robot.csv may be of udp, other; choose one with --source udp",
     ):
         find_tables(table).read_run(table, load_scene(str(path)), None, {})
     assert find_tables(table).read_run(table, load_scene(str(path)), "udp", {}).robots.keys() == {

@@ -202,7 +202,7 @@ def test_what_nobody_has_written_is_not_applied(block: str) -> None:
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: reader.trouble)
         assert (
-            reader.trouble == f"shared memory {block} is there (24 bytes), nothing is written yet"
+            reader.trouble == f"shared memory {block} exists (24 bytes), but nothing is written yet"
         )
         made.write(locked(0, 1, 2))
         message = f"nothing has been written to shared memory {block}: 'lock' is 0"
@@ -221,7 +221,7 @@ def test_a_lock_that_stays_odd_or_is_not_counted_is_told(block: str) -> None:
         assert until(lambda: reader.trouble == message)
         assert (shown(reader), reader.counters.torn) == ([1, 2], 1)  # one write, one torn read
         made.write(locked(2, 9, 9))
-        message = f"{writer} does not count 'lock' up for a packet"
+        message = f"{writer} does not increase 'lock' for each packet"
         assert until(lambda: reader.trouble == message)
         assert shown(reader) == [1, 2]
         made.write(locked(6, 9, 9))
@@ -328,12 +328,14 @@ def test_status_says_why_nothing_comes(block: str) -> None:
         return describe(report(reader))[0][2]
 
     with ShmReader(block=block, **LOCKED) as reader:
-        assert told(reader) == f"no good packet yet: no shared memory {block} yet"
+        assert told(reader) == f"no valid packet yet: no shared memory {block} yet"
         made = make(block, bytes(16))
-        about = f"no good packet yet: shared memory {block}"
+        about = f"no valid packet yet: shared memory {block}"
         assert until(lambda: told(reader) == f"{about} has 16 bytes; expected 24")
         made.resize(24)
-        assert until(lambda: told(reader) == f"{about} is there (24 bytes), nothing is written yet")
+        assert until(
+            lambda: told(reader) == f"{about} exists (24 bytes), but nothing is written yet"
+        )
         made.write(locked(2, 5, 6))
         assert reader.wait(5.0)
         assert "jitter" in told(reader)

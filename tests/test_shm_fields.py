@@ -43,7 +43,7 @@ def run(arguments: list[str]) -> int:
         ("a\0b", r"found '\x00' in 'a\x00b'"),
         ("a\nb", r"found '\n' in 'a\nb'"),
         ("\udc80", r"found '\udc80' in '\udc80'"),
-        ("ö" * 200, "found 400 bytes; a block's name has at most"),
+        ("ö" * 200, "found 400 bytes; expected at most"),
     ],
 )
 def test_names_that_no_block_can_have_are_told(name: str, message: str) -> None:
@@ -66,10 +66,10 @@ def test_a_name_has_a_slash_or_none() -> None:
         ({"lock": "v"}, "'v' has 2 numbers; expected one, as in v:1I"),
         (
             {"lock": "lock", "sequence": "lock"},
-            "'lock' is lock and sequence; a lock goes up by two",
+            "'lock' is lock and sequence; a lock increases by two",
         ),
-        ({"lock": "late"}, "lock 'late' is 1 bytes behind a multiple of 8; expected it at one"),
-        ({"lock": "lock", "offset": 2}, "lock 'lock' is 2 bytes behind a multiple of 8"),
+        ({"lock": "late"}, "lock 'late' is at byte 9; expected a multiple of 8"),
+        ({"lock": "lock", "offset": 2}, "lock 'lock' is at byte 2; expected a multiple of 8"),
         ({"poll_rate": 0.0}, "poll_rate"),
         ({"settle": -1.0}, "settle"),
         ({"offset": -1}, "offset"),
@@ -100,7 +100,7 @@ def test_what_is_no_shared_memory_or_may_not_be_read_is_told(
     with raises_with(
         SourceError,
         source="shm",
-        reason=(f"shared memory {block}: no permission to read it; ask its writer for mode 0644"),
+        reason=(f"shared memory {block}: no permission to read it; its writer must set mode 0644"),
     ):
         ShmReader(block=block, structure="1F").open()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ from polling import until
 from pydantic import PrivateAttr
 
 from sero_mj import Mirror, Recording, Replay, Scene, SerialRobot, load_scene, record_sources
-from sero_mj.base.errors import DeclarationError, SourceError
+from sero_mj.base.errors import DeclarationError
 from sero_mj.base.plugins import SOURCES, forget_plugins, plugins
 from sero_mj.cli import main
 from sero_mj.data.receive.source import Source
@@ -121,7 +122,7 @@ def test_a_kind_of_another_package_is_mirrored_recorded_and_replayed(
     with Mirror(scene) as mirror:
         source = mirror.sources["arm"]
         assert isinstance(source, Source)
-        assert source.about == f"JSON lines from 127.0.0.1:{server.port}"
+        assert source.about.startswith(f"JSON lines of 127.0.0.1:{server.port}")
         with record_sources(mirror.sources, recording, scene=scene):
             server.send(line(1, 0.25), line(2, 0.5))
             server.send("no JSON", '{"count": [3]}', '{"count": [3], "angles": [1, 2]}')
@@ -133,7 +134,7 @@ def test_a_kind_of_another_package_is_mirrored_recorded_and_replayed(
         assert (counters.wrong_size, counters.not_finite, counters.lost) == (3, 1, 1)
     with Recording(recording) as kept:
         assert kept.sources["arm"].kind == "json_lines"
-        assert [len(packet) for _, packet in kept.packets("arm")] == [60, 60, 0, 0, 0, 60, 60]
+        assert [len(packet) for _, packet in kept.packets("arm")] == [60, 60, 7, 14, 32, 60, 60]
     server.close()
     scene.sources["arm"] = Replay(name="arm", file=recording)
     with Mirror(scene) as again:
@@ -181,13 +182,26 @@ def test_what_cannot_be_loaded_says_which_package_is_at_fault(tmp_path: Path) ->
 def test_fields_and_places_of_another_kind_are_checked(tmp_path: Path, server: Server) -> None:
     with raises_with(key="sources.arm.prot", reason="unknown key", near="port"):
         load_scene(write_scene(tmp_path, server.port, more="prot = 3"))
-    scene = load_scene(write_scene(tmp_path, server.port))
-    server.close()
+
+
+@pytest.mark.usefixtures("installed")
+def test_an_example_reconnects_and_shows_what_is_wrong(tmp_path: Path) -> None:
     with (
-        pytest.raises(SourceError, match=f"source 'arm': 127.0.0.1:{server.port}: Connection ref"),
-        Mirror(scene),
+        socket.create_server(("127.0.0.1", 0)) as listening,
+        Mirror(load_scene(write_scene(tmp_path, listening.getsockname()[1]))) as mirror,
     ):
-        pass
+        source = mirror.sources["arm"]
+        first, _ = listening.accept()
+        with first:
+            first.sendall(b'{"count": [1]}\n')
+            assert until(lambda: source.counters.malformed == 1)
+            assert source.counters.last_fault == "invalid line: KeyError('angles')"
+        assert until(lambda: "closed the connection" in source.trouble)
+        second, _ = listening.accept()
+        with second:
+            second.sendall(f"{line(2, 0.5)}\n".encode())
+            assert until(lambda: source.receive_trigger == 1)
+            assert source.trouble == ""
 
 
 def test_as_many_arrivals_as_packets_are_taken(installed: None, server: Server) -> None:

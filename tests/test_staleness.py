@@ -121,7 +121,7 @@ def test_bad_packets_are_no_silence() -> None:
     decor = Decor(world)
     buffer = decor.draw(data, toggles_of(world), view_at(distance=5))
     rows = of_kind(buffer.rows[: buffer.count], GEOM.mjGEOM_LABEL)
-    assert b"left: no good data for 1.2 s" in rows["label"].tolist()
+    assert b"left: no valid data for 1.2 s" in rows["label"].tolist()
 
 
 def test_the_robot_with_its_tool_is_grey_and_the_other_is_not() -> None:

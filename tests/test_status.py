@@ -48,9 +48,9 @@ def test_what_is_awaited_is_said_until_something_comes() -> None:
 
     set_source(data, world, "udp", received=0, size=112, age=-1)
     assert said() == [
-        "nothing yet on UDP 127.0.0.1:32000",
-        "  awaited: packets of 112 bytes",
-        "  to try: sero-mj send lwr_udp",
+        "no packet yet on UDP 127.0.0.1:32000",
+        "  expected: packets of 112 bytes",
+        "  test with: sero-mj send lwr_udp",
     ]
     toggles.status = False
     assert said() == []
@@ -96,7 +96,7 @@ def test_nothing_is_awaited_from_files(tmp_path: Path) -> None:
         (
             {"received": 12, "malformed": 2, "fault_age": 1, "wrong_constant": 2},
             ["udp: 2 of 12 packets not applied",
-             "  another kind of packet: a constant is wrong"],
+             "  wrong constant: another kind of packet"],
         ),
         ({"received": 12, "malformed": 3, "wrong_size": 3, "fault_age": 6.0}, []),  # long ago
         ({"received": 12, "lost": 3, "link_age": 0.5}, ["udp: 3 packets lost"]),
@@ -115,7 +115,7 @@ def test_nothing_is_awaited_from_files(tmp_path: Path) -> None:
         ({"received": 12, "restarts": 4, "link_age": 1}, ["udp: the sender restarted 4 times"]),
         (
             {"received": 12, "senders": 3},
-            ["udp: 3 concurrent senders; sender = ... chooses one"],
+            ["udp: 3 concurrent senders; set sender = ... to choose one"],
         ),
         ({"received": 12, "senders": 1}, []),
         (
@@ -223,7 +223,7 @@ def test_what_a_link_loses_and_mixes_up_is_written() -> None:
             come += 1
             assert until(lambda: source.counters.received == come)
             send(5)  # who sends beside it has not taken its place
-        assert corner(mirror)[-1] == "udp: 2 concurrent senders; sender = ... chooses one"
+        assert corner(mirror)[-1] == "udp: 2 concurrent senders; set sender = ... to choose one"
 
 
 def test_received_angles_in_degrees_are_noticed() -> None:

@@ -104,8 +104,8 @@ def test_every_cause_is_told_with_its_number(scene: Callable[[], tuple[Path, int
 def test_what_may_be_lost_or_unread_is_said_so() -> None:
     found = report(UdpReceiver(structure="n:1I", sequence="n"))
     for more, why in (
-        ({}, "numbers that never came"),
-        ({"wrong_size": 2}, "numbers that never came, or that of a packet below could not be read"),
+        ({}, "missing sequence numbers"),
+        ({"wrong_size": 2}, "missing sequence numbers, or numbers of malformed packets"),
     ):
         told = {row[0]: row[2] for row in describe({**found, "lost": 2, **more})}
         assert told["lost"] == why
@@ -157,7 +157,7 @@ def test_a_silent_source_makes_it_fail(
         main(["status", str(file), "--duration", "0.05"])
     assert caught.value.code == 1
     text = " ".join(capsys.readouterr().out.split())
-    assert "state silent no good packet yet received 0 0 of them applied" in text
+    assert "state silent no valid packet yet received 0 0 applied" in text
 
 
 def test_a_scene_without_sources_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -174,6 +174,6 @@ def test_a_source_that_has_gone_quiet_is_told() -> None:
         assert receiver.wait(5.0)
         found = report(receiver)
         assert describe(found)[0][1].endswith("/s")
-        assert "0.00 ms behind the fastest" in describe(found)[0][2]
+        assert "0.00 ms later than the fastest packet" in describe(found)[0][2]
         quiet = {**found, "receiving": False, "age": 3.21}
-        assert describe(quiet)[0] == ("state", "quiet", "no good packet for 3.2 s")
+        assert describe(quiet)[0] == ("state", "quiet", "no valid packet for 3.2 s")

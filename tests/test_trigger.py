@@ -273,7 +273,7 @@ def test_waiting_lasts_until_all_packets_have_been_looked_at(tmp_path: Path) -> 
         assert looking.wait(60)  # the queue is empty, and nothing has been seen
 
         def wait() -> None:
-            made.wait_until_seen()
+            made.wait_until_handled()
             seen.append(made.statistics.packets)
 
         waiting = threading.Thread(target=wait)
@@ -289,7 +289,7 @@ def test_memory_holds_no_more_than_the_last_seconds(tmp_path: Path) -> None:
     with recorder(tmp_path, before=1.0) as made:
         for k in range(100):
             made.take("udp", rows, lengths, k + np.arange(1000) / 1000)
-            made.wait_until_seen()
+            made.wait_until_handled()
         size = made.statistics.kept_bytes
     assert 1000 * LAYOUT.size < size < 4000 * (LAYOUT.size + 100)
     assert made.statistics.forgotten == 0 and not made.events
@@ -297,7 +297,7 @@ def test_memory_holds_no_more_than_the_last_seconds(tmp_path: Path) -> None:
     with recorder(tmp_path, before=60.0, kept_bytes=500_000) as made:
         for k in range(20):
             made.take("udp", rows, lengths, k + np.arange(1000) / 1000)
-            made.wait_until_seen()
+            made.wait_until_handled()
         assert made.statistics.kept_bytes < 700_000
         assert made.statistics.forgotten > 15_000
         late = pad_packets([numbered(1, {0: 99})[0][0]], LAYOUT.size)
@@ -322,11 +322,11 @@ def test_what_cannot_be_written_ends_it_and_is_told(tmp_path: Path) -> None:
     packets, times = numbered(3, {1: 30})
     made = recorder(tmp_path)
     made.take("udp", *pad_packets(packets, LAYOUT.size), times)
-    made.wait_until_seen()
+    made.wait_until_handled()
     with raises_with(
         RecordingError,
         path=f"{tmp_path}/1.mcap",
-        reason="exists already; choose another name, or remove it",
+        reason="exists already. Choose another name, or remove it",
     ):
         made.close()
     assert not made.take("udp", *pad_packets(packets, LAYOUT.size), times)

@@ -220,8 +220,8 @@ def test_a_port_in_use_is_told_with_its_number_and_host() -> None:
         with pytest.raises(SourceError) as caught:
             second.open()
         assert str(caught.value) == (
-            f"source 'second': UDP port {first.port} on 127.0.0.1 is in use by another program; "
-            "close that, or choose another port"
+            f"source 'second': UDP port {first.port} on 127.0.0.1 is in use by another program. "
+            "Close it, or choose another port"
         )
         assert caught.value.source == "second"
         assert not threads_of("second")
@@ -238,7 +238,7 @@ def test_an_address_that_is_not_of_this_machine_is_told(host: str) -> None:
         receiver.open()
     assert str(caught.value) == (
         f"source 'udp': UDP port 32123 on {host}: not an address of this machine; "
-        "expected 127.0.0.1 or 0.0.0.0, say"
+        "expected 127.0.0.1 or 0.0.0.0, for example"
     )
 
 

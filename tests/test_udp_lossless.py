@@ -211,8 +211,8 @@ def test_receiving_says_whether_packets_come(send: Send) -> None:
         (0, []),
         (1, ["a packet is not applied: 1 bytes; expected 10"]),
         (2, ["listening on", "a packet is not applied: 1 bytes", "3 packets lost"]),
-        (3, ["listening on", "a packet is not applied: 1 bytes", "1 good packets",
-             "3 packets lost", "1 good packets"]),
+        (3, ["listening on", "a packet is not applied: 1 bytes", "1 valid packets",
+             "3 packets lost", "1 valid packets"]),
     ],
 )  # fmt: skip
 def test_the_debug_level_says_how_much_is_logged(
@@ -228,7 +228,7 @@ def test_the_debug_level_says_how_much_is_logged(
         assert settled(receiver, 4)
         send(receiver, 5)
         assert settled(receiver, 5)
-    told = [text for text in caplog.messages if "0 good" not in text]
+    told = [text for text in caplog.messages if "0 valid" not in text]
     assert len(told) == len(expected), told
     for text, part in zip(told, expected, strict=True):
         assert text.startswith("source 'udp': ") and part in text

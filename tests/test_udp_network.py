@@ -234,7 +234,7 @@ def test_a_sender_with_its_port_is_known_on_a_socket_for_both_families(
 def test_a_sender_that_nobody_can_be_is_told(sender: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         UdpReceiver(structure="1F", sender=sender)
-    expected = f"found {sender!r}, which no sender has; leave it out to accept every sender"
+    expected = f"found {sender!r}, which no sender has. Leave it out to accept any sender"
     assert str(caught.value) == f"sender: {expected}"
 
 
@@ -244,8 +244,8 @@ def test_an_address_of_every_network_asks_for_the_interface(host: str) -> None:
         UdpReceiver(structure="1F", host=host, udpport=32_124).open()
     names = ", ".join(name for _, name in socket.if_nameindex())
     assert str(caught.value) == (
-        f"source 'udp': UDP port 32124 on {host}: such an address is one on every network; name "
-        f"yours with interface = ...; available: {names}"
+        f"source 'udp': UDP port 32124 on {host}: this address exists on every network. Set "
+        f"interface = ... to choose one; available: {names}"
     )
 
 
@@ -253,7 +253,7 @@ def test_an_address_of_every_network_asks_for_the_interface(host: str) -> None:
 def test_an_address_of_every_network_is_this_machines_on_the_interface_or_is_told() -> None:
     for fields in ({"host": "fe80::1234", "interface": "lo"}, {"host": "fe80::1234%lo"}):
         wrong = f"UDP port 0 on {fields['host']}: not an address of this machine"
-        reason = f"{wrong}; expected 127.0.0.1 or 0.0.0.0, say"
+        reason = f"{wrong}; expected 127.0.0.1 or 0.0.0.0, for example"
         with raises_with(SourceError, source="udp", reason=reason):
             UdpReceiver(structure="1F", **fields).open()  # type: ignore[arg-type]
     with pytest.raises(SourceError, match="no network interface 'eth77'; available: "):

@@ -308,7 +308,9 @@ def test_a_floating_or_planar_root_is_a_free_base(
     assert "links that 'root joint' does not move are left out: 'odom'" in read.warnings
 
 
-def test_inside_a_robot_a_planar_joint_is_three_and_a_floating_one_is_held(tmp_path: Path) -> None:
+def test_inner_planar_joints_become_three_and_floating_ones_are_fixed(
+    tmp_path: Path,
+) -> None:
     more = (
         '<joint name="sled" type="planar"><parent link="base_link"/><child link="plate"/>'
         '<origin xyz="0 0 1" rpy="0 0 1"/><axis xyz="0 1 0"/></joint><link name="plate"/>'
@@ -328,7 +330,7 @@ def test_inside_a_robot_a_planar_joint_is_three_and_a_floating_one_is_held(tmp_p
     normal = about(np.array([0, 0, 1]), 1.0) @ [0, 1, 0]
     assert moved @ normal == pytest.approx(0, abs=1e-12)
     assert np.linalg.norm(moved) == pytest.approx(np.hypot(0.3, 0.2))
-    assert "floating joints inside a robot are held at their origins: 'loose'" in (
+    assert "floating joints inside a robot are fixed at their origins: 'loose'" in (
         file.described.warnings
     )
 
@@ -360,12 +362,12 @@ BAD = """<robot name="bad">
 """
 
 
-def test_all_that_is_wrong_is_told_at_once_with_its_line(tmp_path: Path) -> None:
+def test_all_errors_are_reported_at_once_with_lines(tmp_path: Path) -> None:
     assert problems(tmp_path, BAD) == [
         "robot.urdf:2: link 'a': <mass>: found -1 kg; expected 0 or more",
-        "robot.urdf:3: link 'b': <visual>: no geometry <boxx>; did you mean 'box'?",
+        "robot.urdf:3: link 'b': <visual>: unknown geometry <boxx>; did you mean 'box'?",
         "robot.urdf:4: link 'b': <inertia>: found ixx = 'one'; expected 1 number",
-        "robot.urdf:5: link 'b': is there already, line 3",
+        "robot.urdf:5: link 'b': is already defined in line 3",
         'robot.urdf:6: link: has no name; expected name="..."',
         "robot.urdf:7: joint 'j1': found type 'revolut'; did you mean 'revolute'?",
         "robot.urdf:8: joint 'j2': <child>: no link 'bb'; did you mean 'b'?",
@@ -374,7 +376,7 @@ def test_all_that_is_wrong_is_told_at_once_with_its_line(tmp_path: Path) -> None
         "robot.urdf:13: joint 'j4': has no <parent link=\"...\">",
         "robot.urdf:13: joint 'j4': <origin>: found xyz = '0 0'; expected 3 numbers",
         "robot.urdf:13: joint 'j4': <origin>: found rpy = '0 nan 0'; expected 3 numbers",
-        "robot.urdf:14: joint 'j3': is there already, line 10",
+        "robot.urdf:14: joint 'j3': is already defined in line 10",
     ]  # fmt: skip
 
 
@@ -393,26 +395,26 @@ LINKS = "<robot name='r'>" + "".join(f'<link name="{name}"/>' for name in "abcd"
     [
         (
             joint("1", "a", "b") + joint("2", "c", "b") + joint("3", "b", "d"),
-            ["robot.urdf:3: joint '2': carries link 'b', which joint '1' carries; expected one "
-             "joint for each link"],
+            ["robot.urdf:3: joint '2': link 'b' is already the child of joint '1'; expected "
+             "one parent joint per link"],
         ),
         (
             joint("1", "a", "b") + joint("2", "b", "c"),
-            ["robot.urdf:1: link 'd': no joint has it as <child>; expected one, as the base is "
-             "'a'"],
+            ["robot.urdf:1: link 'd': is not the child of a joint; expected one, because the "
+             "base is 'a'"],
         ),
         (
             joint("1", "a", "b") + joint("2", "c", "d") + joint("3", "d", "c"),
-            ["robot.urdf:1: link 'c': joints go round in a circle: 'c', 'd'; expected a tree"],
+            ["robot.urdf:1: link 'c': the joints form a loop: 'c', 'd'; expected a tree"],
         ),
         (
             "".join(joint(a + b, a, b, "fixed") for a, b in ("ab", "bc", "cd")),
-            ["robot.urdf:1: robot: has no joint that moves; expected one or more: what is rigid "
-             'is an object, urdf = "robot.urdf"'],
+            ["robot.urdf:1: robot: has no movable joint; expected one or more. Add a rigid body "
+             'to a scene as an object with urdf = "robot.urdf"'],
         ),
     ],
 )  # fmt: skip
-def test_what_is_no_tree_is_refused(tmp_path: Path, joints: str, expected: list[str]) -> None:
+def test_joints_without_tree_are_rejected(tmp_path: Path, joints: str, expected: list[str]) -> None:
     assert problems(tmp_path, f"{LINKS}{joints}\n</robot>") == expected
 
 
@@ -424,19 +426,19 @@ ENTITIES = "".join(
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "robot.urdf:1: is not XML that can be read: Document is empty"),
-        ("solid model", "robot.urdf:1: is not XML that can be read: Start tag expected"),
-        ("<robot>\n<link>\n</robot>", "robot.urdf:3: is not XML that can be read: Opening and end"),
-        ("<robot>" + "<a>" * 400, "robot.urdf:1: is not XML that can be read: Excessive depth"),
+        ("", "robot.urdf:1: is not valid XML: Document is empty"),
+        ("solid model", "robot.urdf:1: is not valid XML: Start tag expected"),
+        ("<robot>\n<link>\n</robot>", "robot.urdf:3: is not valid XML: Opening and end"),
+        ("<robot>" + "<a>" * 400, "robot.urdf:1: is not valid XML: Excessive depth"),
         (f'<!DOCTYPE r [<!ENTITY a "lol">{ENTITIES}]><robot name="&i;"/>', "declares entities"),
         ('<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot>&a;</robot>',
-         "robot.urdf: is not XML that can be read: declares entities ('a')"),
+         "robot.urdf: is not valid XML: declares entities ('a')"),
         ("\n<mujoco/>",
          "robot.urdf:2: is an MJCF file; expected a URDF file, whose root is <robot>"),
         ("<robot/>", "robot.urdf:1: robot: has no <link>"),
     ],
 )  # fmt: skip
-def test_what_is_no_urdf_is_refused(tmp_path: Path, text: str, expected: str) -> None:
+def test_files_that_are_not_urdf_are_rejected(tmp_path: Path, text: str, expected: str) -> None:
     found = problems(tmp_path, text)
     assert expected in found[0]
 
@@ -448,11 +450,11 @@ def test_what_is_no_urdf_is_refused(tmp_path: Path, text: str, expected: str) ->
         (lambda text: f"<!-- made by hand -->\n\n{text}", '<?xml version="1.0"?>'),
         (
             lambda text: text.replace("</robot>", "<sensor:camera a:b='1'/></robot>"),
-            "prefixes of names are not declared: a, sensor",
+            "undeclared prefixes: a, sensor",
         ),
     ],
 )
-def test_what_is_not_quite_xml_is_read_as_others_read_it(
+def test_slightly_invalid_xml_is_read(
     tmp_path: Path, change: Callable[[str], str], warning: str
 ) -> None:
     whole = described(tmp_path, GRIPPER)
@@ -463,14 +465,14 @@ def test_what_is_not_quite_xml_is_read_as_others_read_it(
 
 
 @pytest.mark.parametrize("start", ['<?xml version="0.0"?>', '\n<?xml version="1.0"?>'])
-def test_what_is_not_quite_xml_is_guarded_as_any_other(tmp_path: Path, start: str) -> None:
+def test_slightly_invalid_xml_is_checked_like_valid_xml(tmp_path: Path, start: str) -> None:
     (found,) = problems(tmp_path, f'{start}<!DOCTYPE r [<!ENTITY a "b">]><robot name="&a;"/>')
     assert "declares entities ('a')" in found
     (depth,) = problems(tmp_path, f"{start}<robot>" + "<s:a>" * 400)
     assert "Excessive depth" in depth
     (mismatch,) = problems(tmp_path, f"{start}\n<robot><s:link></robot>")
     line = start.count("\n") + 2
-    assert f"robot.urdf:{line}: is not XML that can be read: Opening and ending tag" in mismatch
+    assert f"robot.urdf:{line}: is not valid XML: Opening and ending tag" in mismatch
 
 
 def test_a_declaration_that_is_not_at_the_start_says_the_encoding(tmp_path: Path) -> None:
@@ -490,7 +492,7 @@ def test_encodings_have_the_names_that_python_knows(tmp_path: Path) -> None:
     assert "latin-x" in found
 
 
-def test_numbers_are_read_where_it_can_be_told_what_was_meant(tmp_path: Path) -> None:
+def test_unambiguous_misspelled_numbers_are_read(tmp_path: Path) -> None:
     whole = described(tmp_path, GRIPPER)
     text = GRIPPER.replace('xyz="0.3 0.1 0"', 'xyz="0.3, 0.1,0"')
     read = described(tmp_path, text.replace('lower="-0.5"', 'lower="-0.5."', 1))
@@ -498,8 +500,8 @@ def test_numbers_are_read_where_it_can_be_told_what_was_meant(tmp_path: Path) ->
     assert read.tables["position_limits"] == whole.tables["position_limits"]
     told = [each for each in read.warnings if each not in whole.warnings]
     assert sorted(each.partition(":")[0] for each in told) == [
-        "'-0.5.' is taken for -0.5",
-        "'0.3, 0.1,0' is taken for 0.3 0.1 0",
+        "'-0.5.' is read as -0.5",
+        "'0.3, 0.1,0' is read as 0.3 0.1 0",
     ]
     for wrong in ("0,3 0.1 0", "0,3 0,1", "0.3,,0.1,0", "0.3, 0.1", "0.3.1 0 0", "1,2,3,4"):
         (found,) = problems(tmp_path, GRIPPER.replace('xyz="0.3 0.1 0"', f'xyz="{wrong}"'))
@@ -513,14 +515,17 @@ def test_plain_files_take_values_from_the_environment(
     text = GRIPPER.replace('xyz="0.3 0.1 0"', 'xyz="$(optenv SENSOR_XYZ 0.3 0.1 0)"')
     assert described(tmp_path, text).tables == whole.tables
     (found,) = problems(tmp_path, text.replace("optenv SENSOR_XYZ 0.3 0.1 0", "env SENSOR_XYZ"))
-    assert "<origin>: found $(env SENSOR_XYZ); the environment has no SENSOR_XYZ" in found
+    assert (
+        "<origin>: found $(env SENSOR_XYZ), but the environment variable SENSOR_XYZ is not set"
+        in found
+    )
     monkeypatch.setenv("SENSOR_XYZ", "0.3 0.1 0")
     for name in ("optenv SENSOR_XYZ", "optenv SENSOR_XYZ 1 1 1", "env SENSOR_XYZ"):
         filled = text.replace("optenv SENSOR_XYZ 0.3 0.1 0", name)
         assert described(tmp_path, filled).tables == whole.tables
 
 
-def test_numbers_that_make_no_sense_cost_themselves_alone(tmp_path: Path) -> None:
+def test_implausible_numbers_are_ignored_separately(tmp_path: Path) -> None:
     text = (
         GRIPPER.replace('lower="-0.5" upper="1"', 'lower="1" upper="-0.5"', 1)
         .replace('<mass value="2"/>', "")
@@ -539,12 +544,11 @@ def test_numbers_that_make_no_sense_cost_themselves_alone(tmp_path: Path) -> Non
     assert read.tables["dynamics"]["masses"][1] == 0.5  # of the sensor that is fixed there
     told = [each for each in read.warnings if each not in whole.warnings]
     assert told == [
-        "<inertial> without <mass value=...>, taken for none: link 'upper' (line 17)",
-        "damping is taken for 1e+09, the most: joint 'turn.table' (line 14)",
-        "more than 3 numbers in xyz, the first are taken: joint 'sensor_joint' (line 23)",
-        "limits of 1000 m or rad and more are taken for none: 'slide' (line 32)",
-        "joints whose limits are in the wrong order are taken as without limits: 'finger a' "
-        "(line 37)",
+        "<inertial> without <mass value=...> is ignored: link 'upper' (line 17)",
+        "damping is clipped to 1e+09: joint 'turn.table' (line 14)",
+        "extra values of xyz are ignored: joint 'sensor_joint' (line 23)",
+        "limits of 1000 rad or m and more are ignored: 'slide' (line 32)",
+        "joints with swapped limits are treated as unlimited: 'finger a' (line 37)",
     ]
 
 
@@ -613,7 +617,7 @@ def test_an_mjcf_without_joints_is_an_object(tmp_path: Path) -> None:
     assert World(scene).model.geom("table/top").size[2] == 0.1
 
 
-def test_a_missing_file_and_a_folder_are_told(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_reported(tmp_path: Path) -> None:
     folder = "cannot be read: Is a directory"
     for path, reason in ((tmp_path / "no.urdf", "no such file"), (tmp_path, folder)):
         with raises_with(file=str(path), reason=reason):
@@ -635,7 +639,10 @@ def test_xacro_is_expanded_where_it_is_installed(tmp_path: Path) -> None:
     wrong = XACRO.replace("2 * length", "2 * lenth")
     assert "xacro cannot expand it" in problems(tmp_path, wrong)[0]
     included = XACRO.replace("<link", '<xacro:include filename="$(find odd)/x.xacro"/><link', 1)
-    assert "package 'odd' is not found: --package odd=DIR" in problems(tmp_path, included)[0]
+    assert (
+        "package 'odd' not found; set its folder with --package odd=DIR"
+        in problems(tmp_path, included)[0]
+    )
 
 
 def test_elements_of_xacro_in_another_namespace_are_noted(tmp_path: Path) -> None:
@@ -644,14 +651,15 @@ def test_elements_of_xacro_in_another_namespace_are_noted(tmp_path: Path) -> Non
     path.write_text(text.replace("${2 * length}", "0.5"))
     (warning,) = [each for each in read_urdf(path).warnings if "xacro" in each]
     assert warning == (
-        'elements of xacro are left out; xmlns:xacro="http://www.ros.org/wiki/xacro" expands them: '
+        'xacro elements are ignored; add xmlns:xacro="http://www.ros.org/wiki/xacro" to expand '
+        "them: "
         "<xacro:property> (line 2)"
     )
 
 
 def test_threads_expand_xacro_with_packages_of_their_own(tmp_path: Path) -> None:
-    xacro = pytest.importorskip("xacro")
-    find = xacro.substitution_args._eval_find
+    substitution = pytest.importorskip("xacro.substitution_args")
+    find = substitution._eval_find
     include = '<xacro:include filename="$(find parts)/length.xacro"/><link'
     robot = XACRO.replace('<xacro:property name="length" value="0.25"/>', "")
     (tmp_path / "robot.urdf.xacro").write_text(robot.replace("<link", include, 1))
@@ -669,18 +677,18 @@ def test_threads_expand_xacro_with_packages_of_their_own(tmp_path: Path) -> None
     order = [1, 2, 3, 4] * 10
     with ThreadPoolExecutor(4) as pool:
         assert list(pool.map(length, order)) == [2.0 * k for k in order]
-    assert xacro.substitution_args._eval_find is find
+    assert substitution._eval_find is find
 
 
-def test_without_xacro_it_is_said_how_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_xacro_the_error_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xacro", None)
     (found,) = problems(tmp_path, XACRO)
-    assert "is xacro, which becomes URDF by a package: `pip install sero-mj[xacro]`" in found
+    assert "is a xacro file. Install the xacro reader with `pip install sero-mj[xacro]`" in found
     # Only where it is used: what was made by xacro declares its namespace still.
     assert described(tmp_path, GRIPPER.replace("<robot", '<robot xmlns:xacro="xacro"'))
 
 
-def test_mimics_without_meaning_and_odd_limits_are_warned_of(tmp_path: Path) -> None:
+def test_ignored_mimics_and_limits_are_reported(tmp_path: Path) -> None:
     text = GRIPPER.replace('joint="finger a" mult', 'joint="finger_a" mult').replace(
         'lower="0.1" upper="0.4"', 'lower="0" upper="0"'
     )
@@ -689,11 +697,9 @@ def test_mimics_without_meaning_and_odd_limits_are_warned_of(tmp_path: Path) -> 
     assert read.tables["position_limits"][1] == [-np.inf, np.inf]
     line = text[: text.index('name="finger-b"')].count("\n") + 1
     mimic = f"'finger-b' (line {line}): no joint 'finger_a'; did you mean 'finger a'?"
-    assert f"joints whose <mimic> is left out: {mimic}" in read.warnings
-    limits = [warning for warning in read.warnings if "limits are equal" in warning]
-    assert limits == [
-        "joints whose limits are equal are taken as without limits: 'slide' (line 32)"
-    ]
+    assert f"ignored <mimic> elements: {mimic}" in read.warnings
+    limits = [warning for warning in read.warnings if "equal limits" in warning]
+    assert limits == ["joints with equal limits are treated as unlimited: 'slide' (line 32)"]
 
 
 WORDS = ["0", "1", "-1", "nan", "1e400", "", "a", "revolute", "fixed", "upper", "lower", "slide"]

@@ -1,6 +1,7 @@
-"""Foundations shared by all wings.
+"""Foundations of all other packages.
 
-In: nothing of ours. Out: errors with their data as attributes, frames, declarations checked by
-pydantic, TOML files with lines and nearest names, paths of shipped files, and entry points.
+In: nothing from other packages. Out: errors that store their data as attributes, frames,
+declarations validated by pydantic, TOML files with line numbers, paths of included files, and entry
+points.
 Open first: `errors.py`; then `declaration.py` and `plugins.py`.
 """

@@ -1,6 +1,6 @@
-"""`ChildProcess`: a process that ends together with everything it has started.
+"""`ChildProcess`: a process that ends together with all processes that it has started.
 
-It has a process group of its own. Ctrl+C in the terminal does not reach it; this process ends it.
+It has its own process group, so that Ctrl+C in the terminal does not reach it.
 """
 
 from __future__ import annotations
@@ -23,21 +23,18 @@ from . import reaper
 from .reaper import remove
 
 _GRACE = 2.0  # s
-_LAST = 1 << 16  # bytes of its output that are read
+_TAIL = 1 << 16  # bytes at the end of the output that are read
 
 
 class ChildProcess:
-    """A process in a group of its own. It ends when this object does, or this process.
+    """A process in its own process group. It ends with this object, or with this process.
 
-    What it writes on its standard error goes to a file without a name, which cannot fill up as a
-    pipe would, and leaves nothing behind.
+    Its standard error is written to an unnamed temporary file, which cannot block like a full pipe.
 
     Args:
-        grace: time in seconds between the request to end and the end.
-        keeps_stdout: whether its standard output goes to the same file.
-
-    Attributes:
-        process: the process; its pipes are closed when it is ended.
+        grace: time in seconds between SIGTERM and SIGKILL.
+        leftovers: files and folders to remove at the end.
+        keeps_stdout: whether the standard output is written to the same file.
 
     Raises:
         OSError: the program cannot be started.
@@ -61,7 +58,7 @@ class ChildProcess:
             options["creationflags"] = subprocess.CREATE_NEW_PROCESS_GROUP
         for path in leftovers:
             add_leftover(path)
-        # An interrupt may come while it is being started, so its end is arranged for before.
+        # Registered before the start, because an interrupt may occur during the start.
         self.process: subprocess.Popen[bytes] = subprocess.Popen.__new__(subprocess.Popen)
         self._end = weakref.finalize(
             self, _end, self.process, grace, tuple(leftovers), self._output, os.getpid()
@@ -77,7 +74,7 @@ class ChildProcess:
 
     @property
     def status(self) -> str:
-        """How it has ended: the name of a signal, or `exit status 1`; empty while it runs."""
+        """Name of the signal that ended it, or its exit status; empty while it is running."""
         code = self.process.poll()
         if code is None:
             return ""
@@ -90,7 +87,7 @@ class ChildProcess:
         if self._output.closed:
             return []
         size = os.fstat(self._output.fileno()).st_size
-        text = _read(self._output, max(size - _LAST, 0)).decode(errors="replace")
+        text = _read(self._output, max(size - _TAIL, 0)).decode(errors="replace")
         return [line.strip() for line in text.splitlines() if line.strip()]
 
     def end(self) -> None:
@@ -102,14 +99,14 @@ _running: weakref.WeakSet[ChildProcess] = weakref.WeakSet()
 
 
 def end_all() -> None:
-    """Ends all child processes of this process, before `os._exit` say."""
+    """Ends all child processes, for example before `os._exit`."""
     for child in list(_running):
         child.end()
 
 
 def _read(file: IO[bytes], begin: int) -> bytes:
-    if hasattr(os, "pread"):  # seeking would move the place where the child process writes
-        return os.pread(file.fileno(), _LAST, begin)
+    if hasattr(os, "pread"):  # `seek` would move the write position of the child process
+        return os.pread(file.fileno(), _TAIL, begin)
     file.seek(begin)
     return file.read()
 
@@ -131,7 +128,7 @@ def _end(
             while process.poll() is None and time.monotonic() < deadline:
                 time.sleep(0.005)
         finally:
-            _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # also what it started
+            _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # and its children
             process.wait()
             for pipe in (process.stdin, process.stdout):
                 if pipe is not None:
@@ -144,12 +141,12 @@ def _end(
 
 
 def add_leftover(path: Path) -> None:
-    """Has a file or folder removed if this process dies before `remove_leftover`."""
+    """Registers a file or folder for removal in case this process dies before removing it."""
     _note(b"+p" + os.fsencode(path.absolute()))
 
 
 def remove_leftover(path: Path) -> None:
-    """Removes a file or folder of `add_leftover`."""
+    """Removes a file or folder that was registered by `add_leftover`."""
     remove(path)
     _note(b"-p" + os.fsencode(path.absolute()))
 
@@ -159,24 +156,24 @@ def _signal(process: subprocess.Popen[bytes], number: int) -> None:
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, number)
             return
-        if process.returncode is None:  # it has no group yet
+        if process.returncode is None:  # it is not yet a group leader
             process.send_signal(number)
     elif process.poll() is None:
-        if sys.platform == "win32":  # with the processes that it has started
+        if sys.platform == "win32":  # and its children
             words = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
             subprocess.run(words, check=False, capture_output=True)
         else:
             process.send_signal(number)
 
 
-# The process that ends the others if this one is killed, and whose it is; see `reaper`.
+# PID of the owner, and the process that cleans up if the owner is killed; see `reaper`.
 _reaper: tuple[int, subprocess.Popen[bytes]] | None = None
 _reaper_lock = threading.Lock()
 _is_exiting = False
 
 
 def _note(entry: bytes) -> None:
-    """Sends an entry to the reaper, which is started with the first one."""
+    """Sends an entry to the reaper, and starts the reaper before the first entry."""
     if os.name != "posix" or not sys.executable or _is_exiting:
         return
     global _reaper  # noqa: PLW0603
@@ -194,7 +191,7 @@ def _note(entry: bytes) -> None:
             pipe.write(entry + b"\0")
 
 
-# Registered early, so that it runs late: what is registered after it may still use the processes.
+# Registered early, so that it runs after handlers that still use the processes.
 @atexit.register
 def _at_exit() -> None:
     global _is_exiting  # noqa: PLW0603

@@ -1,7 +1,7 @@
-"""All exceptions of sero-mj; each is a `SeroError`.
+"""All exceptions of sero-mj. Each one is a `SeroError`.
 
-Errors take the objects at fault, store them as attributes and build the text themselves, so that
-the same fault has the same message everywhere.
+An exception stores the invalid values as attributes and generates its text from them, so that the
+same error has the same message everywhere.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-_MAX_SHOWN = 60  # characters of a long text on either side of the error
-_MAX_TEXT = 200  # characters of a text that is wrong as a whole
-_MAX_ENTRIES = 6  # of a table or list
+_MAX_SHOWN = 60  # characters of a long text before and after an error
+_MAX_TEXT = 200  # characters of a text that is invalid as a whole
+_MAX_ENTRIES = 6  # entries of a table or list
 
 
 def nearest(name: str, available: Iterable[str]) -> str | None:
-    """Returns the available name most similar to `name`, or None."""
+    """Returns the most similar available name, or None if no name is similar."""
     by_lower = {candidate.lower(): candidate for candidate in available}
     close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
     return by_lower[close[0]] if close else None
 
 
 def reason_of(error: Exception) -> str:
-    """The message of an error; for operating system errors without number and file."""
+    """Returns the message of an error, without the number and file of an operating system error."""
     if isinstance(error, KeyError):
         return f"has no {error}"
     return getattr(error, "strerror", None) or str(error)
 
 
 def did_you_mean(name: str, available: Iterable[str]) -> str:
-    """Returns `; did you mean 'x'?` for the nearest name, else the list of what is available."""
+    """Returns `; did you mean 'x'?` with the most similar name, or a list of available names."""
     names = list(available)
     near = nearest(name, names)
     if near is not None:
@@ -54,9 +54,15 @@ def did_you_mean(name: str, available: Iterable[str]) -> str:
     return f"; available: {shown}"
 
 
+def first_of(names: Sequence[str], count: int = 8) -> str:
+    """Returns the first names separated by commas, and the number of the others."""
+    more = f" and {len(names) - count} more" if len(names) > count else ""
+    return ", ".join(names[:count]) + more
+
+
 @contextmanager
 def without_warnings() -> Iterator[None]:
-    """Logs no warnings, within the context, of what is read once more or only for a detail."""
+    """Suppresses warnings within the context, for data that is read a second time."""
     log = logging.getLogger("sero_mj")
     before = log.level
     log.setLevel(logging.ERROR)
@@ -67,10 +73,10 @@ def without_warnings() -> Iterator[None]:
 
 
 def printable(text: str) -> str:
-    r"""Returns a text in which nothing can control a terminal or hide: `\x1b` for an escape.
+    r"""Returns a text whose invisible characters are escaped, for example `\x1b`.
 
-    Escaped are control characters except newline and tab, and characters without a width or with
-    an effect on the direction of others.
+    This applies to control characters except newline and tab, to characters without a width, and to
+    characters that change the writing direction.
     """
     if text.replace("\n", "").replace("\t", "").isprintable():
         return text
@@ -82,15 +88,15 @@ def printable(text: str) -> str:
 
 
 def in_one_line(text: str) -> str:
-    r"""Returns a text as `printable` does, and with `\n` for each line break."""
+    r"""Returns a printable text in which line breaks are escaped as `\n`."""
     return printable(text).replace("\n", r"\n").replace("\t", r"\t")
 
 
 def shown(value: object, depth: int = 3) -> str:
-    """Returns a value as messages show it: as TOML writes it, with long ones shortened.
+    """Formats a value for messages, in TOML notation, and shortens long values.
 
-    Arrays are lists; None is `nothing`; of any other object the class is named. Nested tables and
-    lists are shown up to a depth.
+    Arrays are formatted as lists, None as `nothing`, and other objects by their class. Tables and
+    lists are nested up to `depth` levels.
     """
     value = value.tolist() if hasattr(value, "tolist") else value
     match value:
@@ -124,25 +130,22 @@ def shown(value: object, depth: int = 3) -> str:
 
 
 def _shortened(entries: Iterable[str], count: int, depth: int) -> str:
-    most = _MAX_ENTRIES if depth > 0 else 0
-    return ", ".join([*islice(entries, most), *["..."] * (count > most)])
+    maximum = _MAX_ENTRIES if depth > 0 else 0
+    return ", ".join([*islice(entries, maximum), *["..."] * (count > maximum)])
 
 
 class SeroError(Exception):
-    """Base of every error that sero-mj raises on purpose; it can be pickled.
-
-    Its text is `printable`.
-    """
+    """Base class of all exceptions of sero-mj. They can be pickled, and their text is printable."""
 
     def __init__(self, *args: object) -> None:
         super().__init__(*(printable(each) if isinstance(each, str) else each for each in args))
 
     def __reduce__(self) -> tuple[Callable[..., SeroError], tuple[object, ...]]:
-        """Returns how to recreate it from its text, because arguments differ by class."""
-        return _made_again, (type(self), self.args, self.__dict__)
+        """Restores the text and attributes, because the arguments of subclasses differ."""
+        return _restored, (type(self), self.args, self.__dict__)
 
 
-def _made_again(
+def _restored(
     kind: type[SeroError], args: tuple[object, ...], attributes: dict[str, object]
 ) -> SeroError:
     error = kind.__new__(kind)
@@ -153,19 +156,20 @@ def _made_again(
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """An error in a declaration; two are equal that say the same of the same value.
+    """An error in a declaration. Problems with the same message and value are equal.
 
-    Its message is made of these, for example `found 2 numbers; expected 3` with `of="numbers"`.
+    The message consists of the attributes, for example `found 2 numbers; expected 3` with
+    `of="numbers"`.
 
     Attributes:
-        key: dotted key, e.g. `robots.lwr.dh_params`; empty for the file as a whole.
-        reason: what is wrong, in words that lead to `found`; empty for the word `found`.
-        file: the file of the key, or None when declared in Python.
-        line: its line in that file, if known.
-        found: the value at fault; None if there is none.
-        of: words behind it, its unit say.
-        expected: what would be right, in words or the value itself.
-        available: names of which it had to be one; where `found` is None, the key had to be.
+        key: dotted key, for example `robots.lwr.dh_params`; empty for the whole file.
+        reason: description of the error, which precedes `found` (default: the word `found`).
+        file: name of the file; None for declarations in Python.
+        line: line number in the file, or None if unknown.
+        found: invalid value, or None if there is none.
+        of: words that follow the value, for example its unit.
+        expected: description of a valid value, or the value itself.
+        available: valid names for `found`, or for the key if `found` is None.
     """
 
     key: str = ""
@@ -180,7 +184,7 @@ class Problem:
 
     @property
     def message(self) -> str:
-        """What was found and what would be right, as a sentence."""
+        """The value that was found and the expected one, as a sentence."""
         message = self.reason or "found"
         if self.found is not None or not self.reason:
             message += f" {shown(self.found)}"
@@ -205,13 +209,13 @@ class Problem:
         return printable(": ".join(part for part in (place, self.key, self.message) if part))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Problem) and self._said == other._said
+        return isinstance(other, Problem) and self._identity == other._identity
 
     def __hash__(self) -> int:
-        return hash(self._said)
+        return hash(self._identity)
 
     @property
-    def _said(self) -> tuple[str, str, str]:
+    def _identity(self) -> tuple[str, str, str]:
         return str(self), shown(self.found), str(self.expected)  # `found` may be an array
 
     def inside(self, prefix: str) -> Problem:
@@ -219,20 +223,16 @@ class Problem:
         return replace(self, key=key)
 
     def error(self) -> DeclarationError:
-        """Returns the error to be raised where this is the only problem."""
+        """Returns a `DeclarationError` with only this problem."""
         return DeclarationError([self])
 
 
 class DeclarationError(SeroError, ValueError):
-    """A robot, source or scene is declared wrongly; `problems` lists all of it at once.
-
-    Those of one file are sorted by line.
-    """
+    """An invalid declaration. `problems` lists all errors, sorted by line within each file."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         files = list(dict.fromkeys(problem.file for problem in problems))
-        # Sorted by line within a file; those without a line, and those of Python, in order of
-        # detection.
+        # Problems without a line remain in the order of detection.
         self.problems = sorted(
             problems, key=lambda each: (files.index(each.file), each.line or sys.maxsize)
         )
@@ -242,7 +242,7 @@ class DeclarationError(SeroError, ValueError):
 def mismatch(
     found: object, expected: object, reason: str = "", *, key: str = "", of: str = ""
 ) -> DeclarationError:
-    """Returns the error to be raised for one value: `found 2 numbers; expected 3`."""
+    """Returns a `DeclarationError` for one value, such as `found 2 numbers; expected 3`."""
     return DeclarationError([Problem(key, reason, found=found, of=of, expected=expected)])
 
 
@@ -253,7 +253,7 @@ def raise_any(problems: Sequence[Problem]) -> None:
 
 
 def problems_of(error: Exception, key: str = "") -> list[Problem]:
-    """The problems of an error, inside `key`; one with its text if it has no values."""
+    """Returns the problems of an error inside `key`, or one problem with the text of the error."""
     if isinstance(error, DeclarationError):
         return [problem.inside(key) for problem in error.problems]
     if isinstance(error, UnknownName) and not error.hint:
@@ -263,7 +263,7 @@ def problems_of(error: Exception, key: str = "") -> list[Problem]:
 
 @contextmanager
 def collect(problems: list[Problem], key: str) -> Iterator[None]:
-    """Adds the problems of a `DeclarationError` in its context to a list, inside `key`."""
+    """Adds the problems of a `DeclarationError` that is raised in the context to a list."""
     try:
         yield
     except DeclarationError as error:
@@ -271,7 +271,7 @@ def collect(problems: list[Problem], key: str) -> Iterator[None]:
 
 
 class UnknownName(SeroError, KeyError):
-    """A name of a kind, `camera` say, that is not among those available."""
+    """A name that does not exist, for example of a camera."""
 
     def __init__(self, kind: str, name: str, available: Iterable[str], hint: str = "") -> None:
         self.kind = kind
@@ -286,7 +286,7 @@ class UnknownName(SeroError, KeyError):
 
 
 class StructureError(SeroError, ValueError):
-    """A packet structure string that cannot be parsed."""
+    """An invalid packet structure string."""
 
     def __init__(self, structure: str, position: int, reason: str) -> None:
         self.structure = structure
@@ -296,7 +296,7 @@ class StructureError(SeroError, ValueError):
 
 
 class RouteError(SeroError, ValueError):
-    """An expression in a route that cannot be parsed or has no meaning."""
+    """An invalid expression in a route."""
 
     def __init__(self, text: str, position: int, reason: str, length: int = 1) -> None:
         self.text = text
@@ -330,7 +330,7 @@ class SourceError(_ProblemError, OSError):
 
 
 class RecordingError(_ProblemError, OSError):
-    """A recording that cannot be written on, or read."""
+    """A recording that cannot be read or written."""
 
     def __init__(self, path: object, reason: Problem | str) -> None:
         super().__init__(reason, str(path))
@@ -339,7 +339,7 @@ class RecordingError(_ProblemError, OSError):
 
 
 class CsvError(_ProblemError, ValueError):
-    """A table of comma-separated values that cannot be read or written; its lines count from 1."""
+    """A CSV file that cannot be read or written. Lines are counted from 1."""
 
     def __init__(
         self,
@@ -358,10 +358,10 @@ class CsvError(_ProblemError, ValueError):
 
 
 class SimulationError(_ProblemError, RuntimeError):
-    """A simulation that cannot continue; data recorded so far is kept.
+    """A simulation that cannot continue. Data recorded up to this point is preserved.
 
     Attributes:
-        joint: e.g. `lwr/A3`, or the name of another element at fault.
+        joint: name of the joint that caused the error, for example `lwr/A3`, or of another element.
     """
 
     def __init__(self, time: float, joint: str, reason: Problem | str) -> None:
@@ -372,22 +372,22 @@ class SimulationError(_ProblemError, RuntimeError):
 
 
 class NotTrusted(SeroError, PermissionError):
-    """A file asks to run something, and may not; see `base.trust`."""
+    """A file requests actions for which it is not trusted, see `base.trust`."""
 
     def __init__(self, file: Path, actions: list[str]) -> None:
         self.file, self.actions = file, actions
         super().__init__(
-            f"{file}: asks to {' and to '.join(actions)}; a file that its user has not trusted "
-            f"does nothing of this kind. `sero-mj simulate {file}` trusts it"
+            f"{file}: requests to {' and to '.join(actions)}, but the file is not trusted. "
+            f"`sero-mj simulate {file}` trusts it"
         )
 
 
 class RenderError(_ProblemError, RuntimeError):
-    """No picture can be made: no software or hardware GL, or no place to write to."""
+    """No image can be rendered or written, for example because there is no OpenGL."""
 
 
 class ClusterError(_ProblemError, ConnectionError):
-    """A cluster that cannot be reached, or whose workers differ from this machine."""
+    """A cluster that is unreachable, or whose workers differ from this machine."""
 
     def __init__(self, address: str, reason: Problem | str) -> None:
         super().__init__(reason, address)
@@ -396,10 +396,9 @@ class ClusterError(_ProblemError, ConnectionError):
 
 
 def about_fault(error: Exception, kind: type) -> str:
-    """Returns kind, text and place of an error that code of another package has raised.
+    """Returns type, text and location of an error raised by third-party code.
 
-    Args:
-        kind: the class whose file is looked for there; its innermost line is told.
+    The location is the innermost line of the traceback in the file of the class `kind`.
     """
     file = getattr(sys.modules.get(kind.__module__), "__file__", None)
     frames = traceback.extract_tb(error.__traceback__)
@@ -421,4 +420,4 @@ class PluginError(SeroError):
 
 
 class UsageError(_ProblemError, ValueError):
-    """A command line that asks for something impossible; exit status 2."""
+    """An invalid command line. The exit status is 2."""

@@ -1,7 +1,7 @@
-"""Declarations that a command line fills in as well as Python.
+"""`Options`: base class of the options of commands, which Python programs use as well.
 
-A field of `Options` is an option `--its-name`; the docstring's "Attributes:" is its help.
-`cli.options` builds the parser.
+The field `some_name` is the option `--some-name`, and its description under "Attributes:" in the
+docstring is the help text. `cli.options` creates the parser.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from .errors import UsageError, shown
 
 @dataclass(frozen=True)
 class Option:
-    """How a field is spelled in a command line, where its name and type do not say it.
+    """Command-line form of a field, if it does not follow from its name and type.
 
     Attributes:
-        metavar: what stands for its value in help; empty for its name in capitals.
-        flags: all of its spellings, the long one last; none for `--` and the field's name.
-        bare: its value where it is given without one; None where it needs one.
-        is_positional: whether it is known by its place and has no spelling.
+        metavar: placeholder of the value in help texts (default: the name in capital letters).
+        flags: all names of the option, the long one last (default: `--` and the field name).
+        bare: value of the option without an argument; None if it requires one.
+        is_positional: whether it is a positional argument.
     """
 
     metavar: str = ""
@@ -43,15 +43,17 @@ class Option:
 
 
 def positional(metavar: str) -> Option:
-    """How a field is spelled that is known by its place in the command line."""
+    """Returns the command-line form of a positional argument."""
     return Option(metavar, is_positional=True)
 
 
 class Options(Declaration):
-    """Base of what can be chosen in a command line, or in Python; fields take text as well.
+    """Base class of options that are set on the command line or in Python.
+
+    Fields accept text in addition to their own type.
 
     Attributes:
-        title: of a section of help with the options of this class; empty for none of its own.
+        title: title of the help section for these options; empty if there is no section.
     """
 
     title: ClassVar[str] = ""
@@ -59,36 +61,36 @@ class Options(Declaration):
 
     @classmethod
     def taken_from(cls, others: Options) -> Self:
-        """Returns what others have of these options."""
+        """Returns these options with the values that other options share with them."""
         shared = cls.model_fields.keys() & vars(others).keys()
         return cls(**{name: getattr(others, name) for name in shared})
 
     @classmethod
     def option(cls, name: str) -> Option:
-        """Returns how a field is spelled, as far as it is declared."""
+        """Returns the command-line form of a field."""
         found = cls.model_fields[name]
         marks = (*_metadata(found.annotation), *found.metadata)
         return ([each for each in marks if isinstance(each, Option)] or [Option()])[-1]
 
     @classmethod
     def spelled(cls, name: str) -> str:
-        """Returns the long spelling of an option, or what stands for a positional one in help."""
+        """Returns the long name of an option, or the placeholder of a positional argument."""
         option = cls.option(name)
         if option.is_positional:
             return option.metavar or name
         return option.flags[-1] if option.flags else f"--{name.replace('_', '-')}"
 
-    def given(self, *names: str) -> list[str]:
-        """Returns how those of these options are spelled that are given."""
+    def set_among(self, *names: str) -> list[str]:
+        """Returns the command-line names of the listed options that were set."""
         return [self.spelled(name) for name in names if name in self.model_fields_set]
 
     def refuse(self, names: Sequence[str], why: str) -> None:
-        """Raises UsageError where one of these options is given: its name, and why not."""
-        for spelled in self.given(*names):
+        """Raises UsageError with a reason if one of these options was set."""
+        for spelled in self.set_among(*names):
             raise UsageError(f"{spelled}{why}")
 
     def apply(self) -> None:
-        """Does what has to be done before the command runs whose options these are."""
+        """Called before the command runs."""
 
 
 def _metadata(kind: Any) -> Iterator[Any]:
@@ -98,7 +100,7 @@ def _metadata(kind: Any) -> Iterator[Any]:
 
 
 def ending(*endings: str, expected: str = "") -> AfterValidator:
-    """Returns a validator for names of files that end in one of these; `expected` lists them."""
+    """Returns a validator for file names with one of these extensions, see `expected`."""
 
     def validate(path: Path | None) -> Path | None:
         if path is not None and path.suffix.lower() not in endings:
@@ -109,8 +111,8 @@ def ending(*endings: str, expected: str = "") -> AfterValidator:
     return AfterValidator(validate)
 
 
-def parted(separator: str) -> BeforeValidator:
-    """Returns a validator for several values that text may have in one."""
+def split_at(separator: str) -> BeforeValidator:
+    """Returns a validator that splits a text into several values."""
 
     def validate(value: Any) -> Any:
         if not isinstance(value, str):
@@ -120,16 +122,16 @@ def parted(separator: str) -> BeforeValidator:
     return BeforeValidator(validate)
 
 
-def whole(least: int, most: int, words: str = "") -> WrapValidator:
-    """Returns a validator for whole numbers in a range; `words` says which."""
-    words = words or f"a whole number from {least} to {most}"
+def whole(minimum: int, maximum: int, words: str = "") -> WrapValidator:
+    """Returns a validator for integers in a range, which `words` describes."""
+    words = words or f"a whole number from {minimum} to {maximum}"
 
     def validate(value: Any, handler: ValidatorFunctionWrapHandler) -> int:
         try:
             number = int(handler(value))
         except ValidationError:
-            number = least - 1
-        if not least <= number <= most:
+            number = minimum - 1
+        if not minimum <= number <= maximum:
             raise ValueError(f"found {shown(value)}; expected {words}")
         return number
 
@@ -145,8 +147,8 @@ Seed = Annotated[int, whole(0, 2**32 - 1, "a whole number from 0"), Option("N")]
 Port = Annotated[int, whole(1, 65535, "a port from 1 to 65535")]
 _Length = Annotated[int, Field(gt=0)]
 Size = Annotated[
-    tuple[_Length, _Length], parted("x"), expecting("WIDTHxHEIGHT, e.g. 1280x800"), Option("WxH")
+    tuple[_Length, _Length], split_at("x"), expecting("WIDTHxHEIGHT, e.g. 1280x800"), Option("WxH")
 ]
 JointValues = Annotated[
-    tuple[float, ...], parted(","), expecting("numbers with commas, e.g. 0,0.5,-1.2"), Option("Q")
+    tuple[float, ...], split_at(","), expecting("numbers with commas, e.g. 0,0.5,-1.2"), Option("Q")
 ]

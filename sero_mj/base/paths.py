@@ -1,6 +1,6 @@
-"""Finds shipped and named files, and opens them without blocking or unbounded reading.
+"""Finds included and named files, and opens them without blocking or reading too much.
 
-`models/` and `scenes/` are in the wheel, or beside the package in a checkout.
+`models/` and `scenes/` are inside the wheel, or beside the package in a checkout.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from .errors import Problem, UnknownName, nearest
 from .plugins import IMPORTERS, ROBOTS, load_all
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
-# Of robot files in other formats than TOML.
-_TELLS_NOTHING = ("robot", "model", "scene", "main")
+# Names of robot files that do not describe the robot.
+_GENERIC_NAMES = ("robot", "model", "scene", "main")
 # In third-party folders: the scene with a floor, and subfolders that may contain models.
 _SCENE_FILE, _INNER = "scene.xml", ("mjcf", "urdf", "robots")
 BAG_ENDINGS = (".mcap", ".db3")  # of the files of ROS 2's recordings
@@ -53,22 +53,22 @@ def _shipped(folder: str) -> Path:
 
 
 def models_dir() -> Path:
-    """Folder with one sub-folder per shipped robot."""
+    """Folder with one subfolder per included robot."""
     return _shipped("models")
 
 
 def scenes_dir() -> Path:
-    """Folder with the shipped scene files."""
+    """Folder with the included scene files."""
     return _shipped("scenes")
 
 
 def robot_endings() -> tuple[str, ...]:
-    """Extensions of robot files in other formats, see `robots.importers.importer`."""
+    """File name extensions of robot files in other formats than TOML."""
     return _endings(of_scenes=False)
 
 
 def scene_endings() -> tuple[str, ...]:
-    """Extensions of scene files in other formats."""
+    """File name extensions of scene files in other formats than TOML."""
     return _endings(of_scenes=True)
 
 
@@ -81,29 +81,29 @@ def _endings(*, of_scenes: bool) -> tuple[str, ...]:
 
 
 def list_models() -> list[str]:
-    """Names of the shipped robots."""
+    """Names of the included robots."""
     return _models_in(models_dir(), ROBOT_FILE)
 
 
 def list_group_models() -> list[str]:
-    """Names of the shipped models that are groups of robots."""
+    """Names of the included models that are groups of robots."""
     return _models_in(models_dir(), GROUP_FILE)
 
 
 def list_scenes() -> list[str]:
-    """Names of the shipped scenes."""
+    """Names of the included scenes."""
     return _toml_files(scenes_dir())
 
 
 def list_all() -> list[str]:
-    """All shipped names: robots, groups of robots, scenes and scenarios."""
+    """All included names: robots, groups of robots, scenes and scenarios."""
     return [*list_models(), *list_group_models(), *list_scenes(), *list_scenarios()]
 
 
 def shipped_file(name: str) -> Path | None:
-    """Returns the file of a shipped scene, scenario, robot or group; None for other names.
+    """Returns the file of an included scene, scenario, robot or group; None for other names.
 
-    If ambiguous, it is the one used by `load_scene`.
+    If a name is ambiguous, this is the file that `load_scene` uses.
     """
     candidates = (
         scenes_dir() / f"{name}.toml",
@@ -115,26 +115,26 @@ def shipped_file(name: str) -> Path | None:
 
 
 def find_model(name: str, beside: Path | None = None) -> Path:
-    """Returns the robot file of a name.
+    """Returns the file of a robot.
 
     Args:
-        name: a shipped robot's name, a folder with a `robot.toml`, or a file: TOML, or one of
-            `robot_endings()`. In other folders it is the file `scene.xml`, else the only URDF or
-            MJCF.
-        beside: folder that relative paths start from; the working directory when None.
+        name: name of an included robot, folder with a `robot.toml`, or file (TOML, or one of
+            `robot_endings()`). In other folders this is `scene.xml`, or else the only URDF or MJCF
+            file.
+        beside: folder of relative paths (default: the working directory).
 
     Raises:
-        UnknownName: nothing of that name exists; lists the robots beside it and the shipped ones.
-        DeclarationError: a folder has several models, or the file is in a format that is not read.
+        UnknownName: there is no such robot. The error lists the available robots.
+        DeclarationError: a folder contains several models, or the format is not supported.
     """
     return _find_model("robot model", name, beside, ROBOT_FILE)
 
 
 def find_group_model(name: str, beside: Path | None = None) -> Path:
-    """Returns the file of a group of robots by its name, like `find_model`.
+    """Returns the file of a group of robots.
 
-    It is a shipped group's name, a folder with a `group.toml`, or a TOML file. Raises UnknownName,
-    which lists the groups beside it and the shipped ones.
+    The name is that of an included group, of a folder with a `group.toml`, or of a TOML file.
+    Raises UnknownName if there is no such group. The error lists the available groups.
     """
     return _find_model("model of a group", name, beside, GROUP_FILE)
 
@@ -163,7 +163,7 @@ def _find_model(kind: str, name: str, beside: Path | None, file: str) -> Path:
 
 
 def robot_places() -> list[Any]:
-    """All installed places where robots have names, see `robots.importers.robot_places`."""
+    """Returns all installed collections of robots, see `robots.importers.robot_places`."""
     return [kind() for kind in sorted(load_all(ROBOTS).values(), key=lambda kind: kind.order)]
 
 
@@ -173,9 +173,9 @@ def _plain(path: Path) -> Path:
 
 
 def model_in(folder: Path) -> Path | None:
-    """The model of a third-party folder: its scene, or else the only one; None for none.
+    """Returns the model in a third-party folder: the scene, or else the only model, or None.
 
-    Raises DeclarationError if there are several.
+    Raises DeclarationError if there are several models.
     """
     if os.path.isfile(folder / _SCENE_FILE):
         return folder / _SCENE_FILE
@@ -220,7 +220,7 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     if is_read:
         try:
             open_file(path).close()
-            return  # another kind of file than what is looked for
+            return  # it is of another kind than the requested file
         except IsADirectoryError:
             what = "is a folder; expected a file"
         except (FileNotFoundError, NotADirectoryError):
@@ -239,7 +239,7 @@ def _toml_files(folder: Path) -> list[str]:
 
 
 def format_of(contents: bytes) -> str | None:
-    """The third-party format of a robot or a scene, `an SDF file`; None if unknown."""
+    """Returns the third-party format of a robot or scene, such as `an SDF file`, or None."""
     contents = contents.removeprefix(b"\xef\xbb\xbf")
     if _USD.match(contents):
         return "a USD file"
@@ -259,7 +259,7 @@ def read_head(path: Path) -> bytes:
 
 
 def format_of_file(path: Path) -> str | None:
-    """As `format_of`; also None for an unreadable file."""
+    """Returns the format of a file like `format_of`, or None for an unreadable file."""
     return format_of(read_head(path))
 
 
@@ -271,13 +271,14 @@ def _files(folder: Path, ending: str) -> list[str]:
 
 
 def model_name(path: Path) -> str:
-    """The name of the robot or group of a file: of its folder, or else of the file itself.
+    """Returns the name of the robot or group in a file.
 
-    Also the folder's for an MJCF with a generic name, such as `panda/robot.xml`. Letters lose their
-    accents, and what is not ASCII is left out: `Arm` for `Ärm_机械臂.xml`.
+    This is the name of the folder for `robot.toml`, `group.toml` and MJCF files with generic names,
+    such as `panda/robot.xml`, and otherwise the name of the file. Accents and characters that are
+    not ASCII are removed: `Arm` for `Ärm_机械臂.xml`.
     """
     name, folder = path.stem.removesuffix(".urdf"), path.absolute().parent.name
-    is_generic = path.suffix == ".xml" and name.lower() in _TELLS_NOTHING
+    is_generic = path.suffix == ".xml" and name.lower() in _GENERIC_NAMES
     if folder and (is_generic or path.name in (ROBOT_FILE, GROUP_FILE)):
         name = folder
     if not name.isascii():
@@ -287,34 +288,34 @@ def model_name(path: Path) -> str:
 
 
 def file_hint(name: str) -> str:
-    """Suggests NAME.toml in the working directory if only NAME was given; else empty."""
+    """Returns a hint if the file NAME.toml exists but only NAME was entered, or an empty text."""
     if "\0" in name or not os.path.isfile(Path(f"{name}.toml")):
         return ""
-    return f"; a file is named with its ending: {name}.toml"
+    return f"; did you mean the file {name}.toml?"
 
 
 def scenarios_dir() -> Path:
-    """Folder with the shipped scenarios."""
+    """Folder with the included scenarios."""
     return scenes_dir() / "scenarios"
 
 
 def list_scenarios() -> list[str]:
-    """Names of the shipped scenarios."""
+    """Names of the included scenarios."""
     return _toml_files(scenarios_dir())
 
 
 def find_scenario(name: str) -> Path:
-    """Returns the scenario file of a name: a TOML file, or a shipped scenario's name.
+    """Returns the file of a scenario, which may be a TOML file or an included scenario.
 
-    Raises UnknownName if nothing of that name exists; lists the shipped scenarios.
+    Raises UnknownName if there is no such scenario. The error lists the included scenarios.
     """
     return _find("scenario", name, scenarios_dir(), list_scenarios)
 
 
 def find_scene(name: str) -> Path:
-    """Returns the scene file of a name: a TOML file, or a shipped scene's name.
+    """Returns the file of a scene, which may be a TOML file or an included scene.
 
-    Raises UnknownName if nothing of that name exists; lists the shipped scenes.
+    Raises UnknownName if there is no such scene. The error lists the included scenes.
     """
     return _find("scene", name, scenes_dir(), list_scenes)
 
@@ -339,13 +340,13 @@ def make_temporary_folder() -> Path:
 
 def is_temporary(path: Path | str) -> bool:
     """Whether a file is in a temporary folder of this process."""
-    if not _temporary.cache_info().currsize:  # nobody has made one
+    if not _temporary.cache_info().currsize:  # none was created
         return False
     return Path(path).is_relative_to(Path(_temporary().name).resolve())
 
 
 def without_temporary(text: str) -> str:
-    """Returns a message with files of temporary folders by their relative paths."""
+    """Returns a message in which paths in temporary folders are relative."""
     if not _temporary.cache_info().currsize:
         return text
     folder = re.escape(str(Path(_temporary().name).resolve()))
@@ -353,12 +354,12 @@ def without_temporary(text: str) -> str:
 
 
 def bag_files_in(folder: Path | str) -> list[Path]:
-    """Returns the files of the recording in a folder, in order; none where it is not clear.
+    """Returns the files of a ROS 2 recording without metadata.yaml, in order.
 
-    Its recorder may have been killed, because it writes metadata.yaml at the end, or the files
-    alone were copied. One recording is a single file, or `NAME_0.mcap`, `NAME_1.mcap` and so on,
-    into which `ros2 bag record` splits long ones. Other files may be beside them, but no robots and
-    scenes.
+    The recorder writes metadata.yaml at the end, so it is missing after a crash. A recording is a
+    single file, or `NAME_0.mcap`, `NAME_1.mcap` and so on, into which `ros2 bag record` splits long
+    recordings. The list is empty if the folder also contains robots or scenes, or if the files do
+    not form one recording.
     """
     try:
         files = [each for each in Path(folder).iterdir() if not each.name.startswith(".")]
@@ -380,20 +381,20 @@ def bag_files_in(folder: Path | str) -> list[Path]:
 
 
 def bag_file_in(folder: Path | str) -> Path | None:
-    """Returns the only one of `bag_files_in`; None where there are several, or none."""
+    """Returns the file of a recording that consists of one file, or None."""
     found = bag_files_in(folder)
     return found[0] if len(found) == 1 else None
 
 
-def open_file(path: Path | str, most: int | None = None) -> BinaryIO:
-    """Opens a file for reading.
+def open_file(path: Path | str, max_bytes: int | None = None) -> BinaryIO:
+    """Opens a file of at most `max_bytes` for reading.
 
     Raises:
-        OSError: it cannot be opened, is not a regular file (a pipe would block, a device may be
-            endless), or is longer; `strerror` says so.
+        OSError: the file cannot be opened, is too large, or is not a regular file. A pipe would
+            block, and a device may have no end.
         ValueError: the name is invalid.
     """
-    # Without O_NONBLOCK even opening a pipe would block.
+    # Without O_NONBLOCK, opening a pipe would block.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     file = os.open(path, flags)
     try:
@@ -403,8 +404,8 @@ def open_file(path: Path | str, most: int | None = None) -> BinaryIO:
         if not stat.S_ISREG(status.st_mode):
             what = next((name for is_it, name in _KINDS if is_it(status.st_mode)), "something else")
             raise OSError(errno.EINVAL, f"is {what}; expected a file", str(path))
-        if most is not None and status.st_size > most:
-            found = f"has {status.st_size / _MB:.1f} MB; expected at most {most / _MB:g} MB"
+        if max_bytes is not None and status.st_size > max_bytes:
+            found = f"has {status.st_size / _MB:.1f} MB; expected at most {max_bytes / _MB:g} MB"
             raise OSError(errno.EFBIG, found, str(path))
         return os.fdopen(file, "rb")
     except BaseException:
@@ -412,16 +413,16 @@ def open_file(path: Path | str, most: int | None = None) -> BinaryIO:
         raise
 
 
-def read_file(path: Path | str, most: int) -> bytes:
-    """Returns the contents of a file of at most `most` bytes; raises as `open_file` does."""
-    with open_file(path, most) as file:
-        return file.read(most)
+def read_file(path: Path | str, max_bytes: int) -> bytes:
+    """Returns the contents of a file of at most `max_bytes`. Raises the errors of `open_file`."""
+    with open_file(path, max_bytes) as file:
+        return file.read(max_bytes)
 
 
 def argument_of(file: Path) -> str:
-    """Returns a file's argument for commands: its name if shipped, else its relative path."""
+    """Returns how to name a file on the command line: by its included name, or by its path."""
     name = model_name(file) if file.name == ROBOT_FILE else file.stem
-    # Other names are not looked for: that might fetch a robot of this name (`robot_places`).
+    # Other names are not searched for, because that might download a robot (`robot_places`).
     is_near = shipped_file(name) is not None or os.path.exists(name)
     for find in (find_scene, find_scenario, find_model, find_group_model) if is_near else ():
         try:

@@ -1,4 +1,4 @@
-"""Entry points: extensions by other packages, and sero-mj's own parts.
+"""Entry points of sero-mj and of third-party packages.
 
 docs/plugins.md lists the groups. A package adds a kind in its pyproject.toml:
 
@@ -32,21 +32,21 @@ EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
 SNIFFERS, TABLES = "sero_mj.sniffers", "sero_mj.tables"
 LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"
-_WITH_KIND = (CONTROLLERS, TARGET_MOTIONS)  # classes say their name, the entry point's, again
+_WITH_KIND = (CONTROLLERS, TARGET_MOTIONS)  # classes that repeat the name in a field `kind`
 _OWN = "sero_mj"
 
 
 @cache
 def _entry_points() -> EntryPoints:
-    # Finding packages takes a third of the time of `import sero_mj`, which needs none of them.
+    # This import takes a third of the time of `import sero_mj`, which needs no entry points.
     from importlib.metadata import entry_points
 
-    return entry_points()  # type: ignore[return-value]  # SelectableGroups is of Python 3.11
+    return entry_points()  # type: ignore[return-value]  # Python 3.11: SelectableGroups
 
 
 @cache
 def plugins(group: str) -> Mapping[str, EntryPoint]:
-    """Entry points of a group by name; sero-mj's own first, and never replaced by another's."""
+    """Returns the entry points of a group by name. Those of sero-mj cannot be replaced."""
     found: dict[str, EntryPoint] = {}
     points = _entry_points().select(group=group)
     for point in sorted(points, key=lambda point: not is_own(point)):
@@ -55,13 +55,13 @@ def plugins(group: str) -> Mapping[str, EntryPoint]:
 
 
 def forget_plugins() -> None:
-    """Looks for entry points again, where packages were installed since."""
+    """Clears the cache, so that packages installed since the last call are found."""
     for found in (_entry_points, plugins, load_all):
         found.cache_clear()
 
 
 def is_own(point: EntryPoint) -> bool:
-    """Whether it is part of sero-mj."""
+    """Whether an entry point is part of sero-mj."""
     return point.value.partition(".")[0] == _OWN
 
 
@@ -71,9 +71,9 @@ def is_own_class(kind: type) -> bool:
 
 
 def load_plugin(group: str, name: str, base: type | None = None) -> Any:
-    """Imports what an entry point names, a subclass of `base` if given.
+    """Loads an entry point, which must be a subclass of `base` unless `base` is None.
 
-    Raises UnknownName, or PluginError if its package cannot be imported or it names something else.
+    Raises UnknownName if it does not exist, or PluginError if it cannot be loaded or is invalid.
     """
     known = plugins(group)
     if name not in known:
@@ -92,42 +92,41 @@ def load_plugin(group: str, name: str, base: type | None = None) -> Any:
         if kind is not None and kind.default != name:
             raise mismatch(kind.default, "the entry point's name", "found kind =")
         return found
-    except Exception as error:  # whatever another package raises when it is imported
+    except Exception as error:  # third-party code may raise anything
         raise PluginError(group, known[name], error) from error
 
 
 @cache
 def load_all(group: str, base: type | None = None) -> Mapping[str, Any]:
-    """All of a group by name; logs once which cannot be loaded, and leaves them out.
+    """Returns all loaded entry points of a group by name, which must be subclasses of `base`.
 
-    Args:
-        base: of the classes that they have to name.
+    Entry points that cannot be loaded are skipped, with one warning in the log.
     """
     found: dict[str, Any] = {}
     for name in plugins(group):
         try:
             found[name] = load_plugin(group, name, base)
         except PluginError as error:
-            log.warning("%s; left out", error)
+            log.warning("%s; skipped", error)
     return found
 
 
 def load_first(group: str, base: type) -> Any | None:
-    """Makes an object of the first class of a group, without arguments; None without any."""
+    """Returns an instance of the first class of a group, or None if the group is empty."""
     return next((kind() for kind in load_all(group, base).values()), None)
 
 
 def plugin_name(group: str, item: type) -> str:
-    """The name under which a class is an entry point of a group.
+    """Returns the name of the entry point for a class.
 
-    Raises UnknownName if it is not an entry point.
+    Raises UnknownName if the class has no entry point in the group.
     """
     value = f"{item.__module__}:{item.__qualname__}"
     found = plugins(group)
     for name, point in found.items():
         if point.value == value:
             return name
-    for name, point in found.items():  # its package may re-export it from another module
+    for name, point in found.items():  # the package may export the class from another module
         with suppress(Exception):
             if not is_own(point) and point.load() is item:
                 return name

@@ -1,7 +1,7 @@
-"""A script that ends process groups and removes files once the process that started it has died.
+"""A script that ends process groups and removes files after its parent process has died.
 
-A process that is killed by `kill -9`, or crashes, cannot do so itself. The script reads what to end
-and remove from its standard input, and imports nothing of sero-mj, so that it starts at once.
+A process that crashes, or is killed by `kill -9`, cannot clean up itself. The script reads process
+groups and files from its standard input. It starts quickly because it imports nothing of sero-mj.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from contextlib import suppress
 from pathlib import Path
 
 _GRACE = 5.0  # s between SIGTERM and SIGKILL
-_EVERY = 1.0  # s between two looks at the parent: a forked copy of it keeps the input open
+_EVERY = 1.0  # s between checks of the parent: a forked copy of it leaves the input open
 
 
 def main(parent: int) -> None:
-    """Reads entries until the parent process has died, then ends and removes what is listed.
+    """Reads entries until the parent process has died, then ends and removes the listed items.
 
-    An entry ends with a NUL byte. `+g` and a number add a process group, `+p` and a path add a file
-    or folder, `-g` and `-p` remove an entry.
+    Each entry ends with a NUL byte. `+g` and a number add a process group, `+p` and a path add a
+    file or folder, `-g` and `-p` remove an entry.
     """
     entries: set[bytes] = set()
     rest = b""

@@ -1,4 +1,4 @@
-"""Data reduction: peak, root mean square, and the envelope of a curve."""
+"""Data reduction: peak value, root mean square, and envelope of a curve."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from .frames import Array
 
 
 def envelope(times: Array, values: Array, bins: int) -> tuple[Array, Array]:
-    """Keeps the smallest and the largest value of every interval, at their own times.
+    """Returns the points with the smallest and the largest value of each bin.
 
-    Every returned point is an input point, so that no peak is lost or lowered. Times (T,) rise, and
-    values (T,) are NaN where unknown; up to two points are kept per bin. If there are few rows, all
-    of them are returned. An interval without any number is a gap.
+    All returned points are input points, so no peak is lost or lowered. If there are at most two
+    points per bin, all points are returned. A bin without any known value becomes a gap.
+
+    Args:
+        times: increasing times, shape (T,), s.
+        values: values at these times, shape (T,); NaN if unknown.
     """
     count = len(times)
     if count <= 2 * bins:
@@ -25,19 +28,19 @@ def envelope(times: Array, values: Array, bins: int) -> tuple[Array, Array]:
     first = np.arange(len(stretches)) * size
     low = first + np.argmin(np.where(known, stretches, np.inf), axis=1)
     high = first + np.argmax(np.where(known, stretches, -np.inf), axis=1)
-    # Also the first and the last row, so that lines have the same begin and end.
-    kept = np.unique(np.concatenate([low, high, [0, count - 1]]))
-    return times[kept], values[kept]
+    # The first and the last point preserve the ends of the curve.
+    selected = np.unique(np.concatenate([low, high, [0, count - 1]]))
+    return times[selected], values[selected]
 
 
 def peak(values: Array) -> int | None:
-    """Row of the value (T,) of largest magnitude; None if all are unknown."""
+    """Returns the index of the value (T,) with the largest magnitude; None if all are NaN."""
     if not np.isfinite(values).any():
         return None
     return int(np.argmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
 
 
 def rms(values: Array) -> float:
-    """Root mean square of the known values (T,); NaN if all are unknown."""
+    """Returns the root mean square of the values (T,) that are not NaN; NaN if all are."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan

@@ -1,4 +1,4 @@
-"""Reads TOML files with the line of every key, for error messages."""
+"""Reads TOML files together with the line number of each key, for error messages."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .paths import format_of, read_file
 
 _MCAP = b"\x89MCAP"
 _MAX_BYTES = 20_000_000
-_MAX_PARTS = 100  # of a dotted key; reading one takes the square of it
-# Of keys and tables, each of which takes 1 kB while parsing, and of strings and numbers.
+_MAX_PARTS = 100  # parts of a dotted key: the parsing time grows with their square
+# A key or table takes 1 kB of memory while parsing.
 _MAX_NAMES, _MAX_VALUES = 100_000, 2_000_000
 # Quotes and comments match as a whole; an unclosed one ends with its line.
 _LONG_TEXT = (
@@ -43,17 +43,16 @@ _NAMES_AND_VALUES = re.compile(
     r"(?P<ends>=|(?(header)\]\]?[ \t]*+(?=[\n#]|\Z)|=))?",
     re.DOTALL | re.MULTILINE,
 )
-_MAX_KEPT = 100_000  # characters of a text for which what is found in it is kept
+_MAX_CACHED = 100_000  # characters of a text whose results are cached
 _Found = TypeVar("_Found")
-_MAX_ROWS = 300  # of an array whose entries are told apart; looking takes the square of it
+_MAX_ROWS = 300  # rows of an array with line numbers per entry: the time grows with the square
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Parses a TOML file.
 
     Raises:
-        DeclarationError: the file is missing, unreadable, too long, not UTF-8, or not TOML; for
-            the latter the text has the line and column.
+        DeclarationError: the file is missing, unreadable, too large, not UTF-8, or not valid TOML.
     """
 
     def wrong(message: str) -> DeclarationError:
@@ -79,7 +78,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_toml(text: str) -> dict[str, Any]:
     """Parses TOML.
 
-    Raises ValueError if it is invalid, or too large or deeply nested for the memory; says where.
+    Raises ValueError if the text is invalid, too large, or too deeply nested.
     """
     return {key: _copied(value) for key, value in _tables_of(text).items()}
 
@@ -104,13 +103,13 @@ def _hint(text: str, message: str) -> str:
     return f"; write {lower} in lower case" if lower in ("true", "false") else ""
 
 
-def _kept(function: Callable[[str], _Found]) -> Callable[[str], _Found]:
-    """Keeps what is found in texts: all variants of a sweep read the same files."""
-    keep = lru_cache(8)(function)
-    return lambda text: keep(text) if len(text) <= _MAX_KEPT else function(text)
+def _cached(function: Callable[[str], _Found]) -> Callable[[str], _Found]:
+    """Caches the results of recent texts, because all variants of a sweep read the same files."""
+    cached = lru_cache(8)(function)
+    return lambda text: cached(text) if len(text) <= _MAX_CACHED else function(text)
 
 
-_tables_of = _kept(_parse)  # to copy them takes a tenth of parsing
+_tables_of = _cached(_parse)  # copying the result takes a tenth of the time of parsing
 
 
 def _copied(value: Any) -> Any:
@@ -134,14 +133,14 @@ def _check_counts(text: str) -> None:
                 parts = len(_PARTS.findall(key))  # without the dots in quotes
             names += parts if found["ends"] else 0
             values += 0 if found["ends"] else 1
-        for count, most, what in (
+        for count, maximum, what in (
             (parts, _MAX_PARTS, "parts of a key with dots"),
             (names, _MAX_NAMES, "keys and tables"),
             (values, _MAX_VALUES, "values"),
         ):
-            if count > most:
+            if count > maximum:
                 line = text.count("\n", 0, found.start("key") if key else found.start()) + 1
-                raise ValueError(f"expected at most {most} {what} (at line {line})")
+                raise ValueError(f"expected at most {maximum} {what} (at line {line})")
 
 
 def _as_text(contents: bytes) -> str:
@@ -150,7 +149,7 @@ def _as_text(contents: bytes) -> str:
 
 def _other_format(contents: bytes) -> str | None:
     if contents.startswith(_MCAP):
-        return "is a recording; expected a TOML file. view, render and export show recordings"
+        return "is a recording; expected a TOML file. Use view, render or export to open it"
     if (found := format_of(contents)) is None:
         return None
     how = "a robot is a Denavit-Hartenberg table in TOML, or URDF or MJCF in .urdf or .xml"
@@ -160,9 +159,9 @@ def _other_format(contents: bytes) -> str | None:
 def key_lines(path: Path) -> dict[str, int]:
     """Returns the line number of each dotted key and table header.
 
-    The file is split into statements, each parsed separately, so that quotes, dots, inline tables
-    and multi-line values are handled as in TOML. An entry of an array has the line of its begin;
-    any other key inside a value has that of its statement.
+    The file is split into statements that are parsed separately, so that quotes, dots, inline
+    tables and multi-line values are handled as in TOML. An entry of an array has the line of its
+    first character. Other keys inside a value have the line of the statement.
     """
     try:
         return dict(_lines_of(_as_text(read_file(path, _MAX_BYTES))))
@@ -170,14 +169,14 @@ def key_lines(path: Path) -> dict[str, int]:
         return {}
 
 
-@_kept
+@_cached
 def _lines_of(text: str) -> dict[str, int]:
     lines: dict[str, int] = {}
     table = ""
-    entries: Counter[str] = Counter()  # of arrays of tables
+    entries: Counter[str] = Counter()  # number of entries per array of tables
     for number, statement in _statements(text):
         try:
-            parsed = _parse(statement)  # kept ones would take the places of whole files
+            parsed = _parse(statement)  # not cached: statements would displace whole files
         except ValueError:
             continue
         if statement.lstrip().startswith("["):
@@ -188,7 +187,7 @@ def _lines_of(text: str) -> dict[str, int]:
                 lines.setdefault(table, number)
                 entries[table] += 1
                 table += f".{entries[table] - 1}"
-            # A table inside an array of tables belongs to the array's latest entry.
+            # A table inside an array of tables belongs to the last entry of the array.
             for array, count in entries.items():
                 if table.startswith(f"{array}.") and not table.startswith(f"{array}.{count - 1}"):
                     table = f"{array}.{count - 1}{table.removeprefix(array)}"
@@ -204,7 +203,7 @@ def _lines_of(text: str) -> dict[str, int]:
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
     depth = begin = 0
-    line = first = 1  # of the text, and of the statement
+    line = first = 1  # current line, first line of the statement
     for token in chain(_TOKENS.finditer(text), [None]):
         what = "" if token is None else token.group()
         depth += (what in ("[", "{")) - (what in ("]", "}"))
@@ -220,9 +219,9 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str, int]]:
-    """Returns the number of parts of an array entry's key, and line offsets by key.
+    """Returns the number of key parts of an array entry, and line offsets by key.
 
-    The text up to the end of a line is parsed as an array after closing it there.
+    Parses the text up to the end of each line, after closing the array there.
     """
     key = _array_in(parsed)
     rows = statement.rstrip("\n").split("\n")
@@ -235,7 +234,7 @@ def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str,
         try:
             value: Any = parse_toml(text if count == len(rows) else f"{text}\n]")
         except ValueError:
-            continue  # it ends in the middle of an entry
+            continue  # the line ends in the middle of an entry
         for part in key.split("."):
             value = value[part]
         found |= {f"{key}.{index}": begin for index in range(known, len(value))}
@@ -265,10 +264,10 @@ def _keys(value: Any, prefix: str = "") -> Iterator[str]:
 def located(
     problems: Iterable[Problem], path: Path, lines: Mapping[str, int] | None = None
 ) -> list[Problem]:
-    """Returns problems with their file, and the line of their key or of the nearest one above.
+    """Returns problems with their file, and with the line of their key or of a parent key.
 
-    Problems that have a file already are in another one. `lines` are by dotted key; None finds
-    them.
+    Problems that already name a file are returned unchanged. `lines` contains the line numbers by
+    dotted key (default: read from the file).
     """
     problems = list(problems)
     if lines is None:

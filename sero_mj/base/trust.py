@@ -1,21 +1,20 @@
-"""What may run: the one place that decides whether a file may start a program or load code.
+"""Decides whether a file may start programs or load code. No other module decides this.
 
-A file is data. What it asks for (to run a controller's program, to load a library or an FMU, to
-exchange packets with a program on the network) is read and checked, but not done, unless the file
-is trusted. A file is trusted in three cases:
+A file can request actions: run the program of a controller, load a library or an FMU, exchange
+packets with a program on the network. sero-mj reads and checks these requests, but performs them
+only if the file is trusted. A file is trusted in three cases:
 
-- Its user typed its path in order to simulate it: `sero-mj simulate`, `sweep`, `send --play` and
-  `view`, or `read_scenario` and `view` in Python. It then runs as FILE does in `python FILE`.
+- The user typed its path in order to simulate it: `sero-mj simulate`, `sweep`, `send --play` and
+  `view`, or `read_scenario` and `view` in Python. This is like `python FILE`.
 - It is in a folder that the user trusts (`view --trust FOLDER`).
 - The user allowed exactly this content in the dialog of a window or page.
 
-Everything else that arrives (dropped or uploaded files, files opened from a page, scenarios in
-recordings) is shown without simulating. Declarations made in Python have no file. They are part of
-the user's own program and run.
+All other files (dropped or uploaded files, files opened from a page, scenarios in recordings) are
+displayed without simulation. Declarations made in Python have no file. They belong to the program
+of the user and are trusted.
 
-Two more rules concern modules. A module that a file names is imported only if an installed package
-lists it, see `import_listed`. Expressions of xacro never reach Python, see
-`robots.importers.xacro_file`.
+A module that a file names is imported only if an installed package lists it, see `import_listed`.
+Expressions of xacro are not evaluated by Python, see `robots.importers.xacro_file`.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from typing import Any
 
 from .errors import NotTrusted, UnknownName, in_one_line
 
-log = logging.getLogger(__name__)  # what was withheld; windows and pages show a dialog instead
+log = logging.getLogger(__name__)  # withheld actions; windows and pages show a dialog instead
 
 _folders: set[Path] = set()
 _allowed: set[str] = set()  # digests of requests
@@ -38,12 +37,12 @@ _allowed: set[str] = set()  # digests of requests
 
 @dataclass(frozen=True)
 class RequestedAction:
-    """Something that a file asks to do besides showing robots.
+    """An action that a file requests in addition to displaying robots.
 
     Attributes:
-        key: table that asks, `controllers.lwr` for example.
-        text: what it does, as a verb phrase in one line: `run the program ./controller 5000`.
-        files: the files that would be run, as far as they are known.
+        key: table that requests the action, for example `controllers.lwr`.
+        text: verb phrase in one line, for example `run the program ./controller 5000`.
+        files: files that would be run, as far as they are known.
     """
 
     key: str
@@ -67,12 +66,12 @@ class FileOrigin:
 
 @dataclass(frozen=True)
 class Request:
-    """Everything that a file asks for.
+    """All actions that a file requests.
 
     Attributes:
-        tables: the other files that say what is run, such as an extended scenario.
-        digest: SHA-256 of the contents of all its files, and of what is run, as they were when the
-            request was made: what a user allows is what was shown.
+        tables: other files that declare actions, such as an extended scenario.
+        digest: SHA-256 digest of the actions and of the contents of all files at the time of the
+            request. A permission is valid only for the content that the user was shown.
     """
 
     file: Path
@@ -98,12 +97,12 @@ class Request:
 
 
 def trust_folder(folder: Path | str) -> None:
-    """Allows the files in a folder, and in those below it, to run what they ask for."""
+    """Trusts the files in a folder and its subfolders."""
     _folders.add(Path(folder).resolve())
 
 
 def allow(request: Request) -> None:
-    """Allows a request as long as the contents of its files stay as they were when it was made."""
+    """Allows a request until the content of one of its files changes."""
     _allowed.add(request.digest)
 
 
@@ -117,18 +116,15 @@ def is_allowed(request: Request) -> bool:
 
 
 def require(origin: FileOrigin | None, actions: Collection[RequestedAction]) -> None:
-    """Checks that a declaration may run what it asks for.
-
-    Raises NotTrusted if its file is not trusted.
-    """
+    """Raises NotTrusted if a declaration requests actions and its file is not trusted."""
     if actions and origin is not None and not origin.is_trusted:
         raise NotTrusted(origin.file, [str(action) for action in actions])
 
 
 def import_listed(package: str, module: str, listed: Iterable[str]) -> Any:
-    """Imports a module that a file may have named.
+    """Imports a module whose name may come from a file.
 
-    Raises UnknownName if the package does not list it.
+    Raises UnknownName if the package does not list the module.
     """
     known = list(listed)
     if module not in known:

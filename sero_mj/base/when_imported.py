@@ -1,6 +1,7 @@
-"""Lets extensions act as soon as another package is imported, which sero_mj itself does not import.
+"""Calls functions of extensions when a third-party package is imported.
 
-They name the package and a function without arguments in the group `sero_mj.when_imported`.
+An entry point in the group `sero_mj.when_imported` has the name of the package, and refers to a
+function without arguments.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ if TYPE_CHECKING:
 
 
 def when_imported(package: str) -> None:
-    """Calls what extensions name for a package: now, or when the package is imported."""
+    """Calls the function for a package, now or as soon as the package is imported."""
     if package in sys.modules:
-        _act(package)
+        _call(package)
     elif not any(isinstance(each, _Finder) and each.package == package for each in sys.meta_path):
         sys.meta_path.insert(0, _Finder(package))
 
 
-def _act(package: str) -> None:
+def _call(package: str) -> None:
     from .plugins import WHEN_IMPORTED, plugins
 
     point = plugins(WHEN_IMPORTED).get(package)
@@ -30,8 +31,8 @@ def _act(package: str) -> None:
         point.load()()
 
 
-class _Finder:  # importlib.abc.MetaPathFinder takes 10 ms to import
-    """Finds nothing itself; acts once others have found and imported the package."""
+class _Finder:  # importing importlib.abc.MetaPathFinder would take 10 ms
+    """Finds no modules. Wraps the loader of the package that another finder has found."""
 
     def __init__(self, package: str) -> None:
         self.package = package
@@ -49,9 +50,9 @@ class _Finder:  # importlib.abc.MetaPathFinder takes 10 ms to import
             return None
         execute = spec.loader.exec_module
 
-        def execute_and_act(module: ModuleType) -> None:
+        def execute_and_call(module: ModuleType) -> None:
             execute(module)
-            _act(fullname)
+            _call(fullname)
 
-        spec.loader.exec_module = execute_and_act  # type: ignore[method-assign]
+        spec.loader.exec_module = execute_and_call  # type: ignore[method-assign]
         return spec

@@ -273,9 +273,9 @@ def _described(recording: PacketFile) -> Scene | None:
 def _in_order(
     recording: PacketFile, joints: Sequence[str], options: ExportOptions
 ) -> tuple[list[str], str]:
+    from ..base.errors import first_of
     from ..data.record.csv_files import prefix_before
     from ..load import load_robot
-    from ..robots.importers.imported_tables import first_of
 
     if options.joint_order is not None:
         robots = list(read_scene(options.joint_order).robots.values())

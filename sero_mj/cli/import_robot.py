@@ -14,8 +14,7 @@ from ..base.errors import UsageError
 from ..base.options import Option, positional
 from ..base.paths import format_of_file, model_name
 from ..base.plugins import is_own_class
-from ..robots.importers.importer import find_importer
-from ..robots.importers.known_formats import Mjcf
+from ..robots.importers.importer import Mjcf, find_importer
 from .arguments import check_ending, check_new, command, writing
 from .new import print_next, scene_text, write_scene
 from .shared_options import PackageOptions
@@ -129,7 +128,7 @@ def _read(options: ImportOptions) -> _Source:
                 described, tables, limbs, file=path.name, bodies=bodies, flange=flange
             )
 
-        return _Source(described, write_geoms, "MJCF declares geoms in the frames of its joints")
+        return _Source(described, write_geoms, "MJCF geoms are placed in joint frames")
     file = UrdfFile(path, convention=options.convention or "craig")
     file.check()
 
@@ -142,13 +141,13 @@ def _read(options: ImportOptions) -> _Source:
             file.described, tables, limbs, file=path.name, bodies=bodies, flange=flange
         )
 
-    return _Source(file.described, write_meshes, "no such table has the frames of the joints")
+    return _Source(file.described, write_meshes, "no DH table describes its joint frames")
 
 
 def _about_joints(robot: SerialRobot) -> str:
     coupled, names = robot.coupled, robot.names
     independent = coupled.independent.tolist()
-    lines = ["# Joints in the order of packets:"]
+    lines = ["# Order of the joints in packets:"]
     lines += _comment([f"{k + 1} {names[i]}" for k, i in enumerate(independent)])
     followers = [
         f"{names[i]} = {coupled.ratio[i]:g} {names[independent[source]]}"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from ..base import paths
-from ..base.declaration import Declaration, meanings
+from ..base.declaration import Declaration, field_descriptions
 from ..base.options import Option, Options
 from ..base.plugins import (
     COMMANDS,
@@ -209,7 +209,7 @@ def field_rows(declaration: type[Declaration]) -> list[tuple[str, str, str]]:
 
     The default of a required field is empty.
     """
-    about = meanings(declaration)
+    about = field_descriptions(declaration)
     rows = []
     for name, field in declaration.model_fields.items():
         if name != "kind":

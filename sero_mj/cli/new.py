@@ -47,53 +47,55 @@ _BENT = (0.5, 1.1, 0.7)
 
 _ROBOT = """\
 #:schema ./robot.schema.json
-# {name}: change what is here; `sero-mj list --fields` has all keys, docs/robots.md explains them.
+# The robot {name}. Edit this file. `sero-mj list --fields` lists all keys, and docs/robots.md
+# explains them.
 description = "{name}, {n} joints"
 
-# One row for every joint: alpha (deg), a (m), theta (deg), d (m). Of the two conventions, "craig"
-# (modified) turns and moves along x first, "standard" along z first.
+# Denavit-Hartenberg table, one row per joint: alpha (deg), a (m), theta (deg), d (m).
+# "craig" (modified) rotates and translates along x first, "standard" along z first.
 dh_convention = "craig"
 dh_params_deg = [
 {rows}
 ]
-# joint_types = ["revolute", "prismatic", ...]   # all are revolute
-flange_frame = {{ xyz = [0.0, 0.0, 0.1] }}         # from the last joint's frame, m
+# joint_types = ["revolute", "prismatic", ...]   # default: all revolute
+flange_frame = {{ xyz = [0.0, 0.0, 0.1] }}         # relative to the last joint's frame, m
 
 position_limits_deg = [
 {limits}
 ]
-velocity_limits_deg = [{velocities}]
-torque_limits = [{torques}]   # Nm; at these arrows have their full width
+velocity_limits_deg = [{velocities}]   # deg/s
+torque_limits = [{torques}]   # Nm; arrows reach full width at these torques
 
-joint_angles = [{angles}]   # rad, until something is received
+joint_angles = [{angles}]   # rad; initial pose, until the first packet
 
-# Without files, links get shapes that follow the table. With files, one for the base and one for
-# every joint, each in the frame of its row:
+# Without mesh files, the link shapes are generated from the table. With mesh files, list one for
+# the base and one for the link of each joint, in the frame of its row:
 # directory = "meshes"
 # filenames = ["base.stl", "link1.stl", ...]
-# mesh_scale = 0.001                             # for files in mm
+# mesh_scale = 0.001                             # if the files are in mm
 
-# What is simulated has masses, friction and motors as well; estimated where they are not given:
+# Simulations also need masses, friction and motor inertias. Values that are not declared here are
+# estimated:
 # [dynamics]
-# masses = [...]                                 # kg, of the base and the links; with them
-# centers_of_mass = [[...], ...]                 # m, in the frames of the rows, and
+# masses = [...]                                 # kg, base first; requires the next two
+# centers_of_mass = [[...], ...]                 # m, in the frames of the rows
 # inertias = [[...], ...]                        # kg m2: Ixx, Iyy, Izz, Ixy, Ixz, Iyz
-# motor_inertias = [...]                         # kg m2, as seen at the joints
+# motor_inertias = [...]                         # kg m2, at the joint (after the gear)
 """
 
 _SCENE = """\
 #:schema ./{name}/scene.schema.json
-# Shows {name} as its packets say: {n} joint angles (rad) and {n} torques (Nm), 8 bytes each.
+# Mirrors {name} from UDP packets of {n} joint angles (rad) and {n} torques (Nm), as float64.
 {joints}description = "{name} from packets of {n} angles and {n} torques"
 {more}
 [robots.{name}]
-model = "{name}"                   # the folder beside this file
+model = "{name}"                   # the folder next to this file
 show_arrows = true
 
 [sources.udp]
 kind = "udp"
 port = 32000
-structure = "{n}F{n}F"             # `sero-mj structure {n}F{n}F` says what stands where
+structure = "{n}F{n}F"             # `sero-mj structure {n}F{n}F` prints the offsets
 
 [routes]
 "{name}.joint_angles" = "udp.values0"
@@ -137,7 +139,7 @@ class NewOptions(Options):
             self.refuse(("joints", "like"), " cannot be combined with --snippet")
         else:
             self.refuse(("robot", "host", "port", "scene"), " needs --snippet NAME")
-        if self.like is not None and self.given("joints"):
+        if self.like is not None and self.set_among("joints"):
             raise ValueError("--joints cannot be combined with --like, which copies all joints")
         return self
 
@@ -145,7 +147,7 @@ class NewOptions(Options):
 def run(options: NewOptions) -> int:
     """Writes the files, or prints a snippet; returns 0."""
     from ..robots.declared.robot import SerialRobot
-    from ..robots.importers.robot_file import is_robot_file
+    from ..robots.importers.importer import is_robot_file
 
     if options.snippet is not None:
         text = snippet_text(
@@ -239,8 +241,8 @@ def robot_text(name: str, n: int) -> str:
 
 
 _SNIPPET_SCENE = """\
-# Shows the data sent by the code of `sero-mj new --snippet {name}`: angles (rad), measured and
-# commanded torques (Nm) of {n} joints.
+# Mirrors a robot from the packets that the code of `sero-mj new --snippet {name}` sends:
+# angles (rad), measured torques and commanded torques (Nm) of {n} joints.
 [robots.{robot}]
 model = "{model}"
 show_arrows = true
@@ -260,7 +262,7 @@ time = "time"
 "{robot}.commanded_torques" = "udp.commanded{more}"
 """
 _SCENARIO = """\
-# Runs the controller of `sero-mj new --snippet {name}`, which follows a sine.
+# Runs the controller of `sero-mj new --snippet {name}` along a sine, and checks its position error.
 [robots.{robot}]
 model = "{model}"
 show_arrows = true
@@ -277,7 +279,7 @@ ramp = 1.0
 [run]
 duration = 3.0
 
-[expect.follows]
+[expect.position_error]
 robot = "{robot}"
 measure = "position_error"
 below = 0.05

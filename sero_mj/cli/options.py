@@ -9,7 +9,7 @@ from dataclasses import replace
 from types import NoneType
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
-from ..base.declaration import meanings
+from ..base.declaration import field_descriptions
 from ..base.errors import DeclarationError
 from ..base.options import Options
 
@@ -22,7 +22,7 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
     The parsed namespace has text, or lists of text, and only the options of the command line.
     `read_options` checks the values and sets the defaults.
     """
-    about = meanings(kind)
+    about = field_descriptions(kind)
     # A field that a subclass declares again stays in the group of the first class.
     owners = {name: owner for owner in kind.__mro__ for name in inspect.get_annotations(owner)}
     for name in kind.model_fields:

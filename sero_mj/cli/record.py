@@ -270,7 +270,7 @@ def _play_through(
         now += step
         for source in sources.values():
             source.advance_to(now)
-        recorder.wait_until_seen()
+        recorder.wait_until_handled()
         if not quiet and console.is_terminal:
             console.file.write(f"{min(now, end):.1f} of {end:.1f} s\r")
             console.file.flush()

@@ -58,7 +58,9 @@ class RenderOptions(SceneArgument, VideoOptions, EyeOptions, ShownOptions, OverO
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
-        if not self.is_video and (options := self.given("duration", "fps", "orbit", "camera_path")):
+        if not self.is_video and (
+            options := self.set_among("duration", "fps", "orbit", "camera_path")
+        ):
             expected = f"expected a video ({', '.join(VIDEO_FORMATS)})"
             raise ValueError(f"-o {self.output}: {expected} with {options[0]}")
         self._check_pass()

@@ -69,8 +69,12 @@ def make_sink(options: SinkOptions, source: Source, structure: Structure) -> Udp
     if not port and not source.is_live:
         reason = "is a recording, which cannot receive packets. Add --port and --host."
         raise UsageError(f"source '{source.name}' of the scene {reason}")
+    if source.place is None and not port:
+        how = "which does not receive UDP packets. Use --port to send its packets to a UDP port"
+        raise UsageError(f"source '{source.name}' is {source.about}, {how}")
     if not port:
-        raise UsageError(f"source '{source.name}' of the scene has no port. Add --port.")
+        reason = "listens on a port that the system chooses (port = 0). Use --port to set it"
+        raise UsageError(f"source '{source.name}' of the scene {reason}")
     message_of = source.message_of if options.structure is None else None
     return UdpSink(options.host or "127.0.0.1", port, message_of)
 
@@ -218,7 +222,7 @@ class SendOptions(SceneArgument, PlayOptions, ControllerOptions, SinkOptions):
     def _check_place(self) -> Self:
         if (self.rate or 0.0) > MAX_RATE:
             raise ValueError(f"--rate {self.rate:g}: expected at most {MAX_RATE:g} packets/s")
-        if self.shm is not None and (others := self.given("host", "port")):
+        if self.shm is not None and (others := self.set_among("host", "port")):
             raise ValueError(f"--shm cannot be combined with {others[0]}")
         return self
 

@@ -83,6 +83,10 @@ def run(options: StatusOptions) -> int:
         print_json(found)
     elif not sys.stdout.isatty():
         _print(found)
+        silent = [entry["source"] for entry in found if not entry["received"]]
+        for port in [place[1] for name in silent if (place := wiring.sources[name].place)][:1]:
+            hint = f"sero-mj structure --sniff {port or 'PORT'} shows all packets at its port"
+            print(hint, file=sys.stderr)
     return 0 if all(entry["good"] for entry in found) else 1
 
 
@@ -163,8 +167,6 @@ def _print(found: list[dict[str, Any]]) -> None:
         print(f"{entry['source']}: {entry['about']}")
         for what, count, why in _rows(entry):
             print(f"  {what:15} {count:>10}  {why}")
-    if any(not entry["received"] for entry in found):
-        print("sero-mj structure --sniff PORT shows all packets at a port", file=sys.stderr)
 
 
 _CHECKED = 5  # positions of a recording

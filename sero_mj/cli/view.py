@@ -91,12 +91,12 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
     @property
     def page_options(self) -> list[str]:
         """The used options that only a page has."""
-        return self.given("port", "host", "token", "no_token", "no_browser")
+        return self.set_among("port", "host", "token", "no_token", "no_browser")
 
     @property
     def window_options(self) -> list[str]:
         """The used options that only a window has."""
-        return self.given("size", "full_screen", "stereo", "over")
+        return self.set_among("size", "full_screen", "stereo", "over")
 
     @model_validator(mode="after")
     def _check_place(self) -> Self:

@@ -30,7 +30,7 @@ from ..data.record.csv_files import is_table
 from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
 from ..robots.declared.scene_file import read_scene_file, scene_from_tables
-from ..robots.importers.robot_file import is_robot_file
+from ..robots.importers.importer import is_robot_file
 from .control.make_controller import controller_kinds
 from .runs.monitor import Monitor
 from .runs.run_recording import read_run

@@ -9,10 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from ..base.errors import Problem, UsageError
+from ..base.errors import Problem, UsageError, first_of
 from ..base.frames import Array
 from ..robots.declared.robot import SerialRobot
-from ..robots.importers.imported_tables import first_of
 from ..simulate.runs.run_log import RunLog, compared_signal
 
 log = logging.getLogger(__name__)

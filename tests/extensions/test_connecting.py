@@ -14,8 +14,8 @@ from polling import until
 
 from sero_mj import FrankaReceiver, RtdeReceiver
 from sero_mj.data.receive import connecting, receiving_thread
-from sero_mj.data.receive.led_robot import LedJoint
-from sero_mj.data.receive.receiving_thread import ClosedHere
+from sero_mj.data.receive.receiving_thread import Closing
+from sero_mj.data.receive.routed_joints import RoutedJoint
 from sero_mj.data.receive.source import Source
 from sero_mj.extensions.ros.foxglove import Foxglove
 from sero_mj.extensions.ros.zenoh import Zenoh
@@ -26,13 +26,13 @@ Found = list[tuple[Any, ...]]
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.002)
-    monkeypatch.setattr(receiving_thread, "LONGEST", 0.02)
+    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 0.002)
+    monkeypatch.setattr(receiving_thread, "MAX_PAUSE", 0.02)
 
 
 def ros(kind: type[Source], **fields: Any) -> Source:
     source = kind(**fields)
-    source.led_to([LedJoint("joint")])
+    source.set_joints([RoutedJoint("joint")])
     return source
 
 
@@ -167,5 +167,5 @@ def test_connecting_ends_when_it_is_woken() -> None:
     here, there = socket.socketpair()
     with here, there, listening() as (port, _):
         there.send(b"x")
-        with pytest.raises(ClosedHere):
+        with pytest.raises(Closing):
             connecting.connect("127.0.0.1", port, here)

@@ -1,4 +1,4 @@
-/* Call sero_send in your control loop: it never blocks, allocates memory or raises errors. */
+/* Call sero_send in your control loop. It does not block or allocate memory, and ignores errors. */
 #include <arpa/inet.h>
 #include <stdint.h>
 #include <string.h>
@@ -6,12 +6,12 @@
 #include <time.h>
 
 #define SERO_JOINTS 7
-#define SERO_HOST "127.0.0.1" /* where sero-mj runs */
+#define SERO_HOST "127.0.0.1" /* the computer that runs sero-mj */
 #define SERO_PORT 32000
 
 #pragma pack(push, 1)
 struct sero_packet {
-  uint32_t count; /* all values are little-endian, as on x86 and ARM */
+  uint32_t count; /* all values are little-endian, the byte order of x86 and ARM */
   double time, angles[SERO_JOINTS]; /* s, rad */
   double torques[SERO_JOINTS], commanded[SERO_JOINTS]; /* Nm */
 };

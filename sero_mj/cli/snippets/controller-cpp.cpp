@@ -1,12 +1,12 @@
 // A controller for sero-mj as a shared library:
 //
 //     c++ -O2 -std=c++17 -shared -fPIC controller.cpp -o controller.so
-//     sero-mj simulate controller.toml          (printed by sero-mj new --snippet controller-cpp --scene)
+//     sero-mj simulate controller.toml          (sero-mj new --snippet controller-cpp --scene prints it)
 #include "sero_mj_controller.h"
 
 namespace {
 
-// Joint impedance with a filtered velocity, which is stored between the steps.
+// Joint impedance with a filtered velocity, which is kept between steps.
 class Impedance {
  public:
   void control(sero_mj_robot &robot) {

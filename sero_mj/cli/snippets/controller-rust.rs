@@ -1,10 +1,11 @@
 // A controller for sero-mj as a shared library:
 //
 //     rustc -O --crate-type cdylib controller.rs -o controller.so
-//     sero-mj simulate controller.toml          (printed by sero-mj new --snippet controller-rust --scene)
+//     sero-mj simulate controller.toml          (sero-mj new --snippet controller-rust --scene prints it)
 use std::os::raw::{c_double, c_int};
 
-/// The state of a robot with n joints (rad, Nm; m, N for prismatic joints). The arrays are the same in every step.
+/// State of a robot with n joints. Units: rad and Nm; m and N for prismatic joints. The pointers
+/// are the same in every step.
 #[repr(C)]
 pub struct Robot {
     n: c_int,
@@ -14,17 +15,17 @@ pub struct Robot {
     angles: *const c_double, // measured
     velocities: *const c_double,
     torques: *const c_double,
-    target_angles: *const c_double, // targets
+    target_angles: *const c_double, // desired motion
     target_velocities: *const c_double,
     target_accelerations: *const c_double,
-    gravity: *const c_double, // torques that hold the robot; null with gravity = false
-    torques_out: *mut c_double, // output; contains the values of the last step
+    gravity: *const c_double, // torques that hold the robot; null if gravity = false
+    torques_out: *mut c_double, // output; contains the torques of the last step
 }
 
-/// Joint impedance: a spring and a damper at the target, and gravity compensation.
+/// Joint impedance: stiffness and damping about the target, plus gravity compensation.
 ///
 /// # Safety
-/// `robot` points to a robot whose arrays have n numbers.
+/// `robot` must point to a valid `Robot` whose arrays have n elements.
 #[no_mangle]
 pub unsafe extern "C" fn control(robot: *mut Robot) {
     let robot = &mut *robot;

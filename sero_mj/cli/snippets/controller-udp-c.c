@@ -1,7 +1,7 @@
-/* A controller for sero-mj as a separate program over UDP:
+/* A controller for sero-mj as a separate program, over UDP:
  *
  *     cc -O2 controller.c -o controller
- *     sero-mj simulate controller.toml          (printed by sero-mj new --snippet controller-udp-c --scene)
+ *     sero-mj simulate controller.toml          (sero-mj new --snippet controller-udp-c --scene prints it)
  */
 #include <arpa/inet.h>
 #include <stdint.h>
@@ -11,14 +11,14 @@
 
 #define SERO_JOINTS 7
 
-struct sero_state { /* little-endian, as x86 and ARM are */
+struct sero_state { /* little-endian, the byte order of x86 and ARM */
   uint32_t step, flags; /* step counts from 1; flags is 1 in the first step */
   double time;          /* s */
   double angles[SERO_JOINTS], velocities[SERO_JOINTS], torques[SERO_JOINTS]; /* measured; rad, rad/s, Nm */
   double target_angles[SERO_JOINTS], target_velocities[SERO_JOINTS], gravity[SERO_JOINTS];
 };
 struct sero_answer {
-  uint32_t step, unused; /* step of the state */
+  uint32_t step, unused; /* the step of the state that this answers */
   double torques[SERO_JOINTS];
 };
 
@@ -39,7 +39,7 @@ int main(int argc, char **argv) {
       continue;
     }
     answer.step = state.step;
-    for (int i = 0; i < SERO_JOINTS; i++) /* joint impedance: a spring and a damper at the target */
+    for (int i = 0; i < SERO_JOINTS; i++) /* joint impedance with gravity compensation */
       answer.torques[i] = 800.0 * (state.target_angles[i] - state.angles[i]) +
                           40.0 * (state.target_velocities[i] - state.velocities[i]) + state.gravity[i];
     sendto(from, &answer, sizeof answer, 0, (struct sockaddr *)&robot, length);

@@ -1,6 +1,6 @@
-"""A controller for sero-mj as a separate program over UDP. It needs only numpy.
+"""A controller for sero-mj as a separate program, over UDP. It requires only numpy.
 
-sero-mj simulate controller.toml    (printed by sero-mj new --snippet controller-udp-python --scene)
+sero-mj simulate controller.toml     (sero-mj new --snippet controller-udp-python --scene prints it)
 """
 
 import socket
@@ -22,7 +22,7 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
     peer.bind(("127.0.0.1", port))
     while True:
         size, robot = peer.recvfrom_into(received)
-        # Joint impedance: a spring and a damper at the target, and gravity compensation.
+        # Joint impedance: stiffness and damping about the target, plus gravity compensation.
         answer["step"] = state["step"]
         answer["torques"] = (
             800.0 * (state["target_angles"] - state["angles"])

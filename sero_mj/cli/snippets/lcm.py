@@ -1,4 +1,4 @@
-"""Forwards IIWA_STATUS of drake-iiwa-driver to sero-mj. It needs the packages lcm and drake."""
+"""Forwards IIWA_STATUS from drake-iiwa-driver to sero-mj. Requires the packages lcm and drake."""
 
 import itertools
 import socket
@@ -8,16 +8,16 @@ import lcm
 from drake import lcmt_iiwa_status
 
 JOINTS = 7
-HOST, PORT = "127.0.0.1", 32000  # where sero-mj runs
+HOST, PORT = "127.0.0.1", 32000  # the computer that runs sero-mj
 
 counts = itertools.count(1)
 to = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
 
 def send(channel, data):
-    """Sends a status: positions in rad, torques in Nm.
+    """Sends the joint angles (rad) and torques (Nm) of one status message.
 
-    The measured and commanded torques from KUKA have the opposite sign.
+    The driver publishes KUKA's torques, which have the opposite sign.
     """
     status = lcmt_iiwa_status.decode(data)
     values = (

@@ -1,8 +1,8 @@
-//! In your control loop: `sero.send(time, &angles, &torques, &commanded)`; it never blocks.
+//! Call `sero.send(time, &angles, &torques, &commanded)` in your control loop. It does not block.
 use std::net::UdpSocket;
 
 const JOINTS: usize = 7;
-const TO: &str = "127.0.0.1:32000"; // where sero-mj runs
+const TO: &str = "127.0.0.1:32000"; // the computer that runs sero-mj
 
 pub struct SeroMj {
     socket: UdpSocket,
@@ -32,6 +32,6 @@ impl SeroMj {
         for (place, value) in packet[12..].chunks_exact_mut(8).zip(values) {
             place.copy_from_slice(&value.to_le_bytes());
         }
-        let _ = self.socket.send_to(&packet, TO); // ignores a missing receiver
+        let _ = self.socket.send_to(&packet, TO); // ignore the error if sero-mj is not running
     }
 }

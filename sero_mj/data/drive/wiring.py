@@ -38,7 +38,7 @@ from ...robots.declared.inputs import (
 from ...robots.declared.mounts import carriers, mount_circles
 from ...robots.declared.route_text import names_in
 from ...robots.declared.scene import Scene
-from ..receive.led_robot import LedJoint, LedLinks
+from ..receive.routed_joints import RoutedJoint, RoutedLinks
 from ..receive.source import Source, make_source
 from .joint_routes import (
     JointPart,
@@ -123,9 +123,9 @@ def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) 
         DeclarationError: as `make_source`.
     """
     source = make_source(name, declared)
-    source.led_to(_joints_led_to(scene, name))
+    source.set_joints(_joints_led_to(scene, name))
     if (links := _links_led_to(scene, name)) is not None:
-        source.led_to_links(links)
+        source.set_links(links)
     return source
 
 
@@ -140,7 +140,7 @@ def topics_of(scene: Scene) -> dict[str, Source]:
     return found
 
 
-def _links_led_to(scene: Scene, source: str) -> LedLinks | None:
+def _links_led_to(scene: Scene, source: str) -> RoutedLinks | None:
     for target, origin in scene.routes.items():
         name, _, key = target.partition(".")
         robot = scene.robots.get(name)
@@ -149,11 +149,11 @@ def _links_led_to(scene: Scene, source: str) -> LedLinks | None:
         if any(each.partition(".")[0] == source for each in names_in(origin)):
             joints, positions = robot.coupled.independent, robot.coupled.positions
             home, poses = robot.home[joints], robot.link_poses
-            return LedLinks(robot.kinematics, joints, positions, home, poses, robot.base_frame)
+            return RoutedLinks(robot.kinematics, joints, positions, home, poses, robot.base_frame)
     return None
 
 
-def _joints_led_to(scene: Scene, source: str) -> list[LedJoint]:
+def _joints_led_to(scene: Scene, source: str) -> list[RoutedJoint]:
     inputs = list_inputs(scene)
     for target, origin in scene.routes.items():
         if not any(name.partition(".")[0] == source for name in names_in(origin)):
@@ -162,7 +162,7 @@ def _joints_led_to(scene: Scene, source: str) -> list[LedJoint]:
         members = scene.members(owner) or [owner]
         items = [inputs.get(f"{name}.{key}") for name in members]
         joints = [
-            LedJoint(robot.names[k], float(robot.home[k]), float(robot.torque_bounds[k]))
+            RoutedJoint(robot.names[k], float(robot.home[k]), float(robot.torque_bounds[k]))
             for item in items
             if item is not None and item.kind in ("angles", "values")
             for robot in (robot_of(scene, item),)

@@ -1,8 +1,4 @@
-"""Connections by TCP to robots' controllers and to servers, made again when they are lost.
-
-`connect` tries all addresses of a name; `ConnectingSource` is the base of the sources that speak a
-protocol of a controller over it.
-"""
+"""TCP clients: `ConnectingSource` connects to a server, and reconnects when needed."""
 
 from __future__ import annotations
 
@@ -20,22 +16,16 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
-from ...base.errors import (
-    mismatch,
-)
-from .receiving_thread import ClosedHere, Disconnected
+from ...base.errors import mismatch
+from .receiving_thread import Closing, Disconnected
 from .source import Source
 
-PATIENCE = 2.0  # s for an answer, or for the next packet
-_MOST_KEPT = 2048  # bytes of what is no message
+PATIENCE = 2.0  # s; timeout of an answer, and of the next packet
+_MAX_REJECTED_BYTES = 2048  # of a malformed message in recordings
 
 
 def is_address(expected: str) -> Callable[[str], str]:
-    """Returns a validator of the address or name of a machine.
-
-    Args:
-        expected: for the error, such as `an address such as 127.0.0.1`.
-    """
+    """Returns a validator of host names and addresses; `expected` is for its error."""
 
     def validate(host: str) -> str:
         if not host or any(character.isspace() for character in host):
@@ -49,10 +39,10 @@ Address = Annotated[str, AfterValidator(is_address("an address such as 192.168.0
 
 
 class ProtocolError(Exception):
-    """The peer sent what is not of its protocol, or refuses.
+    """The peer violates the protocol or refuses the connection.
 
-    Attributes:
-        received: the bytes at fault; may be empty.
+    Args:
+        received: the malformed message, which is counted and recorded; may be empty.
     """
 
     def __init__(self, text: str, received: bytes = b"") -> None:
@@ -61,73 +51,78 @@ class ProtocolError(Exception):
 
 
 class ConnectingSource(Source):
-    """A source that connects to a controller, and again when the connection is lost.
+    """A source that connects to a TCP server, and reconnects when the connection is lost.
+
+    A subclass sets `protocol`, the name of its protocol for display, and implements `converse`.
 
     Attributes:
-        host: address of the controller.
-        port: its port.
+        host: address of the server.
+        port: port of the server.
     """
 
     host: Address
     port: int = Field(ge=1, le=65535)
 
-    # The kind of its link as it is shown to the user.
-    _link: ClassVar[str] = ""
-    _if_refused: ClassVar[str] = ""  # what to do about it
-    _state: str = PrivateAttr("")  # of the connection, for people
+    protocol: ClassVar[str] = "TCP"
+    if_refused: ClassVar[str] = ""  # hint that follows the error of a refused connection
+    _state: str = PrivateAttr("")  # of the connection, for display
 
     @property
     def about(self) -> str:
         state = f", {self._state}" if self._state else ""
-        return f"{self._link} of {self.host}:{self.port}{state}"
+        return f"{self.protocol} of {self.host}:{self.port}{state}"
 
     def open(self) -> None:
         self.close()
         self.reset()
         self._state = ""
-        self.start_receiving(self._receive, name=f"{self._link} {self.name}")
+        self.start_receiving(self._receive, name=f"{self.protocol} {self.name}")
 
     def close(self) -> None:
         self.stop_receiving()
 
     @abstractmethod
-    def _converse(self, wake: socket.socket) -> None:
-        """Connects, and receives until the connection ends, by one of these errors.
+    def converse(self, wake: socket.socket) -> None:
+        """Connects with a `Connection`, calls `note_connected`, and receives until it raises.
+
+        Args:
+            wake: socket that becomes readable when the source is being closed.
 
         Raises:
-            OSError: it cannot be made, or is lost.
-            ClosedHere: `wake` can be read.
-            ProtocolError: the peer is no such controller, or refuses.
+            OSError: the connection cannot be made or is lost.
+            Closing: the source is being closed.
+            ProtocolError: the peer violates the protocol or refuses.
         """
 
     def _receive(self, wake: socket.socket) -> None:
         place = f"{self.host}:{self.port}"
         try:
-            self._converse(wake)
+            self.converse(wake)
         except ProtocolError as error:
-            if raw := error.received[:_MOST_KEPT]:
-                self.accept([raw + b"\0" * (len(raw) == self.size)])
+            if raw := error.received[:_MAX_REJECTED_BYTES]:
+                self.reject(raw, str(error))
             raise Disconnected(f"{place} {error}") from error
         except ConnectionRefusedError as error:
-            raise Disconnected(f"{place}: {error.strerror}{self._if_refused}") from error
+            raise Disconnected(f"{place}: {error.strerror}{self.if_refused}") from error
         except OSError as error:
             raise Disconnected(f"{place}: {error.strerror or error}") from error
         finally:
             self._state = ""
 
-    def _begin(self, state: str) -> None:
-        """Notes that packets come from here on; `state` is that of the connection."""
+    def note_connected(self, state: str = "") -> None:
+        """Clears `trouble` and displays the state of the connection; counts a reconnection."""
         if self.receive_trigger:
             self.intake.restart()
-        self._trouble, self._state = "", state
+        self.note_trouble("")
+        self._state = state
 
 
 def connect(host: str, port: int, wake: socket.socket) -> socket.socket:
-    """Connects to the first of a machine's addresses that accepts; the socket does not block.
+    """Returns a non-blocking socket, connected to the first address of a host that accepts.
 
     Raises:
-        OSError: none accepts within `PATIENCE`, or the name is unknown.
-        ClosedHere: `wake` can be read.
+        OSError: no address accepts within `PATIENCE`, or the name is unknown.
+        Closing: `wake` is readable.
     """
     failure = OSError("no address")
     for family, kind, _, _, address in addresses(host, port, wake):
@@ -154,9 +149,9 @@ def connect(host: str, port: int, wake: socket.socket) -> socket.socket:
 
 
 def addresses(host: str, port: int, wake: socket.socket) -> list[tuple[Any, ...]]:
-    """All addresses of a machine, as of `socket.getaddrinfo`; raises OSError or ClosedHere.
+    """Returns the addresses of a host as `socket.getaddrinfo` does; raises OSError or Closing.
 
-    A name is looked up on another thread, since that can take long and cannot be interrupted.
+    Names are resolved in a thread, because that may take long and cannot be interrupted.
     """
     with suppress(ValueError):
         ipaddress.ip_address(host.partition("%")[0])
@@ -166,10 +161,10 @@ def addresses(host: str, port: int, wake: socket.socket) -> list[tuple[Any, ...]
     here, there = socket.socketpair()
 
     def look_up() -> None:
-        with there:  # `here` can be read once it is closed
+        with there:  # closing it makes `here` readable
             try:
                 found.extend(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM))
-            except UnicodeError:  # of names that no resolver is asked for
+            except UnicodeError:  # of invalid names
                 failures.append(OSError("not an address"))
             except OSError as error:
                 failures.append(error)
@@ -183,18 +178,17 @@ def addresses(host: str, port: int, wake: socket.socket) -> list[tuple[Any, ...]
 
 
 def _wait(wake: socket.socket, sock: socket.socket, event: int, timeout: float | None) -> bool:
-    """Returns whether an event came within `timeout` s; raises ClosedHere if `wake` is readable."""
     with selectors.DefaultSelector() as selector:
         selector.register(wake, selectors.EVENT_READ)
         selector.register(sock, event)
         ready = [key.fileobj for key, _ in selector.select(timeout)]
     if wake in ready:
-        raise ClosedHere
+        raise Closing
     return sock in ready
 
 
 class Connection:
-    """A connection by TCP, which ends when `wake` can be read; raises OSError or ClosedHere."""
+    """A TCP connection that ends when `wake` becomes readable; raises OSError or Closing."""
 
     def __init__(self, host: str, port: int, wake: socket.socket) -> None:
         self._wake = wake
@@ -211,26 +205,28 @@ class Connection:
         self.socket.close()
 
     def watch(self, other: socket.socket) -> None:
-        """Lets `wait` wait for another socket as well."""
+        """Adds another socket to those that `wait` waits for."""
         self._selector.register(other, selectors.EVENT_READ)
 
-    def wait(self, deadline: float, else_what: str) -> list[object]:
-        """Waits until a socket is ready; returns those that are.
+    def wait(self, deadline: float | None = None, else_what: str = "") -> list[object]:
+        """Waits until sockets are readable, and returns them.
 
         Args:
-            deadline: on the clock of `time.monotonic`, s.
+            deadline: time at which `wait` raises TimeoutError, on the clock of `time.monotonic`;
+                None for no limit.
+            else_what: text of that error.
         """
-        ready = self._selector.select(max(deadline - clock.monotonic(), 0.0))
-        found: list[object] = [key.fileobj for key, _ in ready]
+        timeout = None if deadline is None else max(deadline - clock.monotonic(), 0.0)
+        found: list[object] = [key.fileobj for key, _ in self._selector.select(timeout)]
         if self._wake in found:
-            raise ClosedHere
+            raise Closing
         if not found:
             raise TimeoutError(else_what)
         return found
 
     def read(self) -> bytes:
-        """What has come; at least one byte."""
-        more = self.socket.recv(65536)
-        if not more:
-            raise ConnectionError("it closed the connection")
-        return more
+        """Returns the available bytes, at least one."""
+        received = self.socket.recv(65536)
+        if not received:
+            raise ConnectionError("the peer closed the connection")
+        return received

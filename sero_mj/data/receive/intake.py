@@ -1,4 +1,4 @@
-"""`Intake`: sorts packets into those that are applied and those that are only counted."""
+"""`Intake`: checks packets, and separates those to apply from those that are only counted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
 from .tracking import (
     DUPLICATE,
     LATE,
-    MOST_SENDERS,
+    MAX_SENDERS,
     RESTARTED,
     Senders,
     SequenceTracker,
@@ -23,26 +23,25 @@ from .tracking import (
     Timing,
 )
 
-# In the order of their updates: malformed counts are last, so that waiting for them suffices.
+# In the order of their updates: counts of malformed packets come last, because tests wait for them.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
             "implausible", "wrong_constant", "wrong_checksum", "wrong_size",
             "received")  # fmt: skip
-_MAX_KEPT = 4096  # bytes of a packet, if it is malformed or comes encoded
+_MAX_WIDTH = 4096  # bytes of a row, if a packet is malformed or encoded
 
 
 def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
-    """Pads packets of any length to rows for `Intake.take` and recorders.
+    """Converts n >= 1 packets to rows for `Intake.take` and recorders.
 
     Args:
-        packets: bytes of each, n >= 1.
-        size: bytes of a valid one.
+        size: size of a valid packet, bytes.
 
     Returns:
-        rows (n, `size` or more), shorter packets padded with zeros, longer ones truncated after
-        4096 bytes or `size`; and the lengths of the packets, (n,).
+        rows (n, `size` or more), in which short packets are padded with zeros and long ones are
+        truncated to 4096 bytes or `size`; and the lengths of the packets, (n,).
     """
     lengths = np.array([len(packet) for packet in packets], np.intp)
-    width = max(size, min(int(lengths.max()), _MAX_KEPT))
+    width = max(size, min(int(lengths.max()), _MAX_WIDTH))
     text = b"".join(packet[:width].ljust(width, b"\0") for packet in packets)
     return np.frombuffer(text, np.uint8).reshape(len(packets), width), lengths
 
@@ -52,20 +51,25 @@ class Counters:
     """Counts of packets since the source was opened.
 
     Attributes:
-        wrong_constant: malformed ones: a number differs from the structure's constant.
-        wrong_checksum: malformed ones: a checksum of the structure differs from that of the bytes.
-        not_finite: malformed ones: with NaN or infinity where these are not allowed.
-        implausible: malformed ones: with a number beyond its limit; see `Source.limit`.
-        foreign: from senders other than the configured `sender`; not examined.
-        late: arrived after one with a higher number; applied only when none may be lost.
-        duplicates: repeated sequence numbers; not applied.
-        restarts: how often the sender restarted: with its numbers, or from another port.
-        torn: reads of shared memory given up because the writer was always in between.
+        wrong_constant: malformed packets with a number that differs from the structure's constant.
+        wrong_checksum: malformed packets with a wrong checksum.
+        not_finite: malformed packets with NaN or infinity where these are not allowed.
+        not_frames: malformed packets with a matrix that is not a rigid frame.
+        implausible: malformed packets with a number beyond its limit; see `Source.limit`.
+        foreign: packets from senders other than the configured `sender`; these are not checked.
+        late: packets that arrived after one with a higher number; applied only if no packet may be
+            lost.
+        duplicates: packets with a repeated sequence number; not applied.
+        restarts: restarts of the sender, detected by its numbers or its port.
+        torn: reads of shared memory that failed because the writer was always writing.
         senders: number of concurrent senders within the last 2 s.
-        superseded: valid ones replaced by a later packet before use, as intended when a robot sends
-            faster than the frame rate.
-        last_size: bytes of the last packet of a wrong size.
-        last_fault_time: arrival of the last malformed packet, on the clock of `Source.now`.
+        blanked: applied packets with missing data; see `Source.allow_nan`.
+        superseded: valid packets that a later one has replaced before use. This is normal if a
+            robot sends faster than the frame rate.
+        dropped: packets that the kernel has dropped.
+        failures: failures of reception, after each of which it restarted.
+        last_size: size of the last packet with a wrong size, bytes.
+        last_fault_time: arrival time of the last malformed packet on the clock of `Source.now`.
     """
 
     received: int = 0
@@ -92,7 +96,7 @@ class Counters:
 
     @property
     def malformed(self) -> int:
-        """Number of malformed packets, which are not applied."""
+        """Number of malformed packets. These are not applied."""
         return (
             self.wrong_size
             + self.wrong_constant
@@ -104,17 +108,16 @@ class Counters:
 
 
 class Intake:
-    """Checks packets in batches, as received from a socket, a memory block or a file.
+    """Checks batches of packets from a socket, shared memory or a file.
 
     Args:
-        sequence: event that numbers the packets; empty for none.
-        time: event with the packet's send time; empty for none.
-        time_scale: s per unit of `time`.
-        nan_allowed: events in which NaN means `no data`.
-        limits: event name to the largest magnitude of each of its numbers, flat, (k,).
-
-    Attributes:
-        timing: rate, jitter and delay.
+        sequence: event with the sequence number; empty for none.
+        time: event with the send time; empty for none.
+        time_scale: seconds per unit of `time`.
+        lossless: whether late packets are applied.
+        nan_allowed: events in which NaN means missing data.
+        limits: event name to the maximum magnitude of each of its k numbers, (k,).
+        on_fault: called with the description of a malformed packet.
     """
 
     def __init__(
@@ -141,7 +144,7 @@ class Intake:
         self._trackers: OrderedDict[bytes, SequenceTracker | StampTracker] = OrderedDict()
         self._lost_by_forgotten = 0
         self._senders = Senders()
-        # Counts of the current batch, added only after its good packets have been handed on.
+        # Counts of the current batch, added only after its valid packets can be taken.
         self._tally = Counters()
         self._modulus = 0
         if sequence:
@@ -150,7 +153,6 @@ class Intake:
 
     @property
     def limits(self) -> Mapping[str, Array]:
-        """Event name to the largest magnitude of each of its numbers, flat, (k,)."""
         return self._limits
 
     @limits.setter
@@ -163,16 +165,16 @@ class Intake:
     def take(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
     ) -> tuple[Rows, Array]:
-        """Sorts packets, and returns those to apply; `count` then counts all.
+        """Checks n >= 1 packets, and returns those to apply. Call `count` afterwards.
 
         Args:
-            rows: (n, `size` or more; of encoded packets any number), n >= 1, one packet a row.
-            lengths: of the packets, (n,), bytes; may exceed the row.
+            rows: one packet per row, (n, `size` or more; any width for encoded packets).
+            lengths: lengths of the packets, (n,), bytes; a length may exceed the row.
             arrivals: (n,), s.
-            senders: addresses, (n, any number of bytes).
+            senders: addresses, (n, any).
 
         Returns:
-            rows (m, `size`) and arrivals (m,); views into the arguments if all are good.
+            rows (m, `size`) and arrivals (m,); views into the arguments if all packets are valid.
         """
         counters, layout = self._tally, self.layout
         counters.received += len(rows)
@@ -216,7 +218,7 @@ class Intake:
         if has_odd and self._limits:
             good &= self._are_plausible(rows, arrivals, good)
         self._time_good(good, arrivals, stamps, places, begins)
-        # Malformed packets have been counted, and are not counted again, as late for instance.
+        # Packets that were counted as malformed are not counted again, for example as late.
         if places.any():
             duplicate = good & (places == DUPLICATE)
             late = good & (places == LATE)
@@ -240,7 +242,7 @@ class Intake:
         self._fault(fault, arrivals[last])
 
     def decode(self, rows: Rows) -> dict[str, Array]:
-        """Decodes rows from `take`; infinity becomes NaN where NaN is allowed."""
+        """Decodes rows from `take`; infinity becomes NaN."""
         values = self.layout.decode_rows(rows)
         _blank_not_finite(values, self.nan_allowed, self.layout.matrices)
         return values
@@ -262,8 +264,16 @@ class Intake:
             counters.last_fault = tally.last_fault
             self.on_fault(tally.last_fault)
 
+    def reject(self, reason: str, length: int, arrival: float) -> None:
+        """Counts a malformed message that is no packet."""
+        self._tally.received += 1
+        self._tally.wrong_size += 1
+        self._tally.last_size = length
+        self._fault(reason, arrival)
+        self.count()
+
     def restart(self) -> None:
-        """Registers a restart of the sender detected by other means than its numbers."""
+        """Counts a restart of the sender that was not detected by its numbers."""
         self._lost_by_forgotten += sum(tracker.lost for tracker in self._trackers.values())
         self._trackers.clear()
         self.counters.restarts += 1
@@ -271,7 +281,7 @@ class Intake:
 
     def _fault(self, text: str, when: float) -> None:
         tally = self._tally
-        if when >= tally.last_fault_time:  # the last of the batch, whatever its kind
+        if when >= tally.last_fault_time:  # the last fault of the batch
             tally.last_fault, tally.last_fault_time = text, float(when)
 
     def _stamps(self, rows: Rows) -> Array:
@@ -294,7 +304,7 @@ class Intake:
             self.timing.restart()
             timed[: max([begins or 0, *restarts[-1:]])] = False
         if stamps is not None:
-            timed &= np.isfinite(stamps)  # NaN, where allowed, is no time
+            timed &= np.isfinite(stamps)
         if timed.any():
             self.timing.add(arrivals[timed], None if stamps is None else stamps[timed])
 
@@ -372,16 +382,16 @@ class Intake:
         if tracker is None:
             tracker = SequenceTracker(self._modulus) if self._sequence else StampTracker()
             self._trackers[sender] = tracker
-            if len(self._trackers) > MOST_SENDERS:
+            if len(self._trackers) > MAX_SENDERS:
                 self._lost_by_forgotten += self._trackers.popitem(last=False)[1].lost
-        else:  # senders are forgotten last
+        else:  # the tracker of the least recent sender is removed first
             self._trackers.move_to_end(sender)
         return tracker
 
     def _note_senders(self, senders: Rows, arrivals: Array) -> int | None:
-        """Registers senders; returns the first row of a new sender, with another clock."""
+        """Registers senders; returns the first row of a sender with another clock, or None."""
         self._senders.note(senders, arrivals)
-        for gone in self._senders.gone:  # its successor is the same program, restarted
+        for gone in self._senders.gone:  # the same program has restarted on another port
             self._tally.restarts += 1
             if (tracker := self._trackers.pop(gone, None)) is not None:
                 self._lost_by_forgotten += tracker.lost
@@ -413,7 +423,7 @@ def _describe_implausible(values: Mapping[str, Array], limits: Mapping[str, Arra
 def _blank_not_finite(
     values: MutableMapping[str, Array], events: Collection[str], matrices: Collection[str]
 ) -> None:
-    """Replaces infinities, and whole matrices with NaN or infinity, by NaN in copies."""
+    """Replaces infinities, and whole matrices with NaN or infinity, by NaN in copied arrays."""
     for event in events:
         array = values.get(event)
         if array is None:
@@ -429,11 +439,11 @@ def _blank_not_finite(
 def find_not_frame(
     values: Mapping[str, Array], events: Collection[str], *, column_major: bool
 ) -> str:
-    """Describes the first matrix that is not a rigid frame; empty if all are valid.
+    """Returns a description of the first matrix that is not a rigid frame or NaN, or "".
 
     Args:
-        values: event name to its array; NaN matrices are skipped.
-        column_major: the order used, to suggest the other one if that gives a frame.
+        column_major: order by which the matrices were decoded. If the other order gives a frame,
+            the description suggests it.
     """
     matrices = np.concatenate([values[event] for event in events])
     wrong = ~(are_frames(matrices) | np.isnan(matrices[:, 3, 3]))

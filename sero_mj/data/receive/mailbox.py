@@ -1,4 +1,4 @@
-"""`Mailbox`: passes good packets from the receiving thread to its consumers."""
+"""`Mailbox`: passes valid packets from the receiving thread to consumers."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ import numpy as np
 from ...base.frames import Array
 from .structure import Rows
 
-HEARD_BYTES = 16 * 2**20  # of packets waiting for `take_all`; the oldest are dropped
-QUEUE_BYTES = 64 * 2**20  # of packets waiting to be taken when none may be lost
+HISTORY_BYTES = 16 * 2**20  # limit of the packets stored for `take_all`
+QUEUE_BYTES = 64 * 2**20  # limit of the packets stored for `take` if none may be lost
 _WAIT_INTERVAL = 0.1  # s
 
 
 @dataclass(frozen=True, eq=False)
 class Packet:
-    """One good packet.
+    """One valid packet.
 
     Attributes:
-        values: event name to its array, float64: `name[i]` is event `name` number i. NaN only in
-            events in which NaN is allowed; matrices are rigid frames.
-        arrival: when it arrived, on the clock of `Source.now`, s.
-        number: 1 for the first good packet of the source.
+        values: event name to its array, float64. NaN occurs only in events in which it is allowed;
+            matrices are rigid frames.
+        arrival: arrival time on the clock of `Source.now`, s.
+        number: 1 for the first valid packet of the source.
     """
 
     values: Mapping[str, Array]
@@ -35,20 +35,21 @@ class Packet:
 
 
 def age(packet: Packet | None, now: float) -> float:
-    """Seconds since the packet arrived, `now` being `Source.now()`.
+    """Returns the time between the arrival of a packet and `now`, s, at least 0.
 
-    Infinite without a packet, 0 if it arrived after `now`.
+    Infinite if there is no packet.
     """
     return float("inf") if packet is None else max(now - packet.arrival, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Packets:
-    """Consecutive good packets.
+    """Consecutive valid packets, n >= 1.
 
     Attributes:
-        values: event name to its arrays, (n, ...), float64, n >= 1.
-        arrivals: (n,), s, on the clock of `Source.now`.
+        values: event name to its arrays, (n, ...), float64.
+        arrivals: arrival times on the clock of `Source.now`, (n,), s.
+        number: number of the last packet, as in `Packet`.
     """
 
     values: Mapping[str, Array]
@@ -65,13 +66,15 @@ class Packets:
 
 
 class Mailbox:
-    """Keeps good packets until they are taken; the consumer decodes them.
+    """Stores valid packets until a consumer takes and decodes them.
 
     Args:
-        on_superseded: called with the number of packets replaced by newer ones before use.
+        decode: decoder of rows, called in the consumer's thread.
+        on_superseded: called with the number of packets that newer ones have replaced before use.
 
     Attributes:
-        is_lossless: whether every packet is kept, and `put` waits for room; else only the newest.
+        is_lossless: whether all packets are stored, and `put` waits if the queue is full. Otherwise
+            only the newest packet is stored.
         closing: set while the source is being closed, so that `put` does not wait.
     """
 
@@ -92,38 +95,38 @@ class Mailbox:
         self._looked = self._taken = 0
         self._queue: deque[tuple[Rows, Array]] = deque()
         self._queued_bytes = 0
-        self._heard: deque[tuple[Rows, Array]] | None = None  # see `keep_all`
-        self._heard_bytes = 0
+        self._history: deque[tuple[Rows, Array]] | None = None  # packets for `take_all`
+        self._history_bytes = 0
 
     def empty(self) -> None:
-        """Discards all packets and resets the count; `keep_all` stays in effect."""
+        """Discards all packets and resets the count. `keep_all` stays in effect."""
         self.number = self._looked = self._taken = self._queued_bytes = 0
         self._last = self._decoded = None
         self._queue.clear()
-        if self._heard is not None:
+        if self._history is not None:
             self.keep_all()
         self._first.clear()
         self.closing.clear()
 
     def forget_last(self) -> None:
-        """Discards the newest packet; counting continues, so that later ones are new."""
+        """Discards the newest packet without resetting the count."""
         self._last = None
 
     @property
     def last_arrival(self) -> float | None:
-        """When the newest packet arrived, s; None before the first."""
+        """Arrival time of the newest packet, s; None before the first packet."""
         return None if self._last is None else float(self._last[1][-1])
 
     def put(self, rows: Rows, arrivals: Array) -> None:
-        """Adds packets, on the source's own thread."""
+        """Adds packets, in the source's own thread."""
         last = rows[-1:].copy()
-        if self._heard is not None:
+        if self._history is not None:
             with self._room:
-                if (heard := self._heard) is not None:
-                    heard.append((rows.copy(), arrivals.copy()))
-                    self._heard_bytes += rows.size
-                    while self._heard_bytes > HEARD_BYTES:
-                        self._heard_bytes -= heard.popleft()[0].size
+                if (history := self._history) is not None:
+                    history.append((rows.copy(), arrivals.copy()))
+                    self._history_bytes += rows.size
+                    while self._history_bytes > HISTORY_BYTES:
+                        self._history_bytes -= history.popleft()[0].size
         if not self.is_lossless:
             self.number = number = self.number + len(rows)
             self._last = (last, arrivals[-1:].copy(), number)
@@ -138,7 +141,7 @@ class Mailbox:
         self._first.set()
 
     def newest(self) -> Packets | None:
-        """The newest packet; None before the first."""
+        """Returns the newest packet, or None before the first packet."""
         last, decoded = self._last, self._decoded
         if last is None:
             return None
@@ -152,7 +155,7 @@ class Mailbox:
         return decoded
 
     def take(self) -> Packets | None:
-        """The packets since the last call, or the newest of them; None without any."""
+        """Implements `Reception.take`."""
         if not self.is_lossless:
             packets = self.newest()
             if packets is None or packets.number == self._taken:
@@ -168,21 +171,21 @@ class Mailbox:
         return self._joined(batches, self._taken)
 
     def keep_all(self) -> None:
-        """Starts to keep all packets for `take_all`, independent of `take`."""
+        """Implements `Reception.keep_all`."""
         with self._room:
-            self._heard, self._heard_bytes = deque(), 0
+            self._history, self._history_bytes = deque(), 0
 
     def keep_none(self) -> None:
-        """Ends `keep_all`, and drops the packets that nobody has taken."""
+        """Implements `Reception.keep_none`."""
         with self._room:
-            self._heard, self._heard_bytes = None, 0
+            self._history, self._history_bytes = None, 0
 
     def take_all(self) -> Packets | None:
-        """All packets since the last call, at most 16 MB; None without any."""
+        """Implements `Reception.take_all`."""
         with self._room:
-            batches, self._heard_bytes = [*(self._heard or ())], 0
+            batches, self._history_bytes = [*(self._history or ())], 0
             if batches:
-                self._heard = deque()
+                self._history = deque()
             number = self.number
         return self._joined(batches, number)
 
@@ -194,5 +197,5 @@ class Mailbox:
         return Packets(self._decode(rows), arrivals, number)
 
     def wait(self, timeout: float) -> bool:
-        """Waits up to `timeout` s for a packet; returns whether one has arrived."""
+        """Implements `Reception.wait`."""
         return self._first.wait(timeout)

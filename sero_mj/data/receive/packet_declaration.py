@@ -1,4 +1,4 @@
-"""`PacketDeclaration`: what the packets of a source mean, wherever they come from."""
+"""`PacketDeclaration`: the fields that declare the layout of a source's packets."""
 
 from __future__ import annotations
 
@@ -15,27 +15,26 @@ from ...base.frames import Array, Ints
 from .intake import Intake, pad_packets
 from .structure import Alignment, Rows, Structure
 
-# The fields that determine the meaning of packets, not their origin.
+# The fields that recordings store, because packets are decoded by them.
 _DECODING = (
     "is_double", "column_major", "alignment", "scale", "structure", "sequence", "time",
     "time_scale",
 )  # fmt: skip
-_SIGNS = ("torque_sign",)  # of the kinds that have it, where files may set it
+_SIGNS = ("torque_sign",)  # only some kinds have it
 
 
 class PacketDeclaration(Declaration):
-    """The layout of packets, and which of their events number and date them.
+    """The layout of packets, and the events with their sequence number and send time.
 
     Attributes:
-        structure: layout of the packets, e.g. `7F1M`; see STRUCTURE.md.
-        is_double: `F`, `V`, `M` and `T` are float64, else float32 (`double` in files).
-        column_major: matrices are column-major, else row-major.
-        alignment: of items, bytes: 1, 2, 4 or 8.
-        scale: factor of every floating-point number, of matrices the position; not `sequence`,
-            `time`.
-        sequence: event that numbers the packets, of any type (also 1d), to detect loss.
-        time: event with a packet's send time, to measure jitter and delay.
-        time_scale: s per unit of `time`.
+        structure: layout of the packets, such as `7F1M`; see STRUCTURE.md.
+        is_double: `F`, `V`, `M` and `T` are float64, otherwise float32 (`double` in files).
+        column_major: matrices are column-major, otherwise row-major.
+        alignment: alignment of items in bytes: 1, 2, 4 or 8.
+        scale: factor of all floating-point numbers; for matrices, of the position only.
+        sequence: event with the sequence number, of any type (also 1d), to detect loss.
+        time: event with the send time, to measure jitter and delay.
+        time_scale: seconds per unit of `time`.
     """
 
     is_double: bool = Field(True, alias="double")  # before structure, whose size depends on them
@@ -47,9 +46,9 @@ class PacketDeclaration(Declaration):
     time: str = ""
     time_scale: float = Field(1.0, gt=0, lt=1e100)
 
-    # What fixes these fields, so that no file may: `FRI`, or nothing.
+    # Name of the protocol that determines these fields, so that files must not set them.
     _fixed_by: ClassVar[str] = ""
-    # The origin of the structure, for kinds whose structure cannot be declared.
+    # Description of where the structure comes from, for kinds that do not declare it.
     _structure_is: ClassVar[str] = ""
     _nan_allowed: frozenset[str] = PrivateAttr(frozenset())
 
@@ -58,7 +57,8 @@ class PacketDeclaration(Declaration):
     def _is_fixed(cls, value: Any, info: ValidationInfo) -> Any:
         assert info.field_name is not None
         if cls._fixed_by and value not in cls._fixed(info.field_name):
-            raise ValueError(f"found {shown(value)}; {cls._fixed_by} fixes it: leave it out")
+            reason = f"{cls._fixed_by} determines this field. Leave it out"
+            raise ValueError(f"found {shown(value)}; {reason}")
         return value
 
     @classmethod
@@ -70,7 +70,7 @@ class PacketDeclaration(Declaration):
     def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
         if cls._structure_is:
             if text:
-                raise ValueError(f"is {cls._structure_is}; leave it out")
+                raise ValueError(f"is {cls._structure_is}. Leave it out")
             return text
         try:
             _structure_of(text, info)
@@ -104,7 +104,7 @@ class PacketDeclaration(Declaration):
 
     @property
     def events(self) -> Mapping[str, tuple[int, ...]]:
-        """Event name to its shape: (n,) values, (n, 3) vectors, (n, 4, 4) matrices."""
+        """Event name to shape: (n,) for values, (n, 3) for vectors, (n, 4, 4) for matrices."""
         return self.layout.events
 
     @property
@@ -112,58 +112,46 @@ class PacketDeclaration(Declaration):
         return self.layout.size
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """State of the robot's controller and quality of the link to it; -1 where unknown."""
+        """Returns the state of the robot's controller and the link quality; -1 if unknown."""
         return self.layout.link_state(values)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot's controller, in words; empty if nothing."""
+        """Returns the state of the robot's controller in words; empty if a packet has none."""
         return ""
 
     def link_faults(self, state: float, quality: float) -> list[str]:
-        """What is wrong with the robot's controller or the link to it, one per line.
-
-        Args:
-            state: as in `link_state`.
-        """
+        """Returns descriptions of the faults that values of `link_state` mean."""
         return []
 
     def decoding_fields(self) -> dict[str, Any]:
-        """The fields that determine the meaning of packets, as JSON types; for recordings.
-
-        Required fields (such as `block`) are included.
-        """
+        """Returns the fields by which packets are decoded, and required fields, as JSON types."""
         required = {key for key, field in type(self).model_fields.items() if field.is_required()}
         kept = required.union(_DECODING, _SIGNS)
         fields = self.model_dump(mode="json", include=kept, exclude_defaults=True)
         return {key: value for key, value in fields.items() if value != ""}
 
-    def _judge(self) -> Intake:
+    def _new_checker(self) -> Intake:
         return Intake(self.layout, nan_allowed=self._nan_allowed)
 
     def decode(self, packet: bytes) -> dict[str, Array] | None:
-        """Decodes one packet without counting it; None if it would not be applied."""
-        judge = self._judge()
-        rows, _ = judge.take(*pad_packets([packet], self.size), np.zeros(1))
+        """Decodes a packet without counting it; returns None if it would not be applied."""
+        checker = self._new_checker()
+        rows, _ = checker.take(*pad_packets([packet], self.size), np.zeros(1))
         if not len(rows):
             return None
-        return {event: array[0] for event, array in judge.decode(rows).items()}
+        return {event: array[0] for event, array in checker.decode(rows).items()}
 
     def decode_rows(self, rows: Rows, lengths: Ints) -> tuple[dict[str, Array], Ints]:
-        """Decodes packets separately, without counting them.
-
-        Args:
-            rows: (n, bytes), a packet each, as passed to taps.
-            lengths: of the packets, (n,).
+        """Decodes n packets, in rows as for `Intake.take`, without counting them.
 
         Returns:
-            event name to its arrays (m, ...), and the indices of their rows, (m,).
+            event name to arrays (m, ...), and the rows of the m valid packets, (m,).
         """
-        judge = self._judge()
-        good, numbers = judge.take(rows, lengths, np.arange(len(rows), dtype=float))
-        return judge.decode(good), numbers.astype(np.intp)
+        checker = self._new_checker()
+        good, numbers = checker.take(rows, lengths, np.arange(len(rows), dtype=float))
+        return checker.decode(good), numbers.astype(np.intp)
 
 
 def _structure_of(text: str, info: ValidationInfo) -> Structure:
-    """The structure of a declaration, given its previously validated fields."""
     is_double, alignment = info.data.get("is_double", True), info.data.get("alignment", 1)
     return Structure(text, is_double=is_double, alignment=alignment)

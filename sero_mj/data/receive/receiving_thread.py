@@ -1,7 +1,4 @@
-"""`ReceivingThread`: the guarded thread on which every source receives.
-
-No exception ends it: the source shows what failed, and reception restarts.
-"""
+"""`ReceivingThread`: the thread of a source; it restarts reception after every exception."""
 
 from __future__ import annotations
 
@@ -11,15 +8,20 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-SHORTEST, LONGEST = 0.1, 5.0  # s from a failure to the next attempt
+MIN_PAUSE, MAX_PAUSE = 0.1, 5.0  # s between a failure and the next attempt
 
 
-class ClosedHere(Exception):
+class Closing(Exception):
     """The source is being closed."""
 
 
 class Disconnected(Exception):
-    """There is no connection to the sender, or it has ended."""
+    """There is no connection to the sender, or it has ended.
+
+    Args:
+        trouble: the reason, which the source displays.
+        detail: more, for the log.
+    """
 
     def __init__(self, trouble: str, detail: str = "") -> None:
         super().__init__(trouble)
@@ -27,30 +29,29 @@ class Disconnected(Exception):
 
 
 class Receives(Protocol):
-    """What a source has for its thread."""
+    """The part of `Reception` that its thread uses."""
 
     @property
-    def closing(self) -> threading.Event:
-        """Set while the source is being closed."""
+    def closing(self) -> threading.Event: ...
 
     @property
-    def receive_trigger(self) -> int:
-        """Number of good packets."""
+    def receive_trigger(self) -> int: ...
 
-    def note_failure(self, error: BaseException) -> None:
-        """Shows that reception has failed."""
+    def note_failure(self, error: BaseException) -> None: ...
 
 
 class ReceivingThread:
     """Runs the reception of a source until the source is closed.
 
-    When `receive` returns or raises, it is called again after a pause. The pause is 0.1 s after an
-    attempt that received packets, and doubles up to 5 s after others. `Disconnected` becomes the
-    source's `trouble`, any other exception its `error`.
+    If `receive` returns or raises an exception, it is called again after a pause of 0.1 s. The
+    pause doubles up to 5 s with each attempt that receives no packets. `Disconnected` sets the
+    source's `trouble`, and any other exception its `error`.
 
     Args:
-        receive: receives packets until `source.closing` is set; its argument becomes readable then.
-        interrupt: called by `end`, for a `receive` that waits for something else than the socket.
+        name: name of the thread.
+        receive: function that receives packets until `source.closing` is set. Its argument is a
+            socket that becomes readable at that time.
+        interrupt: called by `end`, to wake a `receive` that does not wait for the socket.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class ReceivingThread:
         return threading.current_thread() is self._thread
 
     def end(self) -> None:
-        """Ends the thread and waits for it; the source's `closing` must be set."""
+        """Waits until the thread has ended; the source's `closing` must be set before."""
         self._waker.send(b"x")
         if self._interrupt is not None:
             self._interrupt()
@@ -81,21 +82,21 @@ class ReceivingThread:
         self._waker.close()
 
     def _run(self) -> None:
-        source, pause = self._source, SHORTEST
+        source, pause = self._source, MIN_PAUSE
         while not source.closing.is_set():
             before = source.receive_trigger
             try:
                 self._receive(self._wake)
-            except ClosedHere:
+            except Closing:
                 return
-            # SystemExit as well, which would end the thread without a message.
+            # Includes SystemExit, which would end the thread without a message.
             except BaseException as error:
                 if source.closing.is_set():
                     return
-                # Not even a handler of log messages that fails ends the thread.
+                # Log handlers of the user may raise exceptions, too.
                 with suppress(Exception):
                     source.note_failure(error)
             if source.receive_trigger > before:
-                pause = SHORTEST
+                pause = MIN_PAUSE
             source.closing.wait(pause)
-            pause = min(2.0 * pause, LONGEST)
+            pause = min(2.0 * pause, MAX_PAUSE)

@@ -1,4 +1,4 @@
-"""`Reception`: checks the packets of a source, counts them, and hands on the good ones."""
+"""`Reception`: checks and counts the packets of a source, and provides the valid ones."""
 
 from __future__ import annotations
 
@@ -17,62 +17,62 @@ from ...base.once import Once
 from .intake import Counters, Intake, pad_packets
 from .mailbox import Mailbox, Packet, Packets
 from .packet_declaration import PacketDeclaration
-from .receiving_thread import LONGEST, Disconnected
+from .receiving_thread import MAX_PAUSE, Disconnected
 from .structure import Rows
 from .tracking import Timing
 
 log = logging.getLogger("sero_mj.data.receive.source")
 
-QUIET_AFTER = 0.5  # s without a packet until a source counts as silent
+QUIET_AFTER = 0.5  # s without a packet, after which a source is silent
 _WARN_INTERVAL = 10.0  # s
-_ERROR_SHOWN_FOR = 2 * LONGEST  # s after the last failure, if no packets arrive
-# Receives raw packets: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
+_ERROR_DURATION = 2 * MAX_PAUSE  # s for which `error` is set if no packets arrive
+# Function of raw packets: rows (n, bytes), lengths (n,) in bytes, arrival times (n,) in s.
 Tap = Callable[[Rows, Ints, Array], object]
 
 
 class Timeline:
-    """When packets come, in real time by default; recordings and runs override all of it."""
+    """The clock of a source: real time by default; recordings and runs override all methods."""
 
     def now(self) -> float:
-        """The time on the clock of arrivals, s: that of `time.monotonic`, or of a recording."""
+        """Returns the time on the clock of arrivals, s: `time.monotonic`, or of a recording."""
         return clock.monotonic()
 
     @property
     def is_live(self) -> bool:
-        """Whether packets arrive in real time; those of a recording follow `advance_to`."""
+        """Whether packets arrive in real time, and not by `advance_to` as those of a recording."""
         return True
 
     @property
     def end(self) -> float | None:
-        """Time of the last packet, s on the clock of `advance_to`; None for endless sources."""
+        """Time of the last packet on the clock of `advance_to`, s; None for live sources."""
         return None
 
     @property
     def begin(self) -> float:
-        """Time of the first packet, s on the clock of `advance_to`."""
+        """Time of the first packet on the clock of `advance_to`, s."""
         return 0.0
 
     @property
     def newest(self) -> float | None:
-        """Time of the newest packet, s, for endless sources with a visible past."""
+        """Time of the newest packet of a live source whose past can be displayed, s; else None."""
         return None
 
     @property
     def step(self) -> float | None:
-        """Time step of a simulation, whose `advance_to` is slow, s; None for all others."""
+        """Time step of a simulation, whose `advance_to` is slow, s; None for other sources."""
         return None
 
     def advance_to(self, time: float) -> None:
-        """Advances to a time, s, if the source does not run in real time."""
+        """Advances to a time, s. Has no effect on live sources."""
 
 
 class Reception(PacketDeclaration, Timeline):
-    """Takes in packets of one structure; malformed ones are counted and never handed on.
+    """Accepts packets of one structure. Malformed packets are counted and not applied.
 
     Attributes:
-        name: the source's name in routes.
-        only_latest_packet: the newest packet wins; when false every packet is handed on in order.
-        debug_level: what is logged: 0 nothing, 1 faults, 2 restarts and loss too, 3 every batch.
+        name: name of the source in routes.
+        only_latest_packet: apply only the newest packet; if false, apply every packet in order.
+        debug_level: 0 logs nothing, 1 faults, 2 also restarts and losses, 3 every batch.
     """
 
     name: str = "source"
@@ -93,7 +93,7 @@ class Reception(PacketDeclaration, Timeline):
 
     @property
     def intake(self) -> Intake:
-        """Checks and counts the packets; recreated by every `open`."""
+        """The checks and counters of packets; `open` creates new ones."""
         if self._intake is None:
             self._intake = self._new_intake()
         return self._intake
@@ -112,34 +112,31 @@ class Reception(PacketDeclaration, Timeline):
 
     @property
     def counters(self) -> Counters:
-        """Counts of packets since it was opened."""
+        """Counts of packets since the source was opened."""
         return self.intake.counters
 
     @property
     def timing(self) -> Timing:
-        """Rate, jitter and delay since it was opened."""
+        """Rate, jitter and delay since the source was opened."""
         return self.intake.timing
 
     @property
     def receiving(self) -> bool:
-        """Whether a good packet arrived within the last half second."""
+        """Whether a valid packet arrived within the last half second."""
         last = self._mail.last_arrival
         return last is not None and self.now() - last < QUIET_AFTER
 
     @property
     def receive_trigger(self) -> int:
-        """Number of good packets, which changes with every one."""
+        """Number of valid packets."""
         return self._mail.number
 
     def allow_nan(self, events: Collection[str]) -> None:
-        """Treats NaN and infinity as `no data` in these events, and in no others.
+        """Accepts NaN and infinity as missing data in these events only; raises UnknownName.
 
-        They are passed on as NaN, a matrix as a whole, and the rest of the packet is applied
-        (counted as `blanked`); anywhere else they make it malformed. Takes effect with the next
-        packet.
-
-        Raises:
-            UnknownName: an event that the structure does not have.
+        Such values become NaN, and a matrix with one becomes NaN as a whole. The rest of the packet
+        is applied, and the packet is counted as `blanked`. In other events, NaN and infinity make a
+        packet malformed. Takes effect with the next packet.
         """
         for event in events:
             if event not in self.events:
@@ -148,35 +145,33 @@ class Reception(PacketDeclaration, Timeline):
         self.intake.nan_allowed = self._nan_allowed
 
     def limit(self, limits: Mapping[str, Array]) -> None:
-        """Sets the largest magnitudes of numbers; a packet with a larger one is malformed.
+        """Sets maximum magnitudes, by event, for each of its k numbers, (k,).
 
-        It is counted as `implausible`. Takes effect with the next packet.
-
-        Args:
-            limits: event name to the limit of each of its numbers, flat, (k,).
+        A packet with a larger number is malformed and counted as `implausible`. Takes effect with
+        the next packet.
         """
         self._limits = dict(limits)
         self.intake.limits = self._limits
 
     def on_receive(self, callback: Callable[[], None]) -> None:
-        """Registers a callback, on the source's thread, for the arrival of good packets.
+        """Registers a function that the source's thread calls after valid packets.
 
         An exception in it becomes the source's `error`; reception continues.
         """
         self._callbacks.append(callback)
 
     def remove_callback(self, callback: Callable[[], None]) -> None:
-        """Removes a callback of `on_receive`, if it is registered."""
+        """Removes a callback of `on_receive`. Has no effect if it is not registered."""
         with suppress(ValueError):
             self._callbacks.remove(callback)
 
     def record_to(self, tap: Tap | None) -> None:
-        """Passes all packets, malformed ones included, to `tap` as they arrive; None ends that."""
+        """Passes all packets, including malformed ones, to `tap` as they arrive; None stops it."""
         self._tap = tap
 
     @property
     def closing(self) -> threading.Event:
-        """Set while it is being closed, so that `accept` does not wait for room."""
+        """Set while the source is being closed."""
         return self._mail.closing
 
     @property
@@ -196,7 +191,7 @@ class Reception(PacketDeclaration, Timeline):
         self.counters.superseded += count
 
     def reset(self) -> None:
-        """Discards all packets and counters, and applies a changed declaration."""
+        """Discards all packets, counters and errors, and applies a changed declaration."""
         self.__dict__.pop("layout", None)
         self._intake = self._new_intake()
         self._mail.is_lossless = not self.only_latest_packet
@@ -205,34 +200,34 @@ class Reception(PacketDeclaration, Timeline):
         self._warned = self._logged_failure = -np.inf
 
     def latest(self) -> Packet | None:
-        """Returns the newest good packet, or None when there was none yet."""
+        """Returns the newest valid packet, or None if none has arrived."""
         packets = self._mail.newest()
         return None if packets is None else packets.last
 
     def take(self) -> Packets | None:
-        """Returns the good packets since the last call, or None when there is none.
+        """Returns the valid packets since the last call, or None if there are none.
 
-        Only the newest one, unless `only_latest_packet` is false.
+        If `only_latest_packet` is set, returns only the newest one.
         """
         return self._mail.take()
 
     def keep_all(self) -> None:
-        """Starts to keep all good packets for `take_all`, independent of `take`."""
+        """Starts to store all valid packets for `take_all`, independently of `take`."""
         self._mail.keep_all()
 
     def keep_none(self) -> None:
-        """Ends `keep_all`, and drops the packets that nobody has taken."""
+        """Ends `keep_all` and discards the stored packets."""
         self._mail.keep_none()
 
     def take_all(self) -> Packets | None:
-        """Returns all good packets since the last call, or None when there is none.
+        """Returns the packets stored since `keep_all` or the last call, or None without any.
 
-        After `keep_all`. They are kept up to 16 MB, then the oldest are dropped.
+        If they exceed 16 MB, the oldest are missing.
         """
         return self._mail.take_all()
 
     def wait(self, timeout: float) -> bool:
-        """Waits up to `timeout` s for a good packet; returns whether one has arrived."""
+        """Waits up to `timeout` s for the first valid packet; returns whether one has arrived."""
         return self._mail.wait(timeout)
 
     def accept(
@@ -241,15 +236,11 @@ class Reception(PacketDeclaration, Timeline):
         arrivals: Sequence[float] | None = None,
         senders: Rows | None = None,
     ) -> None:
-        """Accepts raw packets, malformed ones included; only for the source's own thread.
+        """Accepts n raw packets, including malformed ones. Call this in the source's own thread.
 
         Args:
-            packets: bytes of each, n.
-            arrivals: of each, n, s on the clock of `now`; now when None.
-            senders: what tells their senders apart, (n, any number of bytes); one when None.
-
-        Raises:
-            ValueError: the numbers of arrivals and packets differ.
+            arrivals: arrival times, n, s on the clock of `now`; the current time if None.
+            senders: bytes that identify the sender of each packet, (n, any); one sender if None.
         """
         times = np.full(len(packets), self.now()) if arrivals is None else np.array(arrivals, float)
         if len(times) != len(packets):
@@ -257,16 +248,27 @@ class Reception(PacketDeclaration, Timeline):
         if len(packets):
             self._accept(*pad_packets(packets, self.size), times, senders)
 
+    def reject(self, message: bytes, reason: str) -> None:
+        """Counts a malformed message; `reason` becomes the last fault of the source.
+
+        For sources whose messages are not packets, if the base class cannot say what is wrong.
+        """
+        if (tap := self._tap) is not None:
+            # With the size of a packet, a recording would replay it as one.
+            raw = message + b"\0" * (len(message) == self.size)
+            tap(*pad_packets([raw], self.size), np.array([self.now()]))
+        self.intake.reject(reason, len(message), self.now())
+
     def _accept(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
     ) -> None:
-        """Accepts packets in rows; only for the source's own thread."""
         if (tap := self._tap) is not None:
             tap(rows, lengths, arrivals)
         intake = self._intake or self.intake
         before = (intake.counters.restarts, intake.counters.lost)
         rows, arrivals = intake.take(rows, lengths, arrivals, senders)
         if len(rows):
+            self._trouble = ""
             self._mail.put(rows, arrivals)
         intake.count()
         if self.debug_level >= 2:
@@ -279,7 +281,7 @@ class Reception(PacketDeclaration, Timeline):
         for callback in (*self._callbacks,):
             try:
                 callback()
-            except Exception as error:  # others are to hear of the packets all the same
+            except Exception as error:  # the other callbacks are still called
                 failure = error
         if failure is not None:
             self.note_failure(failure, "a callback of on_receive failed")
@@ -292,25 +294,24 @@ class Reception(PacketDeclaration, Timeline):
             self._warned = now
             log.warning("source '%s': a packet is not applied: %s", self.name, fault)
 
-    def _log_batch(self, before: tuple[int, int], good: int) -> None:
+    def _log_batch(self, before: tuple[int, int], valid: int) -> None:
         counters = self.counters
         if counters.restarts > before[0]:
-            log.info("source '%s': its sender restarted", self.name)
+            log.info("source '%s': the sender restarted", self.name)
         if counters.lost > before[1]:
             log.info("source '%s': %d packets lost", self.name, counters.lost - before[1])
         if self.debug_level >= 3:
-            log.info("source '%s': %d good packets", self.name, good)
+            log.info("source '%s': %d valid packets", self.name, valid)
 
     def note_failure(self, error: BaseException, what: str = "reception failed") -> None:
-        """Shows that reception has failed, counts it, and logs it at a limited rate.
+        """Sets `error`, counts the failure, and logs it at a limited rate.
 
-        Args:
-            what: the failure; without an effect for `Disconnected`, which is only `trouble`.
+        `Disconnected` sets only `trouble`. `what` precedes the text of other exceptions.
         """
         if isinstance(error, Disconnected):
             self._trouble = error.trouble
             detail = f" ({error.detail})" if error.detail else ""
-            self.tell_once(f"{error.trouble}{detail}; it is tried again")
+            self.log_once(f"{error.trouble}{detail}; trying again")
             return
         text = getattr(error, "strerror", None) or str(error)
         found = SourceError(self.name, f"{what}: {type(error).__name__}: {text}")
@@ -320,17 +321,26 @@ class Reception(PacketDeclaration, Timeline):
         self._failure, self._failed_at = found, now
         if self.debug_level >= 1 and now - self._logged_failure > _WARN_INTERVAL:
             self._logged_failure = now
-            # A system's error says enough; of another one the traceback shows the line.
+            # Errors of the system need no traceback.
             log.warning("%s", found, exc_info=None if isinstance(error, OSError) else error)
 
-    def tell_once(self, text: str) -> None:
-        """Logs a text once until the source is opened again."""
+    def log_once(self, text: str) -> None:
+        """Logs a text once, until the source is opened again."""
         if self.debug_level >= 1 and self._is_new(text):
             log.warning("source '%s': %s", self.name, text)
 
     @property
+    def trouble(self) -> str:
+        """Why no packets arrive, for display; empty if unknown. Valid packets clear it."""
+        return self._trouble
+
+    def note_trouble(self, trouble: str) -> None:
+        """Sets `trouble`; an empty text clears it."""
+        self._trouble = trouble
+
+    @property
     def error(self) -> Exception | None:
-        """The last failure of reception, until packets arrive without one or 10 s have passed."""
-        if clock.monotonic() - self._failed_at > _ERROR_SHOWN_FOR:
+        """The last failure of reception; None after valid packets, or 10 s after the failure."""
+        if clock.monotonic() - self._failed_at > _ERROR_DURATION:
             return None
         return self._failure

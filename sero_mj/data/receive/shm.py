@@ -16,41 +16,40 @@ from .reception import log
 from .shm_block import Block, block_path
 from .source import Source
 
-_BLOCK_POLL_INTERVAL = 0.02  # s; delay until a created or recreated block is detected
-_LOCK_TIMEOUT = 2e-3  # s; how long a frame waits while another thread reads the block
-_COUNT_INTERVAL = 1.0  # s; between counts of a block that remains too small
-_GATHER_TIME = 8e-4  # s; faster packets are checked together, since one costs as much as ten
-_MAX_ATTEMPTS = 50  # at reading a packet between two writes; some 200 us
-_MAX_SPIN = 2e-4  # s; a packet that has to be unchanged for longer is checked again later
-_MAX_WRITE_TIME = 0.1  # s; upper bound for a live writer
+_BLOCK_POLL_INTERVAL = 0.02  # s between checks whether the block was created or recreated
+_LOCK_TIMEOUT = 2e-3  # s that a frame waits while another thread reads the block
+_COUNT_INTERVAL = 1.0  # s between counts of a block that is too small
+_GATHER_TIME = 8e-4  # s; faster packets are checked together: ten take as long as one
+_MAX_ATTEMPTS = 50  # to read a packet between two writes, about 200 us
+_MAX_SPIN = 2e-4  # s; longer values of `settle` are checked at the next poll
+_MAX_WRITE_TIME = 0.1  # s; a writer that needs longer has stopped
 
 
 class ShmReader(Source):
     """Reads packets of one structure from a block of POSIX shared memory.
 
-    The block need not exist: it is opened when it appears, and again when it is recreated. A packet
-    is new when its bytes differ; a writer that may repeat packets needs a counter or a time in the
-    structure, or it is considered silent.
+    The block need not exist: it is opened when it is created, and reopened when it is recreated. A
+    packet is new if its bytes differ from those of the last one. A writer that may repeat packets
+    needs a counter or a time in the structure; otherwise it is reported as silent.
 
-    A torn packet, written only in part, is not applied:
+    Torn packets, which the writer has written in part, are detected in different ways:
 
-    - With `lock` never. The writer makes that number odd before it writes, and a different even
-      number when it is done (a seqlock).
-    - Without, a packet is applied when it has been unchanged for `settle`; a writer that is
-      interrupted within a packet for longer is not detected.
-    - With `sequence` alone likewise, and nothing is applied before the counter has changed: if the
-      writer writes it last, an interruption is detected as well unless it has only just begun.
+    - With `lock`, torn packets are never applied. The writer sets this number to an odd value
+      before it writes, and to another even value afterwards (a seqlock).
+    - Without it, a packet is applied if it has not changed for `settle`. A packet is torn if the
+      writer is interrupted for longer.
+    - With `sequence` and no lock, the counter must have changed as well. If the writer writes it
+      last, most interruptions are detected.
 
-    Packets that the writer replaces before they are read are counted as `lost` if there is a
-    `sequence`, since only their numbers show it.
+    Packets that are replaced before they are read are counted as `lost` only with a `sequence`.
 
     Attributes:
         block: name of the shared memory, `robot` or `/robot`.
-        lock: event of the structure that is odd while the writer writes; empty for none. 0 means
-            that nothing has been written yet.
-        offset: of the packet in the block, bytes.
-        poll_rate: at which the block is polled, Hz; in addition it is read for every frame.
-        settle: without a lock, how long a packet has to be unchanged, s.
+        lock: event that is odd while the writer writes, and 0 before the first packet; empty for
+            none.
+        offset: position of the packet in the block, bytes.
+        poll_rate: rate at which the block is read, Hz. It is also read for each frame.
+        settle: time for which a packet must not change if there is no lock, s.
     """
 
     name: str = "shm"
@@ -67,9 +66,9 @@ class ShmReader(Source):
     _packets: _PacketFinder | None = PrivateAttr(None)
     _look_next: float = PrivateAttr(0.0)
     _count_next: float = PrivateAttr(0.0)
-    # Packets of any length to be checked, and when they were read.
+    # Packets to be checked, with the times at which they were read.
     _gathered: list[tuple[bytes, float]] = PrivateAttr(default_factory=list)
-    _checked: float = PrivateAttr(-np.inf)  # when others were
+    _checked: float = PrivateAttr(-np.inf)  # time of the last check, s
 
     @field_validator("block")
     @classmethod
@@ -87,14 +86,13 @@ class ShmReader(Source):
         if not self.lock:
             return self
         if self.lock == self.sequence:
-            raise ValueError(
-                f"'{self.lock}' is lock and sequence; a lock goes up by two: leave sequence out"
-            )
+            reason = "a lock increases by two. Leave sequence out"
+            raise ValueError(f"'{self.lock}' is lock and sequence; {reason}")
         field = self.layout.field(self.lock)
-        if at := (self.offset + field.offset) % field.item_bytes:
-            expected = f"multiple of {field.item_bytes}"
-            message = f"lock '{self.lock}' is {at} bytes behind a {expected}; expected it at one, "
-            raise ValueError(message + "or it could be torn itself (alignment = 8 may help)")
+        if (self.offset + field.offset) % field.item_bytes:
+            expected = f"expected a multiple of {field.item_bytes}, so that it cannot be torn"
+            found = f"lock '{self.lock}' is at byte {self.offset + field.offset}"
+            raise ValueError(f"{found}; {expected}. Use alignment = 8, for example")
         return self
 
     @property
@@ -110,7 +108,6 @@ class ShmReader(Source):
         return self._trouble or (self._packets.trouble if self._packets is not None else "")
 
     def open(self) -> None:
-        """Starts the thread that reads; the block need not exist; raises SourceError."""
         self.close()
         self.reset()
         self._packets = _PacketFinder(self)
@@ -136,48 +133,42 @@ class ShmReader(Source):
             self._block = None
 
     def latest(self) -> Packet | None:
-        """Returns the newest good packet, or None when there was none yet.
-
-        Reads the block itself, so that a frame shows its current contents.
-        """
+        """Reads the block and returns the newest valid packet, or None if there is none."""
         self._look_now()
         return super().latest()
 
     def take(self) -> Packets | None:
-        """Returns the good packets since the last call, or None when there is none.
+        """Returns the valid packets since the last call, or None; see `Reception.take`.
 
-        Only the newest one, read from the block now, unless `only_latest_packet` is false.
+        Reads the block first, if `only_latest_packet` is set.
         """
         self._look_now()
         return super().take()
 
     def _look_now(self) -> None:
-        # If no packet may be lost, the caller must not wait for room that only it can make.
+        # If no packet may be lost, `accept` may wait until the caller of this method takes packets.
         if self._thread is None or self._thread.is_current or not self.only_latest_packet:
             return
-        # The thread may be reading, which takes less, or in a callback that waits for us.
+        # The lock is held while the thread reads, or during a callback that waits for this thread.
         if self._reading.acquire(timeout=_LOCK_TIMEOUT):
             try:
                 if not self.closing.is_set():
                     self._poll()
                     self._check()
-            except Exception as error:  # which must not end the consumer's loop
+            except Exception as error:  # must not end the loop of the consumer
                 self.note_failure(error)
             finally:
                 self._reading.release()
 
     def wait(self, timeout: float) -> bool:
-        """Waits up to `timeout` s for a good packet; returns whether one has arrived.
-
-        Otherwise the reason is logged, if known.
-        """
+        """Waits up to `timeout` s for the first valid packet; logs the reason if none arrives."""
         has_come = super().wait(timeout)
         if not has_come and self.trouble and self.debug_level >= 1:
             log.warning("source '%s': %s", self.name, self.trouble)
         return has_come
 
     def _call_back(self) -> None:
-        # Not on a consumer's thread, which may hold a lock that the callback waits for.
+        # Not in a consumer's thread, which may hold a lock that the callback waits for.
         self._owes_call_back = self._thread is None or not self._thread.is_current
         if not self._owes_call_back:
             super()._call_back()
@@ -191,7 +182,7 @@ class ShmReader(Source):
                     self._check()
                 if self._owes_call_back:
                     self._call_back()
-            # Cheaper than waiting for an Event, with the same latency.
+            # Faster than an Event, with the same latency.
             wake.acquire(timeout=period)
         self._check()
 
@@ -214,7 +205,7 @@ class ShmReader(Source):
                 packets.torn = 0
         elif len(found) == self.size:
             self._gathered.append((found, now))
-        elif now >= self._count_next and block.size:  # else it has just been created
+        elif now >= self._count_next and block.size:  # empty if it has just been created
             self._count_next = now + _COUNT_INTERVAL
             self._gathered.append((found, now))
 
@@ -232,8 +223,8 @@ class ShmReader(Source):
         try:
             found = Block(self.block)
         except FileNotFoundError:
-            # The unlinked block is kept open: its writer may be alive, and a new block cannot get
-            # the same identity meanwhile.
+            # The unlinked block stays open because its writer may still run, and so that a new
+            # block cannot have the same identity.
             is_gone = old is not None or self.receive_trigger
             self._trouble = f"{self.about} is gone" if is_gone else f"no {self.about} yet"
             return
@@ -244,24 +235,22 @@ class ShmReader(Source):
         self._trouble = ""
         if old is not None:
             old.close()
-            if any(found.identity):  # else it may be the old one
+            if any(found.identity):
                 self._check()
                 self.intake.restart()
                 self._packets.forget()
                 if self.debug_level >= 2:
-                    log.info("source '%s': %s was made again", self.name, self.about)
+                    log.info("source '%s': %s was recreated", self.name, self.about)
         self._block = found
 
 
 def _why(error: OSError) -> str:
     if isinstance(error, PermissionError):
-        return "no permission to read it; ask its writer for mode 0644"
+        return "no permission to read it; its writer must set mode 0644"
     return error.strerror or str(error)
 
 
 class _PacketFinder:
-    """Finds new, untorn packets in a block; a plain class because attribute access counts here."""
-
     def __init__(self, reader: ShmReader) -> None:
         self.torn, self.trouble = 0, ""
         layout = reader.layout
@@ -273,13 +262,13 @@ class _PacketFinder:
 
     def forget(self) -> None:
         self._done = b""  # the last packet returned
-        self._standing = b""  # a new one that may be incomplete
-        self._unfinished = b""  # an incomplete one, according to its lock
-        self._since = 0.0  # when either was first seen
+        self._candidate = b""  # a new packet that may be incomplete
+        self._unfinished = b""  # a packet that is incomplete according to its lock
+        self._since = 0.0  # time at which either was read first
 
     def find(self, block: Block) -> bytes | None:
-        """Returns the current packet if it is new and complete, or contents that are too short."""
-        # Before reading: a delay in between must not count as time without changes.
+        """Returns a new and complete packet, or contents that are too short; None for neither."""
+        # Taken before reading, so that an interruption does not count as time without changes.
         started = clock.monotonic()
         seen = block.read(self._size, self._offset)
         if seen == self._done and seen:
@@ -289,21 +278,21 @@ class _PacketFinder:
             self.trouble = f"{self._about} has {block.size} bytes; expected {expected}"
             return seen
         if not self._done and seen.count(0) == len(seen):
-            self.trouble = f"{self._about} is there ({block.size} bytes), nothing is written yet"
+            self.trouble = f"{self._about} exists ({block.size} bytes), but nothing is written yet"
             return None
         if self._lock is not None:
             packet = self._find_locked(block, self._lock, seen)
         elif self._sequence is None or not self._done or _differ(seen, self._done, self._sequence):
-            packet = self._find_standing(block, seen, started)
+            packet = self._find_candidate(block, seen, started)
         else:
-            packet = None  # the writer is in the middle of the next one
+            packet = None  # the writer has begun the next packet
         if packet is not None:
-            self._done, self._unfinished, self._standing = packet, b"", b""
+            self._done, self._unfinished, self._candidate = packet, b"", b""
             self.trouble = ""
         return packet
 
     def _find_locked(self, block: Block, field: Item, seen: bytes) -> bytes | None:
-        if seen == self._unfinished:  # the same write as before
+        if seen == self._unfinished:  # still the same write
             if clock.monotonic() - self._since > _MAX_WRITE_TIME:
                 self.trouble = (
                     f"the writer of {self._about} stopped in the middle of a packet: "
@@ -317,7 +306,7 @@ class _PacketFinder:
             packet = block.read(self._size, self._offset)
             after = block.read(count, self._offset + begin)
             if len(packet) < self._size:
-                return None  # it has just shrunk
+                return None  # the block has shrunk
             if before == after == packet[begin : field.end] and is_even(before, field):
                 return packet if self._is_counted(packet, before) else None
         self.torn += 1
@@ -332,20 +321,19 @@ class _PacketFinder:
         if not any(lock):
             self.trouble = f"nothing has been written to {about}: '{name}' is 0"
         elif self._done and not _differ(packet, self._done, self._lock):
-            self.trouble = f"the writer of {about} does not count '{name}' up for a packet"
+            self.trouble = f"the writer of {about} does not increase '{name}' for each packet"
         else:
             return True
         return False
 
-    def _find_standing(self, block: Block, seen: bytes, started: float) -> bytes | None:
-        """Reads until nothing has changed for `settle`; `seen` was read at `started`."""
-        stands = seen == self._standing
-        if stands and started - self._since >= self._settle:
+    def _find_candidate(self, block: Block, seen: bytes, started: float) -> bytes | None:
+        is_same = seen == self._candidate
+        if is_same and started - self._since >= self._settle:
             return seen
         if self._settle > _MAX_SPIN:
-            if not stands:
-                self.torn += bool(self._standing)
-                self._standing, self._since = seen, clock.monotonic()
+            if not is_same:
+                self.torn += bool(self._candidate)
+                self._candidate, self._since = seen, clock.monotonic()
             return None
         changes, since = 0, clock.monotonic()
         while changes < _MAX_ATTEMPTS:
@@ -358,13 +346,13 @@ class _PacketFinder:
             elif started - since >= self._settle:
                 return seen
         self.torn += 1
-        self.trouble = f"{self._about} changes all the time; its writer needs a lock"
-        self._standing, self._since = seen, since
+        self.trouble = f"{self._about} changes continuously; its writer needs a lock"
+        self._candidate, self._since = seen, since
         return None
 
 
 def is_even(number: bytes, field: Item) -> bool:
-    """Whether a lock's value means a complete packet; NaN and fractions do not."""
+    """Whether the bytes of a lock are an even number; false for NaN and fractions."""
     dtype = field.dtype
     if dtype.kind == "f":
         return bool(np.frombuffer(number, dtype)[0] % 2 == 0)

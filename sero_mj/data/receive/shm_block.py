@@ -1,4 +1,4 @@
-"""Blocks of POSIX shared memory: by name, read and written without mapping them where possible."""
+"""Blocks of POSIX shared memory, which are read and written without mapping on Linux."""
 
 from __future__ import annotations
 
@@ -10,25 +10,20 @@ import sys
 from collections.abc import Callable
 
 try:
-    # The implementation of `multiprocessing.shared_memory`; on every POSIX system, in CPython and
-    # PyPy. The class itself is unsuitable: before Python 3.13 its resource tracker unlinks the
-    # blocks of other processes at exit (bpo-38119). The package posix_ipc would need a compiler
-    # wherever it has no wheel.
+    # The module behind `multiprocessing.shared_memory`, on all POSIX systems in CPython and PyPy.
+    # That class is unsuitable: before Python 3.13, its resource tracker unlinks the blocks of other
+    # processes at exit (bpo-38119). The package posix_ipc needs a compiler if it has no wheel.
     import _posixshmem
 except ImportError:  # Windows
     _posixshmem = None
 
-LONGEST_NAME = 30 if sys.platform == "darwin" else 254  # bytes, without the slash
+MAX_NAME_BYTES = 30 if sys.platform == "darwin" else 254  # without the slash
 
 _Call = Callable[[int, object, int, int], int]
 
 
 def block_path(name: str) -> str:
-    """The name of a block for `shm_open`: `/robot` for `robot` and for `/robot`.
-
-    Raises:
-        ValueError: no block can have this name.
-    """
+    """Returns the name for `shm_open`: `/robot` for `robot` and `/robot`; raises ValueError."""
     bare = name.removeprefix("/")
     expected = "expected a name such as robot or /robot"
     if bare in ("", ".", ".."):
@@ -36,16 +31,16 @@ def block_path(name: str) -> str:
     if "/" in bare or not bare.isprintable():
         wrong = next(c for c in bare if c == "/" or not c.isprintable())
         raise ValueError(f"found {wrong!r} in {name!r}; {expected}")
-    if (length := len(bare.encode())) > LONGEST_NAME:
-        raise ValueError(f"found {length} bytes; a block's name has at most {LONGEST_NAME}")
+    if (length := len(bare.encode())) > MAX_NAME_BYTES:
+        raise ValueError(f"found {length} bytes; expected at most {MAX_NAME_BYTES}")
     return f"/{bare}"
 
 
 def _system_call(name: str) -> _Call | None:
-    """`pread` or `pwrite` while holding the interpreter lock.
+    """Returns `pread` or `pwrite` without releasing the interpreter.
 
-    `os.pread` lets other Python threads run, and a busy one gives the interpreter back after 5 ms
-    only: between two reads that must be next to each other.
+    `os.pread` lets other threads run between two reads that must follow each other, and a busy
+    thread returns the interpreter only after 5 ms.
     """
     if sys.platform != "linux":
         return None  # elsewhere shared memory is not a file
@@ -61,15 +56,16 @@ _PREAD, _PWRITE = _system_call("pread"), _system_call("pwrite")
 class Block:
     """An open block of POSIX shared memory; raises OSError or ValueError.
 
-    On Linux it is read and written by system calls. With a mapping, the process would get SIGBUS if
-    another one shrinks the block; and calls are ordered even on processors that reorder memory
-    accesses. Elsewhere it is mapped, and its size checked before every access.
+    On Linux, it is read and written by system calls: with a mapping, the process would receive
+    SIGBUS if another process shrinks the block. System calls are also ordered on processors that
+    reorder memory accesses. On other systems, the block is mapped, and its size is checked before
+    each access.
 
     Args:
-        create: whether to create it; it must not exist yet.
+        create: create the block, which must not exist.
 
     Attributes:
-        identity: distinguishes it from other blocks of the same name; 0 if unavailable.
+        identity: value that differs between blocks of the same name; zeros if unavailable.
     """
 
     def __init__(self, name: str, *, writable: bool = False, create: bool = False) -> None:
@@ -78,7 +74,7 @@ class Block:
             raise OSError("this system has no POSIX shared memory")
         flags = os.O_RDWR if writable else os.O_RDONLY
         flags |= os.O_CREAT | os.O_EXCL if create else 0
-        flags |= os.O_NONBLOCK  # a pipe of that name would block
+        flags |= os.O_NONBLOCK  # does not wait if the name is that of a pipe
         self._fd = _posixshmem.shm_open(self.path, flags, mode=0o600)
         self._map: mmap.mmap | None = None
         self._writable = writable
@@ -86,7 +82,7 @@ class Block:
         status = os.fstat(self._fd)
         if sys.platform == "linux" and not stat.S_ISREG(status.st_mode):
             os.close(self._fd)
-            raise OSError("it is no shared memory")
+            raise OSError("not shared memory")
         self.identity = (status.st_dev, status.st_ino) if status.st_ino else (0, 0)
 
     @property
@@ -97,7 +93,7 @@ class Block:
         os.ftruncate(self._fd, size)
 
     def read(self, count: int, start: int = 0) -> bytes:
-        """Reads `count` bytes from `start`; fewer at the block's end."""
+        """Reads `count` bytes from `start`, or fewer if the block ends before."""
         if _PREAD is None:
             mapped = self._mapped()
             return b"" if mapped is None else mapped[start : start + count]
@@ -109,7 +105,7 @@ class Block:
         return ctypes.string_at(self._buffer, found)
 
     def write(self, data: bytes, start: int = 0) -> None:
-        """Writes `data` at `start`; the block has room for it."""
+        """Writes `data` at `start`, within the block."""
         if _PWRITE is None:
             mapped = self._mapped()
             if mapped is None or len(mapped) < start + len(data):
@@ -129,7 +125,7 @@ class Block:
         return self._map
 
     def close(self) -> None:
-        """Closes it without removing the block. Harmless if closed."""
+        """Closes the block without removing it."""
         if self._map is not None:
             self._map.close()
             self._map = None
@@ -138,7 +134,7 @@ class Block:
             self._fd = -1
 
     def unlink(self) -> None:
-        """Removes its name, if it still refers to this block; the last user frees the memory."""
+        """Removes the name if it still refers to this block; the last user frees the memory."""
         try:
             other = Block(self.path)
         except OSError:

@@ -21,11 +21,11 @@ LATE_WITHIN = 64  # numbers; older ones mean that the sender has restarted
 LATE_SECONDS = 0.5  # likewise for time stamps
 RUN = 4  # so many consecutive old packets in order mean the same
 PAUSE = 0.5  # s; after such a pause, an old number means the same
-MOST_LOST = 3000  # numbers; a larger gap across the wrap to 0 is a restart (RFC 3550, appendix A.1)
+MAX_LOST = 3000  # numbers; a larger gap across the wrap to 0 is a restart (RFC 3550, appendix A.1)
 _WINDOW = (1 << (LATE_WITHIN + 1)) - 1  # a bit for the newest number and each possibly late one
 
 SEEN_FOR = 2.0  # s after its last packet until a sender is forgotten
-MOST_SENDERS = 64  # tracked; more are a flood
+MAX_SENDERS = 64  # tracked; more are a flood
 _MIN_STREAM = 2  # packets; a sender that changes its port with every packet is no restart each time
 
 _WEIGHT = 1.0 / 16.0  # of a new packet in a running mean, as in RFC 3550, section 6.4.1
@@ -85,7 +85,7 @@ class SequenceTracker:
         if self._modulus:
             half = self._modulus // 2
             step = (step + half) % self._modulus - half
-        jumped = step > MOST_LOST and number < last
+        jumped = step > MAX_LOST and number < last
         if jumped or (step <= 0 and (paused or step < -LATE_WITHIN)):
             return self._restart(number)
         if step > 0:
@@ -229,7 +229,7 @@ class Senders:
             for key, sender in self._seen.items()
             if now - sender.at < SEEN_FOR or key == self._current
         ]
-        self._seen = dict(recent[-MOST_SENDERS:])
+        self._seen = dict(recent[-MAX_SENDERS:])
         self._seen.setdefault(self._current, dict(recent)[self._current])
         self._replaced &= self._seen.keys()
         began = self._seen[self._current].first

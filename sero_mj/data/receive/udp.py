@@ -1,4 +1,4 @@
-"""`UdpReceiver`: packets from a UDP socket, read on a separate thread (the paper's Fig. 5)."""
+"""`UdpReceiver`: receives packets from a UDP socket in a thread (the paper's Fig. 5)."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_validator
 
-from ...base.errors import (
-    mismatch,
-)
+from ...base.errors import mismatch
 from .connecting import is_address
 from .reception import log
 from .source import Source
@@ -29,8 +27,8 @@ from .udp_socket import (
     pack_address,
 )
 
-# At high rates it is cheaper to gather packets; the renderer shares the interpreter with this
-# thread.
+# At high rates, reading several packets at once leaves more time to the renderer, which shares the
+# interpreter with this thread.
 _BUSY_BATCH = 8  # packets in a batch
 _GATHER_TIME = 5e-4  # s
 _MAX_CHECK_DELAY = 4e-3  # s that answered packets may wait until they are checked
@@ -45,14 +43,14 @@ class UdpReceiver(Source):
 
     Attributes:
         udpport: port to listen on (`port` in files); 0 lets the system choose.
-        host: address to listen on. Loopback by default; `0.0.0.0` for every interface; a
-            multicast group (`239.0.0.1`, `ff02::1`) is joined; IPv6 (`::1`, `::`) works as well,
-            and `::` takes IPv4 too.
-        interface: name or address of the network interface on which a group is joined; needed by
-            addresses that mean another machine on every network (`ff02::1`, `fe80::1`).
-        sender: accepted senders: addresses, with or without a port (`192.168.0.7:1234`,
-            `[fe80::1]:1234`); any when empty. Packets of others are counted as `foreign`.
-        buffer_size: bytes of the kernel's receive buffer; 0 for 4 MiB, or what the system grants.
+        host: address to listen on: `0.0.0.0` for all IPv4 interfaces, `::` for all interfaces, or a
+            multicast group to join (`239.0.0.1`, `ff02::1`).
+        interface: name or address of the network interface of a multicast group; required for
+            addresses that exist on every network (`ff02::1`, `fe80::1`).
+        sender: addresses of accepted senders, with or without a port (`192.168.0.7:1234`,
+            `[fe80::1]:1234`); empty for any sender. Other packets are counted as `foreign`.
+        buffer_size: size of the kernel's receive buffer in bytes; 0 for 4 MiB, or what the system
+            grants.
     """
 
     name: str = "udp"
@@ -66,7 +64,7 @@ class UdpReceiver(Source):
     ] = []
     buffer_size: int = Field(0, ge=0, le=2**31 - 1)
 
-    _most_bytes: ClassVar[int] = 2048  # of a packet that are kept at least
+    _min_row_bytes: ClassVar[int] = 2048  # malformed packets up to this size are recorded whole
     _socket: socket.socket | None = PrivateAttr(None)
     _allowed: frozenset[tuple[bytes, int]] = PrivateAttr(frozenset())
 
@@ -83,7 +81,7 @@ class UdpReceiver(Source):
 
     @property
     def port(self) -> int:
-        """The port it listens on; the one the system chose when `udpport` is 0."""
+        """The port that it listens on, also if the system has chosen it."""
         return int(self._socket.getsockname()[1]) if self._socket else self.udpport
 
     @property
@@ -91,7 +89,6 @@ class UdpReceiver(Source):
         return f"UDP {self.host}:{self.port}"
 
     def open(self) -> None:
-        """Binds the socket and starts the thread; raises SourceError."""
         self.close()
         self._socket = open_socket(
             self.name, self.host, self.udpport, self.interface, self.buffer_size
@@ -113,9 +110,9 @@ class UdpReceiver(Source):
     def _receive(self, wake: socket.socket) -> None:
         sock = self._socket
         assert sock is not None
-        # One additional byte reveals packets that are too long if the system does not report it. A
-        # recording keeps what is wrong whole, if it is not very long.
-        datagrams = Datagrams(sock, max(self.layout.size + 1, self._most_bytes))
+        # One more byte than a packet has reveals packets that are too long on systems that do not
+        # report them.
+        datagrams = Datagrams(sock, max(self.layout.size + 1, self._min_row_bytes))
         datagrams.on_arrival = self._on_arrival(datagrams.send)
         answers, since = datagrams.on_arrival is not None, 0.0
         with selectors.DefaultSelector() as selector:
@@ -124,7 +121,7 @@ class UdpReceiver(Source):
             while not self.closing.is_set():
                 try:
                     count = datagrams.read()
-                except ConnectionError:  # Windows reports that an answer found no listener
+                except ConnectionError:  # on Windows: nobody listens for an answer
                     continue
                 if answers and datagrams.waiting < BATCH:
                     # The next answer is more urgent than checking packets.
@@ -149,11 +146,10 @@ class UdpReceiver(Source):
             self._take_in(batch)
 
     def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
-        """A callback for every packet, before its sender is checked; None for none."""
+        """Returns a function to call for every packet before its sender is checked, or None."""
         return None
 
     def _is_known(self, sender: bytes) -> bool:
-        """Whether packets of a socket address, as in `Batch.senders`, are accepted."""
         return not self._allowed or _is_among(sender, self._allowed)
 
     def _take_in(self, batch: Batch) -> None:
@@ -175,11 +171,7 @@ class UdpReceiver(Source):
 
 
 def split_sender(text: str) -> tuple[str, int]:
-    """Address and port of `192.168.0.7:1234`; the port is 0 when there is none.
-
-    Raises:
-        ValueError: it is not an address.
-    """
+    """Splits `192.168.0.7:1234` into address and port, 0 if missing; raises ValueError."""
     host, port = text, ""
     if text.startswith("["):
         host, _, port = text[1:].partition("]")
@@ -194,7 +186,7 @@ def split_sender(text: str) -> tuple[str, int]:
     else:
         if address.is_unspecified or address.is_multicast:
             raise ValueError(
-                f"found {text!r}, which no sender has; leave it out to accept every sender"
+                f"found {text!r}, which no sender has. Leave it out to accept any sender"
             )
     if not 0 <= number <= 65535:
         raise mismatch(text, "an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234")

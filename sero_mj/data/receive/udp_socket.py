@@ -1,10 +1,10 @@
-"""Opens UDP sockets, with clear errors, and reads them in batches.
+"""Opens UDP sockets and reads packets in batches.
 
-On Linux one `recvmmsg` call reads up to 256 packets, with the kernel's arrival time of each.
-Measured for waiting packets of 112 bytes: one takes 15 us (`recvmsg_into`: 3), eight 17 us (13),
-and 256 take 114 us (405). Receiving 300,000 packets/s while rendering (docs/peers.md) leaves 3.3 us
-for each. `recvmsg_into` also releases the interpreter for every packet: beside a busy thread, the
-99th percentile of 64 packets is 26 ms instead of 10. Elsewhere packets are read one by one.
+On Linux, one call of `recvmmsg` reads up to 256 packets with their arrival times. Measured times
+for waiting packets of 112 bytes, with those of `recvmsg_into` in parentheses: 15 us (3) for one
+packet, 17 us (13) for eight, 114 us (405) for 256. `recvmsg_into` also releases the interpreter for
+each packet: beside a busy thread, the 99th percentile for 64 packets is 26 ms instead of 10 ms.
+Receiving 300,000 packets/s while rendering (docs/peers.md) leaves 3.3 us for each packet.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from ...base.frames import Array, Ints
 from .structure import Rows
 
 DEFAULT_BUFFER = 4 * 2**20  # bytes; the system may grant less
-_SO_RCVBUFFORCE = 33  # Linux: beyond net.core.rmem_max, if permitted
+_SO_RCVBUFFORCE = 33  # Linux: may exceed net.core.rmem_max, with permission
 _REASONS = {
-    errno.EADDRINUSE: " is in use by another program; close that, or choose another port",
-    errno.EACCES: ": no permission; choose a port above 1023",
-    errno.ENODEV: ": no route for this group; name the network with interface = ...",
+    errno.EADDRINUSE: " is in use by another program. Close it, or choose another port",
+    errno.EACCES: ": no permission. Choose a port above 1023",
+    errno.ENODEV: ": no route for this group. Set interface = ... to choose the network",
 }
 
 BATCH = 256  # packets
 _ADDRESS_BYTES, _V4_BYTES = 28, 16  # of sockaddr_in6, and of sockaddr_in
 _CONTROL_BYTES = 64  # a time stamp (32) and a count of dropped packets (24)
 _MAPPED = bytes(10) + b"\xff\xff"  # prefix of an IPv4 address in IPv6
-# Linux's numbers; not in Python's socket module.
+# Constants of Linux that Python's socket module does not have.
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
-_WSAEMSGSIZE = 10040  # of Windows: a packet was longer than the buffer
+_WSAEMSGSIZE = 10040  # Windows: a packet is longer than the buffer
 _UNKNOWN = ("0.0.0.0", 0)
 
 
@@ -83,14 +83,14 @@ OnArrival = Callable[[memoryview, int, bytes], None]
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Consecutive datagrams; valid until the next are read.
+    """Consecutive packets, valid until the next call of `Datagrams.read`.
 
     Attributes:
-        rows: (n, `most` bytes), uint8; longer ones are truncated.
-        lengths: as sent, (n,), bytes; of truncated ones at least the row's length.
-        arrivals: on the clock of `time.monotonic`, (n,), s.
-        senders: socket addresses in the system's layout, (n, 28), uint8.
-        dropped: packets that the kernel has dropped so far, or None if unknown.
+        rows: packets, (n, `max_bytes`); longer packets are truncated.
+        lengths: lengths of the sent packets, (n,); for truncated packets possibly a lower bound.
+        arrivals: arrival times on the clock of `time.monotonic`, (n,), s.
+        senders: socket addresses in the system's layout, (n, 28).
+        dropped: total number of packets that the kernel has dropped; None if unknown.
     """
 
     rows: Rows
@@ -107,19 +107,19 @@ class Datagrams:
     """Reads a socket in batches.
 
     Args:
-        sock: a bound datagram socket; it is made non-blocking.
-        most: bytes of a packet that are kept.
+        sock: a bound UDP socket, which becomes non-blocking.
+        max_bytes: number of bytes after which packets are truncated.
 
     Attributes:
-        on_arrival: called with each packet before anything else, with its kept bytes, its length,
-            and its sender as in `Batch.senders`. None for no call.
+        on_arrival: function that is called first for each packet, with its bytes, its length, and
+            its sender as in `Batch.senders`; None for no call.
     """
 
-    def __init__(self, sock: socket.socket, most: int) -> None:
+    def __init__(self, sock: socket.socket, max_bytes: int) -> None:
         sock.setblocking(False)
         self.on_arrival: OnArrival | None = None
         self._socket = sock
-        self._rows = np.zeros((BATCH, most), np.uint8)
+        self._rows = np.zeros((BATCH, max_bytes), np.uint8)
         self._senders = np.zeros((BATCH, _ADDRESS_BYTES), np.uint8)
         self._lengths, self._came = np.zeros(BATCH, np.intp), np.zeros(BATCH)
         self.waiting = 0
@@ -130,8 +130,8 @@ class Datagrams:
         if sys.platform == "linux":
             for option in (_SO_RXQ_OVFL, _SO_TIMESTAMPNS):
                 sock.setsockopt(socket.SOL_SOCKET, option, 1)
-            # They do not block, so they need not release the interpreter: regaining it from a
-            # thread that renders takes up to the switch interval.
+            # PyDLL does not release the interpreter, because these calls do not block. Regaining it
+            # from a thread that renders takes up to the switch interval.
             library = ctypes.PyDLL(None, use_errno=True)
             self._recvmmsg = getattr(library, "recvmmsg", None)
             self._sendto = getattr(library, "sendto", None)
@@ -163,12 +163,12 @@ class Datagrams:
         ]
 
     def receive(self) -> Batch | None:
-        """Returns up to 256 available packets, or None without any; raises OSError."""
+        """Returns up to 256 available packets, or None if there are none; raises OSError."""
         self.read()
         return self.take()
 
     def read(self) -> int:
-        """Appends available packets to `waiting`; returns their number; raises OSError."""
+        """Reads available packets for `take`, and returns their number; raises OSError."""
         if self.waiting == BATCH:
             return 0
         count = self._one_by_one() if self._recvmmsg is None else self._at_once()
@@ -176,7 +176,7 @@ class Datagrams:
         return count
 
     def take(self) -> Batch | None:
-        """Returns the packets read since the last call, or None without any."""
+        """Returns the packets read since the last call, or None if there are none."""
         count, self.waiting = self.waiting, 0
         if not count:
             return None
@@ -192,7 +192,7 @@ class Datagrams:
         return Batch(rows, lengths, arrivals, senders, self._dropped)
 
     def send(self, data: bytes, to: bytes) -> None:
-        """Sends a packet to an address as in `Batch.senders`; raises OSError on failure."""
+        """Sends a packet to an address as in `Batch.senders`; raises OSError."""
         if self._sendto is None:
             self._socket.sendto(data, _as_tuple(to))
             return
@@ -218,7 +218,7 @@ class Datagrams:
                 return 0
             raise OSError(error, os.strerror(error))
         if (on_arrival := self.on_arrival) is not None:
-            # Without numpy, whose code is not in the cache beside a renderer.
+            # Without NumPy: beside a renderer, its code is not in the processor's cache.
             for i in range(first, first + count):
                 sender = self._sender_view[i * _ADDRESS_BYTES : (i + 1) * _ADDRESS_BYTES]
                 on_arrival(self._row_views[i], self._headers[i].length, bytes(sender))
@@ -230,8 +230,8 @@ class Datagrams:
         if not (stamps["kind"] == _SO_TIMESTAMPNS).all():
             return np.full(count, now * 1e-9)
         stamped = stamps["seconds"] * 1_000_000_000 + stamps["nanoseconds"]
-        # The wall clock may have been set in between, and the two clocks may have been read with
-        # an interruption; but arrivals are in order, and not later than reading.
+        # Corrects times that are wrong because the wall clock was set, or because the thread was
+        # interrupted between reading the clocks: arrivals are ordered and not in the future.
         arrivals: Array = (now - np.maximum(wall - stamped, 0)) * 1e-9
         arrivals = np.maximum.accumulate(np.maximum(arrivals, self._last_arrival))
         self._last_arrival = float(arrivals[-1])
@@ -265,7 +265,7 @@ class Datagrams:
             return (len(row) + 1 if flags & socket.MSG_TRUNC else length), sender
         try:
             return self._socket.recvfrom_into(row)
-        except OSError as error:  # Windows does not report the sender of a packet that is too long
+        except OSError as error:  # for long packets, Windows does not report the sender
             if getattr(error, "winerror", None) != _WSAEMSGSIZE:
                 raise
             return len(row) + 1, _UNKNOWN
@@ -276,16 +276,16 @@ def _places(rows: NDArray[Any]) -> Ints:
 
 
 def _both_clocks() -> tuple[int, int]:
-    """The monotonic and the wall clock at the same time, ns, without interruption."""
+    """Monotonic and wall clock, ns, read without an interruption in between if possible."""
     for _ in range(4):
         before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
         if after - before < 20_000:
-            break  # else another thread ran in between
+            break  # not interrupted by another thread
     return before, wall
 
 
 def pack_address(host: str, port: int) -> bytes:
-    """Address and port, 28 bytes, laid out as Linux's `sockaddr_in` and `sockaddr_in6`."""
+    """Returns 28 bytes in the layout of Linux's `sockaddr_in` or `sockaddr_in6`."""
     if ":" in host:
         packed = socket.inet_pton(socket.AF_INET6, host.partition("%")[0])
         return struct.pack("=H2s4x16s4x", 10, port.to_bytes(2, "big"), packed)
@@ -294,7 +294,7 @@ def pack_address(host: str, port: int) -> bytes:
 
 
 def unpack_address(packed: bytes) -> tuple[str, int]:
-    """Address and port of one of `Batch.senders`."""
+    """Returns address and port of a row of `Batch.senders`."""
     port = int.from_bytes(packed[2:4], "big")
     if packed[0] == 2:
         return socket.inet_ntop(socket.AF_INET, packed[4:8]), port
@@ -310,9 +310,9 @@ def _as_tuple(packed: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
 
 
 def canonical_address(packed: bytes) -> tuple[bytes, int]:
-    """Address, 16 bytes, and port of one of `Batch.senders`.
+    """Returns IPv6 address, 16 bytes, and port of a row of `Batch.senders`.
 
-    IPv4 is mapped to IPv6 (`::ffff:192.168.0.7`), as on a socket bound to `::`.
+    IPv4 addresses are mapped to IPv6 (`::ffff:192.168.0.7`), as by a socket bound to `::`.
     """
     port = int.from_bytes(packed[2:4], "big")
     return (_MAPPED + packed[4:8] if packed[0] == 2 else packed[8:24]), port
@@ -327,12 +327,11 @@ def is_multicast(host: str) -> bool:
 
 
 def _needs_interface(host: str) -> bool:
-    """Whether an address needs a network interface: `ff02::1`, `fe80::1`."""
     try:
         address = ipaddress.IPv6Address(host)
     except ValueError:
         return False
-    # The scope of a group is in its second byte: 1 is this machine, 2 this network.
+    # The second byte of a group is its scope: 1 for the machine, 2 for the network.
     return address.is_link_local or (address.is_multicast and address.packed[1] & 15 in (1, 2))
 
 
@@ -344,15 +343,15 @@ def open_socket(source: str, host: str, port: int, interface: str, buffer: int) 
     """Returns a bound UDP socket; raises SourceError.
 
     Args:
-        port: to listen on; 0 lets the system choose.
-        interface: name or IPv4 address of the network interface on which a group is joined; empty
-            for the system's choice.
-        buffer: bytes of the receive buffer; 0 for 4 MiB, or what the system grants.
+        source: name of the source, for errors.
+        interface: name or IPv4 address of the network interface of a multicast group; empty to let
+            the system choose.
+        buffer: size of the receive buffer in bytes; 0 for 4 MiB, or what the system grants.
     """
     place = f"UDP port {port} on {host}"
     address, _, zone = host.partition("%")
     if _needs_interface(host) and not interface and not zone:
-        why = "such an address is one on every network; name yours with interface = ..."
+        why = "this address exists on every network. Set interface = ... to choose one"
         raise SourceError(source, f"{place}: {why}; available: {_interfaces()}")
     sock = None
     try:
@@ -365,7 +364,7 @@ def open_socket(source: str, host: str, port: int, interface: str, buffer: int) 
             sock.bind((address, port, 0, socket.if_nametoindex(interface or zone)))
         else:
             sock.bind((host, port))
-    # Invalid names raise other errors than unknown names.
+    # Invalid names raise TypeError or UnicodeError, unknown names OSError.
     except (OSError, TypeError, UnicodeError) as error:
         if sock is not None:
             sock.close()
@@ -381,7 +380,7 @@ def _set_buffer(sock: socket.socket, size: int) -> None:
         if size:
             raise
     if not size and sys.platform == "linux":
-        with contextlib.suppress(OSError):  # for the administrator only
+        with contextlib.suppress(OSError):  # requires the permission CAP_NET_ADMIN
             sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, wanted)
 
 
@@ -395,7 +394,7 @@ def _join(sock: socket.socket, group: str, port: int, interface: str) -> None:
         joined = struct.pack("=16sI", packed, index)
         sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, joined)
         return
-    # On Linux a socket bound to the group receives nothing else; Windows cannot bind to one.
+    # On Linux, a socket bound to the group receives only its packets. Windows cannot bind to it.
     sock.bind((group if sys.platform == "linux" else "", port))
     here = "0.0.0.0"
     index = 0
@@ -413,11 +412,11 @@ def _join(sock: socket.socket, group: str, port: int, interface: str) -> None:
 def _why(error: Exception, interface: str) -> str:
     if not isinstance(error, OSError):
         return f": not an address: {error}"
-    # Python's error for a missing interface has no number.
+    # Python's error for a missing interface has no errno.
     unknown = (None, errno.ENODEV, errno.EADDRNOTAVAIL, errno.ENXIO)
     names = [name for _, name in socket.if_nameindex()]
     if interface and interface not in names and error.errno in unknown:
         return f": no network interface '{interface}'; available: {_interfaces()}"
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-        return ": not an address of this machine; expected 127.0.0.1 or 0.0.0.0, say"
+        return ": not an address of this machine; expected 127.0.0.1 or 0.0.0.0, for example"
     return _REASONS.get(error.errno or 0, f": {error.strerror or error}")

@@ -1,4 +1,4 @@
-"""Writes tables of comma-separated values, and exports recordings to them."""
+"""Names of columns in tables of numbers, and writing CSV tables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .recording import PacketFile
 
 
-# Events with a number for each joint, whose columns can have the names of joints.
+# Events with a number per joint, whose columns can have the names of the joints.
 JOINT_EVENTS = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 TIME = "time"
 TABLE_ENDINGS = (".csv", ".tsv", ".txt")
@@ -50,13 +50,9 @@ def parse_columns(texts: Sequence[str]) -> dict[str, str | list[str]]:
 
 @contextlib.contextmanager
 def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[Writer]:
-    """Yields a writer of rows; an existing file is replaced when all of them are written.
+    """Yields a writer of rows to a temporary file, which finally replaces `path`.
 
-    Until then they are in a temporary file beside it, which is removed on failure. Pipes are
-    written to directly.
-
-    Raises:
-        CsvError: the file cannot be written.
+    Pipes are written directly. Raises CsvError if the file cannot be written.
     """
     path = Path(path)
     is_file = path.is_file() or not path.exists()
@@ -71,7 +67,7 @@ def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[W
         if is_file:
             with contextlib.suppress(OSError):  # its folder may be missing
                 partial.unlink()
-        # Some of this package's own errors, of the rows' source, are OSErrors as well.
+        # Errors of the source of the rows may be an OSError and a SeroError.
         if isinstance(error, OSError) and not isinstance(error, SeroError):
             raise CsvError(path, f"{failed}: {error.strerror}") from error
         raise
@@ -79,21 +75,17 @@ def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[W
 
 @dataclass
 class Exported:
-    """What was written to a table.
-
-    Attributes:
-        malformed: number of packets left out because they could not be decoded.
-    """
+    """Number of written rows, and of malformed packets, which were left out."""
 
     rows: int = 0
     malformed: int = 0
 
 
 def column_names(events: Mapping[str, tuple[int, ...]], joints: Sequence[str] = ()) -> list[str]:
-    """Returns a name for every number of a packet: `values0[0]`, `vectors0[0][2]`, ...
+    """Returns a name for each number of a packet: `values0[0]`, `vectors0[0][2]`, ...
 
     Args:
-        joints: names of the joints that messages tell of: `torques[elbow]`; empty for none.
+        joints: joint names to use in `JOINT_EVENTS` instead of indices: `torques[elbow]`.
     """
     return [
         f"{event}[{joints[index[0]]}]"
@@ -115,25 +107,18 @@ def export_csv(
     start: float = -math.inf,
     stop: float | None = None,
 ) -> Exported:
-    """Writes a source's good packets to a table, a row each: time, then all numbers.
+    """Writes the valid packets of a source to a table, with time and all numbers in each row.
 
-    Numbers have enough digits to be read back exactly; NaN is `nan`. The file appears when it is
-    complete, and then replaces an existing one.
+    Numbers have enough digits to be read back exactly; NaN is `nan`. A file is replaced only when
+    the table is complete. Raises CsvError, RecordingError or UnknownName.
 
     Args:
-        decode: a packet to its events; None, or ValueError, for a malformed one.
-        joints: names of the joints that messages tell of, in the order of the packets.
-        ordered: the same in the order of the columns; as in packets when empty.
-        start: first time, s since the recording began.
-        stop: end time, exclusive, likewise; None for the end.
-
-    Returns:
-        the numbers of rows and of packets left out.
-
-    Raises:
-        CsvError: the file cannot be written.
-        RecordingError: the recording cannot be read.
-        UnknownName: no such source was recorded.
+        decode: function from a packet to its events; for malformed packets it returns None or
+            raises ValueError.
+        joints: joint names in the order of the packets, for recordings of messages.
+        ordered: joint names in the order of the columns; by default as in the packets.
+        start: time of the first packet, s from the start of the recording.
+        stop: time at which the table ends, s; None for the end of the recording.
     """
     packets = recording.packets(name, start, stop)
     events = recording.sources[name].events if name in recording.sources else {}
@@ -144,7 +129,7 @@ def export_csv(
         for time, packet in packets:
             try:
                 values = decode(packet)
-            except ValueError:  # what `Structure.decode` raises for a packet of another size
+            except ValueError:  # from `Structure.decode`, for a packet of another size
                 values = None
             if values is None:
                 written.malformed += 1
@@ -156,7 +141,7 @@ def export_csv(
                 row += (numbers[order] if joints and event in JOINT_EVENTS else numbers).tolist()
             yield row
 
-    first = next(rows_of := rows(), None)  # recording errors come before a file is created
+    first = next(rows_of := rows(), None)  # errors of the recording come first
     with csv_table(path) as table:
         table.writerow([TIME, *column_names(events, ordered or joints)])
         if first is not None:
@@ -166,9 +151,9 @@ def export_csv(
 
 
 def prefix_before(wanted: Sequence[str], names: Sequence[str]) -> str:
-    """What stands before all of the wanted names of joints, in the names of a message.
+    """Returns the common prefix with which `names` have all wanted joint names; else "".
 
-    Empty where they stand there as they are, or not all of them do with one prefix.
+    Names that occur without a prefix have the prefix "".
     """
     known = set(names)
     if not wanted or not known.isdisjoint(wanted):

@@ -1,4 +1,4 @@
-"""`FileSource`: the common base of sources that play a file."""
+"""`FileSource`: the base class of sources that play a file."""
 
 from __future__ import annotations
 
@@ -12,11 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr
 
-from ...base.errors import (
-    RecordingError,
-    SourceError,
-    mismatch,
-)
+from ...base.errors import RecordingError, SourceError, mismatch
 from ...base.frames import Array
 from ..receive.intake import Intake
 from ..receive.mailbox import Packets
@@ -31,23 +27,22 @@ _BATCH = 4096  # packets
 def _as_path(file: Any) -> Path:
     if isinstance(file, str | Path) and str(file):
         return Path(file)
-    raise mismatch(file, "the name of a recording, REC.mcap say")
+    raise mismatch(file, "the name of a recording, such as REC.mcap")
 
 
 class FileSource(Source):
     """Plays packets of a file through the decoder of their source.
 
-    It has no thread: packets are delivered when the clock that drives it reaches their time. A
-    mirror drives it by its own time, so that a video of a recording does not depend on the
-    rendering time.
+    It has no thread: `advance_to` delivers the packets up to the time of a driving clock, so that
+    videos of a recording do not depend on the rendering time.
 
     Attributes:
-        file: the recording, made by `sero-mj record`.
-        speed: 1 is the original speed, 2 twice as fast.
-        loop: whether to restart at the end; else it stays there, and its data become stale.
-        start: first time, in seconds since the recording began; that of the first packet of any of
-            its sources when None.
-        stop: end time, likewise; the recording's end when None.
+        file: file name of the recording.
+        speed: playback speed; 2 is twice as fast.
+        loop: restart at the end; otherwise, the data become stale there.
+        start: time at which playback begins, s from the start of the recording; None for the first
+            packet of any source.
+        stop: time at which playback ends, s from the start of the recording; None for its end.
     """
 
     file: Annotated[Path, BeforeValidator(_as_path)]
@@ -61,21 +56,21 @@ class FileSource(Source):
     _coming: Iterator[tuple[float, bytes]] = PrivateAttr(default_factory=lambda: iter(()))
     _held: tuple[float, bytes] | None = PrivateAttr(None)
     _position: float = PrivateAttr(0.0)
-    _beyond: float = PrivateAttr(0.0)  # s since it ended
-    _anchor: tuple[float, float] = PrivateAttr((0.0, 0.0))  # the clock's time, and the position
+    _beyond: float = PrivateAttr(0.0)  # s after the end
+    _anchor: tuple[float, float] = PrivateAttr((0.0, 0.0))  # time of the driving clock and position
     _paused: bool = PrivateAttr(False)
-    _faults_told: int = PrivateAttr(0)  # of the recording
+    _logged_faults: int = PrivateAttr(0)
     _lock: Any = PrivateAttr(default_factory=threading.RLock)
 
     @property
     @abstractmethod
     def recorded(self) -> RecordedSource:
-        """The source as it was recorded."""
+        """The recorded source."""
 
     @property
     @abstractmethod
     def original(self) -> Source:
-        """The receiver as it was recorded; never opened, it only decodes."""
+        """The receiver that decodes the packets; it is never opened."""
 
     @abstractmethod
     def open_recording(self) -> PacketFile:
@@ -84,7 +79,7 @@ class FileSource(Source):
     @property
     @abstractmethod
     def _begin(self) -> float:
-        """Time of the first packet that is played, in seconds since the recording began."""
+        """Time at which playback begins, s from the start of the recording."""
 
     @cached_property
     def layout(self) -> Structure:
@@ -97,12 +92,12 @@ class FileSource(Source):
     @property
     def about(self) -> str:
         if self.recorded.is_unreadable:
-            return f"replay of {self.file}, none of whose {self.recorded.count} packets can be used"
+            return f"replay of {self.file}, whose {self.recorded.count} packets cannot be read"
         return f"replay of {self.file}, {self.duration:.1f} s"
 
     @property
     def duration(self) -> float:
-        """How long it plays at speed 1, s."""
+        """Playback time at speed 1, s."""
         return max(self._end - self._begin, 0.0)
 
     @property
@@ -117,7 +112,7 @@ class FileSource(Source):
 
     @property
     def position(self) -> float:
-        """Current position, s since the recording began."""
+        """Current position, s from the start of the recording."""
         return self._position
 
     @property
@@ -133,17 +128,16 @@ class FileSource(Source):
 
     def allow_nan(self, events: Collection[str]) -> None:
         super().allow_nan(events)
-        self.original.allow_nan(events)  # whose decoder this is
+        self.original.allow_nan(events)  # it decodes the packets
 
     def limit(self, limits: Mapping[str, Array]) -> None:
         super().limit(limits)
-        self.original.limit(limits)  # whose decoder this is
+        self.original.limit(limits)
 
     def _new_intake(self) -> Intake:
         return self.original._new_intake()
 
     def open(self) -> None:
-        """Opens the file and goes to the start; raises SourceError."""
         self.close()
         try:
             self._recording = self.open_recording()
@@ -153,7 +147,7 @@ class FileSource(Source):
             raise SourceError(self.name, str(error)) from error
         self.reset()
         self._paused = False
-        self._faults_told = 0
+        self._logged_faults = 0
         self._anchor = (0.0, self._begin)
         self._go_to(self._begin)
 
@@ -167,11 +161,7 @@ class FileSource(Source):
         return self.recorded.count > 0
 
     def advance_to(self, time: float) -> None:
-        """Plays the packets up to a time.
-
-        Args:
-            time: of the driving clock, s; 0 is the start.
-        """
+        """Plays the packets up to a time of the driving clock, s; playback begins at 0."""
         clock = time
         with self._lock:
             if self._recording is None or self._paused:
@@ -184,16 +174,15 @@ class FileSource(Source):
                 self._go_to(self._begin)
             beyond = max(position - self._end, 0.0)
             position = min(position, self._end)
-            if position < self._position:  # the clock was set back, by a new film for example
+            if position < self._position:  # the clock was set back, for example by a new video
                 self._go_to(position)
             self._play_until(position)
             self._beyond = beyond
 
     def seek(self, position: float, clock: float = 0.0) -> None:
-        """Seeks a position.
+        """Continues at a position, s from the start of the recording.
 
         Args:
-            position: s since the recording began.
             clock: current time of the driving clock, s.
         """
         with self._lock:
@@ -202,12 +191,12 @@ class FileSource(Source):
             self._go_to(position)
 
     def pause(self, clock: float = 0.0) -> None:
-        """Pauses; `clock` is the driver's time now."""
+        """Pauses at the current time of the driving clock, s."""
         self.advance_to(clock)
         self._paused = True
 
     def resume(self, clock: float = 0.0) -> None:
-        """Resumes at its position; `clock` is the driver's time now."""
+        """Resumes at the current time of the driving clock, s."""
         self._paused = False
         self._anchor = (clock, self._position)
 
@@ -221,13 +210,13 @@ class FileSource(Source):
         self._position, self._beyond = position, 0.0
         name = self.recorded.name
         before = self._recording.last_before(name, position)
-        # Times are stored in ns: the next one is the first that is not the same packet.
+        # Times are stored in ns.
         after = position if before is None else before[0] + 1e-9
         self._coming = self._recording.packets(name, after)
         self._held = None
         self._mail.forget_last()
         if before is not None:
-            self._hand_in([before])
+            self._accept_batch([before])
         self._log_faults()
 
     def _play_until(self, position: float) -> None:
@@ -241,20 +230,20 @@ class FileSource(Source):
                 break
             batch.append(packet)
             if len(batch) == _BATCH:
-                self._hand_in(batch)
+                self._accept_batch(batch)
                 batch = []
         if batch:
-            self._hand_in(batch)
+            self._accept_batch(batch)
         self._log_faults()
 
     def _log_faults(self) -> None:
         assert self._recording is not None
         faults = self._recording.faults
-        for fault in faults[self._faults_told :] if self.debug_level else []:
+        for fault in faults[self._logged_faults :] if self.debug_level else []:
             log.warning("%s: %s", self.file, fault)
-        self._faults_told = len(faults)
+        self._logged_faults = len(faults)
 
-    def _hand_in(self, batch: list[tuple[float, bytes]]) -> None:
+    def _accept_batch(self, batch: list[tuple[float, bytes]]) -> None:
         arrivals, packets = zip(*batch, strict=True)
         if self._recording is not None and self._recording.malformed:
             self.layout.fault = self._recording.malformed

@@ -1,8 +1,7 @@
-"""`open_recording`: opens a recording of this program or of a third-party format.
+"""`open_recording`: opens a recording of sero-mj or of a third-party format.
 
-A package adds a format by an entry point in the group `sero_mj.recordings`. It names a function
-`open(path, topics, tell)` with the arguments of `open_recording`. The function returns a
-`PacketFile`, or None if the file has another format.
+An entry point in the group `sero_mj.recordings` adds a format: a function with the arguments of
+`open_recording` that returns a `PacketFile`, or None if the file has another format.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from .mcap_reader import BROKEN
 from .recording import PacketFile, Recording
 from .recording_format import LIBRARY
 
-_REMEMBERED = 16  # recordings
-_looked_into: OrderedDict[tuple[Any, ...], PacketFile] = OrderedDict()
+_MAX_CACHED = 16  # recordings
+_cached: OrderedDict[tuple[Any, ...], PacketFile] = OrderedDict()
 
 
 def open_recording(
@@ -33,16 +32,17 @@ def open_recording(
     topics: Mapping[str, Source] | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> PacketFile:
-    """Opens a recording; raises RecordingError if it cannot be read, or no format fits.
+    """Opens a recording; raises RecordingError if it cannot be read or no format matches.
 
     Args:
-        topics: name of each source that is read from messages to the receiver of these messages; by
-            default the format chooses the sources.
+        topics: source to the receiver of its messages, for recordings of messages; by default, the
+            format chooses the sources.
+        tell: function that reports notes to the user.
     """
     path = Path(path)
     try:
         return Recording(path)
-    except RecordingError as error:  # also if its summary is missing, or in a damaged chunk
+    except RecordingError as error:
         why = error
     if not mcap_header(path)[1].startswith(LIBRARY):
         for open_format in load_all(RECORDINGS).values():
@@ -53,27 +53,23 @@ def open_recording(
 
 
 def look_into(path: Path, topics: Mapping[str, Source] | None = None) -> PacketFile:
-    """Returns a closed recording: its sources, its begin and its end; raises RecordingError.
+    """Returns a closed recording with its sources and times; see `open_recording`.
 
-    The result is cached until the file changes, because opening a scene needs it many times.
-
-    Args:
-        path: as for `open_recording`.
-        topics: as for `open_recording`.
+    The result is cached until the file changes, because opening a scene uses it many times.
     """
     named = {name: source.decoding_fields() for name, source in (topics or {}).items()}
     key = path.absolute(), _state_of(path), json.dumps(named)
-    found = _looked_into.get(key)
+    found = _cached.get(key)
     if found is None:
         with open_recording(path, topics) as found:
-            _looked_into[key] = found
-        while len(_looked_into) > _REMEMBERED:
-            _looked_into.popitem(last=False)
+            _cached[key] = found
+        while len(_cached) > _MAX_CACHED:
+            _cached.popitem(last=False)
     return found
 
 
 def _state_of(path: Path) -> tuple[tuple[str, int, int], ...]:
-    # Names, sizes and times of the files of a folder, or of a file and its logs.
+    # Names, sizes and times of the files in a folder, or of a file and its SQLite logs.
     logs = [path.with_name(f"{path.name}{ending}") for ending in ("", "-wal", "-journal")]
     found = []
     for file in sorted(path.iterdir()) if path.is_dir() else logs:
@@ -84,7 +80,7 @@ def _state_of(path: Path) -> tuple[tuple[str, int, int], ...]:
 
 
 def mcap_header(path: Path) -> tuple[str, str]:
-    """Returns profile and library of an MCAP file; empty if it cannot be read."""
+    """Returns profile and library of an MCAP file; empty texts if it cannot be read."""
     with suppress(OSError, ValueError, *BROKEN), open_file(path) as file:
         header = make_reader(file).get_header()
         return header.profile, header.library

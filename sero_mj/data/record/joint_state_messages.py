@@ -1,7 +1,6 @@
-"""States of a robot's joints in recordings, as `sensor_msgs/JointState` of ROS.
+"""Encodes joint states as `sensor_msgs/JointState`, for Foxglove, PlotJuggler and `ros2 bag`.
 
-Whatever reads recordings of ROS (Foxglove, PlotJuggler, `ros2 bag`) then knows them. A message is
-in CDR, little-endian: numbers are aligned to their size, counted from behind its first 4 bytes.
+The encoding is little-endian CDR: numbers are aligned to their size, relative to byte 4.
 """
 
 from __future__ import annotations
@@ -36,12 +35,7 @@ CDR_HEAD = b"\0\1\0\0"  # plain CDR, little-endian
 
 @dataclass(frozen=True)
 class JointStates:
-    """Which values of a recording are the states of a robot's joints.
-
-    Attributes:
-        velocities: key of their velocities; empty for none.
-        torques: key of their torques; empty for none.
-    """
+    """Keys of a robot's joint states in `Signals.shapes`; empty keys for missing states."""
 
     names: Sequence[str]
     angles: str
@@ -50,7 +44,7 @@ class JointStates:
 
 
 class JointStateMessages:
-    """Encodes states of joints."""
+    """Encodes the joint states of one robot."""
 
     def __init__(self, joints: JointStates, shapes: Mapping[str, tuple[int, ...]]) -> None:
         sizes = [int(np.prod(shape)) for shape in shapes.values()]
@@ -63,7 +57,7 @@ class JointStateMessages:
             text = name.encode() + b"\0"
             _align(body, 4)
             body += struct.pack("<I", len(text)) + text
-        self._parts: list[tuple[int, slice]] = []  # where numbers go, and come from
+        self._parts: list[tuple[int, slice]] = []  # byte in the message, and columns of the table
         for key in (joints.angles, joints.velocities, joints.torques):
             count = len(joints.names) if key else 0
             _align(body, 4)
@@ -75,12 +69,7 @@ class JointStateMessages:
         self._template = np.frombuffer(CDR_HEAD + bytes(body), np.uint8)
 
     def encode(self, table: Array, log_times: Sequence[int]) -> list[bytes]:
-        """Returns a message for each row.
-
-        Args:
-            table: (n, k), all values in the order of the shapes.
-            log_times: n, ns since the epoch.
-        """
+        """Returns a message for each row of a table (n, k) with n log times, ns since the epoch."""
         rows = np.repeat(self._template[None], len(table), axis=0)
         times = np.array([divmod(time, 10**9) for time in log_times], "<i4")
         rows[:, 4:12] = times.view(np.uint8)

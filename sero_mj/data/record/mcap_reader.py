@@ -1,9 +1,8 @@
-"""Reads MCAP files of any program: an index of their records, and the messages of a chunk.
+"""Reads the index and the chunks of MCAP files, including damaged files of any program.
 
-The index is taken from the file's summary, or else from a scan. A file whose process was killed has
-no summary. Scanning skips the contents of records, so its time is proportional to the number of
-chunks; `mcap.stream_reader` would read and unpack them all. Sizes are bounded before anything is
-read or decompressed.
+The index is the summary of the file. If it is missing because the process was killed, the file is
+scanned. `mcap.stream_reader` would decompress all chunks; this scan skips their contents. Sizes are
+checked before data are read or decompressed, which the readers of `mcap` do not do.
 """
 
 from __future__ import annotations
@@ -24,14 +23,12 @@ from mcap.reader import FOOTER_SIZE, SeekingReader
 from mcap.records import Channel, Chunk, Metadata
 from mcap.stream_reader import MAGIC_SIZE
 
-from ...base.errors import (
-    mismatch,
-)
+from ...base.errors import mismatch
 
-MAX_CHUNK_BYTES = 64 << 20  # decompressed; writers make chunks of 1 to 4 MiB
+MAX_CHUNK_BYTES = 64 << 20  # decompressed; writers use chunks of 1 to 4 MiB
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
-_CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # bytes of a chunk's fields, except text and data
+_CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # bytes of a chunk's fields, without text and data
 # Exceptions of the mcap library and the decompressors for damaged data.
 BROKEN = (
     McapError,
@@ -42,20 +39,20 @@ BROKEN = (
     MemoryError,
     RuntimeError,
 )
-_ATTACHMENT_HEAD = 4096  # bytes that always include an attachment's name
-_CRC_BYTES = 4 + MAGIC_SIZE  # at the end of a file: the summary's check sum, and the magic number
+_ATTACHMENT_HEAD = 4096  # bytes that include the name of an attachment
+_CRC_BYTES = 4 + MAGIC_SIZE  # checksum of the summary and magic number at the end of the file
 NOT_CLOSED = "its process was killed, the disk was full, or it is still being written"
 
 
 @dataclass(frozen=True)
 class ChunkPlace:
-    """A chunk in the file.
+    """The location of a chunk.
 
     Attributes:
         length: bytes of its record.
-        first: log time of its earliest message, ns.
-        last: log time of its latest message, ns.
-        channels: of its messages; None if unknown.
+        first: log time of the earliest message, ns.
+        last: log time of the latest message, ns.
+        channels: channels of its messages; None if unknown.
     """
 
     offset: int
@@ -67,11 +64,12 @@ class ChunkPlace:
 
 @dataclass
 class FileIndex:
-    """An index of the file.
+    """The index of a file.
 
     Attributes:
-        counts: channel to its number of messages, except those in `uncounted`.
+        counts: channel to its number of messages, without the messages in `uncounted`.
         uncounted: chunks with an unknown number of messages.
+        attachments: name to offset and length in the file, bytes.
     """
 
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -89,20 +87,20 @@ def read_index(file: BinaryIO) -> FileIndex:
     try:
         index = _from_summary(file, size)
     except BROKEN as error:
-        index = _walk_through(file, size)
+        index = _scan(file, size)
         index.faults.append(
-            f"its index is damaged ({mcap_reason(error)}), so all of it was looked through"
+            f"its index is damaged ({mcap_reason(error)}), so the whole file was scanned"
         )
         return index
-    return index or _walk_through(file, size)
+    return index or _scan(file, size)
 
 
 def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
-    """Returns the content of a record, without its head; raises ValueError.
+    """Returns the content of a record without its header; raises ValueError.
 
     Args:
-        offset: of the content, bytes.
-        length: of the content, bytes.
+        offset: position of the record, bytes.
+        length: length of the record with its header, bytes.
     """
     size = file.seek(0, os.SEEK_END)
     if not 0 <= offset <= offset + length <= size:
@@ -120,12 +118,12 @@ def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
     if (opcode, length) != (Opcode.FOOTER, FOOTER_SIZE - RECORD_HEAD.size) or not start:
         return None
     if not MAGIC_SIZE <= start <= size - ending:
-        raise ValueError("it is not where the end of the file says")
+        raise ValueError("its position in the footer is wrong")
     file.seek(start)
-    said = zlib.crc32(file.read(size - start - _CRC_BYTES))
+    found = zlib.crc32(file.read(size - start - _CRC_BYTES))
     (expected,) = struct.unpack("<I", file.read(4))
-    if expected and said != expected:
-        raise ValueError("its check sum differs")
+    if expected and found != expected:
+        raise ValueError("its checksum is wrong")
     file.seek(0)
     summary = SeekingReader(file, record_size_limit=size).get_summary()
     if summary is None:
@@ -153,8 +151,7 @@ def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
     return index
 
 
-def _walk_through(file: BinaryIO, size: int) -> FileIndex:
-    """Scans the records up to the end of the data or the first damage."""
+def _scan(file: BinaryIO, size: int) -> FileIndex:
     index = FileIndex()
     # Chunks, with the counts of the message indices after them.
     chunks: list[tuple[tuple[int, int, int, int], dict[int, int]]] = []
@@ -172,9 +169,9 @@ def _walk_through(file: BinaryIO, size: int) -> FileIndex:
                 _note(file, opcode, offset, length, index)
             position, is_whole = offset + length, opcode == Opcode.DATA_END
     except BROKEN:
-        pass  # up to here, then
+        pass  # the rest of the file is left out
     if chunks and not is_whole:
-        chunks[-1][1].clear()  # some of the records after it may be missing
+        chunks[-1][1].clear()  # some of its message indices may be missing
     for place, counts in chunks:
         chunk = ChunkPlace(*place, frozenset(counts) or None)
         index.chunks.append(chunk)
@@ -187,22 +184,17 @@ def _walk_through(file: BinaryIO, size: int) -> FileIndex:
 
 
 def fault_of_end(position: int, size: int, *, is_whole: bool) -> str:
-    """What is wrong with a file without an index.
-
-    Args:
-        position: where its last whole record ends, bytes.
-        size: of the file, bytes.
-    """
+    """Returns the error of a file without index whose last complete record ends at `position`."""
     if is_whole:
         return f"was not closed ({NOT_CLOSED}), so it has no index"
     return (
-        f"is cut off or damaged at byte {position} ({NOT_CLOSED}): "
-        f"{size - position} bytes are left out"
+        f"is truncated or damaged at byte {position} ({NOT_CLOSED}): "
+        f"{size - position} bytes are ignored"
     )
 
 
 def walk_records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
-    """Yields opcode, offset and length of each record up to the end of the data."""
+    """Yields opcode, offset and length of the records up to the end of the data."""
     position, opcode = MAGIC_SIZE, 0
     while opcode != Opcode.DATA_END:
         file.seek(position)
@@ -233,19 +225,18 @@ def _metadata(file: BinaryIO, offset: int, length: int) -> Metadata:
 
 
 def mcap_reason(error: BaseException) -> str:
-    """The message of one of BROKEN; those of the mcap library are often empty."""
+    """Returns the text of an error of `BROKEN`; those of the mcap library are often empty."""
     return str(error) or {"EndOfFile": "it ends early"}.get(name := type(error).__name__, name)
 
 
 def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
-    """Returns a chunk's messages of one channel: log time in ns, and data; raises BROKEN.
+    """Returns log time, ns, and data of a channel's messages in a chunk; raises BROKEN.
 
-    `mcap.stream_reader.breakup_chunk` would take five times as long, and decompresses without
-    bounds.
+    `mcap.stream_reader.breakup_chunk` would take five times as long and decompresses without a
+    limit.
 
     Args:
-        record: the chunk's record, without its head.
-        channel: the channel's number.
+        record: record of the chunk without its header.
     """
     _, data = unpack_chunk(record)
     found = []
@@ -258,22 +249,18 @@ def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
 
 
 def unpack_chunk(record: bytes) -> tuple[Chunk, bytes]:
-    """Returns a chunk and its contents, decompressed; raises BROKEN.
-
-    Args:
-        record: the chunk's record, without its head.
-    """
+    """Returns the chunk of a record and its decompressed contents; raises BROKEN."""
     chunk = Chunk.read(ReadDataStream(io.BytesIO(record)))
     if len(chunk.data) + _CHUNK_FIELDS + len(chunk.compression) != len(record):
         raise ValueError("it ends early")
     data = _decompressed(chunk)
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("its check sum differs")
+        raise ValueError("its checksum is wrong")
     return chunk, data
 
 
 def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yields opcode, begin and end of each record in a chunk's contents; raises one of BROKEN."""
+    """Yields opcode, begin and end of the records in the contents of a chunk; raises BROKEN."""
     position, size = 0, len(data)
     while position < size:
         opcode, length = RECORD_HEAD.unpack_from(data, position)
@@ -288,12 +275,11 @@ def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
 def _decompressed(chunk: Chunk) -> bytes:
     size = chunk.uncompressed_size
     if size > MAX_CHUNK_BYTES:
-        most = f"expected at most {MAX_CHUNK_BYTES}"
-        raise ValueError(f"{size} bytes when it is decompressed; {most}")
+        raise ValueError(f"{size} bytes when decompressed; expected at most {MAX_CHUNK_BYTES}")
     if chunk.compression == "zstd":
         stated = zstandard.get_frame_parameters(chunk.data).content_size
         if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-            raise ValueError(f"its data are {stated} bytes when decompressed; it says {size}")
+            raise ValueError(f"found {stated} bytes when decompressed; expected {size}")
         with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
             data = bytes(reader.read(size + 1))
     elif chunk.compression == "lz4":
@@ -306,5 +292,5 @@ def _decompressed(chunk: Chunk) -> bytes:
         data = chunk.data
     if len(data) != size:
         found = f"more than {size}" if len(data) > size else str(len(data))
-        raise ValueError(f"its data are {found} bytes when decompressed; it says {size}")
+        raise ValueError(f"found {found} bytes when decompressed; expected {size}")
     return data

@@ -1,4 +1,4 @@
-"""`PacketWorker`: takes packets off receiving threads and handles them on a thread of its own."""
+"""`PacketWorker`: accepts packets from receiving threads, and handles them in its own thread."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ...base.frames import Array, Ints
 from ..receive.structure import Rows
 
 QUEUE_BYTES = 64 << 20
-_PER_PACKET = 64  # bytes that a packet takes in memory beside its own
+_PER_PACKET = 64  # bytes of memory for each packet, in addition to its own
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Packets of one source, as `PacketWorker.take` takes them, and their bytes in memory."""
+    """Packets of one source, as for `PacketWorker.take`; `size` is their memory in bytes."""
 
     name: str
     rows: Rows
@@ -33,44 +33,34 @@ class Batch:
 
 
 class PacketWorker(ABC):
-    """Handles packets of any number of threads, with bounded memory.
+    """Handles packets from any number of threads, with bounded memory.
 
-    It never holds up who hands it packets: when it is too slow and the queue is full, packets are
-    counted as lost. A subclass calls `__init__` when all that its thread needs is there.
-
-    Use it as a context manager, or call `close`.
+    `take` never waits: if the queue is full, packets are counted as lost. A subclass calls
+    `__init__` last, because this starts the thread. Use it as a context manager, or call `close`.
 
     Attributes:
-        error: what ended it, or None. Nothing is taken any more then.
+        error: exception that has ended the thread, or None. After it, no packets are accepted.
     """
 
     def __init__(self, name: str, queue_bytes: int = QUEUE_BYTES) -> None:
         self.error: Exception | None = None
         self._queue_bytes = queue_bytes
         self._queue: deque[Batch] = deque()
-        self._queued = 0  # bytes of what is not yet handled
+        self._queued = 0  # bytes of the packets that have not been handled
         self._lost: dict[str, int] = {}  # packets, by source
         self._closing = False
-        self._changed = threading.Condition()  # guards the queue; held for moments only
+        self._changed = threading.Condition()  # guards the queue; held briefly
         self._started, self._ended = time.monotonic(), math.nan
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def take(self, name: str, rows: Rows, lengths: Ints, arrivals: Array) -> bool:
-        """Takes packets to be handled soon. Cheap, and never waits.
+        """Copies packets to the queue; returns false if it is full or the worker has ended.
 
         Args:
-            rows: (n, bytes), a packet each; they are copied.
-            lengths: how many bytes of each row are the packet, (n,). What was longer than its row
-                is kept as long as the row.
-            arrivals: when each arrived, (n,), s on the clock of `time.monotonic`.
-
-        Returns:
-            Whether they will be handled. If not, all of them are counted.
-
-        Raises:
-            UnknownName: no such source was added.
-            ValueError: not as many arrivals or lengths as packets.
+            rows: one packet per row, (n, bytes).
+            lengths: length of each packet in its row, (n,).
+            arrivals: arrival times on the clock of `time.monotonic`, (n,), s.
         """
         if name not in self._lost:
             raise UnknownName("source", name, self._lost)
@@ -86,7 +76,7 @@ class PacketWorker(ABC):
             if ended or self._queued + size > self._queue_bytes:
                 self._lost[name] += count
                 return False
-            # Their owner will receive into them again.
+            # Copies, because the source reuses its arrays.
             self._queue.append(Batch(name, rows.copy(), lengths.copy(), arrivals.copy(), size))
             self._queued += size
             self._changed.notify_all()
@@ -94,20 +84,18 @@ class PacketWorker(ABC):
 
     @property
     def seconds(self) -> float:
-        """Since it began; until it ended, when it has."""
+        """Time from the start until now, or until the end, s."""
         return (time.monotonic() if math.isnan(self._ended) else self._ended) - self._started
 
-    def wait_until_seen(self) -> None:
-        """Waits until all packets that were taken have been handled, or it has failed."""
+    def wait_until_handled(self) -> None:
+        """Waits until all packets have been handled, or an error has occurred."""
         with self._changed:
             self._changed.wait_for(lambda: not self._queued or self.error is not None)
 
     def close(self) -> None:
-        """Handles what was taken, and finishes; harmless when it is closed.
+        """Handles the remaining packets and ends the thread; raises the error that has ended it.
 
-        Raises:
-            RecordingError: the disk is full, or cannot be written for another reason. What was
-                written before is kept and can be read.
+        After a RecordingError, such as a full disk, the data written before can be read.
         """
         with self._changed:
             self._closing = True
@@ -124,15 +112,15 @@ class PacketWorker(ABC):
 
     @abstractmethod
     def _next(self) -> list[Batch] | None:
-        """What is to be handled next, perhaps nothing; None when all is and it closes."""
+        """Returns the next packets, possibly none; None once the queue is empty while closing."""
 
     @abstractmethod
     def _handle(self, batches: list[Batch]) -> None:
-        """Handles packets, and what else is due."""
+        """Handles packets; also called without any."""
 
     @abstractmethod
     def _finish(self, error: Exception | None) -> None:
-        """Ends what is written, after the last packet or an error."""
+        """Called after the last packet or an error."""
 
     def _run(self) -> None:
         try:
@@ -142,7 +130,7 @@ class PacketWorker(ABC):
                     self._queued -= sum(batch.size for batch in batches)
                     self._changed.notify_all()
             self._finish(None)
-        except Exception as error:  # whatever it is: close() raises it where it is seen
+        except Exception as error:  # `close` raises it in the caller's thread
             with self._changed:
                 self.error = error
                 for batch in self._queue:

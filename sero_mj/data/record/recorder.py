@@ -1,4 +1,4 @@
-"""`Recorder`: takes packets off receiving threads and writes them on a thread of its own."""
+"""`Recorder`: accepts packets from receiving threads, and writes them in its own thread."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .recording_writer import RecordingWriter
 
 Decode = Callable[[bytes], Mapping[str, Array] | None]
 
-SIGNALS_RATE = 20.0  # decoded packets per s and source: a tenth of the size at 1 kHz
-_BURST = 0.05  # s of signals that may come at once, because packets come in batches
+SIGNALS_RATE = 20.0  # decoded packets per s and source; adds a tenth to the file size at 1 kHz
+_BURST = 0.05  # s of signals that may be written at once, because packets come in batches
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,12 @@ class RecorderStatistics:
     """Packets and bytes of a recording so far.
 
     Attributes:
-        packets: those that were written, of all sources. When the disk was full, up to one chunk (1
-            MiB, or 0.4 s) of them is lost nevertheless; the error says how many are kept.
-        signals: those of them whose decoded values were written too.
-        seconds: since the recording began; until it ended, when it has.
-        not_recorded: source to the packets that were lost to it: the queue was full, or the
-            recording had ended.
-        file_size: bytes of the file.
+        packets: number of written packets of all sources. If the disk is full, up to one chunk (1
+            MiB, or 0.4 s) of these is lost; the error reports how many the file has.
+        signals: number of these packets whose decoded values were written as well.
+        seconds: duration of the recording, s.
+        not_recorded: source to the number of packets that were lost because the queue was full or
+            the recording had ended.
     """
 
     packets: int
@@ -44,25 +43,21 @@ class RecorderStatistics:
 
 
 class RateLimiter:
-    """Allows so many packets per second, a few of them at once (a token bucket).
-
-    Args:
-        rate: packets per second; 0 allows none, infinity all.
-    """
+    """Limits the number of packets per second with a token bucket; infinity is no limit."""
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
-        self._most = max(1.0, rate * _BURST)
-        self._credit = self._most
+        self._max_credit = max(1.0, rate * _BURST)
+        self._credit = self._max_credit
         self._last = -math.inf
 
     def allow(self, arrival: float) -> bool:
-        """Whether a packet that arrived then, in s, is one of them."""
+        """Returns whether a packet with this arrival time, s, is within the rate."""
         if not 0.0 < self._rate < math.inf:
             return self._rate > 0.0
         if arrival > self._last:
             earned = (arrival - self._last) * self._rate
-            self._credit, self._last = min(self._most, self._credit + earned), arrival
+            self._credit, self._last = min(self._max_credit, self._credit + earned), arrival
         if self._credit < 1.0:
             return False
         self._credit -= 1.0
@@ -70,11 +65,11 @@ class RateLimiter:
 
 
 class PacketWriter(RecordingWriter):
-    """Writes packets as they came, and the decoded values of some of them, for other programs.
+    """Writes packets, and the decoded values of some of them for other programs.
 
     Args:
-        signals_rate: of how many packets per second and source the values are written.
-        **options: of `RecordingWriter`.
+        signals_rate: maximum number of decoded packets per second and source.
+        **options: options of `RecordingWriter`.
     """
 
     def __init__(self, path: Path | str, *, signals_rate: float, **options: Any) -> None:
@@ -88,13 +83,13 @@ class PacketWriter(RecordingWriter):
         self._decoders[name] = (decode, RateLimiter(self._signals_rate))
 
     def write_values(self, name: str, packet: bytes, arrival: float) -> bool:
-        """Writes the values of a packet after its `write_raw`; returns whether it did."""
+        """Writes the values of a packet after `write_raw`; returns false if they are left out."""
         decode, limiter = self._decoders[name]
         if not limiter.allow(arrival):
             return False
         try:
             values = decode(packet)
-        except ValueError:  # what `Structure.decode` raises for a packet of another size
+        except ValueError:  # from `Structure.decode`, for a packet of another size
             return False
         if values is not None:
             self.write_signals(name, values, arrival)
@@ -102,19 +97,16 @@ class PacketWriter(RecordingWriter):
 
 
 class Recorder(PacketWorker):
-    """Records packets of any number of threads into a file, with bounded memory.
+    """Records packets from any number of threads to a file, with bounded memory.
 
-    When the disk is too slow, packets are counted in `statistics` as not recorded, and told in the
-    file as well.
+    If the disk is too slow, packets are lost, and counted in `statistics` and in the file. Raises
+    RecordingError if the file exists or cannot be written.
 
     Args:
-        about: what it is a recording of, e.g. `{"scene": "lwr_udp"}`.
-        overwrite: write over a file that exists; else that is an error.
-        signals_rate: of how many packets per second and source the decoded values are kept as well,
-            for other programs; 0 for none. All packets are kept as they came.
-
-    Raises:
-        RecordingError: the file exists already, or cannot be written.
+        about: description of the recording, such as `{"scene": "lwr_udp"}`.
+        overwrite: replace an existing file.
+        signals_rate: maximum number of packets per second and source whose decoded values are
+            recorded as well, for other programs; 0 for none.
     """
 
     def __init__(
@@ -135,13 +127,12 @@ class Recorder(PacketWorker):
         super().__init__("recorder", queue_bytes)
 
     def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
-        """Adds a source; before its packets are taken.
+        """Adds a source. Call this before `take`.
 
         Args:
-            name: the source's name in routes.
-            decode: a packet to its signals; None, or ValueError, for a malformed one, of which only
-                the bytes are kept. It is called on the recorder's thread.
-            **declaration: what `RecordingWriter.add_source` takes, and raises errors about.
+            decode: function from a packet to its signals, called in the recorder's thread. For
+                malformed packets it returns None or raises ValueError.
+            **declaration: arguments of `RecordingWriter.add_source`.
         """
         with self._writing:
             self._writer.add_decoded(name, decode, **declaration)
@@ -149,13 +140,13 @@ class Recorder(PacketWorker):
             self._lost[name] = 0
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Puts a file into the recording; see `RecordingWriter.attach`."""
+        """Adds a file to the recording; see `RecordingWriter.attach`."""
         with self._writing:
             self._writer.attach(name, media_type, data)
 
     @property
     def clock(self) -> RecordingClock:
-        """When the recording began, on both clocks."""
+        """Start of the recording on both clocks."""
         return self._writer.clock
 
     @property
@@ -202,6 +193,6 @@ class Recorder(PacketWorker):
             raise
 
     def _finish(self, error: Exception | None) -> None:
-        if not isinstance(error, RecordingError):  # else the file cannot be completed
+        if not isinstance(error, RecordingError):  # after that, the file cannot be written
             with self._writing:
                 self._writer.close(lost=self._lost)

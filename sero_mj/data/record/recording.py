@@ -1,4 +1,4 @@
-"""`Recording`: reads files of `RecordingWriter`, even truncated or damaged ones."""
+"""`Recording`: reads files of `RecordingWriter`, including truncated and damaged files."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from ..receive.source import Source
 
 _LATEST_NS = 2**64
-_EXPECTED = "a file that sero-mj record wrote"
+_EXPECTED = "a file from sero-mj record"
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,10 @@ class RecordedSource(SourceDeclaration):
     """A source in a recording.
 
     Attributes:
-        first: when its first packet arrived, s since the recording began; NaN without packets.
+        count: number of packets.
+        first: arrival time of its first packet, s from the start of the recording; NaN without
+            packets.
+        last: arrival time of its last packet, as `first`.
     """
 
     count: int
@@ -62,21 +65,21 @@ class RecordedSource(SourceDeclaration):
 
     @property
     def is_unreadable(self) -> bool:
-        """Whether it has packets, but none of them is readable."""
+        """Whether the source has packets, but none of them can be read."""
         return self.count > 0 and math.isnan(self.first)
 
 
 class PacketFile(ABC):
-    """A file with the packets of sources. Times are s since it begins.
+    """A file with packets of sources. Times are s from its start.
 
     Attributes:
-        duration: s from its beginning to its last packet.
+        duration: time of the last packet.
         lost: source to the number of its lost packets.
-        faults: its errors, a sentence each; some are found when they are read.
-        malformed: why the last message that contradicts itself makes no packet; empty where packets
-            were recorded.
-        names_joints: whether its packets are made of messages that name joints, so that it can move
-            a robot without routes.
+        faults: tolerated errors, one sentence each; some are detected when packets are read.
+        malformed: why the last malformed message could not be converted to a packet; empty for
+            recordings of packets.
+        names_joints: whether the recording has messages that name joints, so that it can move a
+            robot without routes.
     """
 
     path: Path
@@ -89,15 +92,15 @@ class PacketFile(ABC):
     malformed: str = ""
 
     names_joints: ClassVar[bool] = False
-    _why_unreadable: ClassVar[str] = "its index is wrong"  # where no fault says it
+    _why_unreadable: ClassVar[str] = "its index is wrong"  # used if there is no fault
 
     def choose_source(self, name: str = "", default: str = "", by: str = "") -> str:
-        """Returns the name of one of its sources; raises UsageError.
+        """Returns the name of a source; raises UsageError.
 
         Args:
-            name: which; empty for `default`, or the only one.
-            default: used if there is a source of this name and no other is requested.
-            by: how the user chooses one called NAME, by an option say; for the error.
+            name: requested name; empty for `default`, or for the only source.
+            default: name to use if the recording has it.
+            by: option by which users choose a source, such as `--source NAME`, for the error.
         """
         names = list(self.sources)
         chosen = name or (default if default in names or len(names) != 1 else names[0])
@@ -108,109 +111,91 @@ class PacketFile(ABC):
             raise UsageError(Problem("", "no source", found=name, of=where, available=names))
         if not names:
             raise UsageError(f"{self.path}: {self.why_no_source()}")
-        how = f"choose with {by.replace('NAME', names[0])}, say" if by else "choose one"
+        how = f"choose one with {by.replace('NAME', names[0])}" if by else "choose one"
         raise UsageError(f"{self.path} has several sources: {self.about_sources()}; {how}")
 
     def why_no_source(self) -> str:
-        """Describes why it has no sources."""
+        """Returns the reason why the recording has no sources."""
         return "; ".join(["has no source", *self.faults])
 
     def about_sources(self) -> str:
-        """Its sources in words, for a user who has to choose one."""
+        """Returns a list of the sources, for users who have to choose one."""
         return ", ".join(self.sources)
 
     @abstractmethod
     def packets(
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
-        """Iterates over a source's packets in file order; reads only the required chunks.
+        """Yields arrival time and bytes of a source's packets with start <= time < stop.
 
-        Args:
-            start: first time, s since the recording began.
-            stop: end time, exclusive, likewise; None for the end.
-
-        Returns:
-            Arrival of each, s since the recording began, and its bytes.
-
-        Raises:
-            RecordingError: the file cannot be read.
-            UnknownName: no such source was recorded.
+        The packets are in the order of the file. Raises RecordingError or UnknownName.
         """
 
     @abstractmethod
     def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
-        """Returns a source's newest packet at or before a time, or None; used by seeking.
+        """Returns arrival time and bytes of a source's newest packet up to a time, or None.
 
-        Args:
-            t: s since the recording began.
-
-        Returns:
-            When it arrived, s since the recording began, and its bytes.
-
-        Raises:
-            RecordingError: the file cannot be read.
-            UnknownName: no such source was recorded.
+        Raises RecordingError or UnknownName.
         """
 
     @property
     @abstractmethod
     def attachments(self) -> tuple[str, ...]:
-        """Names of the files in the recording."""
+        """Names of the attached files."""
 
     @abstractmethod
     def read_attachment(self, name: str) -> bytes:
-        """Returns a file that is in the recording; raises RecordingError and UnknownName."""
+        """Returns the contents of an attached file; raises RecordingError or UnknownName."""
 
     def check_readable(self, name: str) -> None:
-        """Raises RecordingError if none of a source's packets is readable."""
+        """Raises RecordingError if none of a source's packets can be read."""
         source = self.sources[name]
         if source.is_unreadable:
             why, *others = self.faults or [self._why_unreadable]
-            more = f" (and {len(others)} more of the kind)" if others else ""
+            more = f" (and {len(others)} more errors)" if others else ""
             reason = f"none of the {source.count} packets of '{name}' can be read: {why}{more}"
             raise RecordingError(self.path, reason)
 
     def message_source(self, fields: Mapping[str, Any]) -> Source | None:
-        """Returns the receiver with these fields; None if the recording has packets."""
+        """Returns a receiver of messages with these fields; None for recordings of packets."""
         return None
 
     def replay_table(self, name: str, source: Source | None) -> dict[str, Any]:
-        """Returns the table of a source that plays one of its sources instead of a scene's own.
+        """Returns the table of a `replay` source that replaces a source of a scene.
 
         Args:
-            source: what the scene reads of messages; see `Source.of_messages`.
+            source: receiver of messages in the scene; see `Source.of_messages`.
         """
         return {"kind": "replay", "file": str(self.path), "source": name}
 
     def lead(self, scene: Any, source: str | None = None) -> Any:
-        """Returns a scene without sources with its only robot led by this recording.
+        """Returns a `Scene` without sources with its only robot moved by this recording.
 
-        Other scenes are returned unchanged, and so are scenes for which no source is the obvious
-        one, and scenes for recordings of packets.
+        Returns other scenes unchanged. Recordings of packets change no scene.
 
         Args:
-            scene: a `Scene`, whose module imports MuJoCo.
-            source: of the recording, that leads the robot; found by joint names when None.
+            source: source of the recording that moves the robot; None to find it by joint names.
         """
         return scene
 
     def scenes(
         self, choose: str, source: str | None = None, wanted: Collection[str] = ()
     ) -> Iterator[str]:
-        """Yields scenes of the robot that messages name; raises RecordingError or UsageError.
+        """Yields scenes with the joints that the messages name; raises SeroError.
 
         Args:
-            source: of the recording, that moves the robot; any when None.
-            wanted: names of robots, one of which it is; any when empty.
+            choose: option by which users choose a scene, for the error.
+            source: source of the recording; None for any.
+            wanted: names of possible robots; empty for any.
         """
         return iter(())
 
     def described_scene(self) -> Path | None:
-        """Writes a scene of the robot that the recording describes; None if it describes none."""
+        """Writes a scene with the robot description in the recording; None if there is none."""
         return None
 
     def shipped_robots(self, source: str | None = None) -> list[str]:
-        """Returns the shipped robots with the joints that it, or one of its sources, names."""
+        """Returns the shipped robots with the joint names of the recording, or of one source."""
         return []
 
     @abstractmethod
@@ -225,13 +210,10 @@ class PacketFile(ABC):
 
 
 class Recording(PacketFile):
-    """A finished recording, or one still being written. For any number of threads.
+    """A complete recording, or one that is being written. It can be used by several threads.
 
-    Damaged chunks, which are detected when they are read, are left out and reported in `faults`,
-    like all other tolerable errors.
-
-    Raises:
-        RecordingError: it cannot be read, or is not a recording.
+    Damaged chunks are skipped and reported in `faults`. Raises RecordingError if the file cannot be
+    read or is not a recording.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -256,15 +238,15 @@ class Recording(PacketFile):
     def _read_all_but_messages(self) -> None:
         begin = self._file.read(len(MCAP0_MAGIC))
         if begin != MCAP0_MAGIC:
-            reason = f"is no MCAP file: found {begin!r} at its beginning" if begin else "is empty"
+            reason = f"is not an MCAP file: it begins with {begin!r}" if begin else "is empty"
             raise RecordingError(self.path, Problem("", reason, expected=_EXPECTED))
         index = read_index(self._file)
         self._index = index
         self.faults += index.faults
         declarations = self._declarations(index)
         self._chunks = index.chunks
-        # Chunks are almost sorted by time. These two are strictly sorted, so that they can be
-        # searched: the latest message up to a chunk, and the earliest one from a chunk on.
+        # Chunks may overlap in time. These two lists are sorted, so that they can be searched: time
+        # of the latest message up to a chunk, and of the earliest message from a chunk on.
         self._latest = list(accumulate((chunk.last for chunk in self._chunks), max))
         earliest = accumulate((chunk.first for chunk in reversed(self._chunks)), min)
         self._earliest = list(earliest)[::-1]
@@ -273,7 +255,7 @@ class Recording(PacketFile):
         self.about = dict(index.metadata.get(ABOUT, {}))
         self.lost = {name: int(count) for name, count in index.metadata.get(LOST, {}).items()}
         for name, count in self.lost.items():
-            self.faults.append(f"{count} packets of source '{name}' could not be kept")
+            self.faults.append(f"{count} packets of source '{name}' were lost")
         self._channels = {source.name: channel for channel, source in declarations.items()}
         counts = self._counts(index)
         self.sources: dict[str, RecordedSource] = {}
@@ -305,13 +287,13 @@ class Recording(PacketFile):
                 :10
             ]
         )
-        reason = f"is an MCAP file of another program: found the topics {topics}"
+        reason = f"is an MCAP file of another program with the topics {topics}"
         raise RecordingError(self.path, Problem("", reason, expected=_EXPECTED))
 
     def _read_clock(self, index: FileIndex) -> RecordingClock:
         metadata = index.metadata.get(CLOCK)
         if metadata is None:  # other tools may omit it when they rewrite a file
-            self.faults.append("does not say when it began; times count from its first packet")
+            self.faults.append("has no start time; times are relative to its first packet")
             return RecordingClock(min(self._earliest, default=0), 0)
         try:
             number = int(metadata["format"])
@@ -345,8 +327,6 @@ class Recording(PacketFile):
     ) -> Iterator[tuple[float, bytes]]:
         channel = self._find(name)
         begin, end = self._log_time(start), self._log_time(math.inf if stop is None else stop)
-        # After the last chunk entirely before the start, and before the first one entirely after
-        # the end.
         chunks = (
             self._chunks[i]
             for i in range(bisect_right(self._latest, begin - 1), len(self._chunks))
@@ -445,7 +425,7 @@ class Recording(PacketFile):
         first, last = self._seconds(chunk.first), self._seconds(chunk.last)
         self.faults.append(
             f"the chunk at byte {chunk.offset} is damaged ({mcap_reason(error)}): "
-            f"what arrived from {first:.3f} s to {last:.3f} s is left out"
+            f"packets from {first:.3f} s to {last:.3f} s are missing"
         )
 
     def _unreadable(self, error: Exception) -> RecordingError:

@@ -1,26 +1,26 @@
 """The format of recordings in MCAP: topics, metadata, and the two clocks.
 
     metadata `sero-mj`    format, version, started, start_epoch_ns, start_monotonic_ns
-    metadata `about`      what the recording is of: scene, robot, ...
-    metadata `lost`       source to the number of packets that could not be kept, where there are
-    channel /NAME/raw     a source's packets as `std_msgs/UInt8MultiArray`; its metadata says how to
-                          decode them
-    channel /NAME/signals what the good ones of them mean, as numbers that Foxglove and PlotJuggler
-                          plot; its metadata says of every name where its number comes from
-    channel /ROBOT/joint_states   likewise the states of a robot's joints, as ROS has them
+    metadata `about`      description of the recording: scene, robot, ...
+    metadata `lost`       source to the number of its lost packets, if any
+    channel /NAME/raw     packets of a source as `std_msgs/UInt8MultiArray`; the metadata declares
+                          how they are decoded
+    channel /NAME/signals decoded values, for plots in Foxglove and PlotJuggler; the metadata has
+                          the origin of each named number
+    channel /ROBOT/joint_states   joint states of a robot, as in ROS
     attachments           the scene file and its robots' files
 
-All messages are of ROS 2 (profile `ros2`, definitions `ros2msg`, CDR), so that `ros2 bag` and
-`rosbags` open the file: `ros2 bag` wants one encoding in all of it and a schema for each channel,
-`rosbags` knows no JSON Schema. Files of format 1 have packets without a head, and JSON.
+All messages are ROS 2 messages (profile `ros2`, definitions `ros2msg`, CDR), so that `ros2 bag` and
+`rosbags` can open the file: `ros2 bag` requires the same encoding for all messages and a schema for
+each channel, and `rosbags` does not support JSON Schema. Files of format 1 have packets without a
+header, and JSON.
 
-A message's log time is when the packet arrived, in ns since the epoch. It is the monotonic clock
-with a constant offset set at the start of the recording: it never jumps, and differences are exact
-to the ns.
+The log time of a message is the arrival time of the packet, ns since the epoch. It is the monotonic
+clock with a constant offset, so it never jumps, and differences are exact.
 
-Numbers with individual names (`lwr.A1.torque [Nm]`) are members of a message, whose names in ROS
-are made of these (`lwr_a1_torque`); a comment in the definition has the name itself. Other values
-are an array of numbers, of points, or of frames. All are doubles, so a message is a row of a table.
+Numbers with individual names (`lwr.A1.torque [Nm]`) are members of a message. The names of the
+members are derived from them (`lwr_a1_torque`), and a comment in the definition has the full name.
+Other values are arrays of numbers, points or frames. All numbers are float64.
 """
 
 from __future__ import annotations
@@ -41,15 +41,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import __version__
-from ...base.errors import (
-    mismatch,
-)
+from ...base.errors import mismatch
 from .joint_state_messages import CDR_HEAD, RULE, JointStates
 
 FORMAT = 2
 ABOUT, CLOCK, LOST = "about", "sero-mj", "lost"
-SOURCE_KEY = "sero-mj"  # in the metadata of a raw channel
-LIBRARY = "sero-mj"  # which wrote the file
+SOURCE_KEY = "sero-mj"  # key in the metadata of a raw channel
+LIBRARY = "sero-mj"  # in the header of the file
 RAW_SCHEMA = f"""\
 std_msgs/MultiArrayLayout layout
 uint8[] data
@@ -64,28 +62,19 @@ uint32 size
 uint32 stride
 """
 RAW_SCHEMA_NAME = "std_msgs/msg/UInt8MultiArray"
-_RAW_HEAD = struct.Struct("<4s3I")  # of CDR; then no dimensions, no offset, and the bytes' number
+_RAW_HEAD = struct.Struct("<4s3I")  # CDR header, 0 dimensions, offset 0, and number of bytes
 _MAX_NS = 2**64 - 1
 
 
 @dataclass(frozen=True)
 class RecordingClock:
-    """The start of a recording, on both clocks.
-
-    Attributes:
-        epoch_ns: ns since the epoch, UTC.
-        monotonic_ns: ns on the clock of `time.monotonic`.
-    """
+    """Start time of a recording, in ns since the epoch and on the clock of `time.monotonic`."""
 
     epoch_ns: int = field(default_factory=time.time_ns)
     monotonic_ns: int = field(default_factory=time.monotonic_ns)
 
     def log_time(self, arrival: float) -> int:
-        """Returns the log time, ns since the epoch, of an arrival in s on `time.monotonic`.
-
-        Raises:
-            ValueError: the time is out of the file's range.
-        """
+        """Converts an arrival time, s on `time.monotonic`, to ns since the epoch."""
         if not math.isfinite(arrival):
             raise mismatch(arrival, "seconds on time.monotonic", key="arrival")
         log_time = round(arrival * 1e9) - self.monotonic_ns + self.epoch_ns
@@ -94,7 +83,7 @@ class RecordingClock:
         return log_time
 
     def to_metadata(self) -> dict[str, str]:
-        """As the metadata record that every recording has."""
+        """Returns the metadata record of the recording."""
         started = datetime.fromtimestamp(self.epoch_ns / 1e9, UTC)
         return {
             "format": str(FORMAT),
@@ -106,18 +95,16 @@ class RecordingClock:
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str]) -> RecordingClock:
-        """Reads it from the metadata record; raises KeyError or ValueError."""
+        """Reads the metadata record; raises KeyError or ValueError."""
         return cls(int(metadata["start_epoch_ns"]), int(metadata["start_monotonic_ns"]))
 
 
 @dataclass(frozen=True)
 class SourceDeclaration:
-    """The declaration needed to decode a source's packets, stored as a raw channel's metadata.
+    """The declaration by which a source's packets are decoded; metadata of a raw channel.
 
     Attributes:
-        name: the source's name in routes.
-        kind: its kind, e.g. `udp`.
-        declared: its fields in the scene, of JSON's types.
+        declared: fields of the source in the scene, as JSON types.
         size: bytes of a packet.
     """
 
@@ -128,13 +115,13 @@ class SourceDeclaration:
     size: int
 
     def to_json(self) -> str:
-        """As JSON; raises TypeError for a field that is not of JSON's types."""
+        """Returns JSON; raises TypeError if a field has another type."""
         plain = {"declared": dict(self.declared), "events": dict(self.events)}
         return json.dumps({**vars(self), **plain})
 
     @classmethod
     def from_json(cls, text: str) -> SourceDeclaration:
-        """Reads it from JSON; raises KeyError, TypeError, AttributeError or ValueError."""
+        """Reads JSON; raises KeyError, TypeError, AttributeError or ValueError."""
         found = json.loads(text)
         events = {str(event): tuple(map(int, shape)) for event, shape in found["events"].items()}
         return cls(
@@ -147,22 +134,22 @@ class SourceDeclaration:
 
 
 def pack_raw(packet: bytes) -> bytes:
-    """Returns a packet as a message of `RAW_SCHEMA`."""
+    """Converts a packet to a message of `RAW_SCHEMA`."""
     return _RAW_HEAD.pack(CDR_HEAD, 0, 0, len(packet)) + packet
 
 
 def unpack_raw(message: bytes) -> bytes:
-    """Returns the packet in such a message; raises ValueError if it is none."""
+    """Returns the packet in a message of `RAW_SCHEMA`; raises ValueError."""
     if len(message) < _RAW_HEAD.size:
         raise ValueError(f"found {len(message)} bytes; expected {_RAW_HEAD.size} or more")
     packet = message[_RAW_HEAD.size :]
     if _RAW_HEAD.unpack_from(message) != (CDR_HEAD, 0, 0, len(packet)):
-        raise ValueError("its head is not that of a packet")
+        raise ValueError("its header is not that of a packet")
     return packet
 
 
 def message_type(source: str, taken: Collection[str]) -> str:
-    """Returns the type in ROS of the messages of a source's signals: `sero_mj/msg/SignalsMyArm`."""
+    """Returns the ROS type for the signals of a source, such as `sero_mj/msg/SignalsMyArm`."""
     words = re.findall(r"[A-Za-z0-9]+", source)
     name = "sero_mj/msg/Signals" + "".join(word[0].upper() + word[1:] for word in words)
     unique, count = name, 1
@@ -177,7 +164,7 @@ _DEFINITIONS = {
     _FRAME: f"{_POINT} position\nfloat64[9] rotation  # row by row",
     _POINT: "float64 x\nfloat64 y\nfloat64 z",
 }
-_VECTORS, _MATRICES = (3,), (4, 4)  # the shape of one item
+_VECTORS, _MATRICES = (3,), (4, 4)  # shapes of an item
 _ITEMS = {_VECTORS: _POINT, _MATRICES: _FRAME}
 _NOT_IN_FIELDS = re.compile(r"[^a-z0-9]+")
 _UNIT = re.compile(r" \[[^]]*\]$")
@@ -185,12 +172,14 @@ _UNIT = re.compile(r" \[[^]]*\]$")
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """The contents of a source's messages, and their names.
+    """The decoded values of a source in messages.
 
     Attributes:
-        shapes: event, or routed input, to its shape: (n,), (n, 3) or (n, 4, 4).
-        names: one of these to the names of its numbers, n; the others are arrays.
-        origins: such a name to the origin of its number: `values1[0]`.
+        shapes: event or routed input to its shape: (n,), (n, 3) or (n, 4, 4).
+        names: keys of `shapes` whose n numbers have individual names, to these names; the others
+            are arrays.
+        origins: individual name to the origin of the number, such as `values1[0]`.
+        joint_states: robot to its joint states.
     """
 
     shapes: Mapping[str, tuple[int, ...]]
@@ -199,7 +188,7 @@ class Signals:
     joint_states: Mapping[str, JointStates] = field(default_factory=dict)
 
     def schema(self) -> bytes:
-        """Returns the definition of the messages."""
+        """Returns the definition of the message type."""
         lines, used = [], set()
         fields = iter(self.fields)
         for key, shape in self.shapes.items():
@@ -218,7 +207,7 @@ class Signals:
 
     @cached_property
     def fields(self) -> list[str]:
-        """The names of its numbers and arrays in messages, which ROS restricts."""
+        """Names of the members of messages, restricted to the characters that ROS allows."""
         found: list[str] = []
         for key in self.shapes:
             for name in self.names.get(key, [key]):
@@ -233,20 +222,16 @@ class Signals:
         return found
 
     def encode(self, values: Mapping[str, NDArray[np.float64]]) -> bytes:
-        """Returns a decoded packet as a message; arrays by `shapes`."""
+        """Converts a decoded packet, arrays by the keys of `shapes`, to a message."""
         return self.encode_table(self.table(values))[0]
 
     def table(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Returns a decoded packet as a table of one row, (1, k); arrays by `shapes`."""
+        """Converts a decoded packet, arrays by the keys of `shapes`, to a row, (1, k)."""
         numbers = [np.asarray(values[key], np.float64).ravel() for key in self.shapes]
         return np.concatenate([*numbers, np.zeros(0)])[None]
 
     def encode_table(self, table: NDArray[np.float64]) -> list[bytes]:
-        """Returns many decoded packets at once, each as `encode` does.
-
-        Args:
-            table: (packets, k), the numbers of all events in their order; matrices row by row.
-        """
+        """Converts n rows of numbers in the order of `shapes`, (n, k), to messages."""
         if not self.shapes:
             return [CDR_HEAD + b"\0"] * len(table)
         rows = np.ascontiguousarray(table[:, self._order], "<f8")
@@ -254,7 +239,6 @@ class Signals:
 
     @cached_property
     def _order(self) -> NDArray[np.intp]:
-        """The order of the numbers in messages: of frames the position comes first."""
         order, first = [np.zeros(0, np.intp)], 0
         for shape in self.shapes.values():
             places = np.arange(first, first + int(np.prod(shape)))
@@ -268,6 +252,6 @@ class Signals:
 
 
 def media_type(name: str) -> str:
-    """The media type of a scene's or a robot's file, by the ending of its name."""
+    """Returns the media type of a scene or robot file, by its extension."""
     types = {".toml": "application/toml", ".xml": "application/xml", ".urdf": "application/xml"}
     return types.get(name[name.rfind(".") :].lower(), "text/plain")

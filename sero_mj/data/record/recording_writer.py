@@ -1,9 +1,9 @@
 """`RecordingWriter`: writes packets and decoded values to an MCAP file that is always valid.
 
-The last record is always followed by a short ending without an index, which the next records
-overwrite and append again. So if the process is killed at any time, readers find a valid file
-without an index; only a process killed during a write leaves half a chunk at the end. On a full
-disk the space of the ending is already allocated.
+The records are always followed by a short ending without an index. Each write overwrites it and
+appends it again. If the process is killed, readers find a valid file without an index, or with an
+incomplete last chunk if it was killed during a write. On a full disk, the space for the ending is
+already allocated.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ from .recording_format import (
 )
 
 CHUNK_BYTES = 1 << 20
-FLUSH_AFTER = 0.4  # s: so that at most half a second is lost with its process
-_MESSAGE_HEAD = 31  # bytes of a message's record beside its data
-_BY_US = 1 << 62  # larger than any chunk: prevents the library from ending chunks by itself
+FLUSH_AFTER = 0.4  # s; at most half a second is lost if the process is killed
+_MESSAGE_HEAD = 31  # bytes of a message's record, without its data
+_NO_LIMIT = 1 << 62  # chunk size of the library, which must not end chunks itself
 _WHY = {
     errno.ENOSPC: "no space left on the disk",
-    errno.EDQUOT: "the disk quota is used up",
-    errno.EFBIG: "the file has reached the largest size that the system allows",
+    errno.EDQUOT: "the disk quota is exceeded",
+    errno.EFBIG: "the file has reached the maximum size of the system",
 }
 
 
 def pack_record(record: McapRecord) -> bytes:
-    """Returns a serialized record."""
+    """Serializes a record."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
@@ -70,16 +70,11 @@ SHORT_ENDING = pack_record(DataEnd(0)) + pack_record(Footer(0, 0, 0)) + MCAP0_MA
 class McapStream:
     """A stream for `mcap.writer.Writer`: buffers records until `flush` writes them with an ending.
 
-    Args:
-        overwrite: write over a file that exists; else that is an error.
+    Raises RecordingError if the file exists and `overwrite` is not set, or if it cannot be written.
 
     Attributes:
-        size: bytes of the file.
-        kept: description of the data up to the last `flush`, for the error; empty for none.
-        error: why nothing more can be written, or None.
-
-    Raises:
-        RecordingError: it exists already, or cannot be written.
+        kept: description of the data up to the last `flush`, for the error; empty without data.
+        error: error after which nothing can be written, or None.
     """
 
     def __init__(self, path: Path | str, *, overwrite: bool = False) -> None:
@@ -92,7 +87,7 @@ class McapStream:
             # Unbuffered: buffered data would be lost with the process.
             self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
         except FileExistsError as error:
-            reason = "exists already; choose another name, or remove it"
+            reason = "exists already. Choose another name, or remove it"
             raise RecordingError(self.path, reason) from error
         except (OSError, ValueError) as error:
             raise RecordingError(self.path, f"cannot be written: {_why(error)}") from error
@@ -109,10 +104,9 @@ class McapStream:
         return self._end + len(self._records)
 
     def flush(self) -> None:
-        """Overwrites the ending with the records, followed by a new ending.
+        """Overwrites the ending with the buffered records and a new ending; raises RecordingError.
 
-        Raises:
-            RecordingError: there is no room. What was written before is kept.
+        After an error, the file still has the data written before.
         """
         if self.error is not None:
             raise self.error
@@ -122,7 +116,7 @@ class McapStream:
             self._records.clear()
 
     def finish(self) -> None:
-        """Writes records of which the last is an ending, and closes; raises as `flush` does."""
+        """Writes the buffered records, which include an ending, and closes the file."""
         self._put(self._records)
         self._file.close()
 
@@ -143,15 +137,14 @@ class McapStream:
         self.size = self._end + len(data)
 
     def _rescue(self, error: OSError) -> NoReturn:
-        """Removes partially written data, closes the file, and raises the error."""
         with contextlib.suppress(OSError):
             # The space of the ending remains allocated throughout.
             self._file.truncate(self._end + len(SHORT_ENDING))
             self._put_at_end(SHORT_ENDING)
         with contextlib.suppress(OSError):
             self._file.close()
-        kept = f"{self.kept} are kept in {self.size} bytes" if self.kept else "nothing is kept"
-        reason = f"{_why(error)}; the recording ends here, {kept}"
+        kept = f"it has {self.kept} in {self.size} bytes" if self.kept else "it has no packets"
+        reason = f"{_why(error)}. The recording has ended; {kept}"
         self.error = RecordingError(self.path, reason)
         raise self.error from error
 
@@ -172,20 +165,18 @@ class _Channels:
 
 
 class RecordingWriter:
-    """Writes a recording. For one thread at a time; `Recorder` is for several.
+    """Writes a recording, from one thread at a time; `Recorder` is for several threads.
 
-    The process may be killed at any time: data older than `flush_after` is in the file, provided
-    that something is written or `flush_if_old` is called regularly. The file can be read while it
-    is written. Its memory use grows by the library's chunk index only: less than 1 kB per chunk, so
-    7 MB in an hour of chunks that are flushed every 0.4 s.
+    If the process is killed, the file has all data older than `flush_after`, provided that
+    `flush_if_old` is called regularly. The file can be read while it is written. Memory grows by
+    less than 1 kB per chunk, which is 7 MB per hour with chunks of 0.4 s. All methods raise
+    RecordingError if the file cannot be written, and `__init__` if it exists.
 
     Args:
-        about: what it is a recording of, e.g. `{"scene": "lwr_udp"}`.
-        overwrite: write over a file that exists; else that is an error.
-        flush_after: s until an incomplete chunk is written.
-
-    Raises:
-        RecordingError: the file exists already, or cannot be written.
+        about: description of the recording, such as `{"scene": "lwr_udp"}`.
+        overwrite: replace an existing file.
+        flush_after: time after which an incomplete chunk is written, s.
+        clock: start of the recording; now if None.
     """
 
     def __init__(
@@ -202,12 +193,12 @@ class RecordingWriter:
         self._channels: dict[str, _Channels] = {}
         self._schemas: dict[str, int] = {}  # number by name
         self._chunk_bytes, self._flush_after = chunk_bytes, flush_after
-        self._waiting = 0  # bytes of the messages not yet in the file
-        self._oldest = 0.0  # when the first of them came, on time.monotonic
-        self._count = 0  # of packets, in the file or not
-        self._span = (2**64, 0)  # log times of the first and the last of them, ns
+        self._waiting = 0  # bytes of messages that are not in the file
+        self._oldest = 0.0  # time of the first of these, s on time.monotonic
+        self._count = 0  # all packets
+        self._span = (2**64, 0)  # log times of the first and the last packet, ns
         self._file = McapStream(path, overwrite=overwrite)
-        self._writer = Writer(self._file, chunk_size=_BY_US)  # type: ignore[arg-type]
+        self._writer = Writer(self._file, chunk_size=_NO_LIMIT)  # type: ignore[arg-type]
         self._writer.start(profile="ros2", library=f"{LIBRARY} {__version__}")
         self._writer.add_metadata(CLOCK, self.clock.to_metadata())
         self._writer.add_metadata(ABOUT, dict(about))
@@ -231,24 +222,16 @@ class RecordingWriter:
         size: int,
         signals: Signals | None = None,
     ) -> None:
-        """Adds a source: a channel for its packets and one for its decoded values.
+        """Adds channels for the packets of a source, and for their decoded values.
 
         Args:
-            name: the source's name in routes.
-            kind: its kind, e.g. `udp`.
-            declared: its fields in the scene, of JSON's types; a replay builds its decoder from
-                them.
-            events: event name to its shape, (n,), (n, 3) or (n, 4, 4).
+            declared: fields of the source, from which a replay builds its decoder; JSON types.
+            events: event name to shape, (n,), (n, 3) or (n, 4, 4).
             size: bytes of a packet.
-            signals: of the decoded packets; their events when None.
-
-        Raises:
-            RecordingError: it cannot be written.
-            TypeError: a field that is not of JSON's types.
-            ValueError: there is a source of this name already.
+            signals: signals of decoded packets; their events if None.
         """
         if name in self._channels:
-            raise ValueError(f"source '{name}' is in the recording already")
+            raise ValueError(f"the recording already has a source '{name}'")
         declaration = SourceDeclaration(name, kind, declared, events, size).to_json()
         signals = signals or Signals(dict(events))
         of_raw = self._add_schema(RAW_SCHEMA_NAME, RAW_SCHEMA.encode())
@@ -284,31 +267,16 @@ class RecordingWriter:
         return number
 
     def _repeat(self, record: McapRecord) -> None:
-        """Repeats a record outside of chunks, so that it is readable if a chunk is lost."""
+        """Writes a record again outside of chunks, so that it can be read if a chunk is lost."""
         self._file.write(pack_record(record))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Puts a file into the recording: the scene, a robot; raises RecordingError.
-
-        Args:
-            name: the file's name, with folders where that matters.
-            media_type: e.g. `application/toml`.
-        """
+        """Adds a file, such as the scene; its name may have folders."""
         self._writer.add_attachment(0, self.clock.epoch_ns, name, media_type, data)
         self._file.flush()
 
     def write_raw(self, name: str, packet: bytes, arrival: float) -> None:
-        """Writes a raw packet, numbered from 0.
-
-        Args:
-            packet: its bytes, well-formed or not.
-            arrival: when it arrived, s on the clock of `time.monotonic`.
-
-        Raises:
-            RecordingError: there is no room. What was written before is kept.
-            UnknownName: no such source was added.
-            ValueError: the arrival is not a time.
-        """
+        """Writes a packet, valid or malformed, with its arrival time, s on `time.monotonic`."""
         channels = self._find(name)
         log_time = self.clock.log_time(arrival)
         number = channels.number
@@ -319,26 +287,14 @@ class RecordingWriter:
         self._add(channels.raw, pack_raw(packet), log_time, number)
 
     def write_rows(self, name: str, rows: NDArray[np.uint8], arrivals: NDArray[np.float64]) -> None:
-        """Writes packets of one length; raises as `write_raw` does.
-
-        Args:
-            rows: (n, bytes of a packet).
-            arrivals: when each arrived, (n,), s on the clock of `time.monotonic`.
-        """
+        """Writes packets of one size, (n, bytes), with their arrival times, (n,)."""
         for row, arrival in zip(rows, arrivals.tolist(), strict=True):
             self.write_raw(name, row.tobytes(), arrival)
 
     def write_signals(
         self, name: str, values: Mapping[str, NDArray[np.float64]], arrival: float
     ) -> None:
-        """Writes the decoded values of a good packet, for other programs; after its `write_raw`.
-
-        Raises as `write_raw` does.
-
-        Args:
-            values: key of `Signals.shapes` to its array; events by default.
-            arrival: when the packet arrived, s on the clock of `time.monotonic`.
-        """
+        """Writes the decoded values of a packet, by keys of `Signals.shapes`, after `write_raw`."""
         channels = self._find(name)
         table, number = channels.signals.table(values), max(0, channels.number - 1)
         self.write_signal_rows(name, table, np.array([arrival]), [number])
@@ -350,12 +306,12 @@ class RecordingWriter:
         arrivals: NDArray[np.float64],
         sequences: Sequence[int],
     ) -> None:
-        """Writes the decoded values of many packets; raises as `write_raw` does.
+        """Writes the decoded values of n packets.
 
         Args:
-            table: (n, k), the numbers of all its signals in their order; matrices row by row.
-            arrivals: when each packet arrived, (n,), s on the clock of `time.monotonic`.
-            sequences: the packets' numbers, n, counted from 0.
+            table: numbers of all signals in their order, (n, k); matrices row by row.
+            arrivals: arrival times on the clock of `time.monotonic`, (n,), s.
+            sequences: numbers of the packets from 0, n.
         """
         channels = self._find(name)
         log_times = [self.clock.log_time(arrival) for arrival in arrivals.tolist()]
@@ -383,7 +339,7 @@ class RecordingWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Writes all buffered data to the file; raises RecordingError."""
+        """Writes all buffered data to the file."""
         if not self._waiting:
             return
         self._writer.flush()
@@ -392,10 +348,9 @@ class RecordingWriter:
         self._file.kept = f"{self._count} packets over {seconds:.3f} s" if self._count else ""
 
     def flush_if_old(self) -> float:
-        """Flushes if the oldest message is older than `flush_after`; raises RecordingError.
+        """Flushes if the oldest buffered message is older than `flush_after`.
 
-        Returns:
-            The s until it is due; infinite without buffered data.
+        Returns the time until the next flush, s; infinite without buffered data.
         """
         remaining = self._oldest + self._flush_after - time.monotonic()
         if self._waiting and remaining > 0.0:
@@ -404,17 +359,13 @@ class RecordingWriter:
         return float("inf")
 
     def close(self, *, lost: Mapping[str, int] | None = None) -> None:
-        """Finishes the file; harmless when it is finished; raises RecordingError.
-
-        Args:
-            lost: source to the number of its lost packets, to be reported by readers.
-        """
+        """Completes the file; `lost` is the number of lost packets by source, for readers."""
         if self._file.closed:
             return
         self.flush()
-        told = {name: str(count) for name, count in (lost or {}).items() if count}
-        if told:
-            self._writer.add_metadata(LOST, told)
+        counts = {name: str(count) for name, count in (lost or {}).items() if count}
+        if counts:
+            self._writer.add_metadata(LOST, counts)
             self._file.flush()
         self._writer.finish()
         self._file.finish()

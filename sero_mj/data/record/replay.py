@@ -1,4 +1,4 @@
-"""`Replay`: a recording as a source, which reproduces the received packets bit for bit."""
+"""`Replay`: a recording as a source, which reproduces the received packets exactly."""
 
 from __future__ import annotations
 
@@ -10,31 +10,26 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import PrivateAttr, ValidationInfo, field_validator
 
-from ...base.errors import (
-    DeclarationError,
-    PluginError,
-    RecordingError,
-    did_you_mean,
-    mismatch,
-)
+from ...base.errors import DeclarationError, PluginError, RecordingError, did_you_mean, mismatch
 from ...base.plugins import SOURCES, load_plugin, plugins
-from ..receive.led_robot import LedJoint, LedLinks
+from ..receive.routed_joints import RoutedJoint, RoutedLinks
 from ..receive.source import Source
 from .csv_files import is_table
 from .file_source import FileSource
 from .formats import look_into, open_recording
 from .recording import PacketFile, RecordedSource
 
-_OF_FILES = ("replay", "table")  # kinds that play a file, which a recording may not name
+_OF_FILES = ("replay", "table")  # kinds that recordings must not name, because they play files
 
 
 class Replay(FileSource):
     """Plays one source of a recording, through the decoder of that source.
 
     Attributes:
-        source: name of the recorded source; when empty, the one of this name, or the only one.
-        topics: what to read of a recording of ROS, as of a source of kind `ros2`: `joint_states`,
-            `joints`, `commands`, `wrench`, `frames` and so on.
+        source: name of the recorded source; if empty, the source with the name of this one, or the
+            only source.
+        topics: topics to read from a recording of ROS, with the keys of a source of kind `ros2`
+            (`joint_states`, `joints`, `commands`, `wrench`, `frames`, ...).
     """
 
     name: str = "replay"
@@ -62,9 +57,9 @@ class Replay(FileSource):
         if topics and "file" in info.data:
             wanted = _message_source(info.data["file"], topics)
             if wanted is None:
-                raise ValueError("are for recordings of messages; leave them out")
+                raise ValueError("are for recordings of messages. Leave them out")
             if not look_into(info.data["file"], {"": wanted}).sources:
-                raise ValueError(f"{info.data['file']} has none of these")
+                raise ValueError(f"{info.data['file']} has none of these topics")
         return topics
 
     @field_validator("source")
@@ -98,28 +93,28 @@ class Replay(FileSource):
         if info.data["start"] is not None:
             begin, word = info.data["start"], "start"
         else:
-            begin, word = _first_of(look_into(info.data["file"])), "where its first packet came"
+            begin, word = _first_of(look_into(info.data["file"])), "the time of its first packet"
         if not begin < stop < np.inf:
             raise mismatch(stop, f"more than {begin:g}, {word}, in s")
         return stop
 
-    def led_to(self, joints: Sequence[LedJoint]) -> None:
-        if joints and (source := self._messages_of_source(is_led=True)) is not None:
+    def set_joints(self, joints: Sequence[RoutedJoint]) -> None:
+        if joints and (source := self._messages_of_source(by_joints=True)) is not None:
             self._of_messages = source
-            source.led_to(joints)
+            source.set_joints(joints)
             self._forget_original()
 
-    def led_to_links(self, links: LedLinks) -> None:
-        source = self._of_messages or self._messages_of_source(is_led=False)
+    def set_links(self, links: RoutedLinks) -> None:
+        source = self._of_messages or self._messages_of_source(by_joints=False)
         if source is not None:
             self._of_messages = source
-            source.led_to_links(links)
+            source.set_links(links)
             self._forget_original()
 
-    def _messages_of_source(self, *, is_led: bool) -> Source | None:
+    def _messages_of_source(self, *, by_joints: bool) -> Source | None:
         recording = look_into(self.file, self._wanted)
         declared = {**recording.sources[self.source].declared}
-        if is_led and "joints" not in self.topics:
+        if by_joints and "joints" not in self.topics:
             declared.pop("joints", None)
         return recording.message_source({**declared, **self.topics})
 
@@ -154,7 +149,7 @@ class Replay(FileSource):
         return _first_of(look_into(self.file, self._wanted))
 
     def open_recording(self) -> PacketFile:
-        return open_recording(self.file, self._wanted, self.tell_once)
+        return open_recording(self.file, self._wanted, self.log_once)
 
 
 def _message_source(file: Path, topics: Mapping[str, Any]) -> Source | None:
@@ -162,11 +157,7 @@ def _message_source(file: Path, topics: Mapping[str, Any]) -> Source | None:
 
 
 def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
-    """The receiver that a recording declares; never opened, it only decodes.
-
-    Raises:
-        RecordingError: its kind is unknown, its fields are invalid, or they result in other events.
-    """
+    """Returns the receiver that a recording declares, for decoding; raises RecordingError."""
     kind, of = recorded.kind, f"source '{recorded.name}'"
     kinds = [known for known in plugins(SOURCES) if known not in _OF_FILES]
     if kind not in kinds:
@@ -177,7 +168,7 @@ def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
         raise RecordingError(file, str(error)) from error
     except DeclarationError as error:
         wrong = "; ".join(f"{problem.key}: {problem.message}" for problem in error.problems)
-        raise RecordingError(file, f"how {of} is decoded: {wrong}") from error
+        raise RecordingError(file, f"declaration of {of}: {wrong}") from error
     for event, shape in recorded.events.items():
         if receiver.events.get(event) != shape:
             expected = receiver.events.get(event, "no such event")
@@ -192,6 +183,6 @@ def _first_of(recording: PacketFile) -> float:
 
 
 def check_start(start: float, recording: PacketFile) -> None:
-    """Raises ValueError for a time, s, at which a recording is over."""
+    """Raises ValueError if a recording ends before `start`, s."""
     if not start <= recording.duration:
         raise ValueError(f"found {start:g}; the recording ends at {recording.duration:.2f} s")

@@ -1,8 +1,7 @@
-"""The files of a scene in a recording, so that the recording alone can show it.
+"""The files of a scene in a recording, so that it can be displayed without them.
 
-Tables (scene, scenario, robots) are there as `FOLDER/FILE`, for what computes with a recording.
-All that is in the scene's folder, meshes too, is there again as `files/...`, by its path there.
-What is shipped is installed wherever a recording is opened.
+TOML files of scene, scenario and robots are attached as `FOLDER/FILE`. All files in the folder of
+the scene, including meshes, are also attached as `files/PATH`. Shipped files are not attached.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from .recording import PacketFile
 log = logging.getLogger(__name__)
 
 _TREE = "files/"
-_MOST_BYTES = 50_000_000  # of meshes
+_MAX_MESH_BYTES = 50_000_000
 
 
 def attached_files(scene: Scene, tables: Iterable[Path]) -> dict[str, Path]:
-    """Returns what a recording is given, by the name there."""
+    """Returns the files to attach by their names in the recording; `tables` are TOML files."""
     own = [file.absolute() for file in tables]
     found = {f"{file.parent.name}/{file.name}": file for file in own}
     if scene.file is None:
@@ -38,28 +37,27 @@ def attached_files(scene: Scene, tables: Iterable[Path]) -> dict[str, Path]:
         if file.is_relative_to(folder) and not file.is_relative_to(shipped) and file.is_file()
     ]
     size = sum(file.stat().st_size for file in meshes)
-    if size > _MOST_BYTES:
+    if size > _MAX_MESH_BYTES:
         log.warning(
-            "meshes of %.0f MB are not put into the recording, at most %.0f MB are: it is shown "
-            "where %s is", size / 1e6, _MOST_BYTES / 1e6, scene.file,
-        )  # fmt: skip
+            "meshes of %.0f MB are not recorded (maximum: %.0f MB). Showing the recording needs %s",
+            size / 1e6,
+            _MAX_MESH_BYTES / 1e6,
+            scene.file,
+        )
         return found
     inside = [file for file in (*own, *meshes) if file.is_relative_to(folder)]
     return found | {f"{_TREE}{file.relative_to(folder).as_posix()}": file for file in inside}
 
 
 def table_names(recording: PacketFile) -> list[str]:
-    """Returns the names of a recording's files without its tree of them."""
+    """Returns the names of the attached TOML files."""
     return [each for each in recording.attachments if not each.startswith(_TREE)]
 
 
 def write_scene(recording: PacketFile, name: str, folder: Path) -> Path | None:
-    """Writes the files of a recording's scene to a folder; returns the scene's file there.
+    """Writes the files of the scene `name` to an empty folder, and returns its file there.
 
-    Args:
-        recording: from anywhere: paths that lead out of the folder are left out.
-        name: of the scene; None is returned where the recording does not have it.
-        folder: an empty one.
+    Returns None if the recording does not have the scene. Ignores paths outside of the folder.
     """
     scenes = [each for each in table_names(recording) if PurePosixPath(each).stem == name]
     if not scenes:
@@ -73,7 +71,7 @@ def write_scene(recording: PacketFile, name: str, folder: Path) -> Path | None:
         elif target.parent == beside:
             target = PurePosixPath(target.name)
         elif (paths.models_dir() / target.parent.name).is_dir():
-            continue  # shipped, with meshes that are not in the recording
+            continue  # shipped robots have meshes that are not in the recording
         if target.is_absolute() or ".." in target.parts:
             continue
         file = folder / target

@@ -1,4 +1,4 @@
-"""`TriggeredRecorder`: keeps the last seconds of packets, and a recording of each event in them."""
+"""`TriggeredRecorder`: buffers the last seconds of packets, and records each event in them."""
 
 from __future__ import annotations
 
@@ -13,35 +13,36 @@ from typing import Any
 
 import numpy as np
 
-from ...base.frames import Array, Bools, Ints
+from ...base.frames import Bools, Ints
 from ..receive.structure import Rows
 from .packet_worker import Batch, PacketWorker
 from .recorder import SIGNALS_RATE, Decode, PacketWriter
 from .recording_format import RecordingClock
 
-KEPT_BYTES = 256 << 20  # of the last seconds
-_BLOCK = 512  # packets
-_LATE = 0.3  # s that packets may come late from their source's thread
+KEPT_BYTES = 256 << 20  # maximum size of the buffer
+_BATCH_BYTES = 600  # of memory for the objects of a batch
+_LATE = 0.3  # s; maximum delay of packets from the thread of their source
 _POLL = 0.1  # s
-_GATHER = 0.01  # s; many packets at once are looked at in the time of a few
-_SAME = 1e-6  # s; times are kept in ns, and are no further apart than this
+_GATHER = 0.01  # s; packets are checked together, because many take as long as a few
+_SAME = 1e-6  # s; rounding errors of times are smaller
 
-# Where packets (n, bytes) of a source fulfil a condition, (n,), and what to say of one of them.
+# Function of source, rows (n, bytes) and lengths (n,) that returns which packets fulfill the
+# condition, (n,), and a function that describes one of them.
 Find = Callable[[str, Rows, Ints], tuple[Bools, Callable[[int], str]]]
 Clock = Callable[[], float]
 
 
 @dataclass(frozen=True)
 class RecordedEvent:
-    """An event that was recorded.
+    """A recorded event. Times are s on the clock of arrivals.
 
     Attributes:
-        number: from 1.
-        time: when it began, s on the clock of arrivals.
-        what: what fulfilled the condition: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`.
-        began: when the recording begins, s on the clock of arrivals.
-        ended: when it ends, likewise; NaN while it goes on.
-        again: how often the condition was fulfilled anew meanwhile, after it was not.
+        number: number of the event, from 1.
+        time: time at which the event began.
+        what: values that fulfill the condition: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`.
+        began: begin of the recording.
+        ended: end of the recording; NaN until it ends.
+        again: number of times that the condition was fulfilled again during the recording.
     """
 
     number: int
@@ -54,82 +55,49 @@ class RecordedEvent:
     again: int = 0
 
 
-@dataclass(eq=False)
-class _Block:
-    name: str
-    rows: Rows
-    lengths: Ints
-    arrivals: Array
-    count: int = 0
-
-    @property
-    def size(self) -> int:
-        return self.rows.nbytes + self.lengths.nbytes + self.arrivals.nbytes
-
-    @property
-    def last(self) -> float:
-        return float(self.arrivals[self.count - 1])
-
-
 class _Ring:
-    def __init__(self, seconds: float, most_bytes: int) -> None:
+    def __init__(self, seconds: float, max_bytes: int) -> None:
         self.size = 0
-        self.forgotten = 0  # packets that were not old enough, but too many
-        self._seconds, self._most = seconds, most_bytes
-        self._blocks: deque[_Block] = deque()
-        self._open: dict[str, _Block] = {}
+        self.forgotten = 0  # packets that were removed early because of `max_bytes`
+        self._seconds, self._max_bytes = seconds, max_bytes
+        self._batches: deque[Batch] = deque()
 
-    def add(self, name: str, rows: Rows, lengths: Ints, arrivals: Array) -> None:
-        while len(rows):
-            block = self._open.get(name)
-            is_full = block is not None and block.count == len(block.rows)
-            if block is None or is_full or block.rows.shape[1] != rows.shape[1]:
-                block = _Block(
-                    name,
-                    np.empty((_BLOCK, rows.shape[1]), np.uint8),
-                    np.empty(_BLOCK, lengths.dtype),
-                    np.empty(_BLOCK),
-                )
-                self._open[name] = block
-                self._blocks.append(block)
-                self.size += block.size
-            count = min(len(block.rows) - block.count, len(rows))
-            place = slice(block.count, block.count + count)
-            block.rows[place], block.lengths[place] = rows[:count], lengths[:count]
-            block.arrivals[place] = arrivals[:count]
-            block.count += count
-            newest = float(arrivals[count - 1])
-            rows, lengths, arrivals = rows[count:], lengths[count:], arrivals[count:]
-            self._forget(newest)
-
-    def _forget(self, now: float) -> None:
-        while len(self._blocks) > 1:
-            oldest = self._blocks[0]
-            is_old = oldest.last < now - self._seconds - _LATE
-            if not is_old and self.size <= self._most:
+    def add(self, batch: Batch) -> None:
+        self._batches.append(batch)
+        self.size += _size_of(batch)
+        now = batch.arrivals[-1]
+        while len(self._batches) > 1:
+            oldest = self._batches[0]
+            is_old = oldest.arrivals[-1] < now - self._seconds - _LATE
+            if not is_old and self.size <= self._max_bytes:
                 return
-            if oldest is self._open.get(oldest.name):
-                del self._open[oldest.name]
-            self.forgotten += 0 if is_old else oldest.count
-            self.size -= oldest.size
-            self._blocks.popleft()
+            self.forgotten += 0 if is_old else len(oldest)
+            self.size -= _size_of(oldest)
+            self._batches.popleft()
 
     def since(self, begin: float) -> list[tuple[float, str, bytes]]:
         found = []
-        for block in self._blocks:
-            for k in np.flatnonzero(block.arrivals[: block.count] >= begin).tolist():
-                packet = block.rows[k, : block.lengths[k]].tobytes()
-                found.append((float(block.arrivals[k]), block.name, packet))
+        for batch in self._batches:
+            for k in np.flatnonzero(batch.arrivals >= begin).tolist():
+                packet = batch.rows[k, : batch.lengths[k]].tobytes()
+                found.append((float(batch.arrivals[k]), batch.name, packet))
         found.sort(key=lambda each: each[0])
         return found
 
 
+def _size_of(batch: Batch) -> int:
+    return _BATCH_BYTES + batch.rows.nbytes + batch.lengths.nbytes + batch.arrivals.nbytes
+
+
 @dataclass(frozen=True)
 class TriggerStatistics:
-    """What was seen so far.
+    """Counts of packets and events so far.
 
     Attributes:
-        not_seen: source to the packets that came faster than they could be looked at.
+        kept_bytes: size of the buffer.
+        forgotten: packets that were removed early because the buffer was full.
+        not_seen: source to the number of packets that were not checked because they arrived too
+            fast.
     """
 
     packets: int
@@ -142,21 +110,22 @@ class TriggerStatistics:
 
 
 class TriggeredRecorder(PacketWorker):
-    """Records what comes shortly before and after a condition is fulfilled, with bounded memory.
+    """Records the packets before and after a condition is fulfilled, with bounded memory.
 
-    Each event is a recording of its own; one that comes while another is recorded prolongs that.
+    Each event has its own recording. An event during the recording of another one extends it.
 
     Args:
-        path_of: the file of an event, by its number from 1 and its time.
-        find: where packets fulfil the condition; called on the recorder's thread.
-        before: s that are kept of before an event.
-        after: s that are recorded after the condition was last fulfilled.
-        overwrite: write over files that exist; else that ends it.
-        signals_rate: of how many packets per second and source the decoded values are kept as well.
-        kept_bytes: most memory of what is kept.
-        clock_at: when, on both clocks, a recording that begins at an arrival begins; of live
-            sources when None.
-        now: the clock of arrivals; None where that does not go on by itself.
+        path_of: function from number (from 1) and time of an event to its file.
+        find: function that checks the condition; called in the recorder's thread.
+        before: time to record before an event, s.
+        after: time to record after the condition was last fulfilled, s.
+        overwrite: replace existing files; otherwise, an existing file is an error.
+        signals_rate: maximum number of packets per second and source whose decoded values are
+            recorded as well.
+        kept_bytes: maximum size of the buffer.
+        clock_at: function from the arrival time of the first packet of a recording to its clock;
+            None for live sources.
+        now: the clock of arrivals; None if it is not a real-time clock.
 
     Attributes:
         on_event: called when an event begins, and again when its recording is complete.
@@ -186,11 +155,13 @@ class TriggeredRecorder(PacketWorker):
         self._files: list[tuple[str, str, bytes]] = []
         self._writer: PacketWriter | None = None
         self._until = self._last = math.nan
-        self._count = 0  # packets of the recording that goes on
+        self._count = 0  # packets of the current recording
         self._packets = 0
         self._last_seen = math.nan  # arrival of the last packet
-        self._held: dict[str, bool] = {}  # whether the last packet of a source fulfilled it
-        self._asked: list[str] = []  # events to be recorded regardless of the condition
+        self._held: dict[
+            str, bool
+        ] = {}  # source to whether its last packet fulfilled the condition
+        self._requested: list[str] = []  # descriptions of events from `record_now`
         super().__init__("triggered recorder")
 
     def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
@@ -199,13 +170,13 @@ class TriggeredRecorder(PacketWorker):
             self._lost[name] = 0
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Puts a file into every recording; see `RecordingWriter.attach`."""
+        """Adds a file to all recordings; see `RecordingWriter.attach`."""
         self._files.append((name, media_type, data))
 
     def record_now(self, what: str) -> None:
-        """Records this moment as an event, whatever the condition; returns at once."""
+        """Starts a recording of the current time, without a condition."""
         with self._changed:
-            self._asked.append(what)
+            self._requested.append(what)
             self._changed.notify_all()
 
     @property
@@ -223,13 +194,13 @@ class TriggeredRecorder(PacketWorker):
 
     def _next(self) -> list[Batch] | None:
         with self._changed:
-            if not (self._queue or self._asked or self._closing):
+            if not (self._queue or self._requested or self._closing):
                 self._changed.wait(_POLL if self._writer is not None else None)
             if not self._closing:
                 self._changed.wait_for(lambda: self._closing, _GATHER)
             found = [*self._queue]
             self._queue.clear()
-            if not (found or self._asked) and self._closing:
+            if not (found or self._requested) and self._closing:
                 return None
         return _joined(found)
 
@@ -238,8 +209,8 @@ class TriggeredRecorder(PacketWorker):
             self._look(batch)
             self._packets += len(batch)
         with self._changed:
-            asked, self._asked = self._asked, []
-        for what in asked:
+            requested, self._requested = self._requested, []
+        for what in requested:
             self._end()
             self._begin(self._last_seen if self._now is None else self._now(), what)
         if self._writer is None:
@@ -263,18 +234,18 @@ class TriggeredRecorder(PacketWorker):
                 if not len(rest):
                     self._keep(_part(batch, slice(row, None)))
                     return
-                # Up to what fulfils it; that itself is the first packet of what follows.
+                # The packet that fulfills the condition is the first one of the recording.
                 self._keep(_part(batch, slice(row, int(rest[0]))))
                 row = int(rest[0])
                 self._begin(float(batch.arrivals[row]), describe(row))
-            # As far as the recording reaches, which every hit within it prolongs.
+            # Packets up to the end of the recording, which each further hit extends.
             end = row
             for hit in [*rest.tolist(), len(batch.rows)]:
                 inside = batch.arrivals[row:hit] <= self._until
                 end = row + int(inside.argmin()) if not inside.all() else hit
                 if end < hit or hit == len(batch.rows) or batch.arrivals[hit] > self._until:
                     break
-                self._prolong(float(batch.arrivals[hit]), is_new=bool(is_new[hit]))
+                self._extend(float(batch.arrivals[hit]), is_new=bool(is_new[hit]))
             part = _part(batch, slice(row, end))
             self._keep(part)
             self._write(part)
@@ -285,7 +256,7 @@ class TriggeredRecorder(PacketWorker):
     def _keep(self, batch: Batch) -> None:
         if len(batch.rows):
             self._last_seen = float(batch.arrivals[-1])
-        self._ring.add(batch.name, batch.rows, batch.lengths, batch.arrivals)
+            self._ring.add(batch)
 
     def _begin(self, arrival: float, what: str) -> None:
         earlier = self._ring.since(arrival - self._before - _SAME)
@@ -313,7 +284,7 @@ class TriggeredRecorder(PacketWorker):
         self._until = arrival + self._after + _SAME
         self.on_event(event)
 
-    def _prolong(self, arrival: float, *, is_new: bool) -> None:
+    def _extend(self, arrival: float, *, is_new: bool) -> None:
         event = self.events[-1]
         self._until = arrival + self._after + _SAME
         if is_new and arrival > event.time:
@@ -368,6 +339,6 @@ def _joined(batches: list[Batch]) -> list[Batch]:
 
 
 def live_clock(arrival: float) -> RecordingClock:
-    """When an arrival, s on `time.monotonic`, was, on both clocks."""
+    """Returns the recording clock of an arrival time, s on the clock of `time.monotonic`."""
     ago = round((time.monotonic() - arrival) * 1e9)
     return RecordingClock(time.time_ns() - ago, round(arrival * 1e9))

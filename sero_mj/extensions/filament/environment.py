@@ -1,4 +1,4 @@
-"""The light of the sky around a scene, as the cube map that Filament's image-based light takes."""
+"""The light of the sky around a scene, as the cube map of Filament's image-based light."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from ...robots.declared.surroundings import Palette
 from ...viewer.image.sky_light import LEVELS, SkyLight
 
-_SIDE = 32  # pixels of the sharpest level; the last one has one
-# KTX 1.1 of three small floats (OpenGL's R11F_G11F_B10F) a pixel, the format of MuJoCo's own.
+_SIDE = 32  # pixels of the sharpest level; the last level has one pixel
+# KTX 1.1 with three small floats (OpenGL's R11F_G11F_B10F) per pixel, as used by MuJoCo.
 _MAGIC = b"\xabKTX 11\xbb\r\n\x1a\n"
 _ENDIANNESS, _GL_RGB, _R11F_G11F_B10F = 0x04030201, 0x1907, 0x8C3A
 
 
 @lru_cache(maxsize=4)
 def environment(look: str, palette: Palette) -> bytes:
-    """Returns a cube map, a file of KTX, of the light around a scene."""
+    """Returns a cube map of the light around a scene, as a KTX file."""
     light = SkyLight(palette)
     header = struct.pack(
         "<13I", _ENDIANNESS, _R11F_G11F_B10F, 1, _GL_RGB, _R11F_G11F_B10F, _R11F_G11F_B10F,
@@ -28,11 +28,11 @@ def environment(look: str, palette: Palette) -> bytes:
 
 
 def _harmonics(light: SkyLight) -> bytes:
-    """Returns KTX's metadata: spherical harmonics of the irradiance, as Filament reads them.
+    """Returns KTX metadata: spherical harmonics of the irradiance, as Filament reads them.
 
-    It evaluates c0 + c1 y + c2 z + c3 x + c4 xy + c5 yz + c6 (3 z^2 - 1) + c7 xz + c8 (x^2 - y^2)
-    for the normal (x, y, z) with y up, of which a + b y + c (3 y^2 - 1) are left here: with
-    x^2 + y^2 + z^2 = 1, 3 y^2 - 1 is -(3 z^2 - 1) / 2 - 3/2 (x^2 - y^2).
+    Filament evaluates c0 + c1 y + c2 z + c3 x + c4 xy + c5 yz + c6 (3 z^2 - 1) + c7 xz + c8 (x^2 -
+    y^2) for the normal (x, y, z) with y up. Here, this is a + b y + c (3 y^2 - 1): with x^2 + y^2 +
+    z^2 = 1, 3 y^2 - 1 is -(3 z^2 - 1) / 2 - 3/2 (x^2 - y^2).
     """
     a, b, c = light.irradiance()
     rows = np.zeros((9, 3))
@@ -47,10 +47,10 @@ def _level(light: SkyLight, level: int) -> bytes:
     centres = (np.arange(side) + 0.5) / side * 2.0 - 1.0
     right, down = np.meshgrid(centres, centres)
     one = np.ones_like(right)
-    # The vertical coordinates of directions of +x, -x, +y, -y, +z and -z, before normalization.
+    # Vertical coordinates of directions of +x, -x, +y, -y, +z and -z, before normalization.
     heights = np.stack([-down, -down, one, -one, -down, -down])
     up = heights / np.sqrt(1.0 + right**2 + down**2)
-    # Of a half float without its sign, the upper 11 or 10 bits.
+    # The upper 11 or 10 bits of half floats without their sign.
     bits = light.reflected(up, level).astype(np.float16).view(np.uint16).astype(np.uint32)
     packed = (bits >> 4) | ((bits >> 4) << 11) | ((bits >> 5) << 22)
     return struct.pack("<I", 4 * side * side) + packed.astype("<u4").tobytes()

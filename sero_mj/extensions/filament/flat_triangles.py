@@ -1,6 +1,6 @@
-"""Smooth triangles in the plane of a picture: leaders of panels, which end thinner than a pixel.
+"""Anti-aliased triangles in the image plane: leaders of panels, with tips thinner than a pixel.
 
-Filament draws into a picture without multisampling, which would leave dashes of them.
+Filament renders images without multisampling, which would turn such tips into dashes.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from ...viewer.image.image_files import Pixels
 
 _TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
-_LAID_OUT = 2.0  # times the near plane; see `viewer.decor.panels`
+_LAID_OUT = 2.0  # maximum depth of leaders in units of the near plane; see `viewer.decor.panels`
 
 
 def is_flat(rows: np.ndarray, eye: mujoco.MjvGLCamera) -> Bools:
-    """Returns which geoms of a scene are triangles just behind the near plane, (k,)."""
+    """Returns which geoms of a scene are triangles just behind the near plane, (k,) bool."""
     forward = np.array(eye.forward, float)
     depth = (rows["pos"].astype(float) - np.array(eye.pos, float)) @ forward
     near = (depth > 0) & (depth < _LAID_OUT * eye.frustum_near)
@@ -25,28 +25,28 @@ def is_flat(rows: np.ndarray, eye: mujoco.MjvGLCamera) -> Bools:
 
 
 def corners_of(rows: np.ndarray, eye: mujoco.MjvGLCamera, width: int, height: int) -> Array:
-    """Returns the corners of triangles in a picture, (k, 3, 2), pixels, y down."""
+    """Returns the corners of triangles in an image, (k, 3, 2), pixels, y down."""
     first = rows["pos"].astype(float)
     edges = rows["mat"].astype(float)[:, :, :2] * rows["size"].astype(float)[:, None, :2]
     world = np.stack([first, first + edges[:, :, 0], first + edges[:, :, 1]], axis=1)
     forward, up = np.array(eye.forward, float), np.array(eye.up, float)
-    ahead = world - np.array(eye.pos, float)
-    scale = eye.frustum_near / (ahead @ forward)
+    in_eye = world - np.array(eye.pos, float)
+    scale = eye.frustum_near / (in_eye @ forward)
     top, bottom = float(eye.frustum_top), float(eye.frustum_bottom)
     half = float(eye.frustum_width) or 0.5 * width / height * (top - bottom)
-    x = (ahead @ np.cross(forward, up)) * scale - eye.frustum_center
-    y = (ahead @ up) * scale
+    x = (in_eye @ np.cross(forward, up)) * scale - eye.frustum_center
+    y = (in_eye @ up) * scale
     return np.stack([(x + half) / (2 * half) * width, (top - y) / (top - bottom) * height], axis=-1)
 
 
-def blend(picture: Pixels, corners: Array, rgba: Array) -> None:
-    """Draws triangles into a picture, in place, each pixel by the share of it that they cover.
+def blend(image: Pixels, corners: Array, rgba: Array) -> None:
+    """Draws triangles into an image, in place, by the fraction of each pixel that they cover.
 
     Args:
         corners: (k, 3, 2), pixels, y down.
-        rgba: (k, 4), colours as they are shown.
+        rgba: displayed colors, (k, 4).
     """
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     for triangle, colour in zip(corners, rgba, strict=True):
         low = np.maximum(np.floor(triangle.min(axis=0)).astype(int) - 1, 0)
         high = np.minimum(np.ceil(triangle.max(axis=0)).astype(int) + 1, (width, height))
@@ -62,8 +62,8 @@ def blend(picture: Pixels, corners: Array, rgba: Array) -> None:
             normal *= 1.0 if (middle - start) @ normal >= 0 else -1.0
             inside = (x - start[0]) * normal[0] + (y - start[1]) * normal[1]
             shares.append(np.clip(inside + 0.5, 0.0, 1.0))
-        least, second, third = np.sort(np.stack(shares), axis=0)
-        cover = np.clip(least + second - 1.0, 0.0, 1.0) * third * colour[3]
-        below = picture[low[1] : high[1], low[0] : high[0]]
+        first, second, third = np.sort(np.stack(shares), axis=0)
+        cover = np.clip(first + second - 1.0, 0.0, 1.0) * third * colour[3]
+        below = image[low[1] : high[1], low[0] : high[0]]
         mixed = below + cover[..., None] * (255 * colour[:3] - below)
         below[:] = np.rint(mixed).astype(np.uint8)

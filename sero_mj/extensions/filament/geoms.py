@@ -1,8 +1,8 @@
 """`GeomPool`: the geoms of an `MjvScene` as objects of a Filament scene.
 
-Every geom is an object of its own: those of a model with its meshes, all others from a pool by
-type. Decor as one mesh would have to be uploaded again in every frame, once for each of its
-colours, since materials have one colour.
+Every geom is a separate object: geoms of a model with their meshes, all others from a pool by type.
+Combining decor into one mesh would require uploading it in every frame, once for each color, since
+a material has one color.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _RGB = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 _ROLES = int(mujoco.mjtTextureRole.mjNTEXROLE)
 _CUBE = int(mujoco.mjtTexture.mjTEXTURE_CUBE)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
-# A surface of this fraction of a colour that glows with the colour is independent of light.
+# A surface with this fraction of a color, which emits the rest, hardly depends on light.
 _DARK = 1 / 256
-_REFLECTANCE = 0.08  # of plastic at right angles, 0.04, for MuJoCo's usual specular of 0.5
-_LIT = 0.7  # share of light in the colour of doubles, whose shape it shows; the rest glows
-# Filament grades colours by a table, which rounds off where they reach white: what is seen, and the
-# light that is needed for it. Source: greys and colours drawn by MuJoCo 4.0.0, to 2 of 255.
+_REFLECTANCE = 0.08  # per specular: 0.04, as of plastic, for MuJoCo's default specular of 0.5
+_LIT = 0.7  # fraction of the color of doubles that depends on light; the rest is emitted
+# Filament compresses colors near white: displayed linear color, and the light needed for it.
+# Source: grays and colors rendered by MuJoCo 4.0.0, to 2 of 255.
 _NEAR_WHITE = (
     (0.0, 0.83, 0.871, 0.905, 0.931, 0.992, 1.0),
     (0.0, 0.83, 0.9, 0.95, 1.0, 1.1, 1.3),
@@ -47,7 +47,7 @@ _FAINTEST = 0.01  # opacity
 
 
 class ModelGeoms:
-    """The geoms of a model that light falls on, and its meshes and textures."""
+    """The geoms of a model that receive light, and its meshes and textures."""
 
     def __init__(self, context: Any, scene: Any, model: mujoco.MjModel) -> None:
         module = filament()
@@ -70,7 +70,7 @@ class ModelGeoms:
             self._objects.update(data)
 
     def material(self, geom: int, row: Any) -> Any:
-        """Returns the material of a geom, with the colour of a scene's row."""
+        """Returns the material of a geom, with the color of a scene's row."""
         material = self.geoms[geom].get_material()
         material.color = seen_rgba(row)
         image = self._images[geom]
@@ -97,8 +97,8 @@ class GeomPool:
     """Objects of a Filament scene for the geoms of an `MjvScene`.
 
     Args:
-        doubles: geoms of the shown model that are those of doubles, (ngeom,).
-        is_dark: whether what is behind transparent geoms is mostly dark.
+        doubles: geoms of the shown model that belong to doubles, (ngeom,) bool.
+        is_dark: whether the background of transparent geoms is mostly dark.
     """
 
     def __init__(
@@ -113,8 +113,8 @@ class GeomPool:
         self._module, self._context, self._scene = filament(), context, scene
         self._models = [ModelGeoms(context, scene, model) for model in models]
         self._doubles, self._is_dark = doubles, is_dark
-        # By type, number of the mesh or -1, and whether they cast shadows: that cannot be changed
-        # once an object is made.
+        # By type, number of the mesh or -1, and whether they cast shadows, which is fixed when an
+        # object is created.
         self._pool: dict[tuple[int, int, bool], list[Any]] = {}
         self._shown: set[Any] = set()
         self._looks: dict[Any, tuple[bytes, float, int]] = {}  # of the materials that were set
@@ -133,7 +133,7 @@ class GeomPool:
         self._models[0].follow(data)
 
     def update(self, rows: np.ndarray) -> None:
-        """Shows the geoms of a scene, and nothing else."""
+        """Shows exactly the geoms of a scene."""
         shown: set[Any] = set()
         used: Counter[tuple[int, int, bool]] = Counter()
         model = self._models[0].model
@@ -159,8 +159,8 @@ class GeomPool:
             if is_own and lit == 1.0:
                 item = geoms.geoms[geom]
                 if kind == _PLANE and not geoms.model.geom_bodyid[geom]:
-                    # MuJoCo moves infinite planes with the camera, and textures of theirs the
-                    # other way; Filament draws this one so large that it can stay.
+                    # MuJoCo moves infinite planes with the camera, and their textures in the
+                    # opposite direction. This plane is large enough to stay in place.
                     place = geoms.model.geom_pos[geom].astype(np.float32)
             elif kind in _PRIMITIVES or kind == _MESH:
                 key = (kind, meshes[k] // 2 if kind == _MESH else -1, casts[k] and lit == 1.0)
@@ -186,7 +186,7 @@ class GeomPool:
         pool = self._pool.setdefault(key, [])
         if number == len(pool):
             kind, mesh, casts = key
-            # With soft shadows, what receives shadows casts them as well.
+            # With soft shadows, objects that receive shadows also cast them.
             params = self._module.RenderableParams(cast_shadow=casts, receive_shadow=casts)
             item = self._context.create_renderable(params)
             if kind == _MESH:
@@ -207,7 +207,7 @@ class GeomPool:
     def _glowing(self, rgba: Array, lit: float) -> Any:
         light, opacity = glow(tuple(rgba.tolist()), self._is_dark)
         surface = shown(np.array(light) * lit / opacity)
-        # Filament multiplies what glows by the opacity twice: as a glow and as a colour.
+        # Filament multiplies emission by the opacity twice.
         return self._module.Material(
             color=np.array([*surface, opacity], np.float32), specular=0.0, glossiness=0.0,
             emissive=(1.0 - lit) / (lit * opacity),
@@ -225,15 +225,12 @@ class GeomPool:
 
 
 def opacity_of(alpha: float) -> float:
-    """Returns the opacity with which the classic renderer shows a geom of a declared one.
-
-    It blends every transparent geom twice.
-    """
+    """Returns the opacity of a geom in the classic renderer, which blends twice."""
     return 1.0 - (1.0 - min(float(alpha), 1.0)) ** 2
 
 
 def seen_rgba(row: Any) -> Array:
-    """Returns the colour of a scene's row with the opacity that the classic renderer gives it."""
+    """Returns the color of a scene's row with its opacity in the classic renderer."""
     rgba: Array = row["rgba"].copy()
     rgba[3] = opacity_of(rgba[3])
     return rgba
@@ -241,14 +238,11 @@ def seen_rgba(row: Any) -> Array:
 
 @lru_cache(maxsize=4096)
 def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], float]:
-    """Returns light (3) and opacity with which a colour looks as the classic renderer draws it.
+    """Returns light (3,) and opacity that look like a color in the classic renderer.
 
-    The classic renderer mixes colours as they are shown, Filament mixes light, in which the same
-    opacity looks paler. Light and opacity are those that differ least over greys behind them.
-
-    Args:
-        rgba: as it is declared.
-        is_dark: whether what is behind is mostly dark.
+    The classic renderer mixes displayed colors, Filament mixes light, so the same opacity looks
+    paler. The result minimizes the difference over gray backgrounds, which are mostly dark if
+    `is_dark`.
     """
     colour, alpha = np.array(rgba[:3]), opacity_of(rgba[3])
     if alpha >= 1.0:
@@ -259,27 +253,27 @@ def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], flo
     spread = there - there.mean()
     through = float((spread * (wanted - wanted.mean(axis=0))).sum() / (3.0 * (spread**2).sum()))
     opacity = float(np.clip(1.0 - through, _FAINTEST, 1.0 - 1e-3))
-    # Not less than the colour's own, so that several layers keep its hue.
-    least = opacity * linear(colour)
-    light = np.maximum((wanted - (1.0 - opacity) * there).mean(axis=0), least)
+    # At least the light of the color itself, so that several layers have its hue.
+    own = opacity * linear(colour)
+    light = np.maximum((wanted - (1.0 - opacity) * there).mean(axis=0), own)
     return tuple(light.tolist()), opacity
 
 
 def finish(row: Any) -> tuple[float, float]:
-    """Returns Filament's specular colour and glossiness, 0 to 1, of a scene's row.
+    """Returns Filament's specular color and glossiness, 0 to 1, of a scene's row.
 
-    MuJoCo's usual specular, 0.5, becomes the reflectance of plastic at right angles, 0.04.
+    MuJoCo's default specular, 0.5, becomes the reflectance of plastic at normal incidence, 0.04.
 
-    Source: Blinn-Phong's exponent n, MuJoCo's shininess times 128, as the width of a microfacet
-    lobe, alpha^2 = 2 / (n + 2) (Walter et al., Microfacet Models for Refraction, 2007); Filament's
-    roughness is sqrt(alpha), its glossiness 1 - roughness.
+    Source: the exponent n of Blinn-Phong, MuJoCo's shininess times 128, as the width of a
+    microfacet lobe, alpha^2 = 2 / (n + 2) (Walter et al., Microfacet Models for Refraction, 2007);
+    Filament's roughness is sqrt(alpha), its glossiness 1 - roughness.
     """
     exponent = 128.0 * max(float(row["shininess"]), 0.0)
     return _REFLECTANCE * float(row["specular"]), 1.0 - (2.0 / (exponent + 2.0)) ** 0.25
 
 
 def upload_mesh(context: Any, model: mujoco.MjModel, index: int) -> Any:
-    """Returns a mesh of a model as a mesh of Filament, three corners of its own for each face."""
+    """Returns a mesh of a model as a mesh of Filament, with separate corners for each face."""
     module = filament()
     first, count = int(model.mesh_faceadr[index]), int(model.mesh_facenum[index])
     faces = model.mesh_face[first : first + count].ravel()
@@ -310,7 +304,7 @@ def upload_mesh(context: Any, model: mujoco.MjModel, index: int) -> Any:
 
 
 def _tangents(normals: Array) -> Array:
-    """Returns quaternions (k, 4), x, y, z, w, that turn z to unit normals (k, 3)."""
+    # Quaternions (k, 4), x, y, z, w, that rotate z to unit normals (k, 3).
     x, y, z = normals.T.astype(float)
     turned = np.stack([-y, x, np.zeros_like(z), 1.0 + z], axis=1)
     turned[z < -1.0 + 1e-6] = (1.0, 0.0, 0.0, 0.0)  # half a turn about any axis across
@@ -318,9 +312,9 @@ def _tangents(normals: Array) -> Array:
 
 
 def own_texture(context: Any, model: mujoco.MjModel, index: int) -> Any | None:
-    """Returns a texture of a model as colours that are shown; None for no colours.
+    """Returns a texture of a model in displayed colors; None for a texture without colors.
 
-    Of its own accord Filament takes them for linear light, and shows them pale.
+    By default, Filament interprets textures as linear light, so they look pale.
     """
     module = filament()
     channels = int(model.tex_nchannel[index])

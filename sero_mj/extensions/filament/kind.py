@@ -1,4 +1,4 @@
-"""`Filament`: MuJoCo's other renderer as a choice of `--renderer`."""
+"""`Filament`: MuJoCo's Filament renderer as a value of `--renderer`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Filament(Renderer):
     def make(
         self, world: WorldView, width: int, height: int, quality: Quality, *, frames: int = 1
     ) -> tuple[FilamentRenderer, AddedSurroundings | None]:
-        """Its context has no OpenGL, so the floor and the sky are a model of their own."""
+        """Returns the renderer, and the surroundings, which are a separate model without OpenGL."""
         surroundings = added_surroundings(world, None)
         renderer = FilamentRenderer(
             world.model, width, height, look=world.scene.view.look, doubles=_doubles(world),

@@ -1,4 +1,4 @@
-"""The light of Filament's pictures: options, the sky, and the lights of an `MjvScene`."""
+"""The light of Filament's images: options, the sky, and the lights of an `MjvScene`."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from .environment import environment
 
 log = logging.getLogger(__name__)
 
-# cd/m^2 that Filament's camera (f/16, 1/125 s, ISO 100) shows as white.
+# cd/m^2 displayed as white by Filament's camera (f/16, 1/125 s, ISO 100).
 # Source: Filament's documentation, 8.1.2: exposure = 1 / (1.2 * 2^EV100), EV100 = log2(N^2 / t).
 _WHITE = 1.2 * 16**2 * 125
 PREFIX = "filament."
-# Colours are kept as they are declared: a linear tone mapping that clips. MuJoCo 4.0.0 shows
-# everything twice as bright, which the exposure of -1 stop undoes.
+# Linear tone mapping with clipping displays colors as declared. MuJoCo 4.0.0 doubles the
+# brightness, which the exposure of -1 stop compensates.
 _OPTIONS: dict[str, str | float] = {
     "cg.tone_mapping": "linear",
     "cg.exposure": -1.0,
     "bloom.enabled": 0.0,
     "ao.enabled": 1.0,
 }
-# Shadows whose softness grows with distance, `pcss`, double the time of a frame in software; few
-# samples of occlusion save 3 % of it, and look the same.
+# Shadows whose softness grows with distance (`pcss`) double the time of a frame in software. Fewer
+# samples of occlusion save 3 % and look the same.
 _QUICK: dict[str, str | float] = {"shadows.type": "pcf", "ao.quality": "low"}
 _BY_QUALITY: dict[Quality, dict[str, str | float]] = {
     "draft": _QUICK,
@@ -37,7 +37,7 @@ _BY_QUALITY: dict[Quality, dict[str, str | float]] = {
     "fine": {"shadows.type": "pcss"},
 }
 _SHADOW_MAP = 2048  # pixels a side, of each of four cascades
-_FAR = 20.0  # extents of the model from which a further light of parallel rays shines
+_FAR = 20.0  # distance of further directional lights, which become spotlights, in model extents
 _SPOT, _DIRECTIONAL, _POINT, _IMAGE = (
     int(getattr(mujoco.mjtLightType, f"mjLIGHT_{name}"))
     for name in ("SPOT", "DIRECTIONAL", "POINT", "IMAGE")
@@ -66,7 +66,7 @@ _KNOWN = frozenset(
     | {"clear_color"}
 )
 
-_SIZES = {  # of options that are several numbers
+_SIZES = {  # of options with several numbers
     **dict.fromkeys(("clear_color", "fog.color"), 3),
     **{f"cg.{name}": 3 for name in ("slope", "offset", "power")},
     **{f"cg.{name}": 3 for name in ("shadow_gamma", "mid_point", "highlight_scale")},
@@ -77,13 +77,13 @@ _SIZES = {  # of options that are several numbers
 def options_model(
     model: mujoco.MjModel, quality: Quality, *, has_occlusion: bool = True
 ) -> mujoco.MjModel:
-    """Returns a model with the options of the view, which Filament reads from a model's custom.
+    """Returns a model with the options of the view, which Filament reads from custom fields.
 
-    Those of the shown model come before ours. It is not changed: a page, whose renderer is the
-    same, reads it as well.
+    Options of the shown model override ours. The shown model is not changed, because pages also
+    read it.
 
     Args:
-        has_occlusion: whether corners are darker, whatever the model says.
+        has_occlusion: whether ambient occlusion may be used; False overrides the model.
     """
     spec = mujoco.MjSpec()
     own = _own_options(model)
@@ -98,7 +98,7 @@ def options_model(
             numeric = spec.add_numeric()
             numeric.name, numeric.data, numeric.size = PREFIX + name, numbers, len(numbers)
     options = spec.compile()
-    # Filament takes it for linear light.
+    # Filament expects linear light.
     options.vis.rgba.haze[:3] = linear(model.vis.rgba.haze[:3])
     options.vis.map.haze = model.vis.map.haze
     options.stat.extent = model.stat.extent
@@ -119,20 +119,20 @@ def _own_options(model: mujoco.MjModel) -> dict[str, Any]:
         if not name.startswith(PREFIX):
             continue
         key = name.removeprefix(PREFIX)
-        # MuJoCo 4.0.0 ends the process for another number of numbers.
+        # MuJoCo 4.0.0 ends the process if the size is wrong.
         size, expected = 0 if isinstance(value, str) else len(value), _SIZES.get(key, 1)
         if key not in _KNOWN:
-            log.warning("'%s' is no option of MuJoCo's Filament renderer: it has no effect", name)
+            log.warning("unknown option '%s' of MuJoCo's Filament renderer is ignored", name)
         elif size and (size != expected or not np.isfinite(value).all()):
             numbers = " ".join(f"{each:g}" for each in value)
-            log.warning("%s: found %s; expected finite numbers, %d", name, numbers, expected)
+            log.warning("%s: found %s; expected %d finite numbers", name, numbers, expected)
         else:
             taken[key] = value
     return taken
 
 
 class SceneLights:
-    """The lights of a Filament scene: the sky, and those that MuJoCo has put into an `MjvScene`."""
+    """The lights of a Filament scene: the sky, and the lights of an `MjvScene`."""
 
     def __init__(
         self, context: Any, scene: Any, model: mujoco.MjModel, look: str, palette: Palette
@@ -148,7 +148,7 @@ class SceneLights:
             sampler_type=module.SamplerType.TEXTURE_CUBE,
             color_space=module.ColorSpace.COLORSPACE_AUTO,
         )  # fmt: skip
-        # A texture is kept for as long as a light or material refers to it.
+        # The texture must exist as long as a light or material refers to it.
         self._texture = upload(context, config, environment(look, palette))
         params = module.LightParams(
             type=module.LightType.LIGHT_IMAGE, texture=self._texture, intensity=_WHITE
@@ -158,7 +158,7 @@ class SceneLights:
 
     def update(self, scene: mujoco.MjvScene) -> None:
         lights = [each for each in scene.lights[: scene.nlight] if each.type != _IMAGE]
-        # The sky is the fill that the headlight is in the classic renderer.
+        # The sky replaces the headlight of the classic renderer as fill light.
         lights = [each for each in lights if not each.headlight] or lights
         on, has_directional = set(), False
         for number, light in enumerate(lights):
@@ -167,7 +167,7 @@ class SceneLights:
             share = np.array(light.diffuse, float)
             level = float(share.max()) or 1.0
             illuminance = self._palette.physical.key * np.pi * _WHITE * level / self._palette.key
-            if kind == _DIRECTIONAL and has_directional:  # Filament takes one
+            if kind == _DIRECTIONAL and has_directional:  # Filament supports one
                 kind, distance = _SPOT, _FAR * self._extent
                 place = self._centre - distance * towards
             distance = max(float(np.linalg.norm(place - self._centre)), 0.1)
@@ -213,7 +213,7 @@ class SceneLights:
 
 
 def upload(context: Any, config: Any, data: bytes) -> Any:
-    """Returns a new texture of Filament with an image, which it copies."""
+    """Returns a new Filament texture with a copy of an image."""
     module = filament()
     texture, image = context.create_texture(config), module.TextureData()
     image.set_image(data)

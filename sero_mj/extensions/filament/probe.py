@@ -1,7 +1,7 @@
-"""Whether MuJoCo's Filament renderer draws on this machine: tried elsewhere, remembered.
+"""Checks whether MuJoCo's Filament renderer works on this machine, and stores the result.
 
-Filament ends the process that asks it for what it cannot do: without the Vulkan loader, without a
-driver, for a picture that is larger than the driver's largest. So a process of its own tries first.
+Filament ends the process without the Vulkan loader, without a driver, or for an image that is too
+large for the driver. Therefore a separate process tries it first.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from ...viewer.image.backend import library_files
 
 log = logging.getLogger(__name__)
 
-# Debian and Ubuntu packages of Vulkan's loader and of drivers, with one that needs no GPU.
+# Debian and Ubuntu packages of the Vulkan loader and of drivers, including a software driver.
 PACKAGES = "libvulkan1 mesa-vulkan-drivers"
 ALWAYS = 4096  # pixels a side that every driver of Vulkan 1.0 can draw
 _TRIAL_SIDE = 64  # pixels
-_PATIENCE = 120.0  # s; a driver compiles its shaders for the first picture
+_TIMEOUT = 120.0  # s; a driver compiles its shaders for the first image
 _DRIVERS = tuple(
     Path(folder) / "vulkan" / "icd.d" for folder in ("/usr/share", "/usr/local/share", "/etc")
 )
-# What chooses a driver, of Vulkan's loader and of Mesa.
+# Environment variables that select a driver.
 _CHOICES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_LOADER_DRIVERS_SELECT", "LD_LIBRARY_PATH")
 
 
 def filament_problem(width: int = _TRIAL_SIDE, height: int = _TRIAL_SIDE) -> str | None:
-    """Returns why Filament cannot draw pictures of a size here; None where it can.
+    """Returns why Filament cannot render images of a size, or None if it can.
 
-    The first answer takes seconds, later ones are read from the user's cache folder, until MuJoCo,
-    the loader or a driver changes.
+    The first call takes seconds. Later calls read the result from the user's cache folder, until
+    MuJoCo, the loader or a driver changes.
     """
     if max(width, height) <= ALWAYS:
         width = height = _TRIAL_SIDE
@@ -52,7 +52,7 @@ def _problem(digest: str, width: int, height: int) -> str | None:
     known = _read()
     if digest not in known:
         problem = _try(width, height)
-        if problem is not None and "no answer" in problem:  # the machine may just be busy
+        if problem is not None and "no answer" in problem:  # the machine may be busy
             return problem
         known[digest] = problem
         _write(known)
@@ -83,33 +83,31 @@ def _try(width: int, height: int) -> str | None:
     try:
         done = subprocess.run(
             [sys.executable, "-c", code],
-            capture_output=True, text=True, errors="replace", timeout=_PATIENCE, check=False,
+            capture_output=True, text=True, errors="replace", timeout=_TIMEOUT, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        return f"no answer within {_PATIENCE:g} s"
+        return f"no answer within {_TIMEOUT:g} s"
     if done.returncode == 0:
         return None
     return reason_of(done.stderr, done.returncode)
 
 
 def reason_of(stderr: str, status: int) -> str:
-    """Returns in a line why a process that tried Filament has ended."""
+    """Returns in one line why a process that tried Filament ended."""
     lines = [line.strip() for line in stderr.splitlines() if line.strip()]
-    said = [line.partition("reason:")[2].strip() for line in lines if "reason:" in line]
-    said = said or [line for line in lines if re.match(r"[\w.]*(Error|Exception)\b", line)]
-    reason = (said or lines or [""])[-1][:160]
+    found = [line.partition("reason:")[2].strip() for line in lines if "reason:" in line]
+    found = found or [line for line in lines if re.match(r"[\w.]*(Error|Exception)\b", line)]
+    reason = (found or lines or [""])[-1][:160]
     if "Vulkan instance" in reason or "libvulkan" in reason or "Vulkan device" in reason:
-        reason = f"no driver of Vulkan ({reason.rstrip('.')})"
-    if not reason:
-        reason = f"a process that tried it ended with {status}"
-    return reason
+        reason = f"no Vulkan driver ({reason.rstrip('.')})"
+    return reason or f"the test process ended with status {status}"
 
 
 def draw_trial(width: int, height: int) -> None:
-    """Draws a red sphere; ends this process where that is not possible.
+    """Renders a red sphere; ends this process if that is not possible.
 
     Raises:
-        RenderError: this MuJoCo has no Filament, or the picture is empty.
+        RenderError: this version of MuJoCo has no Filament renderer, or the image is empty.
     """
     import mujoco
 
@@ -128,7 +126,7 @@ def draw_trial(width: int, height: int) -> None:
     )  # fmt: skip
     pixels = renderer.render()
     if int(pixels[..., 0].max()) - int(pixels[..., 2].min()) < 40:
-        raise RenderError("its picture is empty")
+        raise RenderError("the rendered image is empty")
     renderer.close()
 
 

@@ -1,7 +1,7 @@
-"""`FilamentRenderer`: draws an `MjvScene` by Filament, in place of MuJoCo's classic renderer.
+"""`FilamentRenderer`: renders an `MjvScene` with Filament instead of MuJoCo's classic renderer.
 
-It takes the same scene, with the same camera, geoms, lights and flags. Whether it can be made at
-all is to be asked first, see `probe.py`: where Filament cannot draw, it ends the process.
+It uses the same scene, with the same camera, geoms, lights and flags. Check `probe.py` first: if
+Filament does not work, it ends the process.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import numpy as np
 
 from ...base.frames import Bools
 from ...robots.declared.surroundings import PALETTES
-from ...viewer.decor.geom_buffer import GEOM
 from ...viewer.decor.scene_writer import struct_view
 from ...viewer.image.image_files import Pixels
 from ...viewer.image.image_options import Quality
@@ -30,27 +29,28 @@ from .light import SceneLights, options_model
 
 log = logging.getLogger(__name__)
 
-MOST_OCCLUDED = 300  # frames with occlusion where it costs memory
-MAX_GEOMS = 10_000  # of a scene, as of `mujoco.Renderer`
+MAX_OCCLUDED = 300  # maximum number of frames with occlusion if it leaks memory
+MAX_GEOMS = 10_000  # of a scene, as in `mujoco.Renderer`
 _FLAGS = mujoco.mjtRndFlag
 
 
 class FilamentRenderer:
-    """Draws a scene of MuJoCo into arrays.
+    """Renders a scene of MuJoCo into arrays.
 
     Args:
-        doubles: geoms of doubles, (ngeom,), which glow; None for none.
-        surroundings: a model of a floor and a sky, for a model without.
+        doubles: geoms of doubles, (ngeom,), which emit light; None for none.
+        surroundings: model of a floor and a sky, for a model without.
         quality: `draft` is without occlusion, `fine` has the softest shadows.
-        frames: about how many will be drawn. Occlusion takes 1 MB of memory a frame, for good, of
-            Mesa's software renderer (22.3), which compiles a shader for it every time. There it is
-            left out of more than `MOST_OCCLUDED` frames, from the first one on if this is known.
+        frames: approximate number of frames to be rendered. With occlusion, Mesa's software
+            renderer (22.3) compiles a shader for every frame and never frees 1 MB of memory.
+            Therefore occlusion is off from the start for more than `MAX_OCCLUDED` frames, and
+            is switched off after this number.
 
     Attributes:
-        driver: name of Vulkan's device.
+        driver: name of the Vulkan device.
 
     Raises:
-        RenderError: this MuJoCo has no Filament.
+        RenderError: this version of MuJoCo has no Filament renderer.
     """
 
     def __init__(
@@ -71,11 +71,11 @@ class FilamentRenderer:
         self._size = (width, height)
         config = module.ContextConfig()
         if sys.platform == "linux":
-            # OpenGL would need a display.
+            # OpenGL requires a display.
             config.graphics_api = module.GraphicsApi.GRAPHICS_API_VULKAN
         palette = PALETTES[look]
         self._model, self._quality, self._drawn = model, quality, 0
-        with _quiet() as said:
+        with _quiet() as output:
             self._context = module.Context(config)
             self._scene = self._context.create_scene(module.SceneParams())
             models = [model] if surroundings is None else [model, surroundings]
@@ -94,9 +94,9 @@ class FilamentRenderer:
         self._pixels: Pixels = np.zeros((height, width, 3), np.uint8)
         self._read = module.ReadRequest(target=self._target)
         self._read.set_buffer(self._pixels)
-        device = re.search(r"Selected physical device '([^']*)'", "".join(said))
+        device = re.search(r"Selected physical device '([^']*)'", "".join(output))
         self.driver = device[1] if device else "unknown"
-        is_long = self._leaks and frames > MOST_OCCLUDED
+        is_long = self._leaks and frames > MAX_OCCLUDED
         self._has_occlusion = quality != "draft" and not is_long
         self._configure()
 
@@ -112,22 +112,22 @@ class FilamentRenderer:
         self._geoms.follow(data)
 
     def render(self, out: Pixels | None = None) -> Pixels:
-        """Draws the scene."""
-        rows, scene = self._scene_rows(), self.scene
+        scene = self.scene
+        rows = self._rows[: scene.ngeom]
         eye = mujoco.mjv_averageCamera(scene.camera[0], scene.camera[1])
         flat = is_flat(rows, eye)
         leaders = rows[flat]
         self._geoms.update(rows[~flat] if len(leaders) else rows)
         self._lights.update(self.scene)
-        if self._drawn == MOST_OCCLUDED and self._has_occlusion and self._leaks:
+        if self._drawn == MAX_OCCLUDED and self._has_occlusion and self._leaks:
             self._has_occlusion = False
-            log.info("occlusion is left out from frame %d on, to save memory", self._drawn)
+            log.info("occlusion is off from frame %d on, to save memory", self._drawn)
             self._configure()
         request = self._request()
         if self._drawn:
             self._draw(request)
         else:
-            with _quiet():  # drivers say what they compile
+            with _quiet():  # drivers print messages about compilation
                 self._draw(request)
         self._drawn += 1
         if len(leaders):
@@ -162,16 +162,6 @@ class FilamentRenderer:
         request.haze = bool(scene.flags[_FLAGS.mjRND_HAZE])
         return request
 
-    def _scene_rows(self) -> np.ndarray:
-        count = self.scene.ngeom
-        if self._rows is not None:
-            return self._rows[:count]
-        rows = np.zeros(count, GEOM)
-        for row, geom in zip(rows, self.scene.geoms, strict=False):
-            for name in GEOM.names or ():
-                row[name] = getattr(geom, name)
-        return rows
-
     def close(self) -> None:
         if not hasattr(self, "_context"):
             return
@@ -182,19 +172,19 @@ class FilamentRenderer:
 
 @contextmanager
 def _quiet() -> Iterator[list[str]]:
-    said: list[str] = []
+    output: list[str] = []
     sys.stdout.flush()
     try:
-        kept = os.dup(1)
+        stdout = os.dup(1)
     except OSError:  # there is no standard output
-        yield said
+        yield output
         return
     with tempfile.TemporaryFile() as file:
         os.dup2(file.fileno(), 1)
         try:
-            yield said
+            yield output
         finally:
-            os.dup2(kept, 1)
-            os.close(kept)
+            os.dup2(stdout, 1)
+            os.close(stdout)
             file.seek(0)
-            said.append(file.read().decode("utf-8", "replace"))
+            output.append(file.read().decode("utf-8", "replace"))

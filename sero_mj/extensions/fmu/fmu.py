@@ -215,18 +215,11 @@ class FmuController(Controller):
 
 
 class _Place(NamedTuple):
-    """Where the numbers of a variable come from: joints of a value."""
-
     name: str
     joints: Any
 
 
 def _meant(names: Sequence[str], wanted: Mapping[str, str]) -> dict[str, str]:
-    """What each input is to be: as declared of it or of its vector, else what its name says.
-
-    Raises:
-        DeclarationError: of an input that is not there.
-    """
     vectors = {name: found["name"] for name in names if (found := _ELEMENT.match(name))}
     available = {*names, *vectors.values()}
     for name in wanted:
@@ -243,7 +236,6 @@ def _meant(names: Sequence[str], wanted: Mapping[str, str]) -> dict[str, str]:
 
 
 def _place(text: str, n: int, names: Sequence[str]) -> _Place | None:
-    """What a name means, among all names; None for nothing."""
     if text in VALUES:
         return _Place(text, np.arange(n))
     found = _ELEMENT.match(text)
@@ -267,7 +259,6 @@ def _first(name: str, names: Sequence[str]) -> int:
 
 
 def _check_size(key: str, variable: Any, expected: int) -> None:
-    """Raises DeclarationError if a variable of the unit is not for so many numbers."""
     size = int(np.prod(variable.shape or ()))  # 1 for a scalar, all that FMI 2 has
     if size != expected:
         of = f"number{'s' * (size != 1)} in variable {variable.name} of the unit"
@@ -275,7 +266,6 @@ def _check_size(key: str, variable: Any, expected: int) -> None:
 
 
 def _torques(outputs: Sequence[Any], name: str, n: int) -> list[int]:
-    """References of the outputs with torques, in the order of the joints; raises."""
     whole = [each for each in outputs if each.name == name]
     if whole:
         _check_size("output", whole[0], n)
@@ -298,7 +288,6 @@ def _torques(outputs: Sequence[Any], name: str, n: int) -> list[int]:
 
 
 def _parameters(variables: Sequence[Any], wanted: Mapping[str, float]) -> dict[int, float]:
-    """Values of parameters by their references; raises DeclarationError."""
     known = {each.name: each for each in variables if each.causality == "parameter"}
     for name in wanted:
         if name not in known:

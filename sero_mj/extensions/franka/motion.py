@@ -21,7 +21,7 @@ JOINTS = 7
 MOST_TORQUES: Array = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])  # Nm
 MOST_TORQUE_RATE = 1000.0  # Nm/s
 MOST_ACCELERATION = 10.0  # rad/s2
-MOST_LOST = 20  # commands in a row
+MAX_LOST = 20  # commands in a row
 MOST_NUMBER = 1e9  # what is beyond can be no quantity of a robot, and overflows in what follows
 _WINDOW = 100  # commands, over which success is counted
 # Clients compute from states with float32: 4 um of an angle of 4 rad are 0.5 rad/s2 in a cycle.

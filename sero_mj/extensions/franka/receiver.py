@@ -184,8 +184,8 @@ class FrankaReceiver(ConnectingSource):
     torque_sign: TorqueSign = 1
 
     _fixed_by: ClassVar[str] = "FCI"
-    _link: ClassVar[str] = "Franka FCI"
-    _if_refused: ClassVar[str] = "; is FCI activated in Desk?"
+    protocol: ClassVar[str] = "Franka FCI"
+    if_refused: ClassVar[str] = "; is FCI activated in Desk?"
     _version: int = PrivateAttr(NEWEST)  # that is asked for
 
     @cached_property
@@ -209,7 +209,7 @@ class FrankaReceiver(ConnectingSource):
         error = f": {ERRORS[int(quality) - 1]}" if 1 <= quality <= len(ERRORS) else ""
         return [f"robot {_mode(state)}{error}"]
 
-    def _converse(self, wake: socket.socket) -> None:
+    def converse(self, wake: socket.socket) -> None:
         asked = set[int]()
         while True:
             with Connection(self.host, self.port, wake) as connection:
@@ -226,10 +226,6 @@ class FrankaReceiver(ConnectingSource):
             self._version = version
 
     def _talk(self, connection: Connection) -> int:
-        """Asks for states and receives until the connection ends.
-
-        Returns at once the server's version where it refuses ours.
-        """
         with socket.socket(connection.socket.family, socket.SOCK_DGRAM) as states:
             with suppress(OSError):  # some systems refuse so much
                 states.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, DEFAULT_BUFFER)
@@ -281,7 +277,7 @@ class FrankaReceiver(ConnectingSource):
         expected = canonical_address(pack_address(peer, 0))[0]
         datagrams = Datagrams(states, _LONGEST_STATE + 1)
         connection.watch(states)
-        self._begin(f"version {version}")
+        self.note_connected(f"version {version}")
         port = int(states.getsockname()[1])
         silent = f"sends no states to UDP port {port}; is it closed by a firewall?"
         deadline = clock.monotonic() + connecting.PATIENCE

@@ -31,7 +31,7 @@ from .messages import (
     Messages,
 )
 from .model import urdf_of
-from .motion import CYCLE, JOINTS, MOST_LOST, MOST_NUMBER, Desired, Motion, Violation
+from .motion import CYCLE, JOINTS, MAX_LOST, MOST_NUMBER, Desired, Motion, Violation
 from .receiver import ERRORS
 from .state import FrankaState
 
@@ -178,11 +178,6 @@ class FrankaRobot(Controller):
             self._miss(motion)
 
     def _keep_time(self, time: float) -> None:
-        """Sends a state in lockstep: time stands still until a motion has its next command.
-
-        So does it between motions, for as long as is declared: where the next one begins depends on
-        the client alone, and not on how fast this machine is.
-        """
         link = self._link
         while link.is_connected:
             self._first = self._number + 1
@@ -262,15 +257,14 @@ class FrankaRobot(Controller):
         self.missed += 1
         motion.lost += 1
         motion.came.append(False)
-        if motion.lost >= MOST_LOST:
-            self._reflex(_LOST, f"{MOST_LOST} commands in a row have not come")
+        if motion.lost >= MAX_LOST:
+            self._reflex(_LOST, f"{MAX_LOST} commands in a row have not come")
         elif motion.generator in (JOINT_POSITION, JOINT_VELOCITY):
             self._desired.extrapolate()
 
     # ---- motions
 
     def _end(self, status: str, mode: int) -> None:
-        """Ends the motion: the robot brakes, and holds where it then is."""
         motion = self._motion
         assert motion is not None
         if motion.is_external:

@@ -98,7 +98,6 @@ class FrankaState:
 
 
 def _cross(columns: Array, vector: Array) -> Array:
-    """Each column of (3, n) x a vector, (3,)."""
     x, y, z = vector
     a, b, c = columns
     return np.array([b * z - c * y, c * x - a * z, a * y - b * x])

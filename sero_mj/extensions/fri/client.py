@@ -1,4 +1,4 @@
-"""`kind = "fri"`: a client of KUKA's Fast Research (or Robot) Interface holds a simulated robot."""
+"""`kind = "fri"`: a client of KUKA's Fast Research (or Robot) Interface with a simulated robot."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ...base.errors import (
-    Problem,
-    mismatch,
-)
+from ...base.errors import Problem, mismatch
 from ...simulate.control.robot_model import RobotModel
 from . import iiwa as fri_iiwa
 from . import receiver as fri
@@ -17,12 +14,12 @@ from .iiwa_fri import IiwaFri
 from .lwr_fri import LwrFri
 from .robot import JOINTS, FriRobot, FriSession
 
-# What a client may add to angles, and the control of the robot that it needs.
-_NEEDS = {"wrench": "cartesian_impedance", "torque": "joint_impedance"}
+# What a client may add to joint positions, and the robot control that this requires.
+_REQUIRED_CONTROL = {"wrench": "cartesian_impedance", "torque": "joint_impedance"}
 
 
 class FriClient(FriSession):
-    """A client of FRI; the simulated robot is an LWR or an iiwa, or another one of seven joints."""
+    """A client of FRI. The simulated robot is an LWR, an iiwa or another robot of seven joints."""
 
     logged: ClassVar[tuple[str, ...]] = ("fri_state", "fri_quality", "step_lateness")
     title: ClassVar[str] = "client of FRI"
@@ -40,27 +37,24 @@ class FriClient(FriSession):
 
     @model_validator(mode="after")
     def _fields_fit_each_other(self) -> Self:
-        low, high = fri.CYCLES  # also those of an iiwa
+        low, high = fri.CYCLES  # the same for an iiwa
         if self.cycle and not low <= self.cycle <= high:
             raise mismatch(self.cycle, f"{low} to {high} s", key="cycle")
-        needs = _NEEDS.get(self.command_mode)
-        if self.version == "1" and needs:
+        required = _REQUIRED_CONTROL.get(self.command_mode)
+        if self.version == "1" and required:
             expected = "position with FRI 1.0, whose commands have flags instead"
             raise mismatch(self.command_mode, expected, key="command_mode")
-        if needs and needs != self.control:
-            expected = f"{needs} with command_mode = '{self.command_mode}'"
+        if required and required != self.control:
+            expected = f"{required} with command_mode = '{self.command_mode}'"
             raise mismatch(self.control, expected, key="control")
         return self
 
     def make(self, model: RobotModel, timestep: float) -> FriRobot:
         if model.n != JOINTS:
-            reason = f"FRI is for {JOINTS} joints; {model.name} has {model.n}"
+            reason = f"FRI requires {JOINTS} joints; {model.name} has {model.n}"
             raise Problem("kind", reason).error()
         cycle = self.cycle or timestep
-        steps = round(cycle / timestep)
-        if steps < 1 or abs(steps * timestep - cycle) > 1e-9:
-            expected = f"a multiple of the time step, {timestep:g} s"
-            raise mismatch(self.cycle, expected, key="cycle")
+        steps = self.steps_per_cycle(cycle, timestep)
         if cycle < fri.CYCLES[0] - 1e-9:
             expected = f"{fri.CYCLES[0]} s or more: the time step is {timestep:g} s"
             raise mismatch(self.cycle, expected, key="cycle")

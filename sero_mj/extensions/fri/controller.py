@@ -1,8 +1,4 @@
-"""`FriController`: emulates the FRI communication of an LWR's controller.
-
-`AnswerStatistics` are the controller's statistics of a client's answers, `NetworkFaults` simulates
-a network that loses packets.
-"""
+"""`FriController`: emulates the controller of an LWR on FRI 1.0, with an example motion."""
 
 from __future__ import annotations
 
@@ -10,46 +6,104 @@ import select
 import socket
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
+import mujoco
 import numpy as np
 
 from ...base.errors import UsageError, did_you_mean
+from ...base.frames import Array
 from ...data.receive.structure import Structure
+from ...data.send.motion import InverseDynamics, SineMotion
 from ...data.send.sender import SendReport, UdpSink, send
 from ...robots.declared.robot import SerialRobot
-from .receiver import COMMAND, CYCLES, QUALITIES, FriLayout
-from .signals import FriSignals
+from .receiver import ALL_DRIVES, COMMAND, CYCLES, QUALITIES, FriLayout
 
 _MONITOR, _COMMAND = 1, 2
 _QUALITY_NUMBERS = {name: number for number, name in QUALITIES.items()}
-_MAX_BYTES = 65_536
-
 WINDOW = 100  # packets that FRI averages over
-_MAX_UNANSWERED = 2  # packets sent until a missing answer counts as missed; our choice
-# The minimum answer rate of each quality. FRI grades the link in four steps without specifying
-# thresholds; these are ours.
-_REACHED_FROM = {3: 0.95, 2: 0.8, 1: 0.5, 0: 0.0}
+_MAX_UNANSWERED = 2  # packets sent before a missing answer counts as missed; our choice
+# Minimum answer rate of each quality. KUKA has not published the thresholds; these are ours.
+_MIN_ANSWER_RATES = {3: 0.95, 2: 0.8, 1: 0.5, 0: 0.0}
+_FRI_LEAD = 0.3  # s; large enough to see the commanded next to the measured position
+_FORCE = 40.0  # N; as if someone leaned on the tool
+_MOMENT = 4.0  # Nm
+_ROOM_TEMPERATURE, _WARM_UP = 28.0, 14.0  # C
+_JOINT_IMPEDANCE = 3
+
+
+class FriSignals:
+    """Consistent values of all FRI events for an example motion.
+
+    The flange frame is computed from the DH table and the rest by MuJoCo, so that a flange check
+    compares two computations. Measured torques are the torques of the motion minus those of an
+    external force. FRI gives the wrench and the Jacobian in the task frame of the controller's
+    stiffness; here this is the flange frame. An amplitude of 0 is standstill, 1 the full motion.
+    """
+
+    def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
+        self._robot = robot
+        self._motion = SineMotion(robot, amplitude)
+        self._dynamics = InverseDynamics(robot)
+        frames = self._dynamics.world.frames
+        self._site = int(frames.site[frames.names.index(f"{robot.name}/flange")])
+
+    def at(self, t: float) -> Mapping[str, Array]:
+        model, data = self._dynamics.world.model, self._dynamics.data
+        position, velocity, acceleration = self._motion.at(t)
+        commanded = self._motion.at(t + _FRI_LEAD)[0]
+        gravity = self._dynamics.torques(position, np.zeros(7), np.zeros(7))
+        required = self._dynamics.torques(position, velocity, acceleration)
+        jacobian = np.zeros((2, 3, 7))
+        mujoco.mj_jacSite(model, data, jacobian[0], jacobian[1], self._site)
+        to_flange = data.site_xmat[self._site].reshape(3, 3).T
+        jacobian = (to_flange @ jacobian).reshape(6, 7)
+        mass = np.zeros((7, 7))
+        mujoco.mj_fullM(model, data, mass)
+        force = _FORCE * np.array([np.cos(0.9 * t), np.sin(0.9 * t), 0.6 * np.sin(0.5 * t)])
+        moment = _MOMENT * np.array([np.sin(0.6 * t), np.cos(0.7 * t), np.sin(0.8 * t)])
+        external = jacobian.T @ np.concatenate([force, moment])
+        return {
+            "power": np.array([ALL_DRIVES]),
+            "control": np.array([_JOINT_IMPEDANCE]),
+            "temperatures": self._temperatures(t),
+            "joint_angles": position,
+            "flange_frame": self._robot.fwd_kin_base_to_flange(position),
+            "commanded_angles": commanded,
+            "commanded_frame": self._robot.fwd_kin_base_to_flange(commanded),
+            "torques": required - external,
+            "external_torques": external,
+            "tcp_force": force,
+            "tcp_moment": moment,
+            "jacobian": jacobian.ravel(),
+            "mass_matrix": mass.ravel(),
+            "gravity_torques": gravity,
+        }
+
+    def _temperatures(self, t: float) -> Array:
+        progress = 1.0 - 0.6 * float(np.exp(-t / 300.0))
+        return np.asarray(_ROOM_TEMPERATURE + _WARM_UP * progress * np.linspace(1.0, 0.6, 7))
 
 
 class FriController:
-    """The controller's side of FRI 1.0: measurements out, answers in; raises UsageError.
+    """The controller's side of FRI 1.0: sends measurements and receives answers.
 
-    Counters wrap at 16 bits; statistics are over the last 100 packets; the quality follows the
-    answer rate, and with an unacceptable one the interface falls back from command to monitor.
-    Commands are counted but have no effect: the robot continues its motion.
+    Counters wrap at 16 bits. Statistics cover the last 100 packets. The quality follows the answer
+    rate; if it is unacceptable, the interface falls back from command to monitor state. Commands
+    are counted but have no effect: the robot continues its motion.
 
     Args:
-        cycle: s between packets, 0.001 to 0.1.
-        quality: name of a quality to report regardless of the answers; None to follow them.
-        amplitude: of the motion, 0 to 1.
-        faults: of the network that `run` sends through; None for a good one.
-        layout: of the packets, with a sign of torques; FRI's own when None.
+        cycle: time between packets, 0.001 to 0.1 s.
+        quality: name of a quality to report regardless of the answers.
+        amplitude: scale of the motion, 0 to 1.
+        faults: faults of the network that `run` sends through (default: none).
 
     Attributes:
-        cycle: s between packets.
-        command_flags: all flags set in answers; 0 when nothing was commanded.
+        command_flags: all flags that were set in answers, combined.
+
+    Raises:
+        UsageError: the robot, cycle or quality does not exist in FRI.
     """
 
     def __init__(
@@ -65,11 +119,11 @@ class FriController:
         layout: FriLayout | None = None,
     ) -> None:
         if robot.n != 7:
-            raise UsageError(f"FRI is for 7 joints; '{robot.name}' has {robot.n}")
-        least, most = CYCLES
-        if not least - 1e-9 <= cycle <= most + 1e-9:
-            expected = f"expected {least * 1e3:g} to {most * 1e3:g}"
-            raise UsageError(f"FRI's cycle: found {cycle * 1e3:g} ms; {expected}")
+            raise UsageError(f"FRI requires 7 joints; '{robot.name}' has {robot.n}")
+        low, high = CYCLES
+        if not low - 1e-9 <= cycle <= high + 1e-9:
+            expected = f"expected {low * 1e3:g} to {high * 1e3:g}"
+            raise UsageError(f"FRI cycle: found {cycle * 1e3:g} ms; {expected}")
         if quality is not None and quality not in _QUALITY_NUMBERS:
             raise UsageError(f"no quality '{quality}'{did_you_mean(quality, _QUALITY_NUMBERS)}")
         self.cycle = cycle
@@ -90,11 +144,10 @@ class FriController:
         self._statistics = AnswerStatistics()
 
     def measure(self, t: float, sent_at: float | None = None) -> bytes:
-        """Returns the next measurement packet.
+        """Returns the next measurement packet, for a time `t` in seconds since the start.
 
-        Args:
-            t: time since it was started, s.
-            sent_at: when the packet goes out, s, by the clock by which answers come; t if None.
+        `sent_at` is the time in s at which the packet is sent, on the clock that `take_answer`
+        uses (default: `t`).
         """
         counter = self._counter & 0xFFFF
         quality = self._statistics.quality if self._quality is None else self._quality
@@ -117,8 +170,8 @@ class FriController:
         self._statistics.send(counter, t if sent_at is None else sent_at)
         return packet
 
-    def take_answer(self, packet: bytes, came_at: float) -> bool:
-        """Processes an answer received at a time (s); returns whether it is a command packet."""
+    def take_answer(self, packet: bytes, received_at: float) -> bool:
+        """Processes an answer and returns whether it is a valid command packet."""
         row = np.frombuffer(packet, np.uint8)[None]
         if len(packet) != self._command.size or self._command.find_wrong_constants(row)[0]:
             self.wrong_answers += 1
@@ -127,18 +180,13 @@ class FriController:
         self.answers += 1
         self.command_flags |= int(values["command_flags"][0])
         self._reflected = int(values["send_counter"][0])
-        self._statistics.answer(int(values["reflected_counter"][0]), came_at)
+        self._statistics.answer(int(values["reflected_counter"][0]), received_at)
         return True
 
     def run(self, to: UdpSink, duration: float | None = None) -> SendReport:
-        """Sends until the duration (s) is over or the user interrupts, and processes answers.
+        """Sends for a duration in s (default: until interrupted) and processes answers.
 
-        Args:
-            to: the destination; answers arrive at its socket.
-            duration: s; None for no limit.
-
-        Returns:
-            statistics; `packets` includes those lost by the network.
+        The `packets` of the report include those that the simulated network lost.
         """
         to.socket.setblocking(False)
         before = self.sent
@@ -159,7 +207,7 @@ class FriController:
             due = count * self.cycle
             while self._listen(sock, start + due - self.cycle / 2):
                 pass
-            packets = self.faults.pass_on(self.measure(due, start + due))
+            packets = self.faults.transmit(self.measure(due, start + due))
             count += 1
             packets += self.faults.flush() if count == total else []
             for packet in packets:
@@ -172,8 +220,8 @@ class FriController:
         if not select.select([sock], [], [], max(left, 0.0))[0]:
             return False
         try:
-            packet = sock.recv(_MAX_BYTES)
-        except OSError:  # an earlier packet had no receiver, for example
+            packet = sock.recv(65_536)
+        except OSError:  # for example, an earlier packet had no receiver
             return True
         self.take_answer(packet, time.perf_counter())
         return True
@@ -187,14 +235,13 @@ class _Sent:
 
 
 class AnswerStatistics:
-    """Tracks which packets were answered."""
+    """Statistics of a client's answers, as FRI reports them."""
 
     def __init__(self) -> None:
         self.miss_counter = 0
         self._sent: deque[_Sent] = deque()
 
     def send(self, counter: int, time: float) -> None:
-        """Registers a packet sent at a time (s)."""
         self._sent.append(_Sent(counter, time))
         if len(self._sent) > _MAX_UNANSWERED and self._sent[-1 - _MAX_UNANSWERED].latency is None:
             self.miss_counter += 1
@@ -202,7 +249,7 @@ class AnswerStatistics:
             self._sent.popleft()
 
     def answer(self, reflected: int, time: float) -> None:
-        """Registers an answer received at a time (s); a late one counts as missed."""
+        """Registers an answer received at a time in s; a delayed answer counts as missed."""
         waiting = list(self._sent)[-_MAX_UNANSWERED:]
         for packet in waiting:
             if packet.counter == reflected and packet.latency is None:
@@ -213,7 +260,7 @@ class AnswerStatistics:
         return [packet.latency for packet in judged if packet.latency is not None]
 
     def values(self) -> dict[str, float]:
-        """FRI's statistics; packets before the first count as not answered."""
+        """Returns FRI's statistics; packets before the first one count as unanswered."""
         latencies = self._latencies()
         rate = len(latencies) / WINDOW
         return {
@@ -226,49 +273,45 @@ class AnswerStatistics:
 
     @property
     def quality(self) -> int:
-        """0 unacceptable to 3 perfect, by the answer rate."""
+        """Connection quality from the answer rate, from 0 (unacceptable) to 3 (perfect)."""
         rate = len(self._latencies()) / WINDOW
-        return next(quality for quality, least in _REACHED_FROM.items() if rate >= least)
+        return next(quality for quality, low in _MIN_ANSWER_RATES.items() if rate >= low)
 
 
 @dataclass
 class NetworkFaults:
-    """A network that loses, duplicates and reorders packets; reproducible by its seed.
-
-    Attributes:
-        loss: share of the packets that are withheld, 0 to 1.
-    """
+    """A network that loses, duplicates and swaps packets with these probabilities (0 to 1)."""
 
     loss: float = 0.0
     duplicates: float = 0.0
     swaps: float = 0.0
     seed: int = 0
-    withheld: int = 0
-    doubled: int = 0
+    lost: int = 0
+    duplicated: int = 0
     swapped: int = 0
     _random: np.random.Generator = field(init=False, repr=False)
-    _held: bytes | None = field(init=False, repr=False, default=None)
+    _delayed: bytes | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
 
-    def pass_on(self, packet: bytes) -> list[bytes]:
-        """Returns the packets that leave the network when one enters."""
-        chance = self._random.random(3)  # always three, so that the shares are independent
+    def transmit(self, packet: bytes) -> list[bytes]:
+        """Returns the packets that leave the network when this one enters."""
+        chance = self._random.random(3)  # always three, so that the faults are independent
         after = self.flush()
         if chance[0] < self.loss:
-            self.withheld += 1
+            self.lost += 1
             return after
         if not after and chance[1] < self.swaps:
-            self._held = packet
+            self._delayed = packet
             return []
         self.swapped += len(after)
         if chance[2] < self.duplicates:
-            self.doubled += 1
+            self.duplicated += 1
             return [packet, packet, *after]
         return [packet, *after]
 
     def flush(self) -> list[bytes]:
-        """Returns the packet held back for swapping, if any."""
-        held, self._held = self._held, None
-        return [] if held is None else [held]
+        """Returns the packet that was delayed for swapping, if any."""
+        delayed, self._delayed = self._delayed, None
+        return [] if delayed is None else [delayed]

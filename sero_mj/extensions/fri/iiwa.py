@@ -1,10 +1,10 @@
-"""KUKA's Fast Research Interface (FRI) 1.x and 2.x of the LBR iiwa and LBR Med: its messages.
+"""Messages of KUKA's Fast Research Interface (FRI) 1.x and 2.x of the LBR iiwa and LBR Med.
 
-The controller sends one monitoring message each cycle (1 to 100 ms), encoded by Protocol Buffers,
-so of any size; `IiwaLayout` turns them into packets of one layout. A client answers every
-`receive_multiplier`-th of them, also while it only monitors. FRI 2.7 puts the message's length
-before and its checksum after it. Numbers of fields are those of the interface, as the client SDKs
-1.11 to 2.7 have them; the names are ours.
+The controller sends one monitoring message per cycle (1 to 100 ms). It is encoded with Protocol
+Buffers and varies in size; `IiwaLayout` converts messages to packets with a fixed layout. A client
+answers every `receive_multiplier`-th message, even if it only monitors. FRI 2.7 puts the length
+before the message and a checksum after it. Field numbers are those of the interface in the client
+SDKs 1.11 to 2.7; the field names are ours.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from ...data.receive.structure import Rows, Structure, TorqueSign
 PORT = 30200  # FRI's own default
 JOINTS = 7
 MONITORING_ID, COMMAND_ID = 0x245142, 0x34001
-# Measured and commanded torques are those of the load on the drive, so they have the opposite sign
-# of ours. External torques, and the torques that a client commands, have our sign. Sources: drake
+# Measured and commanded torques are those of the load on the drive, so their sign is opposite to
+# ours. External torques and the torques that a client commands have our sign. Sources: drake
 # manipulation/README.md and lbr_fri_ros2_stack issue 249; docs/conventions.md.
 TORQUE_SIGN: TorqueSign = -1
 
-UNKNOWN = -1  # of a state that a message leaves out
+UNKNOWN = -1  # a state that is missing in a message
 STATES = (
     "idle", "monitoring wait", "monitoring ready", "commanding wait", "commanding active",
 )  # fmt: skip
@@ -39,7 +39,7 @@ DRIVES = ("drives off", "drives changing", "drives active")
 SAFETIES = ("", "safety stop 0", "safety stop 1", "safety stop 2")
 COMMANDS = ("", "commanded by joint positions", "commanded by wrenches", "commanded by torques",
             "commanded by poses")  # fmt: skip
-_MONITORING = (1, 2)  # states in which an answer commands nothing
+_MONITORING = (1, 2)  # states in which an answer does not command anything
 
 _COMMON = " ".join(
     (
@@ -51,12 +51,12 @@ _COMMON = " ".join(
     )
 )
 _PACKING = "<3I2di7b7bd35d"
-# Version to its packets' structure. FRI 2 tells no commanded angles, but 2.7 the external wrench.
+# Packet structure of each version. FRI 2 omits commanded angles, and 2.7 adds the external wrench.
 STRUCTURES = {
     "iiwa-1": f"{_COMMON} commanded_angles:7d",
     "iiwa-2": f"{_COMMON} tcp_force:1Vd tcp_moment:1Vd",
 }
-# Events that a message may leave out.
+# Events that may be missing in a message.
 OPTIONAL = frozenset(
     (
         *("torques", "commanded_torques", "external_torques", "interpolated_angles"),
@@ -65,16 +65,16 @@ OPTIONAL = frozenset(
     )
 )
 _MISSING = (math.nan,) * JOINTS
-# Tag and 8 bytes of each number; a list may also be packed, which has one tag and a length.
+# Each number has a tag and 8 bytes. A packed list has one tag and a length instead.
 _UNPACKED = {count: struct.Struct("<" + "xd" * count) for count in (6, JOINTS)}
 _TAGGED = struct.Struct("<" + "Bd" * JOINTS)
 _DOUBLE = struct.Struct("<d")
 
-Fields = dict[int, list[int | bytes]]  # number of a field to all of its values
+Fields = dict[int, list[int | bytes]]  # field number to all of its values
 
 
 def read_fields(message: bytes) -> Fields:
-    """The fields of a message: whole numbers, and the bytes of all others; raises ValueError."""
+    """Returns the fields of a message: integers, and the bytes of all others; raises ValueError."""
     fields: Fields = {}
     at, end = 0, len(message)
     while at < end:
@@ -89,9 +89,9 @@ def read_fields(message: bytes) -> Fields:
             elif kind in (1, 5):
                 count = 8 if kind == 1 else 4
             else:
-                raise ValueError(f"byte {at - 1} begins no field")
+                raise ValueError(f"byte {at - 1} is not the start of a field")
             if count > end - at:
-                raise ValueError(f"its field {number} has {count} bytes; {end - at} are left")
+                raise ValueError(f"field {number} has {count} bytes, but {end - at} are left")
             value, at = message[at : at + count], at + count
         fields.setdefault(number, []).append(value)
     return fields
@@ -105,11 +105,11 @@ def _varint(message: bytes, at: int) -> tuple[int, int]:
         at, shift = at + 1, shift + 7
         if byte < 0x80:
             return value, at
-    raise ValueError(f"the number that ends at byte {at} is cut off or too long")
+    raise ValueError(f"the integer that ends at byte {at} is truncated or too long")
 
 
 def read_numbers(fields: Fields, number: int, count: int = JOINTS) -> tuple[float, ...]:
-    """The numbers of a list within a message; NaN if it is not there."""
+    """Returns the numbers of a list within a message, or NaN if it is missing."""
     if number not in fields:
         return (math.nan,) * count
     text = read_message(fields, number)
@@ -123,20 +123,20 @@ def read_numbers(fields: Fields, number: int, count: int = JOINTS) -> tuple[floa
 
 
 def read_message(fields: Fields, number: int) -> bytes:
-    """The last value of a field, a message; empty if it is not there."""
+    """Returns the last value of a message field, or nothing if it is missing."""
     value = fields.get(number, [b""])[-1]
     if isinstance(value, int):
-        raise ValueError(f"field {number} is a number; expected a message")
+        raise ValueError(f"field {number} is an integer; expected a message")
     return value
 
 
-def read_whole(fields: Fields, number: int, low: int = UNKNOWN, high: int = 127) -> int:
-    """The last value of a field, a whole number; `UNKNOWN` if it is not there."""
+def read_integer(fields: Fields, number: int, low: int = UNKNOWN, high: int = 127) -> int:
+    """Returns the last value of an integer field, or `UNKNOWN` if it is missing."""
     value = fields.get(number, [UNKNOWN])[-1]
     if not isinstance(value, int):
-        raise ValueError(f"field {number} is a message; expected a number")
+        raise ValueError(f"field {number} is a message; expected an integer")
     if not low <= value <= high:
-        raise ValueError(f"field {number} is {value}; expected at most {high}")
+        raise ValueError(f"field {number} is {value}; expected {low} to {high}")
     return value
 
 
@@ -150,56 +150,56 @@ def _double(fields: Fields, number: int) -> float:
 
 
 def unframed(packet: bytes) -> tuple[bytes, bool]:
-    """The message in a packet, and whether its length and checksum stand around it (FRI 2.7).
+    """Returns the message in a packet and whether it has a length and checksum (FRI 2.7).
 
     Raises:
-        ValueError: the checksum is that of another message.
+        ValueError: the checksum is wrong.
     """
     if len(packet) < 8 or int.from_bytes(packet[:4], "little") != len(packet) - 8:
         return packet, False
     message = packet[4:-4]
     if zlib.crc32(message) != int.from_bytes(packet[-4:], "little"):
-        raise ValueError("its checksum is wrong")
+        raise ValueError("the checksum is wrong")
     return message, True
 
 
 def pack(packet: bytes, version: str) -> bytes:
-    """Turns a monitoring message into a packet of `STRUCTURES[version]`; raises ValueError."""
+    """Converts a monitoring message to a packet of `STRUCTURES[version]`; raises ValueError."""
     message, is_framed = unframed(packet)
     if is_framed and version == "iiwa-1":
-        raise ValueError("it is framed as in FRI 2.7; choose version = 'iiwa-2'")
+        raise ValueError("it is framed as in FRI 2.7; set version = 'iiwa-2'")
     fields = read_fields(message)
     header, link = read_fields(read_message(fields, 1)), read_fields(read_message(fields, 4))
     robot, ipo = read_fields(read_message(fields, 2)), read_fields(read_message(fields, 5))
     monitor = read_fields(read_message(fields, 3))
     if 1 not in header or 2 not in header:
         raise ValueError("it has no header")
-    joints = read_whole(robot, 1)
+    joints = read_integer(robot, 1)
     if joints not in (UNKNOWN, JOINTS):
         raise ValueError(f"found {joints} joints; expected {JOINTS}")
     time = read_fields(read_message(monitor, 15))
     timestamp = math.nan
     if 1 in time:
-        timestamp = read_whole(time, 1, 0, 2**32 - 1) + 1e-9 * read_whole(
+        timestamp = read_integer(time, 1, 0, 2**32 - 1) + 1e-9 * read_integer(
             {2: [0], **time}, 2, 0, 10**9
         )
-    period = read_whole(link, 3, high=10**6)
+    period = read_integer(link, 3, high=10**6)
     drives = [value if isinstance(value, int) else -1 for value in robot.get(5, [])][:JOINTS]
     if robot.get(5) and isinstance(robot[5][0], bytes):  # packed
         drives = [*robot[5][0]][:JOINTS]
     packed = struct.pack(
         _PACKING,
-        *(read_whole({3: [0], **header}, number, 0, 2**32 - 1) for number in (1, 2, 3)),
+        *(read_integer({3: [0], **header}, number, 0, 2**32 - 1) for number in (1, 2, 3)),
         timestamp,
         math.nan if period == UNKNOWN else period / 1e3,
-        read_whole(link, 4, high=2**31 - 1),
-        *(read_whole(link, 1), read_whole(link, 2)),
+        read_integer(link, 4, high=2**31 - 1),
+        *(read_integer(link, 1), read_integer(link, 2)),
         *(
-            read_whole(robot, 7),
-            read_whole(robot, 2),
-            read_whole(robot, 6),
-            read_whole(ipo, 10),
-            read_whole(ipo, 11),
+            read_integer(robot, 7),
+            read_integer(robot, 2),
+            read_integer(robot, 6),
+            read_integer(ipo, 10),
+            read_integer(ipo, 11),
         ),
         *(max(-1, min(drive, 127)) for drive in drives),
         *[UNKNOWN] * (JOINTS - len(drives)),
@@ -214,13 +214,10 @@ def pack(packet: bytes, version: str) -> bytes:
 
 
 class IiwaLayout(Structure):
-    """The packets that monitoring messages of an iiwa are turned into.
+    """Packets that monitoring messages of an iiwa are converted to.
 
-    Angles are in rad, torques in Nm, `measurement_cycle` in s; `tcp_moment` is sent as A, B, C and
-    returned as x, y, z. What a message leaves out is NaN, states are -1.
-
-    Args:
-        version: of FRI: `iiwa-1` or `iiwa-2`.
+    `version` is `iiwa-1` or `iiwa-2`. Moments are sent in the order z, y, x and returned as x, y,
+    z. Missing values are NaN, missing states -1.
     """
 
     message = "FRI message"
@@ -244,12 +241,12 @@ class IiwaLayout(Structure):
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
         if length > len(packet):
-            return f"{length} bytes that are no {self.message}: it is too long"
+            return f"{length} bytes are not an {self.message}: too long"
         try:
             pack(packet, self.version)
         except ValueError as error:
-            return f"{length} bytes that are no {self.message}: {error}"
-        return f"{length} bytes that are no {self.message}"
+            return f"{length} bytes are not an {self.message}: {error}"
+        return f"{length} bytes are not an {self.message}"
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
         return float(values["state"][0]), float(values["quality"][0])
@@ -257,15 +254,14 @@ class IiwaLayout(Structure):
     def link_words(self, state: float, quality: float) -> tuple[str, str]:
         return word(STATES, state), word(QUALITIES, quality)
 
-    def is_good(self, state: float, quality: float) -> bool:
-        """Whether a controller's state and quality need no warning."""
+    def is_healthy(self, state: float, quality: float) -> bool:
         return state > 0 and word(QUALITIES, quality) in ("good", "excellent")
 
     def describe(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot's controller, in words."""
+        """Returns the state of the robot's controller in words."""
         drives = values["drives"]
         drive = drives[0] if (drives == drives[0]).all() else 1.0  # as KUKA's client has it
-        said = [
+        texts = [
             word(STATES, values["state"][0]),
             f"quality {word(QUALITIES, values['quality'][0])}",
             word(CONTROLS, values["control"][0]),
@@ -273,28 +269,28 @@ class IiwaLayout(Structure):
             word(SAFETIES, values["safety"][0]),
             word(COMMANDS, values["command_mode"][0]),
         ]
-        return ", ".join(text for text in said if text)
+        return ", ".join(text for text in texts if text)
 
 
 def word(words: Sequence[str], number: float) -> str:
-    """The word for a state; the number itself if there is none, "unknown" for `UNKNOWN`."""
+    """Returns the word for a state, or the number itself if there is none."""
     if number == UNKNOWN:
         return "unknown" if words in (STATES, QUALITIES) else ""
     return words[int(number)] if 0 <= number < len(words) else f"{number:.0f}"
 
 
-class Monitor:
-    """Answers monitoring messages without a command, as a client that only monitors does.
+class MonitoringClient:
+    """Answers monitoring messages like a client that only monitors: with a header alone.
 
-    An answer is a header and nothing else. Messages of a controller that waits for commands, or
-    follows them, are not answered: such an answer would have to hold a command.
+    While a controller waits for commands or follows them, its messages are not answered, because
+    such an answer would have to contain a command.
     """
 
     def __init__(self) -> None:
         self._unanswered = 0
 
     def answer(self, packet: bytes, counter: int) -> bytes | None:
-        """The answer to a message, or None if none is due."""
+        """Returns the answer to a message, or None if none is due."""
         try:
             message, is_framed = unframed(packet)
             fields = read_fields(message)
@@ -302,8 +298,8 @@ class Monitor:
                 read_fields(read_message(fields, 1)),
                 read_fields(read_message(fields, 4)),
             )
-            sent, state = read_whole(header, 2, 0, 2**32 - 1), read_whole(link, 1)
-            every = read_whole(link, 4, high=2**31 - 1)
+            sent, state = read_integer(header, 2, 0, 2**32 - 1), read_integer(link, 1)
+            every = read_integer(link, 4, high=2**31 - 1)
         except ValueError:
             return None
         if header.get(1) != [MONITORING_ID] or state not in _MONITORING:
@@ -317,39 +313,42 @@ class Monitor:
 
 
 def no_command(counter: int, reflected: int) -> bytes:
-    """A command message that commands nothing: its header alone.
+    """Returns a command message without a command, which is only its header.
 
     Args:
-        counter: of the messages sent before, uint32.
+        counter: number of messages sent before, uint32.
         reflected: `send_counter` of the message that is answered.
     """
-    return inner(1, whole(1, COMMAND_ID), whole(2, counter), whole(3, reflected))
+    header = integer_field(1, COMMAND_ID), integer_field(2, counter), integer_field(3, reflected)
+    return message_field(1, *header)
 
 
 def framed(message: bytes) -> bytes:
-    """A message with its length before and its checksum behind it, as FRI 2.7 has it."""
+    """Returns a message with its length before and its checksum after it (FRI 2.7)."""
     return struct.pack("<I", len(message)) + message + struct.pack("<I", zlib.crc32(message))
 
 
-def whole(number: int, value: int) -> bytes:
-    """A field with a whole number."""
+def integer_field(number: int, value: int) -> bytes:
+    """Returns an integer field."""
     return bytes((number << 3,)) + _encoded(value)
 
 
-def double(number: int, value: float) -> bytes:
-    """A field with a float64."""
+def float_field(number: int, value: float) -> bytes:
+    """Returns a float64 field."""
     return bytes((number << 3 | 1,)) + _DOUBLE.pack(value)
 
 
-def inner(number: int, *fields: bytes) -> bytes:
-    """A field with a message of fields."""
+def message_field(number: int, *fields: bytes) -> bytes:
+    """Returns a field with a message that contains these fields."""
     message = b"".join(fields)
     return bytes((number << 3 | 2,)) + _encoded(len(message)) + message
 
 
-def per_joint(number: int, values: Array) -> bytes:
-    """A field with a message of one list, that of all joints, (7,)."""
-    return inner(number, _TAGGED.pack(*(x for value in values.tolist() for x in (9, value))))
+def joints_field(number: int, values: Array) -> bytes:
+    """Returns a field with a message that contains one list, with a value per joint."""
+    return message_field(
+        number, _TAGGED.pack(*(x for value in values.tolist() for x in (9, value)))
+    )
 
 
 @lru_cache(maxsize=1024)

@@ -1,10 +1,10 @@
 """`IiwaFri`: the simulated robot as an LBR iiwa or Med on FRI 1.x and 2.x.
 
-Its program holds the position and lets a client overlay its own, as KUKA's examples do. The session
-waits until the link is good (`MONITORING_WAIT`), calls for commands (`COMMANDING_WAIT`, in which a
-client mirrors the angles of the program), and follows them (`COMMANDING_ACTIVE`). A link that is
-not good any more, or a wrong command, ends the overlay for good, as it ends the robot's program.
-Measured and commanded torques are sent with KUKA's sign, see `fri_iiwa.TORQUE_SIGN`.
+The robot's program holds its position and lets a client overlay another one, as in KUKA's examples.
+The session waits until the connection is good (`MONITORING_WAIT`), requests commands
+(`COMMANDING_WAIT`, in which a client mirrors the angles of the program) and follows them
+(`COMMANDING_ACTIVE`). A connection that is no longer good, or a wrong command, ends the overlay
+permanently, as it ends the program on the robot.
 """
 
 from __future__ import annotations
@@ -20,132 +20,130 @@ from ...simulate.control.robot_model import RobotModel
 from . import iiwa as fri_iiwa
 from .iiwa import (
     TORQUE_SIGN,
-    double,
-    inner,
-    per_joint,
+    float_field,
+    integer_field,
+    joints_field,
+    message_field,
     read_fields,
+    read_integer,
     read_message,
     read_numbers,
-    read_whole,
-    whole,
 )
 from .robot import JOINTS, FriRobot, FriSession
 
 log = logging.getLogger(__name__)
 
 MONITORING_WAIT, MONITORING_READY, COMMANDING_WAIT, COMMANDING_ACTIVE = 1, 2, 3, 4
-_GOOD = 2  # quality from which commands are followed
+_GOOD = 2  # minimum quality at which commands are followed
 _CONTROLS = {"position": 0, "cartesian_impedance": 1, "joint_impedance": 2}
 _MODES = {"position": 1, "wrench": 2, "torque": 3}
-# In which field of a command what each of these adds is, and how many numbers it has.
-_ADDED = {"wrench": (2, 6), "torque": (3, JOINTS)}
+# Field of a command that contains the addition to the joint positions, and its length.
+_ADDITIONS = {"wrench": (2, 6), "torque": (3, JOINTS)}
 _NORMAL, _ACTIVE_DRIVE, _AUTOMATIC, _JOINT_OVERLAY = 0, 2, 2, 1
-_COUNTERS = 0xFFFFFFFF
-_LARGEST = 1500  # bytes of a command
+_COUNTER_MASK = 0xFFFFFFFF
+_MAX_COMMAND_BYTES = 1500
 _BANDWIDTH = 25.0  # 1/s, of the observer of external torques; our choice
-_ABOUT_XYZ = [0, 1, 2, 5, 4, 3]  # wrenches have moments about z, y, x
+_ZYX_TO_XYZ = [0, 1, 2, 5, 4, 3]  # wrenches list moments in the order z, y, x
 
 
 class IiwaFri(FriRobot):
-    """FRI 1.x or 2.x; see `FriRobot`. `state` is one of `fri_iiwa.STATES`."""
+    """FRI 1.x or 2.x. `state` is an index of `iiwa.STATES`."""
 
     def __init__(
         self, declared: FriSession, model: RobotModel, timestep: float, steps: int
     ) -> None:
-        super().__init__(declared, model, timestep, steps, _LARGEST)
+        super().__init__(declared, model, timestep, steps, _MAX_COMMAND_BYTES)
         self.state = MONITORING_WAIT
         self._is_framed = declared.version == "iiwa-2.7"
-        self._robot = inner(
+        self._robot = message_field(
             2,
-            whole(1, JOINTS),
-            whole(2, _NORMAL),
-            *[whole(5, _ACTIVE_DRIVE)] * JOINTS,
-            whole(6, _AUTOMATIC),
-            whole(7, _CONTROLS[declared.control]),
+            integer_field(1, JOINTS),
+            integer_field(2, _NORMAL),
+            *[integer_field(5, _ACTIVE_DRIVE)] * JOINTS,
+            integer_field(6, _AUTOMATIC),
+            integer_field(7, _CONTROLS[declared.control]),
         )
         self._observer = MomentumObserver(model, _BANDWIDTH, timestep)
-        self._torques: Array = np.zeros(JOINTS)  # of the last step, commanded
+        self._torques: Array = np.zeros(JOINTS)  # commanded in the last step
         self._reflected = 0
-        self._asked: fri_iiwa.Fields = {}  # what a command has besides its header
+        self._command_fields: fri_iiwa.Fields = {}  # of the last command
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         self._observer.update(sensed)
         super().torques(sensed, target, out)
         self._torques[:] = out
 
-    def _follow_quality(self) -> None:
+    def _update_state(self) -> None:
         is_good, begins = self.quality >= _GOOD, self._declared.commands_from
         if self.state >= COMMANDING_WAIT:
             if not is_good:
                 self.error = True
-                self._hold_again(f"quality {fri_iiwa.QUALITIES[self.quality]}")
+                self._end_command(f"quality {fri_iiwa.QUALITIES[self.quality]}")
             return
-        is_called = begins is not None and self._time >= begins and not self.error
+        is_requested = begins is not None and self._time >= begins and not self.error
         if not is_good:
             self.state = MONITORING_WAIT
-        elif self.state == MONITORING_READY and is_called:  # which clients prepare commands in
+        elif self.state == MONITORING_READY and is_requested:
             self.state = COMMANDING_WAIT
         else:
             self.state = MONITORING_READY
 
-    def _end_command(self) -> None:
+    def _set_monitor_state(self) -> None:
         self.state = MONITORING_WAIT
 
-    def _packet(self, sensed: Sensed) -> bytes:
-        declared, is_called = self._declared, self.state >= COMMANDING_WAIT
+    def _encode(self, sensed: Sensed) -> bytes:
+        declared, is_commanding = self._declared, self.state >= COMMANDING_WAIT
         seconds, rest = divmod(round(sensed.time * 1e9), 10**9)
-        monitor = [per_joint(1, sensed.angles), per_joint(2, TORQUE_SIGN * sensed.torques)]
+        monitor = [joints_field(1, sensed.angles), joints_field(2, TORQUE_SIGN * sensed.torques)]
         if declared.version == "iiwa-1":
-            monitor.append(per_joint(3, self._base + self._offset))
+            monitor.append(joints_field(3, self._base + self._offset))
         monitor += [
-            per_joint(4, TORQUE_SIGN * self._torques),
-            per_joint(5, self._observer.external),
-            inner(15, whole(1, seconds), whole(2, rest)),
+            joints_field(4, TORQUE_SIGN * self._torques),
+            joints_field(5, self._observer.external),
+            message_field(15, integer_field(1, seconds), integer_field(2, rest)),
         ]
         ipo = [
-            whole(10, _MODES[declared.command_mode] if is_called else 0),
-            whole(11, _JOINT_OVERLAY if is_called else 0),
-            double(12, float(self.state == COMMANDING_ACTIVE)),
+            integer_field(10, _MODES[declared.command_mode] if is_commanding else 0),
+            integer_field(11, _JOINT_OVERLAY if is_commanding else 0),
+            float_field(12, float(self.state == COMMANDING_ACTIVE)),
         ]
-        if is_called:
-            ipo.insert(0, per_joint(1, self._base))
+        if is_commanding:
+            ipo.insert(0, joints_field(1, self._base))
         message = b"".join(
             (
-                inner(
+                message_field(
                     1,
-                    whole(1, fri_iiwa.MONITORING_ID),
-                    whole(2, self._counter & _COUNTERS),
-                    whole(3, self._reflected),
+                    integer_field(1, fri_iiwa.MONITORING_ID),
+                    integer_field(2, self._counter & _COUNTER_MASK),
+                    integer_field(3, self._reflected),
                 ),
                 self._robot,
-                inner(3, *monitor),
-                inner(
+                message_field(3, *monitor),
+                message_field(
                     4,
-                    whole(1, self.state),
-                    whole(2, self.quality),
-                    whole(3, round(self._cycle * 1e3)),
-                    whole(4, 1),  # each message is answered
+                    integer_field(1, self.state),
+                    integer_field(2, self.quality),
+                    integer_field(3, round(self._cycle * 1e3)),
+                    integer_field(4, 1),  # each message is answered
                 ),
-                inner(5, *ipo),
+                message_field(5, *ipo),
             )
         )
         return fri_iiwa.framed(message) if self._is_framed else message
 
-    # ---- commands
-
-    def _read(self, packet: memoryview) -> int | None:
+    def _decode(self, packet: memoryview) -> int | None:
         try:
             message, is_framed = fri_iiwa.unframed(bytes(packet))
             fields = read_fields(message)
             header = read_fields(read_message(fields, 1))
-            number, sent, reflected = (read_whole(header, k, 0, _COUNTERS) for k in (1, 2, 3))
-            self._asked = read_fields(read_message(fields, 2))
+            number, sent, reflected = (read_integer(header, k, 0, _COUNTER_MASK) for k in (1, 2, 3))
+            self._command_fields = read_fields(read_message(fields, 2))
         except ValueError:
             return None
         if is_framed != self._is_framed:
-            self._tell(
-                f"commands come {'with' if is_framed else 'without'} length and checksum; "
-                f"version = '{'iiwa-2.7' if is_framed else 'iiwa-2'}' has them so"
+            self._warn_once(
+                f"commands arrive {'with' if is_framed else 'without'} length and checksum; "
+                f"set version = '{'iiwa-2.7' if is_framed else 'iiwa-2'}'"
             )
             return None
         if number != fri_iiwa.COMMAND_ID:
@@ -153,13 +151,13 @@ class IiwaFri(FriRobot):
         self._reflected = sent
         return reflected
 
-    def _obey(self) -> None:
+    def _apply_command(self) -> None:
         if self.state < COMMANDING_WAIT:
             return
         mode = self._declared.command_mode
         try:
             angles = self._numbers("joint positions", 1, JOINTS)
-            added = self._numbers(f"a {mode}", *_ADDED[mode]) if mode in _ADDED else None
+            added = self._numbers(mode, *_ADDITIONS[mode]) if mode in _ADDITIONS else None
         except ValueError as error:
             self._fail(str(error))
             return
@@ -175,17 +173,17 @@ class IiwaFri(FriRobot):
         if self.state == COMMANDING_WAIT:
             self.state = COMMANDING_ACTIVE
             self._offset[:] = 0.0
-            log.info("%s: command begins at %.3f s", self._model.name, self._time)
-        elif mode == "torque":  # with our sign, unlike the torques that the robot reports
-            self._extra[:] = added
+            log.info("%s: command state begins at %.3f s", self._model.name, self._time)
+        elif mode == "torque":  # these have our sign, unlike the torques that the robot reports
+            self._extra_torques[:] = added
         elif added is not None:
-            turn = np.kron(np.eye(2), self._model.base()[:3, :3])
-            self._own.wrench[:] = turn @ added[_ABOUT_XYZ]
+            rotate = np.kron(np.eye(2), self._model.base()[:3, :3])
+            self._target.wrench[:] = rotate @ added[_ZYX_TO_XYZ]
 
     def _numbers(self, what: str, field: int, count: int) -> Array:
-        if field not in self._asked:
-            raise ValueError(f"a command has not {what}")
-        numbers = np.array(read_numbers(self._asked, field, count))
+        if field not in self._command_fields:
+            raise ValueError(f"a command has no {what}")
+        numbers = np.array(read_numbers(self._command_fields, field, count))
         if not np.isfinite(numbers).all():
             raise ValueError(f"{what} of a command: not finite")
         return numbers

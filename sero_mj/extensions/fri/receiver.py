@@ -1,9 +1,9 @@
-"""KUKA's Fast Research Interface (FRI): packets of an LWR 4/4+ (1.0), and `FriReceiver`.
+"""`FriReceiver`: measurements of a KUKA LWR 4/4+ (FRI 1.0) or iiwa, and the packets of FRI 1.0.
 
-`iiwa.py` has the messages of an iiwa. The controller of an LWR sends one measurement packet
-each cycle (1 to 100 ms) to a configured address; a client answers each with a command packet.
-Without answers it still sends measurements, with the quality `unacceptable`. Packets are
-little-endian and without gaps; their layouts are those of the interface, the names are ours.
+The controller sends one measurement packet per cycle (1 to 100 ms) to a configured address. A
+client answers each of them with a command packet. Without answers, the controller continues to
+send, with the quality `unacceptable`. Packets are little-endian without padding; the layouts are
+those of the interface, the names are ours.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from . import iiwa as fri_iiwa
 
 PORT = 49938  # FRI's own default
 TORQUE_SIGN: TorqueSign = 1  # of an LWR; not verified on hardware
-CYCLES = (0.001, 0.1)  # s; minimum and maximum of a controller's setting
-ALL_DRIVES = 0x7F  # `power` with all seven on
+CYCLES = (0.001, 0.1)  # s; range of the controller's setting
+ALL_DRIVES = 0x7F  # `power` with all seven drives on
 
 INVALID = 65535  # -1, as state and quality are unsigned
 STATES = {0: "off", 1: "monitor", 2: "command", INVALID: "invalid"}
@@ -51,7 +51,7 @@ MEASUREMENT = " ".join(
         "jacobian:42f mass_matrix:49f gravity_torques:7f",
     )
 )
-# To the controller, 376 bytes. Without a bit in `command_flags` the rest is ignored.
+# To the controller, 376 bytes. Values are ignored unless their bit in `command_flags` is set.
 COMMAND = " ".join(
     (
         _HEADER.format("0x1005"),
@@ -60,7 +60,7 @@ COMMAND = " ".join(
         "joint_stiffness:7f joint_damping:7f cartesian_stiffness:6f cartesian_damping:6f",
     )
 )
-# By size: structure, row-major, and description.
+# Packet size to structure and description.
 KNOWN_PACKETS = {
     916: (MEASUREMENT, "KUKA FRI, measured data (LWR 4)"),
     376: (COMMAND, "KUKA FRI, commands (LWR 4)"),
@@ -70,22 +70,20 @@ _COMMANDED = ("commanded_before_fri", "commanded_offset")
 
 
 class FriLayout(Structure):
-    """The measurement packet, with its values in this package's conventions.
+    """The measurement packet, converted to the conventions of this package.
 
-    - `commanded_angles` is added: FRI reports the command of the robot's program and the offset of
-      its client; the robot follows the sum.
-    - `tcp_moment` is sent as z, y, x and returned as x, y, z; so are the last three rows of the
-      `jacobian` (6 x 7, row by row).
-    - `torques` are multiplied by `torque_sign`.
-    - An invalid frame (zeros, say, before a program has commanded one) is no data, NaN, where that
-      is allowed.
-
-    Attributes:
-        missing: frames that may be no data; in the others, what is no frame is malformed.
+    - `commanded_angles` is added. FRI reports the command of the robot's program and the offset of
+      its client; the robot follows their sum.
+    - `tcp_moment` and the last three rows of the `jacobian` (6 x 7, row by row) are sent in the
+      order z, y, x and returned as x, y, z.
+    - Frames in `optional_frames` are NaN if they are invalid, for example zero because no program
+      has commanded one yet. Other invalid frames make a packet malformed.
     """
 
     def __init__(
-        self, missing: Collection[str] = FRAMES, torque_sign: TorqueSign = TORQUE_SIGN
+        self,
+        optional_frames: Collection[str] = FRAMES,
+        torque_sign: TorqueSign = TORQUE_SIGN,
     ) -> None:
         super().__init__(
             MEASUREMENT,
@@ -93,7 +91,7 @@ class FriLayout(Structure):
             column_major=False,
             signs={"torques": float(torque_sign)},
         )
-        self.missing = FRAMES & set(missing)
+        self.optional_frames = FRAMES & set(optional_frames)
         self.events["commanded_angles"] = self.events[_COMMANDED[0]]
 
     def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
@@ -116,21 +114,20 @@ class FriLayout(Structure):
         )
         return state_word, quality_word
 
-    def is_good(self, state: float, quality: float) -> bool:
-        """Whether a controller's state and quality need no warning."""
+    def is_healthy(self, state: float, quality: float) -> bool:
         state_word, quality_word = self.link_words(state, quality)
         return state_word in ("monitor", "command") and quality_word in ("ok", "perfect")
 
     def describe(self, values: Mapping[str, Array]) -> str:
-        """What a packet says of the robot's controller, in words."""
+        """Returns the state of the robot's controller in words."""
         return "state {}, quality {}".format(*self.link_words(*self.link_state(values)))
 
     @property
     def required_frames(self) -> tuple[str, ...]:
-        return tuple(event for event in self.matrices if event not in self.missing)
+        return tuple(event for event in self.matrices if event not in self.optional_frames)
 
     def find_not_finite(self, rows: Rows, but: Collection[str] = ()) -> NDArray[np.bool_]:
-        if "commanded_angles" not in but:  # then both of its parts must be finite
+        if "commanded_angles" not in but:  # both of its summands must be finite
             but = frozenset(but).difference(_COMMANDED)
         return super().find_not_finite(rows, but)
 
@@ -147,7 +144,7 @@ class FriLayout(Structure):
             with np.errstate(invalid="ignore"):  # infinity - infinity
                 values["commanded_angles"] = before + offset
         _reverse_moments(values)
-        for event in self.missing & values.keys():
+        for event in self.optional_frames & values.keys():
             frames = values[event]
             with np.errstate(invalid="ignore", over="ignore"):
                 good = are_frames(frames.reshape(-1, 4, 4)).reshape(-1, 1, 1, 1)
@@ -167,7 +164,6 @@ class FriLayout(Structure):
 
 
 def _reverse_moments(values: dict[str, Any]) -> None:
-    """Reverses the order of z, y, x to x, y, z, and back."""
     if "tcp_moment" in values:
         values["tcp_moment"] = values["tcp_moment"][..., ::-1]
     if "jacobian" in values:
@@ -182,12 +178,9 @@ _NO_COMMAND = Structure(COMMAND).encode({})[4:]
 
 
 def counter_of(packet: memoryview, length: int) -> int | None:
-    """Returns the `send_counter` of a measurement; None for any other packet.
+    """Returns the `send_counter` of a measurement, or None for any other packet.
 
-    The same check as `FriLayout.find_wrong_constants`, but ten times as fast for one packet.
-
-    Args:
-        packet: its bytes, at least eight.
+    Checks the same as `FriLayout.find_wrong_constants`, ten times as fast for one packet.
     """
     if length != _SIZE:
         return None
@@ -196,10 +189,10 @@ def counter_of(packet: memoryview, length: int) -> int | None:
 
 
 def no_command(counter: int, reflected: int) -> bytes:
-    """Returns a command packet that commands nothing: all zero except its header.
+    """Returns a command packet without a command: all zero except its header.
 
     Args:
-        counter: of the packets sent so far, this one included; its lower 16 bits are sent.
+        counter: number of packets sent so far, including this one; the lower 16 bits are sent.
         reflected: `send_counter` of the last measurement.
     """
     return struct.pack("<HH", counter & 0xFFFF, reflected) + _NO_COMMAND
@@ -208,35 +201,35 @@ def no_command(counter: int, reflected: int) -> bytes:
 _STRUCTURES = {"1": MEASUREMENT, **fri_iiwa.STRUCTURES}
 
 
-# An answering thread waits until the interpreter switches to it: up to 5 ms by default. The cycle
-# of a controller is 1 ms.
+# By default, a thread that answers waits up to 5 ms until the interpreter switches to it. The
+# cycle of a controller can be 1 ms.
 _SWITCH_INTERVAL = 5e-4  # s
-_USUAL_INTERVAL = sys.getswitchinterval()
+_DEFAULT_SWITCH_INTERVAL = sys.getswitchinterval()
 _ANSWERING: set[int] = set()  # ids of the receivers that answer
 
 
 def _set_switch_interval() -> None:
-    sys.setswitchinterval(_SWITCH_INTERVAL if _ANSWERING else _USUAL_INTERVAL)
+    sys.setswitchinterval(_SWITCH_INTERVAL if _ANSWERING else _DEFAULT_SWITCH_INTERVAL)
 
 
 class FriReceiver(UdpReceiver):
-    """Receives the measurements of an LWR or an iiwa, without commanding it.
+    """Receives the measurements of an LWR or an iiwa without commanding it.
 
-    Fields fixed by FRI (`structure`, byte order, counters, time stamps) cannot be set. Events are
-    in SI units; frames are T_base_tcp with the base and tool set in the controller, that is base to
-    flange without a tool. `answer_rate` is 1 when every packet was answered; like `latency`,
-    `jitter` (s) and `miss_rate` it is an average of the controller over 100 packets.
+    `structure`, byte order, counters and time stamps are fixed by FRI and cannot be set. Frames are
+    T_base_tcp with the base and tool that are set in the controller; without a tool, this is base
+    to flange. `answer_rate` is 1 if every packet was answered. Like `latency`, `jitter` (s) and
+    `miss_rate`, it is an average of the controller over 100 packets.
 
     Attributes:
-        version: of FRI: `1` of an LWR 4/4+, `iiwa-1` and `iiwa-2` (1.x and 2.x) of an iiwa or Med,
-            whose port is 30200 unless another is given.
-        answer: whether measurements are answered. Every answer is a command packet without a
-            command: all but its header, including its flags, is 0, or left out. Without answers
-            the controller rates the quality as unacceptable, or poor. With them an interface of an
-            LWR put into command mode by its program stays there, and the robot follows that
-            program; an iiwa that waits for commands, or follows them, gets no answer. Answers have
-            priority: packets are processed up to 4 ms later.
-        torque_sign: factor of measured and commanded torques: 1 or -1 (default: 1 for an LWR, -1
+        version: FRI version: `1` for an LWR 4/4+, `iiwa-1` or `iiwa-2` (1.x and 2.x) for an iiwa or
+            Med. For the latter, the default port is 30200.
+        answer: whether to answer measurements. Every answer is a command packet without a command:
+            except for its header, everything including the flags is 0 or omitted. Without answers,
+            the controller rates the quality as unacceptable or poor. With answers, an LWR that its
+            program has put into command mode stays there and follows that program. An iiwa that
+            waits for commands or follows them gets no answer. Answers have priority: packets are
+            processed up to 4 ms later.
+        torque_sign: factor of measured and commanded torques, 1 or -1 (default: 1 for an LWR, -1
             for an iiwa).
     """
 
@@ -252,14 +245,13 @@ class FriReceiver(UdpReceiver):
     torque_sign: TorqueSign | None = None
 
     _fixed_by: ClassVar[str] = "FRI"
-    # As long as the routes are unknown, frames may be missing.
+    # Until the routes are known, frames may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(FRAMES)
     _answers: int = PrivateAttr(0)
 
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, fields: dict[str, Any]) -> dict[str, Any]:
-        """Completes what follows from the version."""
         fields = dict(fields)
         structure = _STRUCTURES.get(str(fields.get("version", "1")))
         if structure and fields.get("structure", MEASUREMENT) in _STRUCTURES.values():
@@ -270,7 +262,7 @@ class FriReceiver(UdpReceiver):
 
     def model_post_init(self, context: Any, /) -> None:
         """Lets messages of an iiwa leave out what they may, until the routes are known."""
-        self.__pydantic_fields_set__.discard("structure")  # nobody has declared it
+        self.__pydantic_fields_set__.discard("structure")  # it was set by `_complete`
         if self.is_iiwa:
             self._nan_allowed = fri_iiwa.OPTIONAL & self.events.keys()
 
@@ -287,7 +279,7 @@ class FriReceiver(UdpReceiver):
     def decoding_fields(self) -> dict[str, Any]:
         if not self.is_iiwa:
             return super().decoding_fields()
-        kept = {"version", "torque_sign"}  # which determine the structure and the signs
+        kept = {"version", "torque_sign"}  # these determine the structure and the signs
         return self.model_dump(mode="json", include=kept, exclude_defaults=True)
 
     @property
@@ -300,7 +292,7 @@ class FriReceiver(UdpReceiver):
 
     @property
     def about(self) -> str:
-        does = "answers, commands nothing" if self.answer else "listens only"
+        does = "answers without commands" if self.answer else "listens only"
         name = f"FRI {self.version[-1]}.x of an iiwa" if self.is_iiwa else "FRI 1.0"
         return f"KUKA {name} on {super().about}, {does}"
 
@@ -308,28 +300,23 @@ class FriReceiver(UdpReceiver):
         return self.layout.describe(values)
 
     def link_faults(self, state: float, quality: float) -> list[str]:
-        if self.layout.is_good(state, quality):
+        if self.layout.is_healthy(state, quality):
             return []
         state_word, quality_word = self.layout.link_words(state, quality)
         lines = [f"quality {quality_word}, state {state_word}"]
         if quality_word in ("unacceptable", "poor") and not self.answer:
-            lines.append("  no answers are sent to it: answer = false")
+            lines.append("  no answers are sent: answer = false")
         return lines
 
     @property
     def answers(self) -> int:
-        """Number of packets answered since it was opened."""
+        """Number of packets answered since the source was opened."""
         return self._answers
 
     def allow_nan(self, events: Collection[str]) -> None:
-        """Treats NaN and invalid frames as `no data` in these events, and in no others.
-
-        Raises:
-            UnknownName: an event that FRI does not have.
-        """
         super().allow_nan(events)
         if isinstance(self.layout, FriLayout):
-            self.layout.missing = FRAMES & self._nan_allowed
+            self.layout.optional_frames = FRAMES & self._nan_allowed
 
     def open(self) -> None:
         super().open()
@@ -350,31 +337,24 @@ class FriReceiver(UdpReceiver):
     def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
         if not self.answer:
             return None
-        reply = self._reply_of_lwr if not self.is_iiwa else self._reply_of_iiwa(fri_iiwa.Monitor())
+        monitoring = fri_iiwa.MonitoringClient()
 
         def answer(packet: memoryview, length: int, sender: bytes) -> None:
             if not self._is_known(sender):
                 return
-            packed = reply(packet, length)
-            if packed is None:
+            if self.is_iiwa:
+                reply = monitoring.answer(bytes(packet[:length]), self._answers)
+            elif (counter := counter_of(packet, length)) is not None:
+                reply = no_command(self._answers + 1, counter)
+            else:
+                return
+            if reply is None:
                 return
             try:
-                send(packed, sender)
+                send(reply, sender)
             except OSError as error:
-                self._warn(f"no answer could be sent: {error.strerror}")
+                self._warn(f"an answer could not be sent: {error.strerror}")
                 return
             self._answers += 1
 
         return answer
-
-    def _reply_of_lwr(self, packet: memoryview, length: int) -> bytes | None:
-        reflected = counter_of(packet, length)
-        return None if reflected is None else no_command(self._answers + 1, reflected)
-
-    def _reply_of_iiwa(
-        self, monitor: fri_iiwa.Monitor
-    ) -> Callable[[memoryview, int], bytes | None]:
-        def reply(packet: memoryview, length: int) -> bytes | None:
-            return monitor.answer(bytes(packet[:length]), self._answers)
-
-        return reply

@@ -1,7 +1,4 @@
-"""`FriRobot`: a simulated robot's side of FRI: the session with a client, and the control below it.
-
-The thresholds of the link's quality, which KUKA has not published, are ours (`AnswerStatistics`).
-"""
+"""`FriRobot`: a simulated robot on FRI: its session with a client, and its control."""
 
 from __future__ import annotations
 
@@ -24,26 +21,25 @@ from .controller import AnswerStatistics
 log = logging.getLogger(__name__)
 
 JOINTS = 7
-SOFTEST, STIFFEST = 0.01, 2000.0  # Nm/rad, of joints; N/m and Nm/rad at the flange
-RATIOS = 0.1, 1.0
-COUNTERS = 0xFFFF  # packets are told apart by as many
-_DESIGNED_EVERY = 0.1  # s between two designs of the damping matrix
+MIN_STIFFNESS, MAX_STIFFNESS = 0.01, 2000.0  # Nm/rad of joints
+COUNTER_MASK = 0xFFFF  # packets are distinguished by the lower 16 bits of their counter
+_DAMPING_INTERVAL = 0.1  # s between two computations of the damping matrix
 
 
 class FriSession(Reachable):
-    """Base of the declaration of a client of FRI: what its session is like.
+    """Fields of `FriClient` that the simulated robot uses.
 
     Attributes:
-        version: `1` of an LWR 4/4+; `iiwa-1`, `iiwa-2` and `iiwa-2.7` (1.x, 2.0 to 2.6 and from
-            2.7) of an iiwa or Med, whose clients listen at port 30200 unless another is given.
-        control: of the robot: `position`, `joint_impedance` or `cartesian_impedance`.
-        command_mode: of clients of an iiwa: `position`, or positions with `torque` under
-            `joint_impedance`, with `wrench` under `cartesian_impedance`.
-        cycle: s between packets, 0.001 to 0.1; 0 for that of the simulation.
-        commands_from: s, when the robot's program calls for the command state, which begins as
-            soon as the link is good enough; None for never.
-        stiffness: Nm/rad per joint; clients of an LWR may command another one.
-        damping: ratio per joint, likewise.
+        version: FRI version: `1` for an LWR 4/4+; `iiwa-1`, `iiwa-2` or `iiwa-2.7` (1.x, 2.0 to
+            2.6, 2.7 and later) for an iiwa or Med. For the latter, the default port is 30200.
+        control: control mode of the robot.
+        command_mode: what clients of an iiwa command: `position`, or positions together with
+            `torque` (under `joint_impedance`) or `wrench` (under `cartesian_impedance`).
+        cycle: time between packets, 0.001 to 0.1 s; 0 for the time step of the simulation.
+        commands_from: time in s from which the robot's program requests the command state, which
+            begins as soon as the connection quality is sufficient; None for never.
+        stiffness: joint stiffness, Nm/rad; clients of an LWR can change it.
+        damping: damping ratio per joint; clients of an LWR can change it.
     """
 
     version: Literal["1", "iiwa-1", "iiwa-2", "iiwa-2.7"] = "1"
@@ -51,48 +47,51 @@ class FriSession(Reachable):
     command_mode: Literal["position", "torque", "wrench"] = "position"
     cycle: float = Field(0.0, ge=0.0, le=0.1)
     commands_from: float | None = Field(0.2, ge=0.0)
-    stiffness: Annotated[PerJoint, within(SOFTEST, STIFFEST, "Nm/rad")] = np.array([1000.0])
+    stiffness: Annotated[PerJoint, within(MIN_STIFFNESS, MAX_STIFFNESS, "Nm/rad")] = np.array(
+        [1000.0]
+    )
     damping: Ratio = np.array([0.7])
 
 
 class FriRobot(Controller, ABC):
-    """Sends a packet in each cycle, takes the command that answers it, and acts on it.
-
-    Args:
-        timestep: s between two steps.
-        largest: bytes of a command.
+    """Sends a packet in each cycle of `steps` time steps, and applies the command that answers it.
 
     Attributes:
-        logged: (3,), state and quality as FRI numbers them, and how late this step began, s.
-        quality: of the link, 0 to 3.
+        logged: state and quality as FRI numbers them, and the delay of this step in s.
+        quality: connection quality, 0 to 3. The thresholds are ours, see `AnswerStatistics`.
+        wrong: number of received packets that are not commands.
     """
 
     def __init__(
-        self, declared: FriSession, model: RobotModel, timestep: float, steps: int, largest: int
+        self,
+        declared: FriSession,
+        model: RobotModel,
+        timestep: float,
+        steps: int,
+        max_command_bytes: int,
     ) -> None:
         self._declared, self._model, self._timestep = declared, model, timestep
         self._steps, self._step, self._counter = steps, 0, 0
         self._cycle, self._time = steps * timestep, 0.0
-        self._link = Link(declared, model.name, largest)
+        self._link = Link(declared, model.name, max_command_bytes)
         self._statistics = AnswerStatistics()
         self.logged: Array = np.zeros(3)
         self.state = self.quality = self.wrong = 0
         self.error = False
         self._is_new = Once()
-        self._base: Array = np.zeros(JOINTS)  # commanded by the robot's program
-        self._offset: Array = np.zeros(JOINTS)  # by the client
-        self._extra: Array = np.zeros(JOINTS)
+        self._base: Array = np.zeros(JOINTS)  # angles commanded by the robot's program
+        self._offset: Array = np.zeros(JOINTS)  # added by the client
+        self._extra_torques: Array = np.zeros(JOINTS)
         self._stiffness = declared.per_joint("stiffness", JOINTS)
         self._damping = declared.per_joint("damping", JOINTS)
-        self._damper: Array = np.zeros((JOINTS, JOINTS))
-        self._designed, self._design_due = (b"", b""), 0  # for which gains, and until which step
-        self._own = Target(JOINTS)
+        self._damping_matrix: Array = np.zeros((JOINTS, JOINTS))
+        self._designed_gains, self._design_due = (b"", b""), 0  # due at this step
+        self._target = Target(JOINTS)
         self._cartesian = CartesianImpedance()
-        self._holder: Any = None  # the control of positions, or of the flange
+        self._inner: Any = None  # joint position or Cartesian impedance controller
         self._base_frame: Array = np.eye(4)
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,); raises SimulationError."""
         self._step += 1
         self._model.update(sensed.motor_angles, sensed.motor_velocities)
         if self._step == 1:
@@ -100,41 +99,38 @@ class FriRobot(Controller, ABC):
         if (self._step - 1) % self._steps == 0:
             self._exchange(sensed)
         self.logged[:2] = self.state, self.quality
-        self._act(sensed, out)
+        self._control(sensed, out)
 
     def close(self) -> None:
         self._link.close()
         if self.wrong:
-            log.warning("%s: %d packets were no commands", self._link.name, self.wrong)
+            log.warning("%s: %d packets are not commands", self._link.name, self.wrong)
         self.wrong = 0
 
     @property
     def commanded_angles(self) -> Array | None:
-        """What the robot's springs draw to, (n,), rad; None under Cartesian control."""
         is_cartesian = self._declared.control == "cartesian_impedance"
         return None if is_cartesian else self._base + self._offset
 
-    # ---- what the versions of FRI do differently
+    # ---- what differs between the versions of FRI
 
     @abstractmethod
-    def _follow_quality(self) -> None:
-        """Changes the state where the quality of the link, or the robot's program, asks for it."""
+    def _update_state(self) -> None: ...
 
     @abstractmethod
-    def _packet(self, sensed: Sensed) -> bytes | bytearray:
-        """The packet of this cycle, with `_counter`."""
+    def _encode(self, sensed: Sensed) -> bytes | bytearray: ...
 
+    # Returns the counter of the packet that a command answers, or None if it is not a command.
     @abstractmethod
-    def _read(self, packet: memoryview) -> int | None:
-        """The counter of the packet that a command answers; None where it is no command."""
+    def _decode(self, packet: memoryview) -> int | None: ...
 
+    # Applies the command that was decoded last.
     @abstractmethod
-    def _obey(self) -> None:
-        """Does what the command that was read last asks for."""
+    def _apply_command(self) -> None: ...
 
+    # Sets the state that follows the command state.
     @abstractmethod
-    def _end_command(self) -> None:
-        """Sets the state that follows the command state."""
+    def _set_monitor_state(self) -> None: ...
 
     # ---- the session
 
@@ -142,15 +138,15 @@ class FriRobot(Controller, ABC):
         self._base[:] = sensed.angles
         self._base_frame = self._model.flange()
         self._link.open(sensed.time)
-        self._make_holder()
+        self._make_inner()
 
     def _exchange(self, sensed: Sensed) -> None:
         link, time, declared = self._link, sensed.time, self._declared
         self._time = time
         self.quality = self._statistics.quality
-        self._follow_quality()
-        packet = self._packet(sensed)
-        counter = self._counter & COUNTERS
+        self._update_state()
+        packet = self._encode(sensed)
+        counter = self._counter & COUNTER_MASK
         self._counter += 1
         if declared.clock == "real_time":
             self.logged[2] = link.wait_until(time)
@@ -172,45 +168,45 @@ class FriRobot(Controller, ABC):
                     raise link.error(time, what + link.why_silent)
                 if link.answered:
                     link.is_silent = True
-                    self._tell(f"no answer of {link.name} at {time:.3f} s")
+                    self._warn_once(f"no answer from {link.name} at {time:.3f} s")
         link.check(time)
 
     def _take(self, size: int) -> bool:
-        reflected = self._read(memoryview(self._link.buffer)[:size])
+        reflected = self._decode(memoryview(self._link.buffer)[:size])
         if reflected is None:
             self.wrong += 1
             return False
-        self._statistics.answer(reflected & COUNTERS, self._time)
-        is_last = reflected & COUNTERS == (self._counter - 1) & COUNTERS
-        if is_last:
+        self._statistics.answer(reflected & COUNTER_MASK, self._time)
+        is_newest = reflected & COUNTER_MASK == (self._counter - 1) & COUNTER_MASK
+        if is_newest:
             self._link.answered = self._counter
-        self._obey()
-        return is_last
+        self._apply_command()
+        return is_newest
 
-    def _hold_again(self, why: str) -> None:
-        log.warning("%s: command ends at %.3f s: %s", self._model.name, self._time, why)
+    def _end_command(self, why: str) -> None:
+        log.warning("%s: command state ends at %.3f s: %s", self._model.name, self._time, why)
         self._base += self._offset
-        self._offset[:] = self._extra[:] = 0.0
-        self._own.wrench[:] = 0.0
-        self._end_command()
+        self._offset[:] = self._extra_torques[:] = 0.0
+        self._target.wrench[:] = 0.0
+        self._set_monitor_state()
 
     def _fail(self, why: str) -> None:
         self.error = True
-        self._hold_again(why)
+        self._end_command(why)
 
-    def _tell(self, text: str) -> None:
+    def _warn_once(self, text: str) -> None:
         if self._is_new(text):
             log.warning("%s: %s", self._model.name, text)
 
-    def _command_angles(self, angles: Array, most: Array) -> bool:
+    def _command_angles(self, angles: Array, max_speeds: Array) -> bool:
         offset = angles - self._base
         speeds = np.abs(offset - self._offset) / self._cycle
-        if (speeds > most).any():
-            joint = int(np.argmax(speeds / most))
+        if (speeds > max_speeds).any():
+            joint = int(np.argmax(speeds / max_speeds))
             name = self._model.joint_names[joint]
             self._fail(
                 f"interpolation error: {name} is commanded at {speeds[joint]:.3g} rad/s; "
-                f"expected up to {most[joint]:.3g}"
+                f"expected up to {max_speeds[joint]:.3g}"
             )
             return False
         self._offset[:] = offset
@@ -218,32 +214,35 @@ class FriRobot(Controller, ABC):
 
     # ---- control
 
-    def _make_holder(self) -> None:
+    def _make_inner(self) -> None:
         control = self._declared.control
         if control == "position":
-            self._holder = JointPosition().make(self._model, self._timestep)
+            self._inner = JointPosition().make(self._model, self._timestep)
         elif control == "cartesian_impedance":
-            if self._holder is None:
-                self._own.pose[:] = self._base_frame
-            self._holder = self._cartesian.make(self._model, self._timestep)
+            if self._inner is None:
+                self._target.pose[:] = self._base_frame
+            self._inner = self._cartesian.make(self._model, self._timestep)
 
-    def _act(self, sensed: Sensed, out: Array) -> None:
-        wanted = self._base + self._offset
+    def _control(self, sensed: Sensed, out: Array) -> None:
+        desired = self._base + self._offset
         if self._declared.control != "joint_impedance":
-            self._own.angles[:] = self._own.posture[:] = wanted
-            self._own.torques[:] = 0.0
-            self._holder.torques(sensed, self._own, out)
+            self._target.angles[:] = self._target.posture[:] = desired
+            self._target.torques[:] = 0.0
+            self._inner.torques(sensed, self._target, out)
             return
         model, gains = self._model, (self._stiffness.tobytes(), self._damping.tobytes())
-        if gains != self._designed or self._step >= self._design_due:
-            self._damper[:] = design_damping(model.mass(), np.diag(self._stiffness), self._damping)
-            self._designed = gains
-            self._design_due = self._step + round(_DESIGNED_EVERY / self._timestep)
-        np.subtract(wanted, sensed.motor_angles, out)
-        out *= self._stiffness
-        out -= self._damper @ sensed.motor_velocities
-        out += model.gravity()
-        out += self._extra
+        if gains != self._designed_gains or self._step >= self._design_due:
+            self._damping_matrix[:] = design_damping(
+                model.mass(), np.diag(self._stiffness), self._damping
+            )
+            self._designed_gains = gains
+            self._design_due = self._step + round(_DAMPING_INTERVAL / self._timestep)
+        out[:] = (
+            self._stiffness * (desired - sensed.motor_angles)
+            - self._damping_matrix @ sensed.motor_velocities
+            + model.gravity()
+            + self._extra_torques
+        )
 
     def __getstate__(self) -> Any:
-        raise TypeError("a controller that talks to a program is of this process")
+        raise TypeError("a controller that communicates with a program cannot be pickled")

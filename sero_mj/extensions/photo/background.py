@@ -1,4 +1,4 @@
-"""`Photos`: what `--over` of `render` and `view` does: photos, videos and cameras."""
+"""`Photos`: the option `--over` of `render` and `view`, for photos, videos and cameras."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class Photos(Background):
         assert options.camera_file is not None
         if is_photo(over):
             if options.is_video:
-                expected = "a photo gives a picture, .png say; found a film"
+                expected = "expected an image such as .png, because --over is a photo"
                 raise UsageError(f"-o {options.output}: {expected}")
             options.refuse(
-                ("offset",), " is for videos; --start says when of a recording a photo is"
+                ("offset",), " is for videos; use --start for the time of a photo in a recording"
             )
             scene, offset = options.read(options.scene), 0.0
         else:
-            options.refuse(("start",), " does not go with a video; --offset says when it begins")
+            options.refuse(("start",), " is for photos; use --offset for the start of a video")
             scene = options.from_its_begin().read(options.scene)
             if options.offset is not None and not scene.sources:
                 raise UsageError(
@@ -55,12 +55,12 @@ class Photos(Background):
                 scene, options.output, options, over=over, camera_file=options.camera_file,
                 at=options.at, offset=offset,
             )  # fmt: skip
-        make_film = partial(
+        make_video = partial(
             render_video_over, over=over, camera_file=options.camera_file, offset=offset,
-            duration=options.duration if options.given("duration") else None,
+            duration=options.duration if options.set_among("duration") else None,
         )  # fmt: skip
         return video_with_progress(
-            scene, options.output, options, quiet=options.quiet, make=make_film
+            scene, options.output, options, quiet=options.quiet, make=make_video
         )
 
     @contextlib.contextmanager
@@ -72,7 +72,7 @@ class Photos(Background):
 
 
 def open_feed(mirror: Mirror, options: OverOptions) -> CameraFeed | VideoFeed:
-    """The camera, or the video, that the scene is drawn over."""
+    """Returns the camera or video that the scene is drawn over."""
     assert options.over is not None and options.camera_file is not None
     sources, scene = mirror.sources.values(), mirror.world.scene
     file = Path(options.over)
@@ -91,10 +91,9 @@ def offset_of_video(
     offset: float | Literal["auto"] | None = None,
     quiet: bool = False,
 ) -> float:
-    """Returns when a video begins in a recording or scenario, s: as given, else estimated.
+    """Returns the time of a recording or scenario at which a video starts, s.
 
-    Args:
-        offset: as given; found by the motion in both when it is not.
+    This is `offset` if it is a number, else an estimate based on the motion in both.
     """
     if isinstance(offset, float) or not scene.sources:
         return float(offset or 0.0)
@@ -103,7 +102,7 @@ def offset_of_video(
     with contextlib.ExitStack() as stack:
         if not quiet:
             console = make_console(stderr=True)
-            stack.enter_context(console.status("comparing the motion in video and recording"))
+            stack.enter_context(console.status("comparing the motion of video and recording"))
         found = find_offset(scene, video, camera)
     if not quiet:
         print(found, flush=True)

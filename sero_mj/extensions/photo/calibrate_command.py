@@ -1,4 +1,4 @@
-"""`sero-mj calibrate`: estimates a camera's pose from points of the robot in a photo."""
+"""`sero-mj calibrate`: computes a camera's pose from points of the robot in a photo."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .calibration import Calibration, ClickedPoint
     from .photo_camera import PhotoCamera
 
-_CAREFUL = 6.0  # pixels that clicks are off at most
+_MAX_CLICK_ERROR = 6.0  # pixels
 _HELP = """\
 examples:
   sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 -o cell.toml
@@ -35,36 +35,36 @@ examples:
       --points points.csv --camera-file intrinsics.yaml -o cell.toml
   sero-mj calibrate photo.png --robot lwr_udp --replay run.mcap --start 2 -o cell.toml
 
-Without --points a window shows the photo beside a list of points and a sketch of the robot: click
-where the photo shows the one that is marked; from the fourth on it says how far off each is, and
-Enter writes the camera, and the points beside it.
+Without --points, a window shows the photo beside a list of points and a sketch of the robot. Click
+the marked point in the photo. From the fourth point on, the window shows the error of each point.
+Enter writes the camera file and the points.
 
-points.csv says which pixel (counted from 0 at the upper left) shows which point of the robot, a
-frame or a joint (the middle of its axis), perhaps with an offset in m along the frame's axes:
+points.csv contains points of the robot and their pixels, counted from 0 at the upper left. A point
+is a frame or a joint (the middle of its axis), with an optional offset in m along the frame's axes:
 
   point,x,y,dx,dy,dz
   lwr/flange,612,301,0,0,0
   lwr/A3,410,255,0.06,0,0
 
-With intrinsics (--camera-file, OpenCV's or ROS's) 4 points do, 8 are better; without them the focal
-length is found from 6 or more, for a lens without distortion.
+With intrinsics (--camera-file, from OpenCV or ROS), 4 points are enough and 8 are better. Without
+intrinsics, the focal length is computed from 6 or more points, for a lens without distortion.
 """
 GROUP, ORDER = "see", 16
 
 
 class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
-    """Estimate a camera's pose from points of the robot in a photo.
+    """Compute a camera's pose from points of the robot in a photo.
 
     Attributes:
-        photo: what the camera has taken.
+        photo: photo taken by the camera.
         robot: robot or scene: a file, or a shipped name.
-        joint_angles: of the robot in the photo, with commas, rad or m.
+        joint_angles: joint angles of the robot in the photo, separated by commas, rad or m.
         replay: take the pose from a recording.
-        start: when in the recording, s (default: first).
-        points: which pixel shows which point; .csv or .toml.
-        camera_file: the camera's intrinsics; YAML or TOML.
+        start: time of the photo in the recording, s (default: the first packet).
+        points: table of points and their pixels; .csv or .toml.
+        camera_file: intrinsics of the camera; YAML or TOML.
         output: camera file to write; .yaml or .toml.
-        names: print the points' names, and end.
+        names: print the names of points, and exit.
     """
 
     photo: Annotated[Path, positional("PHOTO")]
@@ -77,16 +77,16 @@ class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
 
 
 def run(options: CalibrateOptions) -> int:
-    """Estimates the pose and writes it; returns 0."""
+    """Computes the pose and writes it; returns 0."""
     from ...viewer.image.backend import has_display
 
     if options.points is None and not options.names:
         if not has_display():
             raise UsageError(
-                "no display for a window in which points are clicked; --points POINTS.csv says "
-                "which pixel shows which point of the robot"
+                "there is no display for a window to click points; use --points POINTS.csv with "
+                "the pixels of points of the robot"
             )
-        os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo takes its OpenGL from the window here
+        os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo uses the OpenGL context of the window
     from .calibration import calibrate, point_names, point_of, read_points, write_points
     from .camera_file import ENDINGS, write_camera
     from .footage import read_photo
@@ -114,8 +114,8 @@ def run(options: CalibrateOptions) -> int:
     )
     if options.output is not None:
         note = (
-            f"Found by sero-mj calibrate from {int(found.used.sum())} points of "
-            f"{options.photo.name}, which are {found.rms:.2f} pixels off (root mean square)."
+            f"Computed by sero-mj calibrate from {int(found.used.sum())} points in "
+            f"{options.photo.name}, root mean square error {found.rms:.2f} pixels."
         )
         write_camera(options.output, found.camera, note)
         if options.points is None:
@@ -133,7 +133,7 @@ def _scene_of_photo(options: CalibrateOptions) -> Scene:
         if len(scene.robots) != 1:
             names = ", ".join(scene.robots)
             raise UsageError(
-                f"--joint-angles is for one robot; '{options.robot}' has {names}: use "
+                f"--joint-angles is for a single robot, but '{options.robot}' has {names}: use "
                 "--set ROBOT.joint_angles=..."
             )
         (name,) = scene.robots
@@ -188,7 +188,7 @@ def _click(
     with until_ended(), PointWindow(world, data, points, board, title) as window:
         is_done = window.run()
     if not is_done:
-        raise UsageError("nothing is written: the window was closed without Enter")
+        raise UsageError("no file was written: the window was closed without Enter")
     return [
         ClickedPoint(names[k], pixel, np.zeros(3)) for k, pixel in sorted(board.clicked.items())
     ]
@@ -203,17 +203,17 @@ def _report(options: CalibrateOptions, clicked: list[ClickedPoint], found: Calib
 
     table = Table(box=None)
     table.add_column("point")
-    for title in ("x", "y", "off"):
+    for title in ("x", "y", "error"):
         table.add_column(title, justify="right")
     table.add_column("")
     for point, distance, is_used in zip(clicked, off, found.used, strict=True):
         at = [f"{value:.1f}" for value in point.pixel]
-        note = "" if is_used else "left out: another point, or a wrong name?"
+        note = "" if is_used else "ignored: wrong point or name?"
         table.add_row(point.name, *at, f"{distance:.2f} pixels", note)
     print_table(table)
-    print(f"{found.rms:.2f} pixels root mean square, of {int(found.used.sum())} points")
-    if found.rms > _CAREFUL:
-        print("that is more than clicks are off: another pose, mixed up names, or another lens?")
+    print(f"root mean square error of {int(found.used.sum())} points: {found.rms:.2f} pixels")
+    if found.rms > _MAX_CLICK_ERROR:
+        print("this exceeds the error of clicks: wrong pose, swapped names, or wrong lens?")
     errors = ", ".join(f"{value:.1f}" for value in 1e3 * found.position_error)
     place = ", ".join(f"{value:.4f}" for value in T[:3, 3])
     print(f"camera at {place} m, standard errors {errors} mm")

@@ -1,7 +1,7 @@
 """Computes a camera's pose from points of the robot with known pixels (PnP, by OpenCV).
 
-A point is a frame of the scene, `lwr/flange`, or a joint, `lwr/A3`, whose point is the middle of
-its axis, with an offset along the frame's axes.
+A point is a frame of the scene (`lwr/flange`) or a joint (`lwr/A3`, the middle of its axis), with
+an offset along the frame's axes.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from ...base.toml_file import key_lines, located, read_toml
 from ...robots.assemble.world_view import WorldView
 from .photo_camera import PhotoCamera, opencv
 
-_LEAST, _MIN_WITH_FOCAL = 4, 6
-_FLATNESS = 1e-3  # of their extent; maximum distance of coplanar or collinear points
-_AMBIGUOUS = 1.5  # times the least error; cameras with smaller errors fit as well
-_CLICK_ERROR = 3.0  # maximum error of a careful click
+_MIN_POINTS, _MIN_WITH_FOCAL = 4, 6
+_FLATNESS = 1e-3  # maximum distance of coplanar or collinear points, fraction of their extent
+_AMBIGUOUS = 1.5  # factor of the smallest error up to which other cameras also fit
+_CLICK_ERROR = 3.0  # maximum error of a careful click, pixels
 _MAX_SUBSETS = 1000
-_MAX_MEAN_ERROR = 0.05  # of the picture's width; mean error above which nothing fits
+_MAX_MEAN_ERROR = 0.05  # maximum mean error of a valid camera, fraction of the image width
 _NO_CAMERA = Problem(
     "",
-    "no camera sees the points so",
-    expected="the pose that the photo shows, and names that are not mixed up",
+    "no camera fits the points",
+    expected="the robot's pose in the photo, and the correct names of points",
 )
-_FOCAL = (0.3, 6.0)  # of the picture's larger side
+_FOCAL = (0.3, 6.0)  # range, fractions of the larger side of the image
 _SAME_POINT = 2e-3  # m
 _LINK = re.compile(r"link\d+")
 _COLUMNS = ("point", "x", "y")
@@ -49,8 +49,9 @@ class ClickedPoint:
     """A point of the robot in a photo.
 
     Attributes:
-        pixel: (2,), to the right and down from the centre of the upper left pixel.
-        offset: along the axes of the frame, (3,), m.
+        pixel: (2,), to the right and down from the center of the upper left pixel.
+        offset: offset along the axes of the frame, (3,), m.
+        place: file and line that declare it.
     """
 
     name: str
@@ -66,8 +67,8 @@ class Calibration:
     Attributes:
         errors: reprojection error of each point, (k, 2), pixels.
         used: whether each point was used, (k,); the others are outliers.
-        position_error: standard error of its position, (3,), m.
-        focal_error: standard error of the focal length, pixels; 0 if that was given.
+        position_error: standard error of the camera's position, (3,), m.
+        focal_error: standard error of the focal length, pixels; 0 if it was known.
     """
 
     camera: PhotoCamera
@@ -78,12 +79,12 @@ class Calibration:
 
     @property
     def rms(self) -> float:
-        """Root mean square of the distances of the used points, pixels."""
+        """Root mean square error of the used points, pixels."""
         return _rms(self.errors[self.used])
 
 
 def point_names(world: WorldView) -> list[str]:
-    """Valid names of points, frames first."""
+    """Returns the valid names of points, frames first."""
     return [*world.frames.names, *_joints(world)]
 
 
@@ -97,9 +98,9 @@ def _joints(world: WorldView) -> dict[str, int]:
 
 
 def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
-    """Names of points to click, robot by robot from its base to its flange.
+    """Returns names of points to click, for each robot from its base to its flange.
 
-    Frames of links that coincide with a joint are left out.
+    Frames of links that coincide with a joint are omitted.
     """
     ends = [name for name in world.frames.names if not _LINK.fullmatch(name.partition("/")[2])]
     found: dict[str, Array] = {}
@@ -120,7 +121,7 @@ def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
 
 
 def write_points(path: Path, points: Sequence[ClickedPoint]) -> None:
-    """Writes points as a table that `read_points` reads.
+    """Writes points to a table for `read_points`.
 
     Raises:
         UsageError: the file cannot be written.
@@ -137,7 +138,7 @@ def write_points(path: Path, points: Sequence[ClickedPoint]) -> None:
 
 
 def full_name(world: WorldView, name: str) -> str:
-    """The full name of a point; the robot may be omitted if unambiguous.
+    """Returns the full name of a point; the robot may be omitted if unambiguous.
 
     Raises:
         ValueError: there is no such point, or several robots have one.
@@ -155,11 +156,7 @@ def full_name(world: WorldView, name: str) -> str:
 
 
 def point_of(world: WorldView, data: mujoco.MjData, name: str, offset: Array) -> Array:
-    """Returns a point (3,) in the world, m.
-
-    Args:
-        offset: along the frame's axes, (3,), m.
-    """
+    """Returns a point (3,) in the world, m, at an offset (3,), m, along the frame's axes."""
     joints = _joints(world)
     if name not in joints:
         T = world.frame(data, name)
@@ -172,11 +169,11 @@ def point_of(world: WorldView, data: mujoco.MjData, name: str, offset: Array) ->
 def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[ClickedPoint]:
     """Reads points from a table or from TOML.
 
-    A .csv has columns `point,x,y` and, if wanted, `dx,dy,dz`; TOML has tables `[[points]]` with
+    A .csv file has columns `point,x,y` and optionally `dx,dy,dz`. TOML has tables `[[points]]` with
     `point`, `pixel = [x, y]` and `offset = [dx, dy, dz]`.
 
     Raises:
-        DeclarationError: with all errors.
+        DeclarationError: all errors of the file.
     """
     problems: list[Problem] = []
     if path.suffix.lower() == ".toml":
@@ -242,7 +239,7 @@ def _csv_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
         message = f"cannot be read: {reason_of(error)}"
         raise Problem("", message, str(path)).error() from error
     if not set(_COLUMNS) <= set(header) <= {*_COLUMNS, *_OFFSETS}:
-        message = f"found columns {', '.join(header)}; expected point,x,y and perhaps dx,dy,dz"
+        message = f"found columns {', '.join(header)}; expected point,x,y and optionally dx,dy,dz"
         raise Problem("", message, str(path), 1).error()
     rows = []
     for line, row in lines:
@@ -266,42 +263,42 @@ def calibrate(
     """Computes the pose of a camera.
 
     Args:
-        camera: with its known lens parameters; its pose is not used.
-        find_focal: whether to estimate its focal length as well, equal for x and y.
+        camera: camera with its known lens parameters; its pose is ignored.
+        find_focal: whether to compute its focal length, too, equal for x and y.
 
     Raises:
         UsageError: there are too few points, they are collinear, or coplanar with two possible
             cameras, or no camera fits.
     """
-    least = _MIN_WITH_FOCAL if find_focal else _LEAST
-    if len(points) < least:
-        what = "where the camera is and its focal length" if find_focal else "where the camera is"
-        more = "; --camera-file with its intrinsics needs 4" if find_focal else ""
-        raise UsageError(f"found {len(points)} points; {what} needs {least} or more{more}")
+    required = _MIN_WITH_FOCAL if find_focal else _MIN_POINTS
+    if len(points) < required:
+        what = "pose and focal length of the camera need" if find_focal else "the camera pose needs"
+        more = ", or --camera-file with intrinsics and 4 points" if find_focal else ""
+        raise UsageError(f"found {len(points)} points; {what} {required} or more{more}")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] < _FLATNESS * spread[0]:
         raise UsageError(
-            "the points lie on a line, about which the camera could turn; expected points beside it"
+            "the points are on one line, about which the camera could rotate; add points beside it"
         )
     is_flat = bool(spread[2] < _FLATNESS * spread[0])
     if is_flat and find_focal:
         raise UsageError(
-            "the points lie in a plane, which does not say how far away it is without the focal "
-            "length; expected a point outside of it, or --camera-file with the camera's intrinsics"
+            "the points are in one plane, whose distance is unknown without the focal length; add "
+            "a point outside of the plane, or use --camera-file with the camera's intrinsics"
         )
     used = np.ones(len(points), bool)
     solver = _Solver(camera, find_focal=find_focal)
-    if len(points) > least + 1:
-        used = solver.without_outliers(points, pixels, least)
+    if len(points) > required + 1:
+        used = solver.without_outliers(points, pixels, required)
     found = solver.solve(points[used], pixels[used])
     if is_flat:
         _check_ambiguity(found, points[used], pixels[used])
     if not _rms(found.project(points[used])[0] - pixels[used]) < _MAX_MEAN_ERROR * found.width:
         raise UsageError(_NO_CAMERA)
     projected, depth = found.project(points)
-    for name, ahead in zip(names, depth, strict=True):
-        if ahead <= 0:
-            expected = "points that the photo shows, with their names not mixed up"
+    for name, distance in zip(names, depth, strict=True):
+        if distance <= 0:
+            expected = "points in the photo, with their correct names"
             raise UsageError(Problem("", f"{name} would be behind the camera", expected=expected))
     errors = projected - pixels
     position_error, focal_error = solver.standard_errors(found, points[used], errors[used])
@@ -325,8 +322,8 @@ def _check_ambiguity(found: PhotoCamera, points: Array, pixels: Array) -> None:
     best = max(_rms(found.project(points)[0] - pixels), 0.5)
     if len(fits) > 1 and fits[1] < _AMBIGUOUS * best:
         raise UsageError(
-            f"the points lie in a plane, and two cameras see them so, {fits[0]:.1f} and "
-            f"{fits[1]:.1f} pixels off; expected a point outside of the plane, the flange say"
+            f"the points are in one plane, and two cameras fit with errors of {fits[0]:.1f} and "
+            f"{fits[1]:.1f} pixels; add a point outside of the plane, for example the flange"
         )
 
 
@@ -369,7 +366,7 @@ class _Solver:
     @staticmethod
     def _pose(camera: PhotoCamera, points: Array, pixels: Array) -> PhotoCamera:
         cv2 = opencv()
-        # Without distortion, with square pixels.
+        # Pixels without distortion.
         K = camera.matrix
         plain = camera.undistort(pixels) * (K[0, 0], K[1, 1])
         diagonal = np.diag([K[0, 0], K[1, 1], 1.0])
@@ -387,17 +384,15 @@ class _Solver:
             raise UsageError(_NO_CAMERA)
         return _placed(camera, turn, shift)
 
-    def without_outliers(self, points: Array, pixels: Array, least: int) -> Bools:
-        """Returns which points agree, (k,): least median of squares over subsets of them.
-
-        Source: Rousseeuw and Leroy, Robust Regression and Outlier Detection, 1987.
-        """
+    def without_outliers(self, points: Array, pixels: Array, required: int) -> Bools:
+        # Least median of squares over subsets of points. Source: Rousseeuw and Leroy, Robust
+        # Regression and Outlier Detection, 1987.
         count = len(points)
-        subsets = list(itertools.combinations(range(count), least))
+        subsets = list(itertools.combinations(range(count), required))
         if len(subsets) > _MAX_SUBSETS:
             rng = np.random.default_rng(0)
             subsets = [subsets[k] for k in rng.choice(len(subsets), _MAX_SUBSETS, replace=False)]
-        if self._find_focal:  # each of these takes longer
+        if self._find_focal:  # each subset takes longer
             subsets = subsets[:: max(len(subsets) // 30, 1)]
         best, distances = np.inf, np.zeros(count)
         for subset in map(list, subsets):
@@ -409,18 +404,18 @@ class _Solver:
             except UsageError:
                 continue
             projected, depth = found.project(points)
-            off = np.where(depth > 0, np.linalg.norm(projected - pixels, axis=1), np.inf)
-            median = float(np.sort(off)[(count + least) // 2])
+            errors = np.where(depth > 0, np.linalg.norm(projected - pixels, axis=1), np.inf)
+            median = float(np.sort(errors)[(count + required) // 2])
             if median < best:
-                best, distances = median, off
-        limit = max(2.5 * 1.4826 * (1 + 5 / max(count - least, 1)) * best, _CLICK_ERROR)
+                best, distances = median, errors
+        limit = max(2.5 * 1.4826 * (1 + 5 / max(count - required, 1)) * best, _CLICK_ERROR)
         used = distances <= limit if np.isfinite(best) else np.ones(count, bool)
-        if used.sum() < least:
+        if used.sum() < required:
             return np.ones(count, bool)
-        # Repeated with the camera of all inliers, which is more accurate than that of a subset.
+        # The camera fitted to all inliers is more accurate than that of a subset.
         found = self.solve(points[used], pixels[used])
-        off = np.linalg.norm(found.project(points)[0] - pixels, axis=1)
-        return np.asarray(off <= max(limit, 3.0 * _rms((off[used])[:, None])))
+        errors = np.linalg.norm(found.project(points)[0] - pixels, axis=1)
+        return np.asarray(errors <= max(limit, 3.0 * _rms((errors[used])[:, None])))
 
     def standard_errors(
         self, found: PhotoCamera, points: Array, errors: Array
@@ -437,7 +432,7 @@ class _Solver:
         steps = np.eye(7)[:count] * np.array([1e-5] * 6 + [1e-2])
         J = np.stack([(moved(s) - moved(-s)) / (2 * s.sum()) for s in steps], axis=1)
         free = max(J.shape[0] - count, 1)
-        variance = max(float((errors**2).sum()) / free, 0.25**2)  # clicks are a quarter pixel off
+        variance = max(float((errors**2).sum()) / free, 0.25**2)  # clicks have errors of 1/4 pixel
         covariance = np.linalg.pinv(J.T @ J) * variance
         deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return deviation[3:6], float(deviation[6]) if self._find_focal else 0.0

@@ -1,4 +1,4 @@
-"""`CameraFeed`: pictures of a live camera; `VideoFeed`: of a video, at the displayed time.
+"""`CameraFeed`: images of a live camera; `VideoFeed`: images of a video at the displayed time.
 
 Both read on separate threads.
 """
@@ -19,27 +19,28 @@ from .camera_file import read_camera
 from .footage import Pixels, Video
 from .photo_camera import PhotoCamera, opencv
 
-_FIRST_TIMEOUT = 10.0  # s until the first picture of a camera
-_RETRY_INTERVAL = 1.0  # s until a lost camera is reopened
-_LOST_AFTER = 0.7  # s without a picture after which it is lost
+_FIRST_TIMEOUT = 10.0  # s, for the first image of a camera
+_RETRY_INTERVAL = 1.0  # s, until a lost camera is reopened
+_LOST_AFTER = 0.7  # s without an image
 _TIME_TOLERANCE = 1e-4  # s
-_MAX_READ_AHEAD = 2.0  # s; frames farther ahead are sought instead of read sequentially
-_RATE_WEIGHT = 0.1  # share of the last interval in the mean
+_MAX_SEQUENTIAL = 2.0  # s; later frames are sought instead of read sequentially
+_RATE_WEIGHT = 0.1  # weight of the last interval in the mean
 
 
 class CameraFeed:
     """Reads a camera until it is closed; a context manager.
 
-    A lost camera is reported in `piece`, and reopened; its last picture is kept.
+    If the connection is lost, `piece` reports it, the last image remains, and the camera is
+    reopened.
 
     Args:
-        what: a camera's number, `0`; a file, which is played over and over at its rate; or an
-            address that OpenCV opens, `rtsp://...` or `/dev/video0`.
-        camera_file: of the camera, see `camera_file`.
+        what: the number of a camera, such as `0`; a video file, which is repeated at its rate;
+            or an address for OpenCV, such as `rtsp://...` or `/dev/video0`.
+        camera_file: camera file, see `camera_file`.
 
     Raises:
-        RenderError: it sends no picture.
-        DeclarationError: the camera file is wrong, or of pictures of another size.
+        RenderError: the camera sends no image.
+        DeclarationError: the camera file is invalid, or for images of another size.
     """
 
     def __init__(self, what: str, camera_file: Path) -> None:
@@ -48,7 +49,7 @@ class CameraFeed:
         self.name = f"camera {what}" if what.isdecimal() else what
         if not self.is_file and Path(what).suffix and "://" not in what and "/dev/" not in what:
             raise RenderError(
-                f"{what}: no such file; expected a video, or a camera's number, 0 say"
+                f"{what}: no such file; expected a video, or the number of a camera such as 0"
             )
         self._changed = threading.Condition()
         self._pixels: Pixels | None = None
@@ -68,7 +69,7 @@ class CameraFeed:
                 )
                 first = self._pixels
             if first is None:
-                why = self._error or f"no picture within {_FIRST_TIMEOUT:.0f} s"
+                why = self._error or f"no image within {_FIRST_TIMEOUT:.0f} s"
                 raise RenderError(f"{self.name}: {why}")
             self.camera: PhotoCamera = read_camera(camera_file, (first.shape[1], first.shape[0]))
         except BaseException:
@@ -80,7 +81,7 @@ class CameraFeed:
         return bool(self._error)
 
     def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
-        """Returns the number of the newest picture, from 1, and its pixels (height, width, 3)."""
+        """Returns the number of the newest image, from 1, and its pixels (height, width, 3)."""
         with self._changed:
             assert self._pixels is not None  # there is one since it is opened
             return self._number, self._pixels
@@ -94,7 +95,7 @@ class CameraFeed:
             return f"{self.name}: lost for {age:.0f} s{error and ', '}{error}", "bad"
         if wrong is not None:
             expected = f"{self.camera.width}x{self.camera.height}"
-            return f"{self.name}: sends {wrong[0]}x{wrong[1]} now; expected {expected}", "bad"
+            return f"{self.name}: sends {wrong[0]}x{wrong[1]}; expected {expected}", "bad"
         rate = 1.0 / interval if interval > 0 else 0.0
         return f"{self.name}: {rate:.0f}/s", "good"
 
@@ -109,18 +110,18 @@ class CameraFeed:
         self.close()
 
     def _run(self) -> None:
-        read: Callable[[], None] = self._play if self.is_file else self._film
+        read: Callable[[], None] = self._play if self.is_file else self._capture
         while not self._closing.is_set():
             try:
                 read()
                 continue
             except (RenderError, UsageError) as error:
-                self._tell(str(error).removeprefix(f"{self.what}: "))
-            except Exception as error:  # OpenCV's and FFmpeg's; the window continues without it
-                self._tell(str(error) or type(error).__name__)
+                self._report(str(error).removeprefix(f"{self.what}: "))
+            except Exception as error:  # from OpenCV or FFmpeg
+                self._report(str(error) or type(error).__name__)
             self._closing.wait(_RETRY_INTERVAL)
 
-    def _tell(self, error: str) -> None:
+    def _report(self, error: str) -> None:
         with self._changed:
             self._error = error
             self._changed.notify_all()
@@ -130,13 +131,12 @@ class CameraFeed:
         size = (pixels.shape[1], pixels.shape[0])
         with self._changed:
             self._size = self._size or size
-            # A reconnected camera may send pictures of another size.
+            # A reconnected camera may send images of another size.
             self._wrong_size = None if size == self._size else size
-            passed = now - self._arrival
-            if np.isfinite(passed):
-                self._interval += (_RATE_WEIGHT if self._interval else 1.0) * (
-                    passed - self._interval
-                )
+            elapsed = now - self._arrival
+            if np.isfinite(elapsed):
+                weight = _RATE_WEIGHT if self._interval else 1.0
+                self._interval += weight * (elapsed - self._interval)
             self._arrival, self._error = now, ""
             if self._wrong_size is None:
                 self._pixels = pixels
@@ -152,9 +152,9 @@ class CameraFeed:
                 self._take(pixels)
             self._closing.wait(1.0 / video.fps)
 
-    def _film(self) -> None:
+    def _capture(self) -> None:
         cv2: Any = opencv()
-        logging = cv2.utils.logging  # its messages are shown in the status line instead
+        logging = cv2.utils.logging  # the status line shows the messages instead
         logging.setLogLevel(logging.LOG_LEVEL_SILENT)
         capture = cv2.VideoCapture(int(self.what) if self.what.isdecimal() else self.what)
         try:
@@ -164,28 +164,25 @@ class CameraFeed:
                 capture.set(cv2.CAP_PROP_FRAME_WIDTH, self._wanted[0])
                 capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self._wanted[1])
             while not self._closing.is_set():
-                is_read, picture = capture.read()
+                is_read, image = capture.read()
                 if not is_read:
-                    raise RenderError("sends nothing any more")
-                self._take(np.ascontiguousarray(picture[..., ::-1]))
+                    raise RenderError("stopped sending images")
+                self._take(np.ascontiguousarray(image[..., ::-1]))
         finally:
             capture.release()
 
 
 class VideoFeed:
-    """Reads a video at the displayed time, forward and back; a context manager.
+    """Reads a video at the displayed time, forward and backward; a context manager.
 
-    Frames are decoded on a separate thread: while that seeks, the last one is kept.
-
-    Args:
-        camera_file: of the camera, see `camera_file`.
+    Frames are decoded on a separate thread. While it seeks, the last frame remains.
 
     Attributes:
-        camera: as its file says.
+        camera: camera of its file.
 
     Raises:
-        RenderError: it cannot be read.
-        DeclarationError: the camera file is wrong, or of pictures of another size.
+        RenderError: the video cannot be read.
+        DeclarationError: the camera file is invalid, or for images of another size.
     """
 
     def __init__(self, path: Path, camera_file: Path, offset: float) -> None:
@@ -197,7 +194,7 @@ class VideoFeed:
             self._video.close()
             raise
         self._offset = offset
-        self._wanted = 0.0  # time since the first frame, s
+        self._wanted = 0.0  # displayed time since the first frame, s
         self._number = 0
         self._end = self._video.duration
         self._pixels: Pixels | None = None
@@ -212,7 +209,7 @@ class VideoFeed:
             )
 
     def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
-        """Returns the number and the pixels (height, width, 3) of the newest frame that is read."""
+        """Returns the number and the pixels (height, width, 3) of the newest decoded frame."""
         with self._changed:
             self._wanted = time - self._offset
             self._changed.notify_all()
@@ -227,7 +224,7 @@ class VideoFeed:
         if error:
             return f"{self.name}: {error}", "bad"
         if wanted < 0:
-            return f"{self.name}: begins in {-wanted:.1f} s", "quiet"
+            return f"{self.name}: starts in {-wanted:.1f} s", "quiet"
         if self._end and wanted > self._end:
             return f"{self.name}: ended {wanted - self._end:.1f} s ago", "quiet"
         return f"{self.name}: {wanted:.1f} s", "good"
@@ -249,7 +246,7 @@ class VideoFeed:
         try:
             while not self._closing:
                 self._read_on()
-        except Exception as error:  # of damaged data; the window continues with the last frame
+        except Exception as error:  # damaged data; the last frame remains
             with self._changed:
                 self._error = str(error) or type(error).__name__
                 self._changed.notify_all()
@@ -263,12 +260,12 @@ class VideoFeed:
         for frame in self._video.frames(self._sought):
             if last is not None and frame[0] > self._sought:
                 self._show(last[1])
-                if not self._goes_on(last[0], frame[0]):
+                if not self._wait_for_next(last[0], frame[0]):
                     return
             last = frame
         if last is not None:
             self._show(last[1])
-            self._goes_on(last[0], np.inf)
+            self._wait_for_next(last[0], np.inf)
 
     def _show(self, pixels: Pixels) -> None:
         with self._changed:
@@ -276,13 +273,13 @@ class VideoFeed:
             self._pixels = pixels
             self._changed.notify_all()
 
-    def _goes_on(self, at: float, end: float) -> bool:
-        """Waits while the frame of this interval is requested; whether later ones are next."""
+    def _wait_for_next(self, at: float, end: float) -> bool:
+        # Returns whether to continue with the next frames after the frame shown from `at` to `end`.
         with self._changed:
             self._changed.wait_for(
                 lambda: self._closing or not at - _TIME_TOLERANCE <= self._sought < end
             )
-            return not self._closing and end <= self._sought < end + _MAX_READ_AHEAD
+            return not self._closing and end <= self._sought < end + _MAX_SEQUENTIAL
 
 
 def _size_in(camera_file: Path) -> tuple[int, int] | None:

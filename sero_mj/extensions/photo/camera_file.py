@@ -1,14 +1,14 @@
-"""Camera files: intrinsics and pose of a camera, in the formats of OpenCV, ROS and our own.
+"""Camera files: intrinsics and pose of a camera, in the formats of OpenCV, ROS and sero-mj.
 
 - YAML of OpenCV's `FileStorage` and its calibration sample: `camera_matrix`,
   `distortion_coefficients`, `image_width`, `image_height`; `fisheye_model: 1`.
 - YAML of ROS: the same with `rows`, `cols` and `data`, and `distortion_model`; messages
   `camera_info` (`K`, `D`, `width`, `height`) as well.
-- TOML: the same keys with lists, or `intrinsics = "camera.yaml"` for a file of theirs.
+- TOML: the same keys with lists, or `intrinsics = "camera.yaml"` for a YAML file.
 
-Each may have `frame`, T_world_camera as frames are written in scenes: 4 x 4 numbers, or a table of
-`xyz` (m) and `quat` (w, x, y, z), `rpy` or `rpy_deg`. The camera's x points to the right of the
-picture, y down, z forward, as in OpenCV and in ROS's optical frames.
+Each file may have `frame`, T_world_camera as in scenes: 4 x 4 numbers, or a table of `xyz` (m) and
+`quat` (w, x, y, z), `rpy` or `rpy_deg`. The camera's x axis points to the right of the image, y
+down, z forward, as in OpenCV and in the optical frames of ROS.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ log = logging.getLogger(__name__)
 ENDINGS = (".yaml", ".yml", ".toml")
 _MAX_BYTES = 1_000_000
 _MAX_SIDE = 16384  # pixels
-_MIN_DRAWABLE = 0.75  # of the picture
-# By the names in other formats; keys are compared in lower case.
+_MIN_DRAWABLE = 0.75  # fraction of the image
+# Names of keys in all formats, in lower case.
 _KEYS = {
     "camera_matrix": ("camera_matrix", "k"),
     "distortion_coefficients": ("distortion_coefficients", "d"),
@@ -56,18 +56,17 @@ _KEYS = {
     "intrinsics": ("intrinsics",),
 }
 _OTHER_NAMES = {"fisheye": "equidistant", "kannala_brandt": "equidistant", "radtan": "plumb_bob"}
-_REQUIRED = "is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels, as a calibration finds them"
+_REQUIRED = "is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels, from a calibration"
 
 
 def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
     """Reads a camera with its pose in the world.
 
     Args:
-        size: width and height of its picture, pixels; None for the file's.
+        size: width and height of its images, pixels; None for those of the file.
 
     Raises:
-        DeclarationError: the file cannot be read, or what it says is wrong or missing, or is of
-            pictures of another size; lists all of it.
+        DeclarationError: all errors of the file, also if it is for images of another size.
         UsageError: a package needed to read it is not installed.
     """
     problems: list[Problem] = []
@@ -80,7 +79,7 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
 
 
 def read_intrinsics(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
-    """Reads a camera, with or without a pose in its file; see `read_camera`."""
+    """Reads a camera whose file may lack the pose; see `read_camera`."""
     problems: list[Problem] = []
     camera = _camera(path, _table(path), size, problems)
     if problems or camera is None:
@@ -95,13 +94,13 @@ def _checked(path: Path, camera: PhotoCamera, place: Array) -> PhotoCamera:
     share = made.drawable
     if share < _MIN_DRAWABLE:
         message = (
-            f"fold {100 * (1 - share):.0f} % of the picture, towards its edges; expected "
-            "coefficients found with points up to the edges, in OpenCV's order k1, k2, p1, p2, k3"
+            f"are not valid in {100 * (1 - share):.0f} % of the image, towards its edges; expected "
+            "a calibration with points up to the edges, in OpenCV's order k1, k2, p1, p2, k3"
         )
         raise Problem("distortion_coefficients", message, str(path)).error()
     if share < 1.0:
         log.warning(
-            "%s: the coefficients do not hold in %.1f %% of the picture, at its edges; nothing is "
+            "%s: the coefficients are not valid in %.1f %% of the image, at its edges; nothing is "
             "drawn there", path, 100 * (1 - share),
         )  # fmt: skip
     return made
@@ -139,12 +138,11 @@ def _yaml(path: Path) -> dict[str, Any]:
         import yaml
     except ImportError as error:
         raise UsageError(
-            f"{path}: reading YAML needs PyYAML ({error}); `pip install 'sero-mj[camera]'` brings "
-            "it, and a camera in TOML needs none"
+            f"{path}: YAML needs PyYAML ({error}): run `pip install 'sero-mj[camera]'`, or use TOML"
         ) from None
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]  # it has no types
-        """Reads OpenCV's matrices as tables."""
+        """Reads matrices of OpenCV as tables."""
 
     Loader.add_constructor(
         "tag:yaml.org,2002:opencv-matrix",
@@ -152,7 +150,7 @@ def _yaml(path: Path) -> dict[str, Any]:
     )
     try:
         text = read_file(path, _MAX_BYTES).decode("utf-8-sig")
-        # OpenCV's first line is not valid YAML.
+        # The first line of files from OpenCV is not valid YAML.
         found = yaml.load(re.sub(r"\A%YAML:[\d.]+", "", text), Loader)
     except FileNotFoundError:
         raise wrong("no such file") from None
@@ -179,7 +177,7 @@ def _numbers(value: Any) -> Array:
             raise mismatch(data.size, f"{shape[0]} x {shape[1]}", of="numbers")
         return data
     if isinstance(value, list) and any(isinstance(each, str) for each in value):
-        with contextlib.suppress(ValueError):  # YAML takes 1e-05, without a point, for a text
+        with contextlib.suppress(ValueError):  # PyYAML reads 1e-05, without a point, as a string
             value = [float(each) for each in value]
     return numbers(value)
 
@@ -195,23 +193,23 @@ def _camera(
         if found is None and size is not None:
             found = size[axis]
         if found is None:
-            problems.append(Problem(key, "is required: of the pictures, pixels"))
+            problems.append(Problem(key, "is required: size of the images, pixels"))
         elif type(found) not in (int, float) or found % 1 or not 1 <= found <= _MAX_SIDE:
             problems.append(Problem(key, found=found, expected=f"pixels, 1 to {_MAX_SIDE}"))
         else:
             sides.append(int(found))
     if len(sides) == 2 and size is not None and tuple(sides) != size:
         message = (
-            f"found {sides[0]}x{sides[1]}; the picture is {size[0]}x{size[1]}: expected a camera "
-            "file of pictures of that size (a part or another size of them has other intrinsics)"
+            f"found {sides[0]}x{sides[1]}, but the image is {size[0]}x{size[1]}: expected a camera "
+            "file for images of that size (cropped or resized images have other intrinsics)"
         )
         problems.append(Problem("image_width", message))
     if matrix is None or model is None or len(sides) < 2 or problems:
         return None
     centre = matrix[:2, 2] / sides
     if (centre < -1).any() or (centre > 2).any():
-        expected = f"it near the picture, {sides[0]}x{sides[1]}"
-        found = f"found the centre at {matrix[0, 2]:g}, {matrix[1, 2]:g}"
+        expected = f"it near the image, {sides[0]}x{sides[1]}"
+        found = f"found the center at {matrix[0, 2]:g}, {matrix[1, 2]:g}"
         problems.append(Problem("camera_matrix", found, expected=expected))
         return None
     return PhotoCamera(sides[0], sides[1], matrix, np.eye(4), distortion, model)  # type: ignore[arg-type]
@@ -240,10 +238,10 @@ def _matrix(table: dict[str, Any], problems: list[Problem]) -> Array | None:
             f"found {matrix.ravel().tolist()}; expected fx, 0, cx, 0, fy, cy, 0, 0, 1 (row-major)"
         )
     elif matrix[0, 1] != 0.0:
-        wrong(f"found a skew of {matrix[0, 1]:g}; expected 0, as OpenCV's cameras have none")
+        wrong(f"found a skew of {matrix[0, 1]:g}; expected 0, as in OpenCV")
     elif min(matrix[0, 0], matrix[1, 1]) <= 0:
         found = f"fx = {matrix[0, 0]:g}, fy = {matrix[1, 1]:g}"
-        wrong(f"found {found}, as of a camera that is not calibrated; expected pixels above 0")
+        wrong(f"found {found} (not calibrated); expected pixels above 0")
     else:
         return matrix
     return None
@@ -260,7 +258,7 @@ def _distortion(table: dict[str, Any], problems: list[Problem]) -> tuple[str | N
     model = table.get("distortion_model") or None
     if model is None and table.get("fisheye_model"):
         model = "equidistant"
-    if model is None:  # OpenCV's files do not say
+    if model is None:  # files from OpenCV do not state it
         model = "plumb_bob" if distortion.size <= 5 else "rational_polynomial"
     if not isinstance(model, str) or _OTHER_NAMES.get(model.lower(), model.lower()) not in MODELS:
         near = did_you_mean(str(model), (*MODELS, *_OTHER_NAMES))
@@ -281,7 +279,7 @@ def _distortion(table: dict[str, Any], problems: list[Problem]) -> tuple[str | N
             Problem(
                 "distortion_coefficients",
                 found=distortion.size,
-                expected=f"{counts} of the model {model}",
+                expected=f"{counts} coefficients of the model {model}",
             )
         )
         return None, none
@@ -291,8 +289,8 @@ def _distortion(table: dict[str, Any], problems: list[Problem]) -> tuple[str | N
 def _place(table: dict[str, Any], problems: list[Problem]) -> Array | None:
     if table.get("frame") is None:
         message = (
-            "is required: where the camera stands in the world, 4 x 4 or { xyz = [...], quat = "
-            "[...] }, its x to the right, y down, z forward; `sero-mj calibrate` finds it"
+            "is required: pose of the camera in the world, 4 x 4 or { xyz = [...], quat = "
+            "[...] }, x to the right, y down, z forward; `sero-mj calibrate` computes it"
         )
         problems.append(Problem("frame", message))
         return None
@@ -307,7 +305,7 @@ def _place(table: dict[str, Any], problems: list[Problem]) -> Array | None:
 
 
 def write_camera(path: Path, camera: PhotoCamera, note: str = "") -> None:
-    """Writes a camera file, TOML or YAML in ROS's layout with our `frame`."""
+    """Writes a camera file: TOML, or YAML in the layout of ROS with our `frame`."""
     if path.suffix.lower() not in ENDINGS:
         raise UsageError(f"{path}: expected a name that ends in {', '.join(ENDINGS)}")
     text = "".join(f"# {line}\n" for line in note.splitlines())

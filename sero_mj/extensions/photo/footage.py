@@ -22,39 +22,41 @@ _FPS = 30.0  # if a video does not state it
 
 
 def is_photo(path: Path) -> bool:
-    """Whether a file's name is that of a photo, and not that of a video."""
+    """Whether a file name is that of a photo rather than a video."""
     return path.suffix.lower() in PHOTOS
 
 
 def read_photo(path: Path) -> Pixels:
-    """Reads a photo, (height, width, 3), upright as OpenCV reads it.
+    """Reads a photo, (height, width, 3), upright as in OpenCV.
 
     Raises:
-        RenderError: it cannot be read.
+        RenderError: the photo cannot be read.
     """
     try:
         with open_file(path) as file, Image.open(file) as picture:
             if picture.width * picture.height > _MAX_PIXELS:
-                raise RenderError(f"{path}: {picture.width}x{picture.height} is too large a photo")
+                raise RenderError(
+                    f"{path}: the photo is too large, {picture.width}x{picture.height}"
+                )
             return np.array(ImageOps.exif_transpose(picture).convert("RGB"))
     except FileNotFoundError:
         raise RenderError(f"{path}: no such file") from None
     except UnidentifiedImageError:
-        raise RenderError(f"{path}: is no photo that can be read ({', '.join(PHOTOS)})") from None
+        raise RenderError(f"{path}: is not a readable photo ({', '.join(PHOTOS)})") from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise RenderError(f"{path}: cannot be read: {reason_of(error)}") from error
 
 
 class Video:
-    """A video, read from its beginning; a context manager.
+    """A video file; a context manager.
 
     Attributes:
-        size: width and height of its frames as they are to be seen, pixels.
-        fps: frames per second, on average.
-        duration: s; 0 where the file does not say.
+        size: width and height of its upright frames, pixels.
+        fps: average frames per second.
+        duration: s; 0 if the file does not state it.
 
     Raises:
-        RenderError: it cannot be read.
+        RenderError: the video cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,33 +68,31 @@ class Video:
             raise RenderError(f"{path}: no such file") from None
         except (av.FFmpegError, OSError, ValueError) as error:
             reason = reason_of(error)
-            raise RenderError(f"{path}: is no video that can be read: {reason}") from error
+            raise RenderError(f"{path}: is not a readable video: {reason}") from error
         if not self._container.streams.video:
             self._container.close()
-            raise RenderError(f"{path}: has no video in it; expected a file with pictures")
+            raise RenderError(f"{path}: has no video stream")
         self._stream = self._container.streams.video[0]
         self._stream.thread_type = "AUTO"
         self.fps = float(self._stream.average_rate or self._stream.guessed_rate or _FPS)
         length = self._container.duration
         self.duration = 0.0 if length is None else length / 1e6
-        self._first: float | None = None  # time of the first frame, as the file counts
+        self._first: float | None = None  # time stamp of the first frame, s
         try:
             first = next(self.frames())[1]
         except (StopIteration, RenderError):
             self._container.close()
-            raise RenderError(f"{path}: not one frame of it can be read") from None
+            raise RenderError(f"{path}: no frame can be read") from None
         self.size = (first.shape[1], first.shape[0])
 
     def frames(self, begin: float = 0.0) -> Iterator[tuple[float, Pixels]]:
-        """Yields frames: their times since the first one, s, and pixels.
+        """Yields frames: times since the first frame, s, and pixels.
 
-        It ends at damaged data, after all previous frames.
-
-        Args:
-            begin: time before which frames may be skipped, s.
+        Damaged data ends the iteration, unless there was no frame before it. Frames before `begin`,
+        s, may be skipped.
 
         Raises:
-            RenderError: there is nothing to be read.
+            RenderError: no frame can be read.
         """
         stream = self._stream
         step = 1.0 / self.fps
@@ -105,7 +105,7 @@ class Video:
             for frame in self._container.decode(stream):
                 found = float(Fraction(frame.pts or 0) * (stream.time_base or 0))
                 self._first = found if self._first is None else self._first
-                # Without valid times frames are counted.
+                # Frames are counted if time stamps are invalid.
                 since = found - self._first
                 time = since if since > time else time + step
                 is_any = True
@@ -125,7 +125,7 @@ class Video:
 
 
 def read_frame(path: Path, time: float) -> Pixels:
-    """Reads the frame of a video at a time, s since the first frame.
+    """Reads the frame of a video at a time, in seconds since the first frame.
 
     Raises:
         RenderError: the video cannot be read, or has no such frame.
@@ -137,13 +137,13 @@ def read_frame(path: Path, time: float) -> Pixels:
                 break
             found, last = pixels, at
         if found is None or time > last + 1.5 / video.fps:
-            end = f" to {video.duration:.2f}" if video.duration else " on"
-            raise RenderError(f"{path}: has no frame at {time:.2f} s; its frames are from 0{end} s")
+            end = f"; the video ends at {video.duration:.2f} s" if video.duration else ""
+            raise RenderError(f"{path}: has no frame at {time:.2f} s{end}")
         return found
 
 
 def at_rate(video: Video, fps: float, duration: float | None) -> Iterator[tuple[float, Pixels]]:
-    """Yields frames at a rate, each with its own time: those of phones vary."""
+    """Yields frames at a constant rate, each with its own time; the rate of phones varies."""
     shown = 0
     last: tuple[float, Pixels] | None = None
     for frame in video.frames():

@@ -1,4 +1,4 @@
-"""Pictures and films of decor over photos and videos of the real robot."""
+"""Images and videos of decor over photos and videos of the real robot."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class PhotoRenderer(Painter):
     """Renders the decor of a world over photos of one camera; a context manager.
 
     Attributes:
-        renderer: which one draws.
-        photo: the photo to draw over if `render` gets none.
+        renderer: name of the renderer.
+        photo: default photo of `render`.
 
     Raises:
-        RenderError: no OpenGL, or the photos are too large.
+        RenderError: OpenGL is not available, or the photos are too large.
     """
 
     def __init__(
@@ -63,22 +63,18 @@ class PhotoRenderer(Painter):
         self.world, self.size = world, (camera.width, camera.height)
         self.photo: Pixels = np.zeros((camera.height, camera.width, 3), np.uint8)
         self._painter = PhotoPainter(world, camera, (MAX_SIDE // 2, MAX_SIDE // 2), scale)
-        size, is_draft = self._painter.size, quality == "draft"
+        size = self._painter.size
         self.renderer = choose_renderer(renderer, quality, *size)
         self._renderer: SceneRenderer
         if self.renderer == CLASSIC:
-            self._renderer = make_renderer(world, *size, is_draft=is_draft)
+            self._renderer = make_renderer(world, *size, is_draft=quality == "draft")
         else:
             self._renderer, _ = renderers()[self.renderer].make(world, *size, quality)
         self._typesetter = Typesetter(line_height(world, camera.width, camera.height))
         self.decor = SceneDecor(world, with_text=False)
 
     def render(self, data: mujoco.MjData, photo: Pixels | None = None) -> Pixels:
-        """Returns a photo with decor over it.
-
-        Args:
-            photo: (height, width, 3), uint8, of the camera's size; the one of this when None.
-        """
+        """Returns a photo (height, width, 3), uint8, with decor; None for the default photo."""
         photo = self.photo if photo is None else photo
         scene = self._renderer.scene
         self.decor.draw(data, self._look(data), scene)
@@ -105,16 +101,16 @@ def render_image_over(
     """Renders the current state of a scene over a photo, or over a frame of a video.
 
     Args:
-        over: the photo, or a video, of which the frame of that time is taken.
-        at: time of recordings and simulations, s after their start; None for the start, or for the
-            first frame of a video.
-        offset: time of these at the first frame of a video.
+        over: photo, or video whose frame at that time is used.
+        at: time of recordings and simulations, s after their start; None for the start, or for
+            the first frame of a video.
+        offset: time of recordings and simulations at the first frame of a video.
 
     Returns:
         names of the sources without data; their robots have the declared pose.
 
     Raises:
-        SeroError: a problem of the scene, its sources, the camera or a file.
+        SeroError: the scene, its sources, the camera or a file is invalid.
     """
     is_video = not is_photo(over)
     now = (offset if is_video else 0.0) if at is None else at
@@ -144,19 +140,19 @@ def render_video_over(
 ) -> list[str]:
     """Renders a recording or a simulation over a video, frame by frame.
 
-    Frames of before it began or after it ended are left as they are.
+    Frames before its start and after its end are not changed.
 
     Args:
-        offset: time of the recording, s since it began, at the first frame of the video; see
+        offset: time of the recording at the first frame of the video, s; see
             `video_offset.find_offset`.
-        duration: of the film, s; None for the video's.
+        duration: duration of the rendered video, s; None for that of the original.
         on_progress: called with the number of rendered frames and of all frames.
 
     Returns:
         names of the sources without data.
 
     Raises:
-        SeroError: a problem of the scene, its sources, the camera or a file.
+        SeroError: the scene, its sources, the camera or a file is invalid.
     """
     with Video(over) as video, Mirror(scene) as mirror:
         camera = read_camera(camera_file, video.size)
@@ -190,22 +186,22 @@ def render_video_over(
             )  # fmt: skip
         if plain:
             span = f"from {begin - offset:.2f} to {end - offset:.2f} s of the video"
-            what = f"{plain} of {plain + drawn} frames are as they were"
-            log.warning("%s: there are data %s", what, span)
+            what = f"{plain} of {plain + drawn} frames were not changed"
+            log.warning("%s: data is available %s", what, span)
     return silent
 
 
 def refuse_live(mirror: Mirror, video: Path) -> None:
-    """Raises UsageError where a video is to show what comes now."""
+    """Raises UsageError if a mirror has live sources."""
     if mirror.is_live:
         raise UsageError(
-            f"{video}: live sources do not go with a video; expected a recording, --replay "
+            f"{video}: live sources cannot be combined with a video; use a recording, --replay "
             "REC.mcap, or a photo"
         )
 
 
 def recorded_span(mirror: Mirror) -> tuple[float, float]:
-    """When the recordings or simulations of a mirror begin and end, s."""
+    """Returns the start and end of the recordings or simulations of a mirror, s."""
     if not mirror.sources:
         return float("-inf"), float("inf")
     ends = [source.end for source in mirror.sources.values()]

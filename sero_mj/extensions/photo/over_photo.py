@@ -1,8 +1,8 @@
 """`PhotoPainter`: decor over a photo of the real robot, occluded by its invisible model.
 
-The scene is drawn twice, once with the robot and the background black and once with both white.
-The first picture gives the colours of the decor, the difference of the two its transparency: exact
-for smooth edges and transparent decor, in every OpenGL.
+The scene is rendered twice, with the robot and the background first black, then white. The first
+image contains the colors of the decor, and the difference of both its transparency. This is exact
+for smooth edges and transparent decor, in every OpenGL implementation.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Draw = Callable[[], Pixels]
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
-_BACKGROUND_DEPTH = 0.9  # of the far plane
-# Effects of the model's surroundings and lights, and holes in it.
+_BACKGROUND_DEPTH = 0.9  # fraction of the depth of the far plane
+# Flags to switch off: effects of surroundings and lights, and wireframes.
 _FLAGS = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_SKYBOX", "mjRND_FOG", "mjRND_HAZE",
           "mjRND_WIREFRAME")  # fmt: skip
 
@@ -33,10 +33,10 @@ class PhotoPainter:
     """Draws decor over photos of one camera.
 
     Args:
-        largest: width and height, pixels, that the host can draw.
+        largest: maximum width and height that can be rendered, pixels.
 
     Attributes:
-        size: width and height, pixels, that the host has to draw.
+        size: width and height to render, pixels.
     """
 
     def __init__(
@@ -56,13 +56,13 @@ class PhotoPainter:
         font: Font,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> PhotoView:
-        """Sets a scene's camera to that of the photos, and removes the floor."""
+        """Sets a scene's camera to that of the photos, and hides the floor."""
         self._plane.look(scene)
         for name in _FLAGS:
             scene.flags[int(getattr(mujoco.mjtRndFlag, name))] = 0
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == _GEOM and geom.objid >= 0 and self._is_floor[geom.objid]:
-                # MuJoCo draws every plane as infinite; a point behind the camera is invisible.
+                # MuJoCo draws planes as infinite; a point behind the camera is invisible.
                 geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 1e-6)
                 geom.pos = scene.camera[0].pos - scene.camera[0].forward
         near = float(scene.camera[0].frustum_near)
@@ -72,14 +72,14 @@ class PhotoPainter:
         """Returns a photo with the decor of a scene.
 
         Args:
-            photo: (height, width, 3) of the camera's size.
-            draw: draws the scene in `size`, top row first.
+            photo: (height, width, 3), of the camera's size.
+            draw: renders the scene in `size`, top row first.
         """
         masked = self._masked(scene)
         for geom in masked:
             geom.matid = geom.texid = -1
             geom.specular = geom.reflectance = 0.0
-            # Like decor, which Filament draws in its colour without light.
+            # Like decor, whose color does not depend on light in Filament.
             geom.category, geom.objtype = _DECOR, _UNKNOWN
         _colour(masked, 0.0)
         black = self._plane.to_photo(draw().copy(), 0)
@@ -100,7 +100,7 @@ class PhotoPainter:
             and not (geom.objtype == _GEOM and geom.objid >= 0 and self._is_double[geom.objid])
         ]
         if scene.ngeom == scene.maxgeom:
-            scene.ngeom -= 1  # without a background, all decor would be lost
+            scene.ngeom -= 1  # the background is required
         camera, background = scene.camera[0], scene.geoms[scene.ngeom]
         distance = _BACKGROUND_DEPTH * camera.frustum_far
         forward, up = np.array(camera.forward, float), np.array(camera.up, float)

@@ -1,8 +1,8 @@
-"""`PhotoCamera`: a real camera with its lens, and the rendering of its pictures in OpenGL.
+"""`PhotoCamera`: a real camera with its lens, and the rendering of its images in OpenGL.
 
-Its frame is OpenCV's: x to the right of the picture, y down, z forward. Pixels of this file are
-OpenCV's as well: u to the right, v down, (0, 0) the centre of the upper left pixel. `PhotoView` is
-the same camera for decor, with pixels from the lower left corner.
+Its frame is that of OpenCV: x to the right of the image, y down, z forward. Pixels in this file are
+those of OpenCV, too: u to the right, v down, (0, 0) at the center of the upper left pixel.
+`PhotoView` is the same camera for decor, with pixels from the lower left corner.
 """
 
 from __future__ import annotations
@@ -30,29 +30,23 @@ COUNTS: dict[str, tuple[int, ...]] = {
     "equidistant": (4,),
 }
 Size = tuple[int, int]
-_MAX_TANGENT = float(
-    np.tan(np.deg2rad(75.0))
-)  # from the axis; a plane picture of more is mostly edge
-_OVERSAMPLING = 1.25  # resolution of the undistorted picture over that of the photo
-_MAX_PIXELS = 12e6  # of it; larger photos have less than that in it
-_LOOKUP_COLUMNS = 320  # pixels of a row that are looked up in it; others are interpolated
-_OUTSIDE = -10.0  # a pixel that it does not have
-_ROUND_TRIP_TOLERANCE = 0.1  # pixels that a pixel may be off after it
+_MAX_TANGENT = float(np.tan(np.deg2rad(75.0)))  # maximum angle of plane images from the axis
+_OVERSAMPLING = 1.25  # resolution of the undistorted image in units of that of the photo
+_MAX_PIXELS = 12e6  # of the undistorted image
+_LOOKUP_COLUMNS = 320  # samples per row; pixels in between are interpolated
+_OUTSIDE = -10.0  # coordinate outside of the image
+_ROUND_TRIP_TOLERANCE = 0.1  # pixels
 _MAX_RADIUS = 20.0  # from the axis, at z = 1
 _GRID = 33  # samples along each side
 
 
 def opencv() -> Any:
-    """Returns the module `cv2`.
-
-    Raises:
-        UsageError: it is not installed.
-    """
+    """Returns the module `cv2`; raises UsageError if it is not installed."""
     try:
         import cv2
     except ImportError as error:
         raise UsageError(
-            f"this needs OpenCV ({error}); `pip install 'sero-mj[camera]'` brings it"
+            f"OpenCV is required ({error}): run `pip install 'sero-mj[camera]'`"
         ) from None
     return cv2
 
@@ -63,9 +57,9 @@ class PhotoCamera:
 
     Attributes:
         matrix: OpenCV's camera matrix (3, 3): fx, fy, cx and cy, pixels.
-        T_world_camera: where it is, (4, 4), m; x to the right, y down, z forward.
-        distortion: coefficients in OpenCV's order; none for a lens without distortion.
-        model: what they mean; `equidistant` is OpenCV's fisheye.
+        T_world_camera: pose, (4, 4), m; x to the right, y down, z forward.
+        distortion: coefficients in OpenCV's order; empty for a lens without distortion.
+        model: model of the coefficients; `equidistant` is OpenCV's fisheye.
     """
 
     width: int
@@ -80,20 +74,20 @@ class PhotoCamera:
         return bool(self.distortion.any()) or self.model == "equidistant"
 
     def resized(self, width: int, height: int) -> PhotoCamera:
-        """Returns the camera whose pictures are those of this one in another size."""
+        """Returns the camera for the same images in another size."""
         by = np.array([width / self.width, height / self.height])
         matrix = self.matrix.copy()
         matrix[[0, 1], [0, 1]] *= by
-        # The edges of the picture stay its edges, and pixels are counted by their centres.
+        # The edges of the image remain its edges, and coordinates refer to pixel centers.
         matrix[:2, 2] = (matrix[:2, 2] + 0.5) * by - 0.5
         return replace(self, width=width, height=height, matrix=matrix)
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Projects points of the world.
+        """Projects world points.
 
         Returns:
-            pixels (..., 2), and depth along z (...), m; pixels of points behind the camera, and of
-            those far outside of the picture, are only roughly where they would be.
+            pixels (..., 2), and depth along z (...), m. Pixels of points behind the camera or
+            far outside of the image are approximate.
         """
         T = self.T_world_camera
         in_camera = (points - T[:3, 3]) @ T[:3, :3]
@@ -105,7 +99,7 @@ class PhotoCamera:
         """Returns the pixels (..., 2) of rays x/z, y/z (..., 2) in the camera's frame."""
         if not self.is_distorted:
             return self._to_pixels(rays)
-        # Outside of the picture the polynomials may fold back into it.
+        # Outside of the image, the polynomials may return to pixels inside.
         radius = np.linalg.norm(rays, axis=-1, keepdims=True)
         beyond = np.maximum(radius / self._largest_radius, 1.0)
         flat = np.ascontiguousarray((rays / beyond).reshape(-1, 2))
@@ -115,10 +109,10 @@ class PhotoCamera:
         return np.asarray(self.matrix[:2, 2] + (pixels - self.matrix[:2, 2]) * beyond)
 
     def undistort(self, pixels: Array) -> Array:
-        """Returns the rays x/z, y/z (..., 2) of pixels (..., 2); NaN where there is none.
+        """Returns the rays x/z, y/z (..., 2) of pixels (..., 2); NaN if there is none.
 
-        Towards the edges of a picture there may be none: polynomials fold it beyond the points that
-        they were found from.
+        Pixels towards the edges may have no ray, because distortion polynomials are not monotone
+        outside of the calibrated area.
         """
         if not self.is_distorted:
             K = self.matrix
@@ -130,7 +124,7 @@ class PhotoCamera:
         if not len(flat):
             return np.zeros(pixels.shape)
         rays = self._undistort(flat)
-        rays[~(np.abs(rays) < _MAX_RADIUS).all(axis=1)] = np.nan  # also OpenCV's mark of no ray
+        rays[~(np.abs(rays) < _MAX_RADIUS).all(axis=1)] = np.nan  # also OpenCV's value for no ray
         there = self._distort(np.nan_to_num(rays))
         is_found = np.abs(there - flat).max(axis=1) < _ROUND_TRIP_TOLERANCE
         is_found &= np.linalg.norm(rays, axis=1) < fold
@@ -147,7 +141,7 @@ class PhotoCamera:
 
     @cached_property
     def _limits(self) -> tuple[float, float]:
-        # The same lens is at many places while a camera is looked for.
+        # Cached, because calibration computes many poses of the same lens.
         arrays = (np.ascontiguousarray(each, float) for each in (self.matrix, self.distortion))
         key = *(each.tobytes() for each in arrays), self.model
         return _limits_of(self.width, self.height, *key)
@@ -175,7 +169,7 @@ class PhotoCamera:
         points, camera = pixels[:, None], (self.matrix, self.distortion)
         if self.model == "equidistant":
             rays = cv2.fisheye.undistortPoints(points, *camera, criteria=until)
-        elif hasattr(cv2, "undistortPointsIter"):  # OpenCV 4 has it under a name of its own
+        elif hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
             rays = cv2.undistortPointsIter(points, *camera, np.eye(3), np.eye(3), until)
         else:
             rays = cv2.undistortPoints(points, *camera, criteria=until)
@@ -192,12 +186,12 @@ class PhotoCamera:
 
     @property
     def drawable(self) -> float:
-        """The share of the picture that has rays."""
+        """Fraction of the image that has rays."""
         return float(np.isfinite(self._some_rays).all(axis=-1).mean())
 
     @cached_property
     def extent(self) -> tuple[Array, Array]:
-        """Least and greatest x/z and y/z (2,) of what a plane picture can have of its rays."""
+        """Minimum and maximum x/z and y/z (2,) of the rays in a plane image."""
         rays = self._some_rays.reshape(-1, 2)
         rays = rays[np.isfinite(rays).all(axis=1)]
         norm = np.linalg.norm(rays, axis=1, keepdims=True)
@@ -209,7 +203,8 @@ class PhotoCamera:
 def _limits_of(
     width: int, height: int, matrix: bytes, distortion: bytes, model: DistortionModel
 ) -> tuple[float, float]:
-    """Where pixels come back, and the largest distance that the picture has, at z = 1."""
+    # The radius from which pixels move back towards the center, and the largest radius in the
+    # image, both at z = 1.
     K, coefficients = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
     lens = PhotoCamera(width, height, K, np.eye(4), coefficients, model)
     radii = np.linspace(0.0, _MAX_RADIUS, 4001)
@@ -265,8 +260,8 @@ class PhotoView(ImageView):
         K = self.camera.matrix
         plain = (flipped - K[:2, 2]) / (K[0, 0], K[1, 1])
         rays = np.where(np.isfinite(rays), rays, plain)
-        ahead = self.forward + rays[..., :1] * self.right - rays[..., 1:] * self.up
-        return np.asarray(self.position + depth * ahead)
+        direction = self.forward + rays[..., :1] * self.right - rays[..., 1:] * self.up
+        return np.asarray(self.position + depth * direction)
 
     @property
     def _top(self) -> float:
@@ -276,15 +271,15 @@ class PhotoView(ImageView):
 class PlaneImage:
     """Renders the view of a `PhotoCamera` in OpenGL, and maps it to the photo's pixels.
 
-    Without distortion it is drawn directly. Else an undistorted picture of higher resolution is
-    drawn, which covers the photo, and the photo's pixels are looked up in it.
+    Without distortion, the view is rendered directly. Otherwise, an undistorted image of higher
+    resolution that covers the photo is rendered and then sampled.
 
     Args:
-        largest: width and height that may be drawn, pixels.
-        scale: drawn pixels per pixel of the photo, along a side.
+        largest: maximum width and height that can be rendered, pixels.
+        scale: rendered pixels per pixel of the photo, along a side.
 
     Attributes:
-        size: width and height of what is drawn, pixels.
+        size: width and height of the rendered image, pixels.
     """
 
     def __init__(self, camera: PhotoCamera, largest: Size, scale: int = 1) -> None:
@@ -305,13 +300,13 @@ class PlaneImage:
 
     def _look_up(self, low: Any, high: Any, largest: Size) -> None:
         camera, cv2 = self.camera, opencv()
-        # Rays of some pixels, and between these: lenses bend little from pixel to pixel.
+        # Rays of some pixels; rays in between are interpolated.
         apart = max(camera.width // _LOOKUP_COLUMNS, 1)
         rows, columns = camera.height // apart + 2, camera.width // apart + 2
         v, u = np.mgrid[:rows, :columns].astype(float) * apart
         rays = camera.undistort(np.stack([u, v], axis=-1))
         extent = np.array(high) - low
-        # As fine as the photo is where it shows least of the world in a pixel.
+        # The resolution is that of the photo's pixels with the smallest angle.
         steps = np.linalg.norm(np.diff(rays, axis=1), axis=2) / apart
         steps = steps[np.isfinite(steps) & (steps > 0)]
         finest = float(np.percentile(steps, 1.0)) if len(steps) else 1e-3
@@ -328,7 +323,7 @@ class PlaneImage:
             for k in (0, 1)
         ]
         is_drawn = np.isfinite(each[0]) & np.isfinite(each[1])
-        # To a 32nd of a pixel, in a third of the time.
+        # A resolution of 1/32 pixel takes a third of the time.
         self._maps = cv2.convertMaps(
             *(np.where(is_drawn, of, _OUTSIDE).astype(np.float32) for of in each), cv2.CV_16SC2
         )
@@ -345,10 +340,9 @@ class PlaneImage:
             camera.orthographic = 0
 
     def to_photo(self, drawn: NDArray[np.uint8], outside: int) -> NDArray[np.uint8]:
-        """Returns the photo's pixels of a picture that was drawn.
+        """Returns the photo's pixels of a rendered image.
 
-        Args:
-            outside: value of pixels that it does not have.
+        Pixels that it does not contain have the value `outside`.
         """
         if self._maps is None:
             return (

@@ -1,4 +1,4 @@
-"""`PhotoViewport`: the picture of a live camera in a window, with decor over it."""
+"""`PhotoViewport`: the images of a live camera in a window, with decor over them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ...viewer.window.viewport import Pane, Viewport
 from .camera_feed import CameraFeed, VideoFeed
 from .over_photo import PhotoPainter
 
-_BESIDE = (0.07, 0.08, 0.09, 1.0)  # of what is beside the picture
+_BESIDE = (0.07, 0.08, 0.09, 1.0)  # color beside the image
 
 
 class PhotoViewport(Viewport):
-    """The picture of a camera, as large as fits into a rectangle of a window."""
+    """The image of a camera, as large as fits into a rectangle of a window."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class PhotoViewport(Viewport):
         return [self._feed.piece]
 
     def update(self, data: mujoco.MjData, camera: mujoco.MjvCamera, pane: Pane) -> None:
-        """See `Viewport`; the view is that of the feed's camera, and `camera` has no meaning."""
+        """See `Viewport`. The view is that of the feed's camera, so `camera` is ignored."""
         rect, typesetter, covered = pane
         of = self._feed.camera
         scale = min(rect.width / of.width, rect.height / of.height)
@@ -57,7 +57,7 @@ class PhotoViewport(Viewport):
         )
         painter = self._painter
         if painter is None or (painter.camera.width, painter.camera.height) != size:
-            # What is drawn without distortion has to fit into the window's buffer.
+            # The undistorted image has to fit into the window's buffer.
             largest = rect.left + rect.width, rect.bottom + rect.height
             self._painter = painter = PhotoPainter(self.world, of.resized(*size), largest)
             self._photo = None
@@ -68,7 +68,7 @@ class PhotoViewport(Viewport):
                 Image.fromarray(pixels).resize(size, Image.Resampling.BILINEAR)
             )
         scene = self._scene
-        self.fill(data, mujoco.MjvCamera(), scene)  # `painter` sees by the feed's
+        self.fill(data, mujoco.MjvCamera(), scene)  # `painter` replaces the camera
         self._typesetter = typesetter
         beside = self.rect.left - rect.left
         inset = (min(max(covered - beside, 0.0), 0.6 * size[0]), 0.0, 0.0, 0.0)

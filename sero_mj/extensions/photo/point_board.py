@@ -1,6 +1,6 @@
 """`PointBoard`: a photo on which points of the robot are clicked, with the calibration result.
 
-It is independent of windows: it handles clicks and keys, and draws its picture. Pixels of this file
+It is independent of windows: it handles clicks and keys, and renders its image. Pixels in this file
 are counted from the upper left corner of the board, x to the right, y down.
 """
 
@@ -29,19 +29,18 @@ _GOOD: Rgb = (0.55, 0.85, 0.62)
 _BAD: Rgb = (1.0, 0.52, 0.40)
 _ORANGE, _GREEN, _RED = (255, 160, 40), (70, 230, 120), (255, 70, 60)
 _WIDTH = 17.0  # of the list, line heights
-_LINE = 1.25  # from line to line, line heights
-_STEP = 1.25  # of the zoom, for a step of the wheel
+_LINE = 1.25  # distance of lines, line heights
+_STEP = 1.25  # zoom factor for a step of the wheel
 _MAX_ZOOM = 40.0
-_GOOD_CLICK = 5.0  # pixels that a click may be off
+_MIN_ROWS = 5  # of the list
+_GOOD_CLICK = 5.0  # maximum error, pixels
 _MARK = 9  # half of a cross, pixels
-_KEYS = ("click: where the photo shows it", "wheel: larger, drag: move", "up, down: another point",
-         "backspace: forget it", "enter: done, escape: leave")  # fmt: skip
+_KEYS = ("click: set its pixel in the photo", "wheel: zoom, drag: move", "up, down: select point",
+         "backspace: delete its pixel", "enter: finish, escape: cancel")  # fmt: skip
 
 
 @dataclass
-class _View:
-    """The visible part of the photo: its central pixel, and the size of a pixel."""
-
+class _View:  # the visible part of the photo: its central pixel, and the size of a pixel
     centre: Array
     zoom: float
 
@@ -50,9 +49,8 @@ class PointBoard:
     """A list of points beside a photo.
 
     Args:
-        names: of the points.
-        points: in the world, (k, 3), m.
-        clicked: known pixels (2,) of points, by their index.
+        points: positions in the world, (k, 3), m.
+        clicked: known pixels (2,) of points, by index.
 
     Attributes:
         chosen: index of the point for the next click.
@@ -94,7 +92,7 @@ class PointBoard:
             self._typesetter = Typesetter(line)
 
     def click(self, x: float, y: float) -> None:
-        """Selects a point of the list, or sets the pixel of the selected one."""
+        """Selects a point in the list, or sets the pixel of the selected point."""
         if x < self.panel_width:
             row = self._row_at(y)
             if row is not None:
@@ -113,7 +111,7 @@ class PointBoard:
             self.chosen = (self.chosen + (1 if key == "down" else -1)) % len(self._names)
         elif key in ("backspace", "delete") and self.clicked:
             if self.chosen not in self.clicked:
-                self.chosen = list(self.clicked)[-1]  # the last one that was clicked
+                self.chosen = list(self.clicked)[-1]  # the last clicked point
             del self.clicked[self.chosen]
             self._solve()
 
@@ -122,10 +120,10 @@ class PointBoard:
         if x < self.panel_width:
             return
         fixed = self._to_photo(at)
-        least = self._whole().zoom
-        zoom = float(np.clip(view.zoom * _STEP**steps, least, _MAX_ZOOM * least))
-        middle = np.array([(self.panel_width + self._size[0]) / 2, self._size[1] / 2])
-        self._view = None if zoom <= least else _View(fixed - (at + 0.5 - middle) / zoom, zoom)
+        smallest = self._whole().zoom
+        zoom = float(np.clip(view.zoom * _STEP**steps, smallest, _MAX_ZOOM * smallest))
+        centre = fixed - (at + 0.5 - self._middle) / zoom
+        self._view = None if zoom <= smallest else _View(centre, zoom)
 
     def pan(self, right: float, down: float) -> None:
         view = self._now()
@@ -143,13 +141,15 @@ class PointBoard:
 
     def _to_photo(self, at: Array) -> Array:
         view = self._now()
-        middle = np.array([(self.panel_width + self._size[0]) / 2, self._size[1] / 2])
-        return np.asarray(view.centre + (at + 0.5 - middle) / view.zoom)
+        return np.asarray(view.centre + (at + 0.5 - self._middle) / view.zoom)
 
     def _to_board(self, pixels: Array) -> Array:
         view = self._now()
-        middle = np.array([(self.panel_width + self._size[0]) / 2, self._size[1] / 2])
-        return np.asarray((pixels - view.centre) * view.zoom + middle - 0.5)
+        return np.asarray((pixels - view.centre) * view.zoom + self._middle - 0.5)
+
+    @property
+    def _middle(self) -> Array:
+        return np.array([(self.panel_width + self._size[0]) / 2, self._size[1] / 2])
 
     def _choose_next(self) -> None:
         count = len(self._names)
@@ -169,13 +169,11 @@ class PointBoard:
                 self._lens,
                 find_focal=self._find_focal,
             )
-            self.message = f"{self.found.rms:.1f} pixels off (root mean square)"
+            self.message = f"root mean square error {self.found.rms:.1f} pixels"
             wrong = [self._names[k] for k, u in zip(index, self.found.used, strict=True) if not u]
             self.message += f", without {', '.join(wrong)}" if wrong else ""
         except UsageError as error:
             self.message = str(error)
-
-    # Its picture.
 
     def _row_height(self) -> float:
         return _LINE * self._typesetter.font.height
@@ -184,9 +182,8 @@ class PointBoard:
         return 2.4 * self._row_height()
 
     def _shown(self) -> range:
-        least = 5
         room = self._size[1] - self._first() - (len(_KEYS) + 4) * self._row_height()
-        count = max(int((room - self.panel_width) / self._row_height()), least)
+        count = max(int((room - self.panel_width) / self._row_height()), _MIN_ROWS)
         first = min(max(self.chosen - count // 2, 0), max(len(self._names) - count, 0))
         return range(first, min(first + count, len(self._names)))
 
@@ -196,12 +193,12 @@ class PointBoard:
         return shown[row] if 0 <= row < len(shown) else None
 
     def sketch(self) -> tuple[int, int, int, int]:
-        """Where there is room for a sketch of the robot: left, top, width and height, pixels."""
+        """Area for a sketch of the robot: left, top, width and height, pixels."""
         top = self._first() + (len(self._shown()) + 0.5) * self._row_height()
         bottom = self._size[1] - (len(_KEYS) + 3.6) * self._row_height()
         return 0, round(top), self.panel_width, max(round(bottom - top), 1)
 
-    def picture(self) -> Pixels:
+    def image(self) -> Pixels:
         board = Image.new("RGB", self._size, _BESIDE)
         self._draw_photo(board)
         self._draw_marks(ImageDraw.Draw(board))
@@ -230,8 +227,8 @@ class PointBoard:
         if self.found is not None:
             used = dict(zip(index, self.found.used.tolist(), strict=True))
             pixels, depth = self.found.camera.project(self._points)
-            for k, (at, ahead) in enumerate(zip(self._to_board(pixels), depth, strict=True)):
-                if ahead > 0 and np.isfinite(at).all() and (np.abs(at) < 1e5).all():
+            for k, (at, distance) in enumerate(zip(self._to_board(pixels), depth, strict=True)):
+                if distance > 0 and np.isfinite(at).all() and (np.abs(at) < 1e5).all():
                     if k in self.clicked:
                         clicked = self._to_board(self.clicked[k])
                         draw.line([*clicked.tolist(), *at.tolist()], _GREEN, 1)
@@ -259,7 +256,7 @@ class PointBoard:
             lower = height - row * line - self._typesetter.font.height
             texts.append(PlacedText(x, lower, text, rgb, is_strong=strong))
 
-        add(0.4, "where is it in the photo?", _DIM)
+        add(0.4, "click this point in the photo", _DIM)
         add(1.3, self._names[self.chosen], _CHOSEN, strong=True)
         errors = {}
         if self.found is not None:
@@ -294,7 +291,7 @@ class PointBoard:
         pixels = self._typesetter.panel((self.panel_width, height), _PANEL, tuple(texts), False)
         return PlacedPanel(0, 0, pixels)
 
-    def _wrapped(self, text: str, most: int) -> list[str]:
+    def _wrapped(self, text: str, max_lines: int) -> list[str]:
         lines, room = [""], self.panel_width - 1.2 * self._typesetter.font.height
         for word in text.split():
             longer = f"{lines[-1]} {word}".strip()
@@ -302,4 +299,4 @@ class PointBoard:
                 lines.append(word)
             else:
                 lines[-1] = longer
-        return lines[:most]
+        return lines[:max_lines]

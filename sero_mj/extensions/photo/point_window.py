@@ -1,4 +1,4 @@
-"""`click_points`: a window in which points of the robot are clicked in a photo."""
+"""`PointWindow`: a window to click points of the robot in a photo."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from ...viewer.session.input import Clicked, Event, Mouse, Moved
 from ...viewer.window.glfw_window import GlWindow
 from .point_board import PointBoard
 
-_MORE = 100  # capacity for geoms beside those of the model
-_DOT = 0.03  # radius of the chosen point in the sketch, of the model's extent
+_MORE = 100  # additional capacity for geoms that do not belong to the model
+_DOT = 0.03  # radius of the selected point in the sketch, fraction of the model's extent
 _DOT_RGBA = np.array([1.0, 0.55, 0.1, 1.0], np.float32)
-_PAUSE = 0.03  # s between looking for events
+_PAUSE = 0.03  # s between queries of events
 
 
 class PointWindow:
-    """Shows a board until its user is done; a context manager.
+    """Shows a board until the user finishes; a context manager.
 
     Args:
-        data: its state in the photo.
-        points: of the board, in the world, (k, 3), m.
+        data: state of the world in the photo.
+        points: points of the board in the world, (k, 3), m.
         size: in screen coordinates.
 
     Attributes:
-        is_done: whether the user took what was found.
+        is_done: whether the user accepted the result.
 
     Raises:
         RenderError: there is no display.
@@ -50,10 +50,10 @@ class PointWindow:
         self._option = mujoco.MjvOption()
         self._option.flags[mujoco.mjtVisFlag.mjVIS_TRANSPARENT] = 1
         self._camera = find_camera(world)
-        self._drawn: tuple[int, int] | None = None  # size of what is shown now; None for outdated
+        self._drawn: tuple[int, int] | None = None  # size of the current image; None if outdated
 
     def frame(self) -> bool:
-        """Handles events, and shows what has changed; returns whether it is still open."""
+        """Handles events, and redraws if needed; returns whether the window is still open."""
         for event in self.gl.events():
             self._take(event)
         width, height = self.gl.size
@@ -95,7 +95,7 @@ class PointWindow:
         board, context = self.board, self.gl.context
         board.resize(width, height, int(self.gl.typesetter.font.height))
         whole = mujoco.MjrRect(0, 0, width, height)
-        mujoco.mjr_drawPixels(board.picture()[::-1].ravel(), None, whole, context)
+        mujoco.mjr_drawPixels(board.image()[::-1].ravel(), None, whole, context)
         left, top, wide, high = board.sketch()
         scene, every = self._scene, mujoco.mjtCatBit.mjCAT_ALL
         model = self._world.model

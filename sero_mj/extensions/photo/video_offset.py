@@ -1,14 +1,14 @@
-"""Finds the time in a recording at which a video of the robot begins, from the motion in both.
+"""Estimates the time in a recording at which a video of the robot starts, by the motion in both.
 
-The picture changes where the robot's outline sweeps over it between two frames. The swept area is
-computed from the recording with the known camera, at the video's rate, on a coarse grid of cells;
-the changes of the video are computed on the same grid. Both are correlated over time, cell by cell,
-for all offsets together, so that similar motions at different places are distinguished.
+Pixels of the video change if the robot's outline passes over them between two frames. The swept
+area is computed from the recording with the known camera, at the video's rate, on a coarse grid of
+cells. The changes of the video are computed on the same grid. Both are correlated over time, cell
+by cell, for all offsets at once, which distinguishes similar motions at different places.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,11 +28,11 @@ from .photo_camera import PhotoCamera, opencv
 _WIDTH = 192  # pixels, of outlines
 _CELL = 6  # pixels
 _POINTS = 80  # of a mesh's outline
-_NOISE, _FULL_CHANGE = 4.0, 40.0  # grey levels: noise, and a full change
+_NOISE, _FULL_CHANGE = 4.0, 40.0  # gray levels of noise, and of a full change
 _MIN_OVERLAP = 1.5  # s
 _PEAK_DISTANCE = 0.4  # s; minimum separation of distinct peaks
-_MIN_CORRELATION = 0.15  # correlation
-_KEY = "--offset auto"  # of errors
+_MIN_CORRELATION = 0.15
+_KEY = "--offset auto"  # key of errors
 _PEAK_RATIO = 1.25  # minimum ratio of the best peak to any other
 _MAX_DURATION = 3600.0  # s of a recording that are searched
 _HIDDEN_GROUP = 3  # the first hidden group of geoms
@@ -46,9 +46,9 @@ class FoundOffset:
     """The start of a video in a recording.
 
     Attributes:
-        offset: s of the recording at the video's first frame.
-        correlation: of motion in the video and in the recording, up to 1.
-        other: the highest correlation at another offset.
+        offset: time of the recording at the video's first frame, s.
+        correlation: correlation of the motion in video and recording, up to 1.
+        other: highest correlation at another offset.
     """
 
     offset: float
@@ -57,8 +57,8 @@ class FoundOffset:
 
     def __str__(self) -> str:
         return (
-            f"offset {self.offset:.3f} s: the motion in video and recording agrees to "
-            f"{self.correlation:.2f}, elsewhere at most to {self.other:.2f}"
+            f"offset {self.offset:.3f} s: correlation of video and recording "
+            f"{self.correlation:.2f}, at other offsets at most {self.other:.2f}"
         )
 
 
@@ -66,8 +66,9 @@ def find_offset(scene: Scene, path: Path, camera: PhotoCamera) -> FoundOffset:
     """Finds the start of a video of the robot.
 
     Raises:
-        UsageError: one of them has no motion, they do not agree, or they agree at several offsets.
-        SeroError: a problem of the scene, its sources or the video.
+        UsageError: one of them has no motion, they do not match, or they match at several
+            offsets.
+        SeroError: the scene, its sources or the video is invalid.
     """
     mirror = Mirror(scene)
     refuse_live(mirror, path)
@@ -78,8 +79,8 @@ def find_offset(scene: Scene, path: Path, camera: PhotoCamera) -> FoundOffset:
             raise UsageError("--offset auto needs a recording or a scenario that ends")
         if end > _MAX_DURATION:
             raise UsageError(
-                f"--offset auto looks through {_MAX_DURATION / 60:.0f} minutes at most, and the "
-                f"recording has {end / 60:.0f}; give --offset S"
+                f"--offset auto is limited to {_MAX_DURATION / 60:.0f} minutes, but the recording "
+                f"has {end / 60:.0f}; use --offset S"
             )
         small = _small(camera)
         swept = _swept(mirror, small, fps, end)
@@ -121,7 +122,7 @@ def _changed(video: Video, camera: PhotoCamera, fps: float) -> Cells:
             found.append(_cells(change * (255.0 / _FULL_CHANGE)))
         last = now
     if not found:
-        raise UsageError(f"{video.path}: has one frame only; --offset auto needs motion")
+        raise UsageError(f"{video.path}: has only one frame, but --offset auto needs motion")
     return np.stack(found)
 
 
@@ -131,9 +132,7 @@ def _cells(change: NDArray[np.generic]) -> NDArray[np.float32]:
     return np.asarray(blocks.mean(axis=(1, 3)).ravel() / 255.0, np.float32)
 
 
-class _Outlines:
-    """Draws the outlines of robots: the convex hulls of their geoms, filled."""
-
+class _Outlines:  # convex hulls of the robots' geoms, filled
     def __init__(self, world: World) -> None:
         model = world.model
         bodies = np.concatenate([part.bodies for part in world.robots.values()])
@@ -144,7 +143,7 @@ class _Outlines:
 
     def draw(self, data: mujoco.MjData, camera: PhotoCamera) -> NDArray[np.uint8]:
         cv2 = opencv()
-        picture = np.zeros((camera.height, camera.width), np.uint8)
+        image = np.zeros((camera.height, camera.width), np.uint8)
         world = [
             points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
             for geom, points in zip(self._geoms, self._points, strict=True)
@@ -157,17 +156,16 @@ class _Outlines:
             begin += len(points)
             if (depth[part] > 0).all() and np.isfinite(pixels[part]).all():
                 hull = cv2.convexHull(np.rint(pixels[part] * 16).astype(np.int32))
-                cv2.fillConvexPoly(picture, hull, 255, lineType=cv2.LINE_AA, shift=4)
-        return picture
+                cv2.fillConvexPoly(image, hull, 255, lineType=cv2.LINE_AA, shift=4)
+        return image
 
 
 def _points_of(model: mujoco.MjModel, geom: int) -> Array:
-    """Points (k, 3) whose hull approximates that of a geom, in its frame."""
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         vertices = model.mesh_vert[first : first + count].astype(float)
-        # The farthest ones in directions all around.
+        # The farthest vertices in directions distributed over a sphere.
         k = np.arange(_POINTS) + 0.5
         z, turn = 1.0 - 2.0 * k / _POINTS, np.pi * (1.0 + 5.0**0.5) * k
         around = np.stack([np.cos(turn), np.sin(turn), np.zeros(_POINTS)], axis=1)
@@ -175,29 +173,22 @@ def _points_of(model: mujoco.MjModel, geom: int) -> Array:
         directions[:, 2] = z
         return np.asarray(vertices[np.unique((vertices @ directions.T).argmax(axis=0))])
     centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-    corners = np.array(list(_corners()))
-    return np.asarray(centre + corners * half)
-
-
-def _corners() -> Iterator[tuple[int, int, int]]:
-    return ((x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1))
+    return np.asarray(centre + list(itertools.product((-1, 1), repeat=3)) * half)
 
 
 def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
-    """Finds the offset that maximizes the correlation of changed and swept cells.
+    """Returns the offset that maximizes the correlation of changed and swept cells.
 
     Args:
-        swept: of the recording, (T, cells), from frame to frame.
-        changed: of the video, (T', cells), likewise.
+        swept: cells of the recording, (T, cells), from frame to frame.
+        changed: cells of the video, (T', cells), from frame to frame.
 
     Raises:
         UsageError: no offset is clearly the best.
     """
     for what, cells in (("recording", swept), ("video", changed)):
         if float(np.abs(cells - cells.mean(axis=0)).sum(axis=1).max(initial=0.0)) < 0.02:
-            reason = (
-                f"the robot does not move in the {what}, as the camera sees it; give --offset S"
-            )
+            reason = f"the camera sees no motion of the robot in the {what}; use --offset S"
             raise UsageError(Problem(_KEY, reason))
     lags, scores = correlate(swept, changed, max(round(_MIN_OVERLAP * fps), 2))
     if not len(lags):
@@ -211,18 +202,17 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
     if score < _MIN_CORRELATION:
         problem = Problem(
             _KEY,
-            "the motion in the video agrees to",
+            "video and recording do not match: found",
             found=round(score, 2),
-            of="at most with that of the recording",
-            expected=f"{_MIN_CORRELATION:g} or more: is it this camera and this recording? Else "
-            "give --offset S",
+            of="correlation of their motion",
+            expected=f"{_MIN_CORRELATION:g} or more; check camera and recording, or use --offset S",
         )
         raise UsageError(problem)
     if score < _PEAK_RATIO * other:
         second = float(lags[apart][int(np.argmax(scores[apart]))] / fps)
         problem = Problem(
             _KEY,
-            f"offsets fit alike ({score:.2f} and {other:.2f}), as of a motion that repeats: found",
+            f"several offsets match (correlation {score:.2f} and {other:.2f}): found",
             found=[round(float(offset), 2), round(second, 2)],
             of="s",
             expected="one of these as --offset S",
@@ -231,13 +221,13 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
     return FoundOffset(float(offset), score, other)
 
 
-def correlate(swept: Cells, changed: Cells, least: int) -> tuple[NDArray[np.intp], Array]:
+def correlate(swept: Cells, changed: Cells, min_overlap: int) -> tuple[NDArray[np.intp], Array]:
     """Returns the correlation at every offset with sufficient overlap.
 
     Args:
         swept: (T, cells).
         changed: (T', cells).
-        least: minimum overlap, frames; also half of the shorter one.
+        min_overlap: minimum overlap, frames; also at least half of the shorter one.
 
     Returns:
         offsets in frames, row of `swept` of the first row of `changed`, and correlations.
@@ -258,9 +248,9 @@ def correlate(swept: Cells, changed: Cells, least: int) -> tuple[NDArray[np.intp
     first, last = np.maximum(lags, 0), np.minimum(lags + short, long)
     sums_a, sums_b = (np.concatenate([[0.0], np.cumsum(e)]) for e in (energy_a, energy_b))
     both = (sums_a[last] - sums_a[first]) * (sums_b[last - lags] - sums_b[first - lags])
-    # Little motion in the overlap is little evidence.
+    # Overlaps with little motion are not significant.
     enough = both > 0.01 * energy_a.sum() * energy_b.sum() * min(short / long, 1.0)
-    enough &= last - first >= max(least, min(long, short) // 2)
+    enough &= last - first >= max(min_overlap, min(long, short) // 2)
     scores = np.where(enough, products[lags] / np.sqrt(np.where(enough, both, 1.0)), -1.0)
     return lags[enough], scores[enough]
 

@@ -17,15 +17,14 @@ from typing import Any, ClassVar
 
 from mcap.writer import MCAP0_MAGIC
 
-from ...base.errors import Problem, RecordingError, UnknownName
+from ...base.errors import Problem, RecordingError, UnknownName, first_of
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
-from ...data.receive.led_robot import LedJoint
+from ...data.receive.routed_joints import RoutedJoint
 from ...data.receive.source import Source
 from ...data.record.formats import mcap_header, open_recording
 from ...data.record.mcap_reader import NOT_CLOSED
 from ...data.record.recording import PacketFile, RecordedSource
 from ...robots.declared.scene import Scene
-from ...robots.importers.imported_tables import first_of
 from .bag_scenes import led_by
 from .dds import Ros2
 from .described_scene import DESCRIPTION, described_scene, scenes_of_bag, shipped_robots_of
@@ -177,7 +176,6 @@ class Bag(PacketFile):
             raise RecordingError(path, _why_unreadable(path, error)) from error
 
     def _open(self, reader: Any) -> None:
-        """Opens it, or what is whole of it; raises RecordingError and whatever rosbags raises."""
         file = bag_file_in(self.path) if self.path.is_dir() else self.path
         if file is None and not is_bag(self.path):
             self._open_parts(reader, bag_files_in(self.path))
@@ -206,7 +204,6 @@ class Bag(PacketFile):
             self._tell_cut(cut)
 
     def _open_parts(self, reader: Any, files: list[Path]) -> None:
-        """Opens the files of a recording whose metadata are missing; raises as `_open` does."""
         parts: list[Path | MendedMcap] = []
         cut = ""
         for file in files:
@@ -254,11 +251,6 @@ class Bag(PacketFile):
         return found
 
     def _joints_of(self, topic: str) -> list[str]:
-        """Names of joints in the messages of a topic: several devices may publish on it.
-
-        These are in its first messages. Messages that name a joint twice count only if there are
-        no others.
-        """
         names: dict[str, None] = {}
         doubtful: dict[str, None] = {}
         end = math.inf
@@ -295,7 +287,7 @@ class Bag(PacketFile):
             name, names = topic.strip("/").replace("/", "_"), self._joints_of(topic)
             if names:
                 source = Ros2(name=name, joint_states=topic, joints=names, odometry=base)
-                source.led_to([LedJoint(joint, math.nan) for joint in names])  # of no robot
+                source.set_joints([RoutedJoint(joint, math.nan) for joint in names])  # of no robot
                 found[name] = source
             else:
                 self.nameless.append(topic)
@@ -431,7 +423,6 @@ class Bag(PacketFile):
     def _raw(
         self, topics: list[str], start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, Any, bytes]]:
-        """Messages of topics in order of time: when, s, the connection, and the bytes."""
         chosen = [each for each in self._reader.connections if each.topic in topics]
         if not chosen:
             return
@@ -462,7 +453,6 @@ class Bag(PacketFile):
             raise MalformedMessage(f"no {connection.msgtype}: {error}") from error
 
     def _take_still(self, joined: JoinedPackets, source: RosSource, until: float) -> None:
-        """Takes frames that do not move, which are published once."""
         if source.reads_transforms:
             for time, connection, raw in self._raw(["/tf_static"], stop=until):
                 self._joined_with(joined, FRAMES, connection, raw, time)

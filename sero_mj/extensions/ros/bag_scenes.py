@@ -66,7 +66,6 @@ def led_by(
 
 
 def _source_of(robot: SerialRobot, joints: Mapping[str, Sequence[str]]) -> str | None:
-    """Returns the source with a robot's joints, by their names; None if it is not clear."""
     if len(joints) == 1:
         return next(iter(joints))
     wanted = [robot.names[k] for k in robot.coupled.independent]
@@ -98,7 +97,6 @@ def _base_moves(
 
 
 def _first_pose(scene: Scene, source: str) -> dict[str, Any]:
-    """Returns the first pose of a robot by the source that leads it; views are fitted to it."""
     ((name, robot),) = scene.robots.items()
     pose: dict[str, Any] = {"joint_angles": robot.home}
     with suppress(SeroError):

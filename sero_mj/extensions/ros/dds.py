@@ -368,7 +368,6 @@ def raw_type(kind: str) -> Any:
 
 @cache
 def _idl_type(kind: str) -> Any:
-    """A type of Cyclone DDS, from the definitions that `rosbags` has."""
     from cyclonedds.idl import annotations, make_idl_struct
 
     package, _, name = kind.rpartition("/")

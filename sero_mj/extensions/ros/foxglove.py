@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field
 
 from ...data.receive import connecting
 from ...data.receive.connecting import Address
-from ...data.receive.receiving_thread import ClosedHere, Disconnected
+from ...data.receive.receiving_thread import Closing, Disconnected
 from .ros_source import MOST_KEPT, TYPES, Listener, RosSource, ros_type, wrong_with
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ class Client:
             try:
                 if source.closing.is_set():
                     sock.close()
-                    raise ClosedHere
+                    raise Closing
                 options: dict[str, Any] = {}
                 if source.tls:
                     options["ssl"] = ssl.create_default_context()
@@ -177,7 +177,6 @@ class Client:
                 sock.close()
 
     def _converse(self, connection: ClientConnection) -> None:
-        """Subscribes and receives until the connection ends."""
         self._channels, self._subscribed, self._number = {}, {}, 0
         self._comes_again = self._source.receive_trigger > 0
         due = clock.monotonic() + _LOOKS
@@ -213,11 +212,6 @@ class Client:
             self._listener.hear([(tells, received[_HEAD.size :], b"")])
 
     def _acknowledge(self) -> None:
-        """Has the kernel acknowledge at once what has come, as far as it can.
-
-        A server that waits for that before it sends more (Nagle's algorithm, as of the SDK) is
-        otherwise up to 40 ms late.
-        """
         if (lever := self._lever) is not None and hasattr(socket, "TCP_QUICKACK"):
             lever.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
 
@@ -231,11 +225,9 @@ class Client:
             elif operation == "status":
                 said = _Said.model_validate_json(text)
                 if said.level >= _WARNING:
-                    self._source.tell_once(f"the server says: {said.message[:_MOST_SAID]}")
+                    self._source.log_once(f"the server says: {said.message[:_MOST_SAID]}")
         except (ValueError, AttributeError, RecursionError):
-            self._source.tell_once(
-                f"{self._source.url} tells what is not understood: {text[:80]!r}"
-            )
+            self._source.log_once(f"{self._source.url} tells what is not understood: {text[:80]!r}")
 
     def _advertise(self, channels: list[_Channel], connection: ClientConnection) -> None:
         self._source.note_trouble("")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array, frame, inverse, rotation_from_quat
-from ...data.receive.led_robot import LedJoint, LedLinks
+from ...data.receive.routed_joints import RoutedJoint, RoutedLinks
 from ...data.receive.structure import Structure
 from ...data.record.csv_files import JOINT_EVENTS, prefix_before
 from .link_transforms import LinkTransforms
@@ -45,7 +45,7 @@ class JoinedPackets:
 
     def __init__(
         self,
-        joints: Sequence[LedJoint],
+        joints: Sequence[RoutedJoint],
         names: Mapping[str, str],
         *,
         has_commands: bool = False,
@@ -55,7 +55,7 @@ class JoinedPackets:
         odometry: str = "",
         has_pose: bool = False,
         joints_by: str = "",
-        links: LedLinks | None = None,
+        links: RoutedLinks | None = None,
         torque_constants: float | Sequence[float] | Array = 1.0,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
@@ -110,7 +110,7 @@ class JoinedPackets:
         self._has_doubts = False  # whether efforts are torques
         self._parents: dict[str, tuple[str, Array]] = {}
 
-    def _linked(self, links: LedLinks | None, wanted: Sequence[str]) -> LinkTransforms | None:
+    def _linked(self, links: RoutedLinks | None, wanted: Sequence[str]) -> LinkTransforms | None:
         if links is None or len(links.joints) != len(self._joints or links.joints):
             return None
         if wanted and not links.poses:
@@ -159,7 +159,6 @@ class JoinedPackets:
         return values.tobytes() if makes else None
 
     def _take_joints(self, values: Array, message: Any) -> bool:
-        """Takes the values of some joints; whether the first of all is among them."""
         count = len(message.name)
         if message.name != self._found:
             self._match(message.name, len(message.position))
@@ -324,7 +323,6 @@ def event_of_frame(name: str) -> str:
 
 
 def _pose(position: Sequence[float], quaternion: Sequence[float]) -> Array | None:
-    """A pose (4, 4) from a position, m, and a quaternion w, x, y, z; None if it is none."""
     length = float(np.linalg.norm(quaternion))
     if not np.isfinite(position).all() or not abs(length - 1.0) <= _UNIT_TOLERANCE:
         return None

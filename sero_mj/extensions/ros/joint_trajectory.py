@@ -79,7 +79,6 @@ class JointTrajectory:
 
 
 def _segments(times: Array, derivatives: Array) -> Array:
-    """Returns polynomials (m, 2 d, n) with the derivatives of the points, (d, m + 1, n)."""
     d = len(derivatives)
     durations = np.diff(times)
     ends = np.zeros((2 * d, 2 * d))  # derivatives of the powers at 0 and at 1
@@ -95,7 +94,6 @@ def _segments(times: Array, derivatives: Array) -> Array:
 
 
 def _order(found: list[str], names: list[str]) -> list[int]:
-    """Where each joint stands in a message."""
     if len(found) != len(set(found)):
         raise _malformed("joint_names", "has a joint twice", found=found)
     for name in found:

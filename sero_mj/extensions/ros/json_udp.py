@@ -60,7 +60,7 @@ class JsonUdp(UdpReceiver, RosSource):
     def of_messages(self) -> RosSource:
         fields = RosSource.model_fields.keys() & type(self).model_fields.keys()
         source = Ros2(**{key: getattr(self, key) for key in fields & self.model_fields_set})
-        source.led_to(self._led)
+        source.set_joints(self._led)
         source._links = self._links
         return source
 
@@ -74,8 +74,7 @@ class JsonUdp(UdpReceiver, RosSource):
         stamp = float(values["stamp"][0])
         return message_of(self.joint_names, stamp, values["joint_angles"], velocities, efforts)
 
-    def _subscribe(self, listener: Listener) -> None:
-        """Does nothing: the socket receives all messages."""
+    def _subscribe(self, listener: Listener) -> None: ...
 
     def _accept(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None

@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable
 import numpy as np
 
 from ...base.frames import Array, Ints, inverse, rotation_about, rotation_angles
-from ...data.receive.led_robot import LedLinks
+from ...data.receive.routed_joints import RoutedLinks
 
 _ANGLE, _DISTANCE = 0.02, 0.01  # rad and m by which transforms and robot may differ
 _TURN = 2 * np.pi
@@ -25,7 +25,7 @@ class LinkTransforms:
     missing. Names may have a prefix that ends with a slash (`left/base_link`).
     """
 
-    def __init__(self, links: LedLinks, tell: Callable[[str], None]) -> None:
+    def __init__(self, links: RoutedLinks, tell: Callable[[str], None]) -> None:
         self._links, self._tell = links, tell
         self._prefix = ""  # of the first such name
         self._angles = links.home.copy()  # the last ones

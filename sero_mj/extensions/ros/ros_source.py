@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from ...base.errors import Problem, SourceError
-from ...data.receive.led_robot import LedJoint, LedLinks
+from ...data.receive.routed_joints import RoutedJoint, RoutedLinks
 from ...data.receive.source import Source
 from ...data.receive.structure import TorqueSign
 from ...data.record.csv_files import JOINT_EVENTS
@@ -106,8 +106,8 @@ class RosSource(Source):
             )
         )
     )
-    _led: list[LedJoint] = PrivateAttr(default_factory=list)
-    _links: LedLinks | None = PrivateAttr(None)
+    _led: list[RoutedJoint] = PrivateAttr(default_factory=list)
+    _links: RoutedLinks | None = PrivateAttr(None)
     _kinds: dict[str, str] = PrivateAttr(default_factory=dict)
 
     @field_validator("joints")
@@ -144,11 +144,11 @@ class RosSource(Source):
         self._nan_allowed |= {event_of_frame(name) for name in self.frames}
         return self
 
-    def led_to(self, joints: Sequence[LedJoint]) -> None:
+    def set_joints(self, joints: Sequence[RoutedJoint]) -> None:
         self._led = list(joints)
         self.__dict__.pop("layout", None)
 
-    def led_to_links(self, links: LedLinks) -> None:
+    def set_links(self, links: RoutedLinks) -> None:
         self._links = links
         self.__dict__.pop("layout", None)
 
@@ -172,7 +172,7 @@ class RosSource(Source):
         led = self._led
         if isinstance(self.joints, list) and self.joints:
             if len(led) != len(self.joints):
-                led = [LedJoint(name) for name in self.joints]
+                led = [RoutedJoint(name) for name in self.joints]
             pairs = zip(led, self.joints, strict=True)
             led = [joint._replace(name=name) for joint, name in pairs]
         constants = 1.0 if self.torque_constants is None else self.torque_constants
@@ -188,7 +188,7 @@ class RosSource(Source):
             joints_by=TF if is_tf(self.joint_states) else "",
             links=self._links,
             torque_constants=self.torque_sign * np.asarray(constants, float),
-            tell=self.tell_once if tell is None else tell,
+            tell=self.log_once if tell is None else tell,
         )
 
     @cached_property
@@ -240,7 +240,7 @@ class RosSource(Source):
     def with_fields(self, **fields: Any) -> RosSource:
         own = {key: self.__dict__[key] for key in type(self).model_fields}
         other = type(self)(**{**own, **fields})
-        other.led_to(self._led)
+        other.set_joints(self._led)
         other._links = self._links
         return other
 
@@ -251,9 +251,6 @@ class RosSource(Source):
     @property
     def trouble(self) -> str:
         return "" if self.receiving else self._trouble
-
-    def note_trouble(self, trouble: str) -> None:
-        self._trouble = trouble
 
     def open(self) -> None:
         """Starts to receive; publishers need not be there; raises SourceError."""
@@ -269,8 +266,7 @@ class RosSource(Source):
         self.stop_receiving()
 
     @abstractmethod
-    def _subscribe(self, listener: Listener) -> None:
-        """Begins to pass the messages of `topics` to the listener; raises SourceError."""
+    def _subscribe(self, listener: Listener) -> None: ...
 
 
 class Listener:

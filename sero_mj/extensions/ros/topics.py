@@ -50,7 +50,6 @@ def print_topics(text: str, duration: float, *, as_json: bool) -> int:
 
 
 def _rest(address: Address, description: str) -> str:
-    """What follows `ros2://` in the address of a robot that a topic describes."""
     namespace = description.removesuffix("/robot_description")
     host = "" if address.host == LOCALHOST and address.domain is None else address.host
     return host + ("" if address.domain is None else f":{address.domain}") + namespace

@@ -21,7 +21,7 @@ from pydantic import Field
 from ...base.errors import SourceError
 from ...data.receive import receiving_thread
 from ...data.receive.connecting import Address, addresses
-from ...data.receive.receiving_thread import ClosedHere, Disconnected
+from ...data.receive.receiving_thread import Closing, Disconnected
 from .dds import MOST_DOMAIN, domain_number
 from .ros_source import TYPES, Listener, RosSource, ros_type, wrong_with
 
@@ -112,12 +112,11 @@ class Session:
                 session.close()
 
     def _open(self, found: Sequence[tuple[Any, ...]]) -> Any:
-        """Opens a session by the first address that answers; zenoh would stay with the first."""
         zenoh = _zenoh(self._source.name)
         failure: Exception = OSError("no address")
         for *_, address in found:
             if self._source.closing.is_set():
-                raise ClosedHere
+                raise Closing
             try:
                 return zenoh.open(self._configuration(_endpoint(address)))
             except zenoh.ZError as error:
@@ -127,7 +126,8 @@ class Session:
     def _configuration(self, endpoint: str) -> Any:
         configuration = _zenoh(self._source.name).Config()
         patience, shortest, longest = (
-            round(1e3 * t) for t in (_PATIENCE, receiving_thread.SHORTEST, receiving_thread.LONGEST)
+            round(1e3 * t)
+            for t in (_PATIENCE, receiving_thread.MIN_PAUSE, receiving_thread.MAX_PAUSE)
         )
         again = {"period_init_ms": shortest, "period_max_ms": longest}
         for key, value in {
@@ -186,7 +186,7 @@ class Session:
         if not (session.info.routers_zid() or session.info.peers_zid()):
             trouble = f"the router of zenoh at {source.place_of_router} is gone"
             source.note_trouble(trouble)
-            source.tell_once(f"{trouble}; it is tried again")
+            source.log_once(f"{trouble}; trying again")
             return
         published = self._published(session)
         wrong = [wrong_with(topic, TYPES[tells], published) for topic, tells in source.topics]
@@ -214,7 +214,6 @@ def _zenoh(owner: str) -> Any:
 
 
 def _endpoint(address: tuple[Any, ...]) -> str:
-    """An address of `socket.getaddrinfo` as zenoh has it."""
     host, port = address[:2]
     return f"tcp/[{host}]:{port}" if ":" in host else f"tcp/{host}:{port}"
 
@@ -225,5 +224,4 @@ def _publisher(attachment: Any) -> bytes:
 
 
 def _first(error: Exception) -> str:
-    """What an error says, without where in zenoh's sources it was noticed."""
     return str(error).partition(" at /")[0].strip()

@@ -99,7 +99,7 @@ class RtdeReceiver(ConnectingSource):
     torque_sign: TorqueSign = 1
 
     _fixed_by: ClassVar[str] = "RTDE"
-    _link: ClassVar[str] = "UR RTDE"
+    protocol: ClassVar[str] = "UR RTDE"
     # As long as the routes are unknown, what older controllers lack may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(
         frozenset(("currents", "torques", "commanded_torques", "tcp_force", "tcp_moment"))
@@ -122,17 +122,13 @@ class RtdeReceiver(ConnectingSource):
         good = state in (_RUNNING, UNKNOWN) and (quality < 0 or quality in _SAFE)
         return [] if good else [", ".join(_modes(state, quality))]
 
-    def _converse(self, wake: socket.socket) -> None:
+    def converse(self, wake: socket.socket) -> None:
         left_out = frozenset[str]()
         while True:  # once more without what the controller lacks, as UR's own client does it
             with _Connection(self.host, self.port, wake) as connection:
                 left_out |= self._talk(connection, left_out)
 
     def _talk(self, connection: _Connection, left_out: frozenset[str]) -> frozenset[str]:
-        """Agrees on a recipe and receives until the connection ends.
-
-        Returns at once the variables that the controller lacks, if there are any.
-        """
         if connection.ask(ASK_VERSION, struct.pack(">H", VERSION), self._hear) != b"\1":
             raise ProtocolError("does not accept version 2 of RTDE")
         answer = connection.ask(ASK_CONTROLLER, b"", self._hear)
@@ -154,10 +150,10 @@ class RtdeReceiver(ConnectingSource):
             return lacking
         if connection.ask(START, b"", self._hear) != b"\1":
             raise ProtocolError("does not start to send")
-        self._begin(f"{rate:g} Hz")
+        self.note_connected(f"{rate:g} Hz")
         if MEASURED in left_out and COMMANDED not in left_out:
             self._state += ", torques are commanded, not measured"
-            self.tell_once(
+            self.log_once(
                 f"controller {'.'.join(map(str, version[:3]))} does not measure torques "
                 "(actual_current_as_torque, from PolyScope 5.23 and 10.11 on); those shown are "
                 "the commanded ones (target_moment)"
@@ -178,11 +174,11 @@ class RtdeReceiver(ConnectingSource):
             lacking.add(name)
             if other == NOT_FOUND:
                 if name != MEASURED:  # which is told when it is known what stands in for it
-                    self.tell_once(f"the controller has no {name}")
+                    self.log_once(f"the controller has no {name}")
             elif other == IN_USE:
-                self.tell_once(f"{name} is in use by another client")
+                self.log_once(f"{name} is in use by another client")
             else:
-                self.tell_once(f"{name} is of type {other[:40]}; expected {kind}")
+                self.log_once(f"{name} is of type {other[:40]}; expected {kind}")
         return frozenset(lacking)
 
     def _is_data(self, kind: int, payload: bytes) -> bool:
@@ -195,7 +191,7 @@ class RtdeReceiver(ConnectingSource):
     def _hear(self, payload: bytes) -> None:
         is_whole = bool(payload) and 1 + payload[0] <= len(payload)
         text = payload[1 : 1 + payload[0]] if is_whole else payload
-        self.tell_once(f"the controller says: {text.decode('utf-8', 'replace').strip()}")
+        self.log_once(f"the controller says: {text.decode('utf-8', 'replace').strip()}")
 
 
 class RtdeLayout(Structure):
@@ -218,7 +214,6 @@ class _Connection(Connection):
         self._messages: deque[tuple[int, bytes]] = deque()
 
     def ask(self, kind: int, question: bytes, hear: Callable[[bytes], None]) -> bytes:
-        """Sends a question, and returns the payload of its answer; `hear` gets texts before it."""
         self.socket.sendall(HEAD.pack(HEAD.size + len(question), kind) + question)
         deadline = clock.monotonic() + connecting.PATIENCE
         while True:
@@ -259,8 +254,6 @@ class _Connection(Connection):
 
 
 class _Packages:
-    """Turns payloads of data packages into packets."""
-
     def __init__(self, recipe: int, left_out: frozenset[str], rate: float, fastest: float) -> None:
         self._recipe = recipe
         places, at = {}, 1  # behind the recipe's number

@@ -401,7 +401,6 @@ class RtdeRobot(Controller):
         self._is_silent = True
 
     def _mind_silence(self, sensed: Sensed) -> None:
-        """Holds the robot where the client that commanded it is silent, or has gone."""
         commander, time = self._commander, sensed.time
         if commander is None:
             return

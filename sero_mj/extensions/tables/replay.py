@@ -13,7 +13,7 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from ...base.errors import CsvError, Problem, UnknownName, did_you_mean, mismatch
 from ...base.frames import Array
-from ...data.receive.led_robot import LedJoint
+from ...data.receive.routed_joints import RoutedJoint
 from ...data.receive.source import Source
 from ...data.receive.structure import Structure
 from ...data.receive.udp import UdpReceiver
@@ -190,7 +190,7 @@ class TableReplay(FileSource):
     def _table(self) -> Table:
         return read_cached(self.file, self.columns, self.rate)
 
-    def led_to(self, joints: Sequence[LedJoint]) -> None:
+    def set_joints(self, joints: Sequence[RoutedJoint]) -> None:
         self._joints = [joint.name for joint in joints]
         self.__dict__.pop("_events_of_rows", None)
         for key in ("recorded", "original", "layout"):

@@ -72,7 +72,7 @@ def read_run_table(
     if len(possible) > 1:
         first, *_ = possible
         found = ", ".join(possible)
-        raise UsageError(f"{path} may be of {found}; choose with --source {first}, say")
+        raise UsageError(f"{path} may be of {found}; choose one with --source {first}")
     if not possible:
         return _run_of_joints(table, scene, columns, _expected_columns(table, scene, wanted))
     ((name, events),) = possible.items()

@@ -1,4 +1,4 @@
-"""X3D scenes as TOML and TOML scenes as X3D, for `sero-mj export`."""
+"""Converts X3D scenes to TOML and TOML scenes to X3D, for `sero-mj export`."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from ...robots.declared.robot_parts import LinkGeometry
     from ...robots.declared.scene import Scene
 
-# Fields of robots in other units or orders, which are converted when a robot is built.
+# Robot fields that are converted when a robot is created.
 _OTHER_FORMS = ("name", "dh_params", "dh_columns", "length_unit")
 
 
 def write_toml(options: ExportOptions) -> int:
-    """Writes an X3D scene as TOML; returns 0."""
+    """Writes an X3D scene as TOML, and returns the exit code."""
     return _write(options, to_x3d=False)
 
 
 def write_x3d(options: ExportOptions) -> int:
-    """Writes a scene as X3D, with its links as VRML97 files in OUT_links/ROBOT; returns 0."""
+    """Writes a scene as X3D, and its links as VRML97 files in OUT_links/ROBOT."""
     return _write(options, to_x3d=True)
 
 
@@ -41,7 +41,8 @@ def _write(options: ExportOptions, *, to_x3d: bool) -> int:
     output = options.path
     if to_x3d == (Path(options.scene).suffix.lower() in X3d.endings):
         both = "X3D" if to_x3d else "TOML"
-        raise UsageError(f"{options.scene} and {output}: both are {both}; expected one of each")
+        message = f"both are {both}; expected one X3D file and one TOML file"
+        raise UsageError(f"{options.scene} and {output}: {message}")
     files: dict[Path, str] = {}
     if to_x3d:
         text, lost = _as_x3d(options.scene, output, files)
@@ -49,14 +50,14 @@ def _write(options: ExportOptions, *, to_x3d: bool) -> int:
         text, lost = _as_toml(options.scene, output), []
     files[output] = text
     if not options.overwrite:
-        check_new(files, "--overwrite writes over it")
+        check_new(files, "use --overwrite to replace it")
     with writing():
         for path, contents in files.items():
             if path is not output:
                 path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(contents, encoding="utf-8")
     if lost:
-        line = f"sero-mj: left out, as X3D or its protos have no word for it: {', '.join(lost)}"
+        line = f"sero-mj: left out, because X3D cannot express it: {', '.join(lost)}"
         print(fill(line, 100, subsequent_indent="  ", break_on_hyphens=False), file=sys.stderr)
     print(output)
     return 0
@@ -66,13 +67,13 @@ def _as_toml(name: str, output: Path) -> str:
     from ...robots.importers.toml_text import toml_text
     from .reader import read_x3d
 
-    read_scene(name)  # tells all that is wrong, also what is wrong with robots and sources
+    read_scene(name)  # reports all errors, including those of robots and sources
     described = read_x3d(Path(name))
     for robot in described.tables.get("robots", {}).values():
         if robot.get("directory"):
             folder = Path(name).parent / robot["directory"]
             robot["directory"] = _relative(folder, output)
-    comments = [f"{Path(name).name}, as a scene of sero-mj."]
+    comments = [f"Converted from {Path(name).name}."]
     for warning in described.warnings:
         comments += fill(f"Note: {warning}", 98, subsequent_indent="  ").splitlines()
     return toml_text(described.tables, comments)
@@ -90,16 +91,14 @@ def _as_x3d(name: str, output: Path, files: dict[Path, str]) -> tuple[str, list[
 
     text, lost = x3d_text(scene_tables(read_scene(name), output, files))
     if "SerialRobot {" not in text and "Shape {" not in text:
-        raise UsageError(f"{name}: nothing of it can be said in X3D; left out: {', '.join(lost)}")
+        raise UsageError(f"{name}: X3D cannot express any part of it; left out: {', '.join(lost)}")
     return text, lost
 
 
 def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str, Any]:
-    """Returns the tables of a scene file with all fields of the robots, without `model`.
+    """Returns the tables of a scene file with robot fields instead of `model`.
 
-    Args:
-        output: a file; folders are relative to its own.
-        files: gets the texts of files of links, to be written.
+    Folders are relative to that of `output`. The texts of link files are added to `files`.
     """
     from ...data.drive.wiring import wire
 
@@ -128,7 +127,7 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
 
 
 def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dict[str, Any]:
-    """Returns a robot's fields that differ from their defaults, SI units; see `scene_tables`."""
+    """Returns the fields of a robot that differ from their defaults; see `scene_tables`."""
     table = _changed(robot, *_OTHER_FORMS)
     if robot.dh is not None:
         dh = robot.dh
@@ -154,7 +153,7 @@ def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dic
         table["filenames"] = [*texts]
         table["directory"] = _relative(folder, output)
     else:
-        table["filenames"] = []  # they are in other frames; named where they are left out
+        table["filenames"] = []  # the meshes are in other frames; the writer reports them
     return table
 
 
@@ -163,12 +162,12 @@ def _is_vrml(part: LinkGeometry) -> bool:
     return is_file and not _changed(part, "file")
 
 
-def _changed(declaration: Declaration, *but: str) -> dict[str, Any]:
+def _changed(declaration: Declaration, *excluded: str) -> dict[str, Any]:
     changed = {}
     for key, field in type(declaration).model_fields.items():
         value = getattr(declaration, key)
         default = field.get_default(call_default_factory=True)
-        if key not in but and _plain(value) != _plain(default):
+        if key not in excluded and _plain(value) != _plain(default):
             changed[key] = _plain(value)
     return changed
 

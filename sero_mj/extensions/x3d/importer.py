@@ -1,4 +1,4 @@
-"""`X3d`: scenes of the paper as an `Importer`."""
+"""The importer of X3D scenes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ...robots.importers.importer import Importer
 
 
 class X3d(Importer):
-    """Scenes of the paper, in X3D's classic encoding, and VRML 97."""
+    """Scenes in X3D's classic encoding or in VRML97."""
 
     endings: ClassVar[tuple[str, ...]] = (".x3d", ".x3dv", ".wrl")
     is_scene: ClassVar[bool] = True

@@ -1,4 +1,4 @@
-"""The visual geometry of a robot's base and links as VRML97 files."""
+"""Writes the visual geometry of a robot's base and links as VRML97 files."""
 
 from __future__ import annotations
 
@@ -15,16 +15,13 @@ from .writer import face_set, shape_lines
 if TYPE_CHECKING:
     from ...robots.declared.robot import SerialRobot
 
-_CREASE = 0.7  # rad; MuJoCo draws sharper edges than these as such
-_UPRIGHT = frame(rotation_about(0, np.pi / 2))  # from z, the axis of MuJoCo's cylinders, to y
+_CREASE = 0.7  # rad; MuJoCo shades sharper edges as edges
+_UPRIGHT = frame(rotation_about(0, np.pi / 2))  # from z, the cylinder axis of MuJoCo, to y
 Geom = mujoco.mjtGeom
 
 
 def link_files(robot: SerialRobot) -> dict[str, str]:
-    """Returns the text of each file of base and links by name, in the order of `filenames`.
-
-    Raises DeclarationError if a mesh cannot be read.
-    """
+    """Returns the texts of the files of base and links by file name, in the order of links."""
     root, problems = mujoco.MjSpec(), list[Problem]()
     links = drawn_geoms(root, robot, problems)
     raise_any(problems)

@@ -1,9 +1,8 @@
 """Reads a scene in X3D's classic encoding, as in the paper's Fig. 7, as tables of a scene file.
 
-Of the nodes `SerialRobot`, `UdpReceiver` and `ShmReader` are the paper's protos (Fig. 3 and 5):
-same fields, rows of `dhParams` as alpha, a, theta, d by Craig's convention, in rad and m, and
-matrices with their translation in the fourth row, as in X3D (ISO/IEC 19775-1, 5.3). Shapes,
-viewpoints and lights become objects, cameras and lights, ROUTEs become routes.
+The nodes `SerialRobot`, `UdpReceiver` and `ShmReader` are the paper's protos (Fig. 3 and 5). Rows
+of `dhParams` are alpha, a, theta, d by Craig's convention in rad and m. Matrices have their
+translation in the fourth row, as in X3D (ISO/IEC 19775-1, 5.3).
 """
 
 from __future__ import annotations
@@ -39,10 +38,10 @@ from .vrml_nodes import Document, FieldValue, Node, Problems, RouteStatement, ge
 from .wrl import VisitedNode, kind_of, matrix, transform_of, visit
 
 _MAX_DEBUG_LEVEL = 3
-_MAX_TRIANGLES = 500_000  # of the shapes of a scene; those of a robot are in files
+_MAX_TRIANGLES = 500_000  # of all shapes of a scene, without robots
 _MISSING = "no such file"
-Z_IS_UP = "z is up"  # in WorldInfo of scenes written by sero-mj
-# Rotates y, which is up in X3D, to z.
+Z_IS_UP = "z is up"  # in the WorldInfo of scenes that sero-mj writes
+# Rotates y to z; y is up in X3D.
 _UPRIGHT = np.diag([1.0, 1.0, 1.0, 1.0])
 _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
 
@@ -50,8 +49,8 @@ _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
 def read_x3d(path: Path) -> ImportedTables:
     """Reads a scene in X3D's classic encoding, or in VRML97.
 
-    Other nodes are listed in one warning; so are missing geometry files of robots, whose links are
-    generated from the DH table. Raises DeclarationError with all X3D errors, with lines.
+    Warnings list other nodes, and missing geometry files of robots. Links without a file are
+    generated from the DH table. Raises DeclarationError with all errors and their lines.
     """
     return _X3dReader(read_document(path)).described()
 
@@ -64,10 +63,10 @@ class _X3dReader:
         self.warnings: list[str] = []
         self.not_shown: dict[str, int] = {}
         self.left_out: list[str] = []  # ROUTEs
-        self.names: dict[int, str] = {}  # our names of nodes, by their ids
+        self.names: dict[int, str] = {}  # unique names of nodes by id
         self.placed: dict[int, Array] = {}  # frames of robots, sources and shapes
         self.waiting: list[VisitedNode] = []  # groups that a ROUTE moves
-        self.fixed: set[int] = set()  # those that became a robot's children
+        self.fixed: set[int] = set()  # groups that became children of a robot
         self.taken: set[str] = set()
         self.robots: dict[str, dict[str, Any]] = {}
         self.sources: dict[str, dict[str, Any]] = {}
@@ -78,7 +77,7 @@ class _X3dReader:
         self.missing: dict[str, str] = {}  # files of robots
         self.description = ""
         self.triangles = 0
-        # Groups that a ROUTE moves are kept apart from static ones.
+        # Groups that a ROUTE moves are read after static ones.
         self.moved = {
             id(node)
             for route in document.routes
@@ -88,7 +87,7 @@ class _X3dReader:
 
     def described(self) -> ImportedTables:
         seen = self._visit(self.document.nodes)
-        for each in seen:  # because other names may be derived from these
+        for each in seen:  # first, because other names must differ from these
             if each.node.name:
                 self._name(each.node)
         turn = self._turn(seen)
@@ -97,8 +96,8 @@ class _X3dReader:
         while self.waiting:
             self._take_group(self.waiting.pop(0))
         for route in self.document.routes:
-            if (meant := self._meant(route)) is not None:
-                self._route(route, *meant, is_turned=not np.array_equal(turn, np.eye(4)))
+            if (ends := self._ends(route)) is not None:
+                self._route(route, *ends, is_turned=not np.array_equal(turn, np.eye(4)))
         self.problems.raise_all()
         self._warn()
         sections = {
@@ -116,9 +115,9 @@ class _X3dReader:
         return ImportedTables(tables, self.lines, list(dict.fromkeys(self.warnings)))
 
     def _visit(self, nodes: list[Node]) -> list[VisitedNode]:
-        return visit(nodes, self.path, self.problems, self._is_kept)
+        return visit(nodes, self.path, self.problems, self._is_leaf)
 
-    def _is_kept(self, node: Node) -> bool:
+    def _is_leaf(self, node: Node) -> bool:
         return bool(own_kind(node)) or id(node) in self.moved
 
     def _name(self, node: Node, text: str = "") -> str:
@@ -133,14 +132,14 @@ class _X3dReader:
         self.taken.add(name)
         self.names[id(node)] = name
         if node.name and name != node.name:
-            self.warnings.append(f"'{node.name}' (line {node.line}) is called '{name}'")
+            self.warnings.append(f"'{node.name}' (line {node.line}) was renamed to '{name}'")
         return name
 
     def _turn(self, seen: list[VisitedNode]) -> Array:
-        """The rotation that makes z point up; identity if it does, or if undecidable.
+        """Returns the rotation that makes z point up; identity if the direction is unclear.
 
-        In X3D y is up, but in the paper's scenes z is. So the first viewpoint decides, or, without
-        one, the robots' bases.
+        In X3D y is up, but in the paper's scenes z is up. The first viewpoint decides, or the bases
+        of the robots if there is no viewpoint.
         """
         infos = [each.node for each in seen if each.node.kind == "WorldInfo"]
         if any(Z_IS_UP in get(info, "info", "MFString", [], self.problems) for info in infos):
@@ -158,7 +157,7 @@ class _X3dReader:
             ]
         if not ups or not all(abs(up[1]) > 0.9 * np.linalg.norm(up) for up in ups):
             return np.eye(4)
-        self.warnings.append("y is up in it; it is turned so that z is")
+        self.warnings.append("y is up in this scene; it is rotated so that z is up")
         return _UPRIGHT
 
     def _take(self, seen: VisitedNode) -> None:
@@ -188,7 +187,7 @@ class _X3dReader:
     def _robot(self, seen: VisitedNode, mount: str | None = None) -> None:
         node = seen.node
         if id(node) in self.placed:
-            message = "stands there twice; expected a robot of its own instead of USE"
+            message = "is used twice; expected a separate robot instead of USE"
             self.problems.add(node.label, message, node.line)
             return
         label = get(node, "name", "SFString", "", self.problems)
@@ -206,13 +205,13 @@ class _X3dReader:
         found = self._fields(node, fields, place, ("name", "children", "metadata"), events)
         table["dh_convention"] = found.pop("dh_convention", PAPER_CONVENTION)
         rows = len(found.get("dh_params", [[]]))
-        for key in ("joint_angles", "offsets_to_center_of_joints"):  # the proto's default
+        for key in ("joint_angles", "offsets_to_center_of_joints"):  # default of the proto
             if key in found and rows != 1 and len(found[key]) == 1 and not np.any(found[key]):
                 del found[key]
         for key, field in (("base_frame", "baseFrame"), ("flange_frame", "flangeFrame")):
             if key in found:
                 found[key] = self._frame(node, field).tolist()
-        with self.problems.told(f"{name}.baseFrame", node.line):
+        with self.problems.collect(f"{name}.baseFrame", node.line):
             found["base_frame"] = rounded(_rigid(seen.T) @ found.get("base_frame", np.eye(4)))
             if np.array_equal(found["base_frame"], np.eye(4)):
                 del found["base_frame"]
@@ -231,7 +230,7 @@ class _X3dReader:
             "DirectionalLight",
             "SpotLight",
         ):
-            message = "expected it beside the robot, not among its children"
+            message = "expected it outside the children of the robot"
             self.problems.add(seen.node.label, f"found {seen.node.kind}; {message}", seen.node.line)
         elif seen.node.kind == "Shape":
             return [{"name": name, **table} for name, table in self._shapes(seen)]
@@ -262,7 +261,9 @@ class _X3dReader:
             self.missing[name] = ", ".join(missing) + place
         for file, why in lost.items():
             if why != _MISSING:
-                self.warnings.append(f"{file} of {name} is drawn after its DH table: {why}")
+                self.warnings.append(
+                    f"{file} of {name} is replaced by a link generated from the DH table: {why}"
+                )
         found["filenames"] = [
             {"shape": "generated"} if file in lost else file for file in found["filenames"]
         ]
@@ -301,15 +302,13 @@ class _X3dReader:
         for name, value in _values(node).items():
             key = f"{node.label}.{name}"
             if name in events:
-                message = (
-                    f"is an event, which has no value; expected a ROUTE TO {node.label}.{name}"
-                )
+                message = f"is an event without a value; expected a ROUTE TO {node.label}.{name}"
                 self.problems.add(key, message, value.line)
             elif name in fields:
                 kind, ours = fields[name]
-                with self.problems.told(key, value.line):
-                    taken = read_field(value, kind)
-                    found[ours] = taken.tolist() if isinstance(taken, np.ndarray) else taken
+                with self.problems.collect(key, value.line):
+                    read = read_field(value, kind)
+                    found[ours] = read.tolist() if isinstance(read, np.ndarray) else read
                     self.lines[f"{place}.{ours}"] = value.line
             elif name not in others and name not in declared:
                 known = [*fields, *others]
@@ -320,21 +319,21 @@ class _X3dReader:
         value = node.value(name)
         if value is None:
             return np.eye(4)
-        with self.problems.told(f"{node.label}.{name}", value.line):
+        with self.problems.collect(f"{node.label}.{name}", value.line):
             numbers = read_field(value, "SFMatrix4f")
             T, other = matrix(numbers), matrix(numbers).T
             if T[3, :3].any() and not other[3, :3].any():
-                # Written row by row, as in mathematics.
+                # Written in row-major order, as in mathematics.
                 self.warnings.append(
-                    f"{node.label}.{name} (line {value.line}) has its translation in the fourth "
-                    "column, and is read so; X3D has it in the fourth row"
+                    f"{node.label}.{name} (line {value.line}) has the translation in the fourth "
+                    "column instead of the fourth row, and is transposed"
                 )
                 T = other
             try:
                 return frame_from(T, np.asarray)
             except ValueError:
                 found = " ".join(f"{number:g}" for number in numbers)
-                message = "expected a rotation, and a translation and 1 in the fourth row"
+                message = "expected a rotation, and the translation and 1 in the fourth row"
                 raise ValueError(f"found {found}; {message}") from None
         return np.eye(4)
 
@@ -350,7 +349,7 @@ class _X3dReader:
             self.problems.raise_all()
         if table is None:
             return []
-        # A shape may be used several times; each use is an object.
+        # Each use of a shape becomes an object.
         is_first = id(shape) not in self.placed
         self.placed[id(shape)] = seen.T
         name = self._name(shape if is_first else Node(shape.kind, shape.line), shape.name or text)
@@ -364,8 +363,8 @@ class _X3dReader:
         self.lines[f"cameras.{name}"] = node.line
         if roll:
             self.warnings.append(
-                f"Viewpoint '{name}' (line {node.line}) is rolled by {roll:.0f} degrees; "
-                "it is shown upright"
+                f"Viewpoint '{name}' (line {node.line}) has a roll of {roll:.0f} degrees, which is "
+                "ignored"
             )
 
     def _light(self, seen: VisitedNode) -> None:
@@ -381,8 +380,8 @@ class _X3dReader:
     def _take_group(self, seen: VisitedNode) -> None:
         """Reads the contents of a group that a ROUTE moves.
 
-        A tool whose location is routed from a flange (section 3.1 of the paper) becomes its
-        robot's child; anything else stays where it is declared.
+        If the pose is routed from a flange (section 3.1 of the paper), the contents become children
+        of the robot. Otherwise they are fixed at their declared pose.
         """
         group = seen.node
         inside = self._visit(get(group, "children", "MFNode", [], self.problems))
@@ -399,7 +398,7 @@ class _X3dReader:
                 self.fixed.add(id(group))
                 return
         T = seen.T
-        with self.problems.told(group.label, group.line):
+        with self.problems.collect(group.label, group.line):
             T = seen.T @ transform_of(group)
         for each in inside:
             self._take(VisitedNode(each.node, T @ each.T, each.path))
@@ -412,11 +411,8 @@ class _X3dReader:
         base = np.array(table.get("base_frame", np.eye(4)))
         return "mount" not in table and np.allclose(base, T, rtol=0, atol=1e-9)
 
-    def _meant(self, route: RouteStatement) -> tuple[str, str, str] | None:
-        """The source of a ROUTE, its target robot, and its text for messages.
-
-        None for one that is invalid, left out, or already handled.
-        """
+    def _ends(self, route: RouteStatement) -> tuple[str, str, str] | None:
+        """Returns the source of a ROUTE, its target robot, and its text; None without a route."""
         names, line = self.document.names, route.line
         text = f"{route.origin}.{route.event} TO {route.target}.{route.input}"
         for name in (route.origin, route.target):
@@ -450,7 +446,7 @@ class _X3dReader:
         field, line = route.input.removeprefix("set_"), route.line
         target = self.document.names[route.target]
         if field in ("flangeFrame", "axesTransparency", "enableTouchSensor", "children"):
-            self._leave_out(text, line)  # the paper allows them to change
+            self._leave_out(text, line)  # the paper lets ROUTEs change these fields
         elif field not in ROBOT_INPUTS:
             message = f"no input '{field}'{did_you_mean(field, ROBOT_INPUTS)}"
             self.problems.add(f"ROUTE {text}", message, line)
@@ -463,9 +459,9 @@ class _X3dReader:
         elif field == "baseFrame" and (
             is_turned or not np.array_equal(self.placed[id(target)], np.eye(4))
         ):
-            self._leave_out(text, line)  # frames of routes are relative to the world
+            self._leave_out(text, line)  # frames in routes are relative to the world
         elif (key := f"{robot}.{ROBOT_INPUTS[field]}") in self.routes:
-            message = f"a ROUTE leads there from {self.routes[key]} already; expected one"
+            message = f"a ROUTE from {self.routes[key]} has the same target; expected one ROUTE"
             self.problems.add(f"ROUTE {text}", message, line)
         else:
             self.routes[key] = origin
@@ -477,7 +473,8 @@ class _X3dReader:
     def _warn(self) -> None:
         for name, files in self.missing.items():
             self.warnings.append(
-                f"no geometry files {files}; these links of {name} are drawn after its DH table"
+                f"missing geometry files {files}; these links of {name} are generated from the DH "
+                "table"
             )
         if self.not_shown:
             shown = (f"{kind} (line {line})" for kind, line in self.not_shown.items())
@@ -498,14 +495,12 @@ def _why_not(file: Path) -> str:
 
 def _values(node: Node) -> dict[str, FieldValue]:
     declared = {} if node.proto is None else node.proto.fields
-    given = {name: each.value for name, each in declared.items() if each.value is not None}
-    return {**given, **node.fields}
+    defaults = {name: each.value for name, each in declared.items() if each.value is not None}
+    return {**defaults, **node.fields}
 
 
 def _rigid(T: Array) -> Array:
     try:
         return frame_from(T, np.asarray)
     except ValueError:
-        raise ValueError(
-            "stands in a Transform with a scale; expected none around robots"
-        ) from None
+        raise ValueError("is in a Transform with a scale; robots cannot be scaled") from None

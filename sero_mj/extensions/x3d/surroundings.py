@@ -8,22 +8,22 @@ import numpy as np
 
 from ...base.frames import Array, rotation_about
 from .vrml_nodes import Node, Problems, get, instance
-from .wrl import VisitedNode, by_colour, color_of, rotation, triangles_of
+from .wrl import VisitedNode, by_color, color_of, rotation, triangles_of
 from .wrl_geometry import Triangles, is_open, with_hull
 
-LIGHT_SHARE = 0.7  # of X3D's intensity, since a headlight and ambient light are added
-_CAMERA_DISTANCE = 1.0  # m, of the look-at point if the centre is behind the camera
-_LIGHT_DISTANCE = 4.0  # m, of a light without a distance
-_ANY_ROLL = np.deg2rad(1.0)
+LIGHT_SHARE = 0.7  # factor of X3D intensities, because a headlight and ambient light are added
+_CAMERA_DISTANCE = 1.0  # m, to the look-at point if the center is behind the camera
+_LIGHT_DISTANCE = 4.0  # m, of directional lights
+_MIN_ROLL = np.deg2rad(1.0)
 
 
 def object_table(
     seen: VisitedNode, problems: Problems, left_out: dict[str, int]
 ) -> tuple[dict[str, Any] | None, str, int]:
-    """Returns the table of a Shape, a primitive or MJCF, a name for it, and its triangles.
+    """Returns the table of a Shape, a name for it, and its number of triangles.
 
-    The table is None for an invisible Shape. `left_out` receives the kind and line of an unknown
-    geometry.
+    The table declares a primitive or MJCF. It is None for an invisible Shape. The kind and line of
+    an unknown geometry are added to `left_out`.
     """
     geometry: Node | None = get(seen.node, "geometry", "SFNode", None, problems)
     geometry = geometry and (instance(geometry) or geometry)
@@ -36,7 +36,7 @@ def object_table(
         if rgba is not None:
             table["rgba"] = rgba.round(6).tolist()
         return table, name, 0
-    pieces = by_colour(triangles_of(seen, problems, left_out))
+    pieces = by_color(triangles_of(seen, problems, left_out))
     count = sum(len(faces) for _, faces, _ in pieces)
     return {"mjcf": mesh_text(pieces)} if pieces else None, name, count
 
@@ -47,7 +47,7 @@ def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] |
         return None
     axes = T[:3, :3] / scales
     if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1.0  # these equal their mirror images
+        axes[:, 0] *= -1.0  # these primitives equal their mirror images
     if np.abs(axes.T @ axes - np.eye(3)).max() > 1e-9:
         return None
     shape, turned = "", np.eye(3)
@@ -65,7 +65,7 @@ def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] |
         if not all(parts) or abs(scales[0] - scales[2]) > 1e-9 * scales[0]:
             return None
         shape, size = "cylinder", np.array([radius * scales[0], height * scales[1]])
-        turned = rotation_about(0, -np.pi / 2)  # its axis is y, ours z
+        turned = rotation_about(0, -np.pi / 2)  # the axis is y in X3D, and z here
     else:
         return None
     if not (size > 0).all():
@@ -81,7 +81,7 @@ def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] |
 
 
 def mesh_text(pieces: list[Triangles]) -> str:
-    """MJCF of triangles by colour, without collisions; an open surface has no mass."""
+    """Returns MJCF of triangles, without collisions. An open surface has no mass."""
     meshes, geoms = [], []
     for k, (vertices, faces, rgba) in enumerate(pieces):
         points = " ".join(f"{value:.7g}" for value in with_hull(vertices).ravel())
@@ -96,36 +96,36 @@ def mesh_text(pieces: list[Triangles]) -> str:
 
 
 def view_axes(viewpoint: Node, problems: Problems) -> Array:
-    """Axes (3, 3) of a Viewpoint in its coordinates: to the right, up, and back to the viewer."""
+    """Returns the axes (3, 3) of a Viewpoint in its coordinates: right, up, and backward."""
     default = np.array([0.0, 0.0, 1.0, 0.0])
-    with problems.told(f"{viewpoint.label}.orientation", viewpoint.line):
+    with problems.collect(f"{viewpoint.label}.orientation", viewpoint.line):
         return rotation(get(viewpoint, "orientation", "SFRotation", default, problems))
     return np.eye(3)
 
 
 def camera_table(seen: VisitedNode, problems: Problems) -> tuple[dict[str, Any], float]:
-    """The table of a Viewpoint, and its roll in degrees, which cameras do not support."""
+    """Returns the table of a Viewpoint, and its roll in degrees, which cameras do not support."""
     node = seen.node
     axes = seen.T[:3, :3] @ view_axes(node, problems)
     axes = axes / np.linalg.norm(axes, axis=0)
     at = get(node, "position", "SFVec3f", np.array([0.0, 0.0, 10.0]), problems)
     at = seen.T[:3, :3] @ at + seen.T[:3, 3]
-    centre = get(node, "centerOfRotation", "SFVec3f", np.zeros(3), problems)
-    centre = seen.T[:3, :3] @ centre + seen.T[:3, 3]
-    ahead = -axes[:, 2]
-    distance = float((centre - at) @ ahead)
-    looks_at = at + ahead * (distance if distance > 0.05 else _CAMERA_DISTANCE)
-    right, roll = np.cross(ahead, [0.0, 0.0, 1.0]), 0.0
+    center = get(node, "centerOfRotation", "SFVec3f", np.zeros(3), problems)
+    center = seen.T[:3, :3] @ center + seen.T[:3, 3]
+    forward = -axes[:, 2]
+    distance = float((center - at) @ forward)
+    looks_at = at + forward * (distance if distance > 0.05 else _CAMERA_DISTANCE)
+    right, roll = np.cross(forward, [0.0, 0.0, 1.0]), 0.0
     if np.linalg.norm(right) > 1e-6:
         roll = np.arccos(np.clip(axes[:, 0] @ right / np.linalg.norm(right), -1.0, 1.0))
     angle = get(node, "fieldOfView", "SFFloat", np.pi / 4, problems)
     fovy_deg = float(np.rad2deg(angle).round(9))
     table = {"position": rounded(at), "look_at": rounded(looks_at), "fovy_deg": fovy_deg}
-    return table, float(np.rad2deg(roll)) if roll > _ANY_ROLL else 0.0
+    return table, float(np.rad2deg(roll)) if roll > _MIN_ROLL else 0.0
 
 
 def light_table(seen: VisitedNode, problems: Problems) -> dict[str, Any] | None:
-    """The table of a DirectionalLight or a SpotLight; None for one that is off."""
+    """Returns the table of a DirectionalLight or a SpotLight; None if the light is off."""
     node = seen.node
     if not get(node, "on", "SFBool", True, problems):
         return None
@@ -147,6 +147,6 @@ def light_table(seen: VisitedNode, problems: Problems) -> dict[str, Any] | None:
 
 
 def rounded(values: Array) -> list[Any]:
-    """Numbers as written in files, without digits due to rounding errors."""
+    """Returns numbers without digits due to rounding errors, for files."""
     numbers: list[Any] = (np.asarray(values, np.float64).round(12) + 0.0).tolist()
     return numbers

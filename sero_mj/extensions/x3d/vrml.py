@@ -1,7 +1,6 @@
 """Parses the classic VRML syntax of VRML97 and X3D's classic encoding: text to nodes.
 
-Sources: ISO/IEC 14772-1 (VRML97), annex A; ISO/IEC 19776-2 (X3D's classic VRML encoding). Values
-are kept untyped, since the syntax alone does not determine a field's type.
+Sources: ISO/IEC 14772-1 (VRML97), annex A; ISO/IEC 19776-2 (X3D's classic VRML encoding).
 """
 
 from __future__ import annotations
@@ -34,15 +33,15 @@ from .vrml_nodes import (
     read_field,
 )
 
-MOST_BYTES = 50_000_000  # of a file, unpacked; a million triangles, say
-_MAX_TOKENS = 2_000_000  # excluding numbers in lists; takes some seconds
-_MAX_DEPTH = 120  # of nested nodes; each level takes a few calls
+MAX_BYTES = 50_000_000  # of an uncompressed file, about a million triangles
+_MAX_TOKENS = 2_000_000  # without numbers in lists; takes some seconds
+_MAX_DEPTH = 120  # of nested nodes; each level takes several calls
 _GZIP = b"\x1f\x8b"
 _HEADER = re.compile(r"#(?:X3D V\d+\.\d+|VRML V2\.0)\b")
-# Files to be inlined are often written without the header.
+# Inlined files often have no header.
 _OLDER = ("#VRML V1", "#Inventor")
 _HEADLESS = re.compile(r"(?:#[^\n]*\n\s*)*(?:(?:DEF\s+\S+\s+)?[A-Z]\w*\s*\{|(?:EXTERN)?PROTO\s)")
-# Characters by which papers and editors mark continued lines.
+# Characters that mark continued lines in papers and editors.
 _CONTINUED = "←↩↵↲⏎⤶¬\\\\"
 _TOKEN = re.compile(
     rf"(?P<space>(?:[\s,\ufeff]|\#[^\r\n]*|[{_CONTINUED}](?=[^\S\n]*(?:\r?\n|\Z)))++)"
@@ -66,60 +65,57 @@ _WITH_VALUE = ("initializeOnly", "inputOutput")
 
 
 def read_document(path: Path) -> Document:
-    """Reads a file of VRML97, or of X3D in the classic encoding; it may be gzip-compressed.
+    """Reads a VRML97 file, or an X3D file in the classic encoding, possibly gzip-compressed.
 
-    Raises DeclarationError with all that is wrong with it, with lines.
+    Raises DeclarationError with all errors and their lines.
     """
     return parse_document(_read_text(path), path)
 
 
 def _read_text(path: Path) -> str:
-    def wrong(message: str) -> DeclarationError:
+    def invalid(message: str) -> DeclarationError:
         return Problem("", message, str(path)).error()
 
-    too_long = f"expected at most {MOST_BYTES / 1e6:g} MB"
+    limit = f"expected at most {MAX_BYTES / 1e6:g} MB"
     try:
-        contents = read_file(path, MOST_BYTES)
+        contents = read_file(path, MAX_BYTES)
     except FileNotFoundError:
-        raise wrong("no such file") from None
+        raise invalid("no such file") from None
     except OSError as error:
-        raise wrong(f"cannot be read: {error.strerror}") from error
+        raise invalid(f"cannot be read: {error.strerror}") from error
     except ValueError as error:
-        raise wrong(f"cannot be read: {error}") from error
+        raise invalid(f"cannot be read: {error}") from error
     if contents.startswith(_GZIP):
         unpacked = zlib.decompressobj(wbits=31)
         try:
-            contents = unpacked.decompress(contents, MOST_BYTES)
+            contents = unpacked.decompress(contents, MAX_BYTES)
         except zlib.error as error:
-            raise wrong(f"is packed by gzip, and damaged: {error}") from None
+            raise invalid(f"is a damaged gzip file: {error}") from None
         if unpacked.unconsumed_tail:
-            raise wrong(f"is packed by gzip, and longer than it may be: {too_long}")
+            raise invalid(f"is a gzip file with too large contents; {limit}")
         if not unpacked.eof:
-            raise wrong("is packed by gzip, and ends too soon")
+            raise invalid("is a truncated gzip file")
     text = contents.decode("utf-8-sig", errors="replace")
     start = text[:400].lstrip()
     is_older = start.startswith(_OLDER)
     if not is_older and (_HEADER.match(start) or _HEADLESS.match(start)):
         return text
-    raise wrong(_what_else(start))
+    raise invalid(_describe_start(start))
 
 
-def _what_else(start: str) -> str:
+def _describe_start(start: str) -> str:
     expected = "expected a first line #X3D V3.0 utf8 or #VRML V2.0 utf8"
     if re.match(r"<\?xml|<!DOCTYPE X3D|<X3D", start):
         return f"is X3D in the XML encoding; {expected} (X3D's classic encoding)"
     if start.startswith(_OLDER):
-        return f"is {' '.join(start.split()[:2])[1:]}, which is older than VRML97; {expected}"
+        return f"is {' '.join(start.split()[:2])[1:]}, which precedes VRML97; {expected}"
     if not start:
         return f"is empty; {expected}"
     return f"begins with {reprlib.repr(start.splitlines()[0])}; {expected}"
 
 
 def parse_document(text: str, path: Path) -> Document:
-    """Parses text; the header is optional.
-
-    Raises DeclarationError with all that is wrong with it, with lines of `path`.
-    """
+    """Parses text with an optional header. Raises DeclarationError with all errors and lines."""
     parser = _VrmlParser(text, path)
     document = parser.document()
     parser.problems.raise_all()
@@ -134,7 +130,7 @@ class _Token(NamedTuple):
 
 
 class _TooMuch(Exception):
-    """The file exceeds a limit, which has been reported."""
+    """The file exceeds a limit that has been reported."""
 
 
 class _NameScope:
@@ -150,9 +146,9 @@ class _VrmlParser:
         self.problems = Problems(path)
         self._tokens = self._scan(text)
         self._depth = 0
-        # After an error nothing more is reported until something parses again.
+        # After an error nothing more is reported until something is parsed successfully.
         self._is_lost = False
-        self._mistakes = 0  # reported or not
+        self._errors = 0  # reported or not
         self._scope = _NameScope({})
         self._token = _Token("mark", "", 1)
         self._next()
@@ -188,7 +184,7 @@ class _VrmlParser:
             line += word.count("\n")
             position = found.end()
             if count > _MAX_TOKENS:
-                message = f"has more than {_MAX_TOKENS:,} words; nothing as long is read"
+                message = f"has more than {_MAX_TOKENS:,} words; expected fewer"
                 self.problems.add("", message, line)
                 raise _TooMuch
         while True:
@@ -199,7 +195,7 @@ class _VrmlParser:
         self._token = next(self._tokens)
         return token
 
-    def _wrong(self, expected: str, token: _Token | None = None, key: str = "") -> None:
+    def _unexpected(self, expected: str, token: _Token | None = None, key: str = "") -> None:
         token = token or self._token
         shown = token.text if token.kind == "end" else reprlib.repr(token.text)
         if token.kind == "text":
@@ -207,14 +203,14 @@ class _VrmlParser:
         if token.text[:1] in ("“", "”", "„"):
             expected += ' (quotes are ")'
         elif token.text == '"':
-            shown = 'a " that is not closed'
-        self._tell(f"found {shown}; expected {expected}", token.line, key)
+            shown = 'an unclosed "'
+        self._report(f"found {shown}; expected {expected}", token.line, key)
 
-    def _tell(self, message: str, line: int, key: str = "") -> None:
+    def _report(self, message: str, line: int, key: str = "") -> None:
         if not self._is_lost:
             self.problems.add(key, message, line)
         self._is_lost = True
-        self._mistakes += 1
+        self._errors += 1
 
     def _takes(self, mark: str) -> bool:
         is_it = self._token.kind == "mark" and self._token.text == mark
@@ -225,16 +221,16 @@ class _VrmlParser:
     def _name(self, what: str) -> str | None:
         if self._token.kind == "name":
             return self._next().text
-        self._wrong(what)
+        self._unexpected(what)
         return None
 
     @contextmanager
     def _deeper(self) -> Iterator[None]:
         self._depth += 1
         if self._depth > _MAX_DEPTH:
-            message = f"nodes inside nodes are deeper than {_MAX_DEPTH}; nothing as deep is read"
+            message = f"nodes are nested more than {_MAX_DEPTH} levels deep; expected fewer levels"
             self._is_lost = False
-            self._tell(message, self._token.line)
+            self._report(message, self._token.line)
             raise _TooMuch
         yield
         self._depth -= 1
@@ -256,7 +252,7 @@ class _VrmlParser:
                 nodes.append(node)
                 self._is_lost = False
         else:
-            self._wrong("a node, PROTO, EXTERNPROTO or ROUTE")
+            self._unexpected("a node, PROTO, EXTERNPROTO or ROUTE")
             self._skip()
 
     def _skip(self) -> None:
@@ -282,13 +278,13 @@ class _VrmlParser:
         ends: list[str] = []
         for word in ("", "TO"):
             if word and self._token.text != word:
-                self._wrong("ROUTE node.event TO node.event")
+                self._unexpected("ROUTE node.event TO node.event")
                 return
             if word:
                 self._next()
             for dot in ("", "."):
                 if dot and not self._takes(dot):
-                    self._wrong("ROUTE node.event TO node.event")
+                    self._unexpected("ROUTE node.event TO node.event")
                     return
                 name = self._name("ROUTE node.event TO node.event")
                 if name is None:
@@ -305,12 +301,12 @@ class _VrmlParser:
         proto.fields = self._interface()
         outside, self._scope = self._scope, _NameScope(dict(self._scope.protos))
         if not self._takes("{"):
-            self._wrong(f"{{ and the body of PROTO {proto.name}")
+            self._unexpected(f"{{ and the body of PROTO {proto.name}")
         else:
             with self._deeper():
                 while not self._takes("}"):
                     if self._token.kind == "end":
-                        self._tell(f"the {{ of PROTO {proto.name} is not closed", line)
+                        self._report(f"the {{ of PROTO {proto.name} is not closed", line)
                         break
                     self._statement(proto.body)
         self._scope = outside
@@ -325,7 +321,7 @@ class _VrmlParser:
         value = self._value(f"EXTERNPROTO {name}")
         urls = () if value is None else tuple(each for each in value.items if is_text(each))
         if not urls:
-            self._wrong(f'the address of EXTERNPROTO {name}, as in "PROTO_{name}.wrl"')
+            self._unexpected(f'the URL of EXTERNPROTO {name}, such as "PROTO_{name}.wrl"')
         if name is not None:
             self._scope.protos[name] = Proto(name, line, fields, urls=urls)
             self._is_lost = False
@@ -336,16 +332,16 @@ class _VrmlParser:
             self._next()  # an empty list
             return fields
         if not self._takes("["):
-            self._wrong("[ and the fields of the PROTO")
+            self._unexpected("[ and the fields of the PROTO")
             return fields
         while not self._takes("]"):
             token = self._token
             if token.kind == "end" or (token.kind == "mark" and token.text in "{}"):
-                self._wrong("] behind the fields of the PROTO")
+                self._unexpected("] after the fields of the PROTO")
                 break
             if not self._is_interface():
                 known = [*_ACCESS, *_ACCESS.values()]
-                self._wrong(f"{', '.join(_ACCESS)}{did_you_mean(token.text, known)}")
+                self._unexpected(f"{', '.join(_ACCESS)}{did_you_mean(token.text, known)}")
                 self._skip()
                 continue
             self._field(fields, has_values=has_values)
@@ -362,7 +358,7 @@ class _VrmlParser:
         if self._name("a type such as SFFloat") is None:
             return None
         if kind not in TYPES:
-            self._tell(f"no type '{kind}'{did_you_mean(kind, TYPES)}", line)
+            self._report(f"no type '{kind}'{did_you_mean(kind, TYPES)}", line)
             return None
         name = self._name("the name of the field")
         if name is None:
@@ -371,7 +367,7 @@ class _VrmlParser:
         if has_values and (access in _WITH_VALUE or self._token.text == "IS"):
             value = self._value(name)
             if value is not None and not isinstance(first(value), Is):
-                with self.problems.told(name, line):
+                with self.problems.collect(name, line):
                     read_field(value, kind)
         fields[name] = Field(access, kind, value, line)
         self._is_lost = False
@@ -387,12 +383,12 @@ class _VrmlParser:
         if token.text == "USE":
             return self._used()
         if token.text == "DEF":
-            name = self._name("a name behind DEF") or ""
+            name = self._name("a name after DEF") or ""
             token = self._token
             if self._name("the type of a node") is None:
                 return None
         if not (self._token.kind == "mark" and self._token.text == "{"):
-            self._wrong(f"{{ behind {token.text}")
+            self._unexpected(f"{{ after {token.text}")
             return None
         node = Node(token.text, token.line, name, proto=self._scope.protos.get(token.text))
         if name:
@@ -405,17 +401,17 @@ class _VrmlParser:
 
     def _used(self) -> Node | None:
         line = self._token.line
-        name = self._name("a name behind USE")
+        name = self._name("a name after USE")
         if name is None:
             return None
         node = self._scope.names.get(name)
         if node is None:
             near = did_you_mean(name, self._scope.names)
-            self.problems.add("", f"USE {name}: no node has this name above here{near}", line)
+            self.problems.add("", f"USE {name}: no preceding node has this name{near}", line)
         elif node in self._scope.open:
-            # A script may refer to an enclosing node, which is not drawn as part of it.
+            # A Script may refer to an enclosing node without drawing it.
             if all(each.kind != "Script" for each in self._scope.open):
-                self.problems.add("", f"USE {name}: the node would be inside itself", line)
+                self.problems.add("", f"USE {name}: the node would contain itself", line)
             return None
         return node
 
@@ -425,10 +421,10 @@ class _VrmlParser:
             token = self._token
             if token.kind == "end":
                 self._is_lost = False
-                self._tell(f"the {{ of {node.label} is not closed", node.line)
+                self._report(f"the {{ of {node.label} is not closed", node.line)
                 return
             if token.kind != "name":
-                self._wrong(f"a field of {node.label}, or }}", key=node.label)
+                self._unexpected(f"a field of {node.label}, or }}", key=node.label)
                 self._skip()
             elif token.text in ("PROTO", "EXTERNPROTO", "ROUTE"):
                 self._declaration()
@@ -440,13 +436,13 @@ class _VrmlParser:
                     node.fields[name] = value
             else:
                 self._next()
-                key, before = f"{node.label}.{token.text}", self._mistakes
+                key, before = f"{node.label}.{token.text}", self._errors
                 value = self._value(key)
                 if value is not None and token.text in node.fields:
-                    self._tell("stands there twice", token.line, key)
+                    self._report("is set twice", token.line, key)
                 elif value is not None:
                     node.fields[token.text] = value
-                    self._is_lost &= self._mistakes > before
+                    self._is_lost &= self._errors > before
 
     def _value(self, key: str) -> FieldValue | None:
         token = self._token
@@ -456,7 +452,7 @@ class _VrmlParser:
             return FieldValue(token.numbers, token.line)
         if token.text == "IS" and token.kind == "name":
             self._next()
-            name = self._name("the name of a field behind IS")
+            name = self._name("the name of a field after IS")
             return None if name is None else FieldValue((Is(name),), token.line)
         items: list[Any] = []
         if self._takes("["):
@@ -464,17 +460,17 @@ class _VrmlParser:
                 if self._token.kind == "end" or (
                     self._token.kind == "mark" and self._token.text in "{}"
                 ):
-                    self._wrong("] behind the values", key=key)
+                    self._unexpected("] after the values", key=key)
                     break
                 if not self._item(items):
-                    self._wrong("a value", key=key)
+                    self._unexpected("a value", key=key)
                     self._skip()
             return FieldValue(items, token.line)
         if not self._item(items):
-            self._wrong("its value", key=key)
+            self._unexpected("its value", key=key)
             return None
         if not isinstance(items[-1] if items else None, Node):
-            # Several numbers or strings without brackets end at the next name.
+            # Numbers or strings without brackets end at the next name.
             while self._token.kind in ("number", "text") and self._item(items):
                 pass
         return FieldValue(items, token.line)
@@ -495,13 +491,12 @@ class _VrmlParser:
             node = self._node()
             if node is not None or token.text == "NULL":
                 items.append(node)
-            # Errors have been reported.
         else:
             return False
         return True
 
 
-# Statements of X3D without visible effect, and the number of words that follow them.
+# Ignored statements of X3D, and the number of words that follow them.
 _SKIPPED = {"PROFILE": 1, "COMPONENT": 1, "META": 2, "UNIT": 3, "EXPORT": 1, "IMPORT": 1}
 
 

@@ -1,7 +1,7 @@
-"""The contents of a file in the classic VRML syntax: nodes, their fields, PROTOs, ROUTEs.
+"""The contents of a file in the classic VRML syntax: nodes, their fields, PROTOs and ROUTEs.
 
-The syntax does not determine a field's type, so values are kept untyped; `read_field` converts one
-to a type.
+The syntax does not determine the type of a field, so values are stored untyped. `read_field`
+converts a value to a type.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ...base.errors import DeclarationError, Problem, mismatch, problems_of
 from ...base.frames import Array
 
 _MAX_PROBLEMS = 20  # reported per file
-# Numbers of one value of a type.
+# Number of numbers in one value of a type.
 _WIDTHS = {
     "Float": 1, "Double": 1, "Time": 1, "Int32": 1,
     "Vec2f": 2, "Vec2d": 2, "Vec3f": 3, "Vec3d": 3, "Vec4f": 4, "Vec4d": 4,
@@ -40,9 +40,7 @@ class Is(NamedTuple):
 class FieldValue:
     """The untyped value of a field.
 
-    Attributes:
-        items: numbers (floats, or all in an array), strings, booleans, nodes, None for NULL, or one
-            `Is`.
+    `items` are numbers (floats or one array), strings, booleans, nodes, None for NULL, or one `Is`.
     """
 
     items: Sequence[Any] | Array
@@ -61,11 +59,7 @@ class Field:
 
 @dataclass(eq=False)
 class Proto:
-    """A PROTO or an EXTERNPROTO.
-
-    Attributes:
-        body: the nodes of its instances; empty for an EXTERNPROTO.
-    """
+    """A PROTO, or an EXTERNPROTO, which has no body."""
 
     name: str
     line: int
@@ -76,7 +70,7 @@ class Proto:
 
 @dataclass(eq=False)
 class Node:
-    """A node."""
+    """A node with its fields."""
 
     kind: str
     line: int
@@ -89,7 +83,7 @@ class Node:
         return self.name or self.kind
 
     def value(self, name: str) -> FieldValue | None:
-        """The value of a field, or its PROTO's default; None without either."""
+        """Returns the value of a field, or the default of its PROTO, or None."""
         if name in self.fields:
             return self.fields[name]
         declared = None if self.proto is None else self.proto.fields.get(name)
@@ -126,23 +120,23 @@ class Problems:
         self.found: list[Problem] = [] if found is None else found
 
     def of(self, path: Path) -> Problems:
-        """Collects the errors of another file together with these."""
+        """Returns a collection for another file that shares this list of errors."""
         return Problems(path, self.found)
 
     def add(self, key: str, message: str, line: int | None) -> None:
         self.found.append(Problem(key, message, str(self.path), line))
 
     @contextmanager
-    def told(self, key: str, line: int) -> Iterator[None]:
-        """Adds what is wrong by a ValueError raised inside."""
+    def collect(self, key: str, line: int) -> Iterator[None]:
+        """Adds the problems of a ValueError raised within the context."""
         try:
             yield
         except ValueError as error:
-            wrong = problems_of(error, key)
-            self.found += [replace(each, file=str(self.path), line=line) for each in wrong]
+            found = problems_of(error, key)
+            self.found += [replace(each, file=str(self.path), line=line) for each in found]
 
     def raise_all(self) -> None:
-        """Raises DeclarationError if there are any; of many only the first."""
+        """Raises DeclarationError with the first errors, if there are any."""
         if not self.found:
             return
         different = dict.fromkeys(self.found)
@@ -154,7 +148,7 @@ class Problems:
 
 
 def instance(node: Node) -> Node | None:
-    """The instance of a PROTO of the same file; None for a PROTO without a body."""
+    """Returns the node that a PROTO of the same file creates; None without a body."""
     if node.proto is None or not node.proto.body:
         return None
     made: dict[int, Node] = {}
@@ -164,8 +158,8 @@ def instance(node: Node) -> Node | None:
             return made[id(of)]
         new = made[id(of)] = Node(of.kind, of.line, of.name, proto=of.proto)
         for name, value in of.fields.items():
-            given = first(value)
-            bound = node.value(given.name) if isinstance(given, Is) else value
+            item = first(value)
+            bound = node.value(item.name) if isinstance(item, Is) else value
             if bound is not None:
                 new.fields[name] = bound if bound is not value else copied(value)
         return new
@@ -180,7 +174,7 @@ def instance(node: Node) -> Node | None:
 
 
 def first(value: FieldValue) -> Any:
-    """The first item of a value; None if it is empty."""
+    """Returns the first item of a value; None if the value is empty."""
     return value.items[0] if len(value.items) else None
 
 
@@ -190,18 +184,15 @@ def is_text(item: Any) -> bool:
 
 
 def read_field(value: FieldValue, kind: str) -> Any:
-    """Converts a value to a type, with or without brackets.
-
-    Args:
-        kind: `SFFloat`, `MFVec3f`, ...
+    """Converts a value to a type, such as `SFFloat` or `MFVec3f`.
 
     Returns:
-        bool, int, float, str, `Node` or None for SFBool, SFInt32, SFFloat, SFString and SFNode; an
-        array (w,) for types of w numbers; for MF a list of strings, nodes or booleans, else an
-        array (k,) or (k, w). Matrices keep the order of their numbers.
+        bool, int, float, str, `Node` or None for SFBool, SFInt32, SFFloat, SFString and SFNode, and
+        an array (w,) for types with w numbers. MF types are lists of strings, nodes or booleans, or
+        arrays (k,) or (k, w). The order of numbers in matrices is unchanged.
 
     Raises:
-        ValueError: it does not have this type; states what was found and expected.
+        ValueError: the value does not have this type.
     """
     many, base = kind[:2] == "MF", kind[2:]
     items = value.items
@@ -224,12 +215,12 @@ def read_field(value: FieldValue, kind: str) -> Any:
         return _as_numbers(items)
     types: dict[str, tuple[tuple[type, ...], str]] = {
         "Bool": ((bool,), "TRUE or FALSE"),
-        "String": ((str,), 'a text in quotes, "..."'),
+        "String": ((str,), 'a quoted string, "..."'),
         "Node": ((Node, type(None)), "a node"),
     }
     right, expected = types[base]
     if not all(isinstance(item, right) for item in items):
-        plural = {"Bool": "TRUE or FALSE", "String": 'texts in quotes, "..."', "Node": "nodes"}
+        plural = {"Bool": "TRUE or FALSE", "String": 'quoted strings, "..."', "Node": "nodes"}
         raise ValueError(f"found {_shown(items)}; expected {plural[base] if many else expected}")
     if many:
         return [item for item in items if item is not None]
@@ -289,7 +280,7 @@ def walk(nodes: Sequence[Node], most: int = 200_000) -> Iterator[Node]:
 
 
 def get(node: Node, name: str, kind: str, default: Any, problems: Problems) -> Any:
-    """The value of a field, converted by `read_field`."""
+    """Returns the value of a field, converted by `read_field`, and collects its errors."""
     value = node.value(name)
     if value is None:
         return default

@@ -1,7 +1,4 @@
-"""Writes the tables of a scene as X3D in the classic encoding, with the paper's protos.
-
-Parts that X3D and the protos cannot express are left out, and listed.
-"""
+"""Writes the tables of a scene as X3D in the classic encoding, with the paper's protos."""
 
 from __future__ import annotations
 
@@ -37,10 +34,9 @@ _IDENTITY = np.eye(4)
 
 
 def x3d_text(tables: Mapping[str, Any]) -> tuple[str, list[str]]:
-    """Writes a scene that `read_x3d` reads again; returns the text, and the keys left out of it.
+    """Returns a scene as text that `read_x3d` reads, and the keys that X3D cannot express.
 
-    The tables are those of a scene file, with the fields of robots instead of `model`; defaults may
-    be omitted.
+    `tables` are those of a scene file, with robot fields instead of `model`.
     """
     writer = _Writer(tables)
     return writer.text(), writer.left_out
@@ -80,15 +76,15 @@ class _Writer:
             if below and label == "flange" and below in robots:
                 carried.setdefault(below, []).append(name)
             elif below:
-                self.left_out.append(f"robots.{name} (mounted elsewhere than on a flange)")
+                self.left_out.append(f"robots.{name} (not mounted on a flange)")
         roots = [name for name, robot in robots.items() if not robot.get("mount")]
         return [line for name in roots for line in self._robot(name, robots, carried)]
 
     def _robot(self, name: str, robots: Any, carried: Mapping[str, list[str]]) -> list[str]:
         robot = dict(robots[name])
-        reason = _unsayable(robot)
+        reason = _unsupported(robot)
         if reason:
-            above = [each for each in _all_on(name, carried)]
+            above = [*_mounted_on(name, carried)]
             self.left_out += [f"robots.{each} ({reason})" for each in (name, *above)]
             return []
         self.used["SerialRobot"] = None
@@ -118,10 +114,10 @@ class _Writer:
         return key == "directory" and not value
 
     def _by_craig(self, name: str, robot: dict[str, Any]) -> dict[str, Any]:
-        """Fields with a table by Craig's convention, as in the proto, instead of standard DH.
+        """Converts a standard DH table to Craig's convention, which the proto uses.
 
-        Craig's row has the angle and offset of this joint after alpha and a of the previous
-        standard row; the last alpha and a belong to the flange.
+        A row by Craig has theta and d of the same standard row, and alpha and a of the previous
+        one. The last alpha and a become part of the flange frame.
         """
         if robot.pop("dh_convention", PAPER_CONVENTION) == PAPER_CONVENTION:
             return robot
@@ -132,7 +128,7 @@ class _Writer:
         last = frame(rotation_about(0, rows[-1, 0]), np.array([rows[-1, 1], 0.0, 0.0]))
         robot["flange_frame"] = (last @ np.array(robot.get("flange_frame", _IDENTITY))).tolist()
         offsets = robot.get("offsets_to_center_of_joints")
-        if offsets is not None:  # they are before the joint, Craig's frame is after it
+        if offsets is not None:  # from the frame before the joint to the frame after it
             turned = [
                 rotation_about(2, -row[2]) @ offset - [0.0, 0.0, row[3]]
                 for row, offset in zip(rows, np.array(offsets, np.float64), strict=True)
@@ -192,7 +188,7 @@ class _Writer:
             geometries, scale = [("Sphere { radius 1.0 }", rgba)], np.array(size)
         elif shape == "cylinder":
             geometries = [(f"Cylinder {{ radius {size[0]!r} height {size[1]!r} }}", rgba)]
-            T = T @ frame(rotation_about(0, np.pi / 2))  # its axis is y, ours z
+            T = T @ frame(rotation_about(0, np.pi / 2))  # the axis is y in X3D, and z here
         else:
             geometries = [] if text is None else [*_face_sets(text)]
         if not geometries:
@@ -213,7 +209,7 @@ class _Writer:
         for name in sorted(cameras, key=lambda each: each != first):
             camera = dict(cameras[name])
             if not np.array_equal(camera.pop("frame", _IDENTITY), _IDENTITY):
-                self.left_out.append(f"cameras.{name} (in a frame of its own)")
+                self.left_out.append(f"cameras.{name} (has a frame)")
                 continue
             at = np.array(camera["position"], np.float64)
             looks_at = np.array(camera.get("look_at", np.zeros(3)), np.float64)
@@ -260,7 +256,7 @@ class _Writer:
                 field = events.get(event, event)
             else:
                 field = outputs.get(event, "") if of in robots else ""
-            written = name in robots and not _unsayable(robots[name])
+            written = name in robots and not _unsupported(robots[name])
             if field and written and key in inputs:
                 lines.append(f"ROUTE {of}.{field} TO {name}.{inputs[key]}")
             else:
@@ -268,21 +264,21 @@ class _Writer:
         return lines
 
 
-def _unsayable(robot: Mapping[str, Any]) -> str:
+def _unsupported(robot: Mapping[str, Any]) -> str:
     if "prismatic" in (robot.get("joint_types") or []):
-        return "joints that slide"
+        return "prismatic joints"
     if robot.get("mirrored"):
         return "mirrored"
     if robot.get("joint_frames") is not None or robot.get("parents") or robot.get("flange_on"):
-        return "no DH table of one chain"
+        return "no DH table"
     is_at_base = np.array_equal(robot.get("dh_base_frame", _IDENTITY), _IDENTITY)
-    return "" if is_at_base else "a DH table that does not begin at the base"
+    return "" if is_at_base else "has dh_base_frame"
 
 
-def _all_on(name: str, carried: Mapping[str, list[str]]) -> Iterator[str]:
+def _mounted_on(name: str, carried: Mapping[str, list[str]]) -> Iterator[str]:
     for each in carried.get(name, []):
         yield each
-        yield from _all_on(each, carried)
+        yield from _mounted_on(each, carried)
 
 
 def _field(name: str, kind: str, value: Any) -> list[str]:
@@ -293,7 +289,7 @@ def _field(name: str, kind: str, value: Any) -> list[str]:
     if kind in ("SFInt32", "SFFloat"):
         return [f"{name} {value!r}"]
     if kind == "SFMatrix4f":
-        return [f"{name} {_numbers(np.array(value).T)}"]  # the translation is the fourth row
+        return [f"{name} {_numbers(np.array(value).T)}"]  # with the translation in the fourth row
     if kind == "MFString":
         entries = [_text(each) for each in value]
     else:
@@ -320,7 +316,7 @@ def _rotation(R: Array) -> str:
     angle = rotation_angle(R)
     twice = R - R.T
     axis = np.array([twice[2, 1], twice[0, 2], twice[1, 0]])
-    if np.linalg.norm(axis) < 1e-6:  # an angle of zero, or a half turn
+    if np.linalg.norm(axis) < 1e-6:  # an angle of 0 or π
         if angle < 1.0:
             return "0.0 0.0 1.0 0.0"
         square = (R + np.eye(3)) / 2
@@ -339,8 +335,8 @@ def _transform(T: Array, scale: Array) -> str:
     return " ".join(parts)
 
 
-def _view_axes(ahead: Array) -> Array:
-    back = -ahead / np.linalg.norm(ahead)
+def _view_axes(forward: Array) -> Array:
+    back = -forward / np.linalg.norm(forward)
     up = np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(np.cross(up, back)) < 1e-9:
         up = np.array([0.0, 1.0, 0.0])
@@ -356,7 +352,7 @@ def shape_lines(
     scale: Array | None = None,
     name: str = "",
 ) -> list[str]:
-    """A Shape, in a Transform unless it is at the origin."""
+    """Returns the lines of a Shape, in a Transform if necessary."""
     lines = [f"{f'DEF {name} ' if name else ''}Shape {{ geometry {geometry}"]
     if rgba is not None:
         look = f"diffuseColor {_numbers(rgba[:3])}"
@@ -391,9 +387,9 @@ def _face_sets(mjcf: str) -> Iterator[tuple[str, list[float] | None]]:
 
 
 def face_set(points: Array, faces: Any, crease: float = 3.2) -> str:
-    """An IndexedFaceSet of triangles (f, 3) of points (k, 3).
+    """Returns an IndexedFaceSet of triangles (f, 3) of points (k, 3).
 
-    Edges are sharp by `crease`, rad, and at duplicated vertices.
+    Edges are sharp above the angle `crease` in rad, and at duplicated vertices.
     """
     coordinates = ", ".join(" ".join(f"{value:.7g}" for value in point) for point in points)
     corners = " ".join(f"{a} {b} {c} -1" for a, b, c in np.asarray(faces).tolist())

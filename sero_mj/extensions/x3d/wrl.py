@@ -1,7 +1,6 @@
-"""Geometry of VRML97 and X3D, as triangles by colour.
+"""Reads the geometry of VRML97 and X3D files as triangles by color.
 
-Sources of the nodes, their defaults and their meaning: ISO/IEC 14772-1 (VRML97), clause 6; for
-X3D's own nodes ISO/IEC 19775-1.
+Sources: ISO/IEC 14772-1 (VRML97), clause 6, and ISO/IEC 19775-1 for nodes of X3D.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from .wrl_geometry import GEOMETRIES, Triangles
 
 log = logging.getLogger(__name__)
 
-_MAX_NODES = 100_000  # visited in a file; USE and PROTO can multiply nodes
+_MAX_NODES = 100_000  # visited nodes of a file; USE and PROTO can multiply them
 _MAX_TRIANGLES = 5_000_000
 _MAX_INLINES = 200
-_DEFAULT_COLOUR = (0.8, 0.8, 0.8)
+_DEFAULT_COLOR = (0.8, 0.8, 0.8)
 
 # Grouping nodes, and the field of their children.
 _GROUPS = {
@@ -43,11 +42,7 @@ _UNSEEN = {
 
 
 class VisitedNode(NamedTuple):
-    """A node visited in a scene.
-
-    Attributes:
-        T: from its coordinates to those of the root, (4, 4), affine.
-    """
+    """A node visited in a scene. `T` is the affine T_root_node (4, 4)."""
 
     node: Node
     T: Array
@@ -55,18 +50,14 @@ class VisitedNode(NamedTuple):
 
 
 def read_wrl(path: Path) -> list[Triangles]:
-    """Reads the geometry of a VRML97 file, or of X3D in the classic encoding.
+    """Reads the geometry of a VRML97 file, or of an X3D file in the classic encoding.
 
     A warning lists nodes that are not drawn, and missing files of Inline nodes.
 
     Returns:
-        for every colour its vertices (v, 3), in the file's unit, its triangles (f, 3),
-        counter-clockwise seen from outside, and red, green, blue, alpha (4,), 0 to 1; None for
-        shapes without a material. Vertices are duplicated at edges that are sharp by the file's
-        `creaseAngle` or normals. Empty without triangles.
-
-    Raises:
-        DeclarationError: all that is wrong, with lines.
+        for every color, vertices (v, 3) in the file's unit, triangles (f, 3), counterclockwise seen
+        from outside, and RGBA (4,), or None without a material. Vertices are duplicated at edges
+        that are sharp by `creaseAngle` or normals.
     """
     problems = Problems(path)
     document = read_document(path)
@@ -89,11 +80,11 @@ def read_wrl(path: Path) -> list[Triangles]:
     if left_out:
         names = ", ".join(f"{kind} (line {line})" for kind, line in left_out.items())
         log.warning("%s: not drawn: %s", path, names)
-    return by_colour(pieces)
+    return by_color(pieces)
 
 
-def by_colour(pieces: list[Triangles]) -> list[Triangles]:
-    """Joins the pieces of each colour."""
+def by_color(pieces: list[Triangles]) -> list[Triangles]:
+    """Joins the pieces of each color."""
     same: dict[bytes | None, list[Triangles]] = {}
     for piece in pieces:
         same.setdefault(None if piece[2] is None else piece[2].tobytes(), []).append(piece)
@@ -113,12 +104,12 @@ def visit(
     nodes: Sequence[Node],
     path: Path,
     problems: Problems,
-    is_kept: Callable[[Node], bool] = lambda _: False,
+    is_leaf: Callable[[Node], bool] = lambda _: False,
 ) -> list[VisitedNode]:
     """Traverses groups, transforms, PROTOs and inlined files, and returns all other nodes in order.
 
-    With `is_kept` a node is returned instead of its children. Inlined files are searched for in the
-    folder of `path`. Raises DeclarationError if there are too many nodes.
+    If `is_leaf` is true for a node, it is returned instead of its children. Inlined files are
+    searched for in the folder of the file.
     """
     found: list[VisitedNode] = []
     inlined: dict[Path, list[Node]] = {}
@@ -134,19 +125,19 @@ def visit(
             raise Problem("", message, str(path)).error()
         node, inner = seen.node, list[Node]()
         T, here = seen.T, problems.of(seen.path)
-        if is_kept(node):
+        if is_leaf(node):
             found.append(seen)
             continue
         made = instance(node)
         if made is not None:
             inner = [made]
         elif node.kind in _GROUPS:
-            with here.told(node.label, node.line):
+            with here.collect(node.label, node.line):
                 T = seen.T @ transform_of(node)
             inner = _children(node, here)
         elif node.kind == "Inline" and len(inlined) < _MAX_INLINES:
             file = None
-            with here.told(f"{node.label}.url", node.line):
+            with here.collect(f"{node.label}.url", node.line):
                 file = inlined_file(node, seen.path)
             if file is None:
                 found.append(seen)
@@ -165,7 +156,7 @@ def visit(
 def _children(node: Node, problems: Problems) -> list[Node]:
     key = _GROUPS[node.kind]
     if key not in node.fields and key != "children":
-        key = "children"  # of a Switch or LOD in X3D
+        key = "children"  # field of Switch and LOD in X3D
     children: list[Node] = get(node, key, "MFNode", [], problems)
     if node.kind == "Switch":
         choice = get(node, "whichChoice", "SFInt32", -1, problems)
@@ -174,10 +165,7 @@ def _children(node: Node, problems: Problems) -> list[Node]:
 
 
 def inlined_file(node: Node, path: Path) -> Path | None:
-    """The file of an Inline: the first of its addresses found in the folder of its file.
-
-    Raises ValueError if its addresses are not strings.
-    """
+    """Returns the first existing file of an Inline in the folder of `path`."""
     value = node.value("url")
     for url in [] if value is None else read_field(value, "MFString"):
         file = Path(url.removeprefix("file:"))
@@ -188,7 +176,7 @@ def inlined_file(node: Node, path: Path) -> Path | None:
 
 
 def kind_of(node: Node) -> str:
-    """The kind of a node for messages, with the addresses of an Inline."""
+    """Returns the kind of a node for messages, with the URLs of an Inline."""
     value = node.value("url")
     if node.kind != "Inline" or value is None:
         return node.kind
@@ -197,7 +185,9 @@ def kind_of(node: Node) -> str:
 
 def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:
     if file.suffix.lower() not in scene_endings():
-        message = f"found '{file.name}'; expected a file that ends in {', '.join(scene_endings())}"
+        message = (
+            f"found '{file.name}'; expected a file with extension {', '.join(scene_endings())}"
+        )
         problems.add(f"{node.label}.url", message, node.line)
         return []
     try:
@@ -208,10 +198,7 @@ def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:
 
 
 def transform_of(node: Node) -> Array:
-    """T_parent_node (4, 4) of a grouping node, affine; identity for nodes without a transform.
-
-    Raises ValueError if a field is wrong.
-    """
+    """Returns the affine T_parent_node (4, 4) of a grouping node."""
     if node.kind == "MatrixTransform":
         value = node.value("matrix")
         return np.eye(4) if value is None else matrix(read_field(value, "SFMatrix4f"))
@@ -235,18 +222,12 @@ def transform_of(node: Node) -> Array:
 
 
 def matrix(numbers: Array) -> Array:
-    """The frame (4, 4) of an SFMatrix4f, whose translation is its fourth row.
-
-    Source: ISO/IEC 19775-1, 5.3.
-    """
+    """Returns the frame (4, 4) of an SFMatrix4f, which has the translation in its fourth row."""
     return numbers.reshape(4, 4).T.copy()
 
 
 def rotation(axis_angle: Array) -> Array:
-    """Rotation (3, 3) of an SFRotation: an axis of any length and an angle in rad.
-
-    Raises ValueError if the axis is zero.
-    """
+    """Returns the rotation (3, 3) of an SFRotation: an axis of any length and an angle in rad."""
     axis, angle = axis_angle[:3], float(axis_angle[3])
     length = np.linalg.norm(axis)
     if length == 0.0:
@@ -261,10 +242,9 @@ def rotation(axis_angle: Array) -> Array:
 def triangles_of(
     seen: VisitedNode, problems: Problems, left_out: dict[str, int]
 ) -> list[Triangles]:
-    """The triangles of a Shape by colour, in the coordinates of the root.
+    """Returns the triangles of a Shape by color, in coordinates of the root.
 
-    Args:
-        left_out: receives the kind and line of an unknown geometry.
+    The kind and line of an unknown geometry are added to `left_out`.
     """
     shape = seen.node
     node: Node | None = get(shape, "geometry", "SFNode", None, problems)
@@ -276,7 +256,7 @@ def triangles_of(
         left_out.setdefault(node.kind, node.line)
         return []
     if not np.isfinite(seen.T).all():
-        problems.add(shape.label, "stands too far away", shape.line)
+        problems.add(shape.label, "is too far away", shape.line)
         return []
     try:
         pieces: list[Triangles] = build(node, problems)
@@ -298,7 +278,7 @@ def triangles_of(
 
 
 def color_of(shape: Node, problems: Problems) -> Array | None:
-    """Red, green, blue, alpha (4,) of a Shape's material; None without one."""
+    """Returns RGBA (4,) of a Shape's material; None if it has no material."""
     appearance: Node | None = get(shape, "appearance", "SFNode", None, problems)
     appearance = appearance and (instance(appearance) or appearance)
     material: Node | None = appearance and get(appearance, "material", "SFNode", None, problems)
@@ -306,8 +286,8 @@ def color_of(shape: Node, problems: Problems) -> Array | None:
     if material is None:
         return None
     base = "baseColor" if material.kind == "PhysicalMaterial" else "diffuseColor"
-    color = get(material, base, "SFColor", np.array(_DEFAULT_COLOUR), problems)
-    if not np.any(color):  # it is emissive, or black
+    color = get(material, base, "SFColor", np.array(_DEFAULT_COLOR), problems)
+    if not np.any(color):  # the material is emissive or black
         color = get(material, "emissiveColor", "SFColor", color, problems)
     alpha = 1.0 - get(material, "transparency", "SFFloat", 0.0, problems)
     return np.asarray(np.clip(np.append(color, alpha), 0.0, 1.0))

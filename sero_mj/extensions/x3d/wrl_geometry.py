@@ -1,6 +1,6 @@
 """Converts geometry nodes of VRML97 and X3D to triangles.
 
-Source of their defaults and meaning: ISO/IEC 14772-1 (VRML97), clause 6.
+Source: ISO/IEC 14772-1 (VRML97), clause 6.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from ...base.errors import Problem, mismatch
 from ...base.frames import Array, Ints, rotation_about
 from .vrml_nodes import Node, Problems, get, instance
 
-_SIDES = 32  # of round bodies
+_SIDES = 32  # of round shapes
 _MAX_CORNERS = 2000  # of a concave polygon; triangulation takes quadratic time
-_MAX_CONCAVE = 50_000  # concave polygons
-_MAX_COLOURS = 24  # of one shape with vertex colours; more are replaced by their mean
+_MAX_CONCAVE = 50_000  # number of concave polygons
+_MAX_COLORS = 24  # of one shape with vertex colors; more colors are averaged
 
 Triangles = tuple[Array, Ints, Array | None]  # vertices (v, 3), faces (f, 3), rgba (4,)
 
@@ -81,7 +81,7 @@ def _revolved(profile: Array) -> Triangles:
     a, b = i * _SIDES + j, i * _SIDES + (j + 1) % _SIDES
     quads = np.stack([a, a + _SIDES, b + _SIDES, a, b + _SIDES, b], axis=-1)
     faces = quads.reshape(-1, 3)
-    # At a pole vertices coincide.
+    # Vertices coincide at a pole.
     at_pole = np.repeat(np.flatnonzero(profile[:, 0] == 0.0) * _SIDES, _SIDES)
     renamed = np.arange(len(vertices))
     for first in np.unique(at_pole):
@@ -107,7 +107,7 @@ def _indexed_triangle_set(node: Node, problems: Problems) -> list[Triangles]:
     if node.kind == "TriangleSet":
         index = np.arange(len(points))
     index = index[: len(index) // 3 * 3]
-    _check_index("index", index, len(points), least=0)
+    _check_index("index", index, len(points), low=0)
     corners = np.arange(len(index)).reshape(-1, 3)
     return _of_corners(node, problems, points, index, corners)
 
@@ -121,18 +121,17 @@ def _points(node: Node, problems: Problems) -> Array:
     return np.asarray(get(coord, "point", kind, np.zeros((0, 3)), problems)).reshape(-1, 3)
 
 
-def _check_index(name: str, index: Ints, count: int, least: int = -1) -> None:
-    if index.size and not (least <= index.min() and index.max() < count):
+def _check_index(name: str, index: Ints, count: int, low: int = -1) -> None:
+    if index.size and not (low <= index.min() and index.max() < count):
         found = int(index.max() if index.max() >= count else index.min())
-        points = f"0 to {count - 1}" if count else "no index, since there are no points"
+        points = f"0 to {count - 1}" if count else "no index, because there are no points"
         raise Problem(name, f"found {found}", expected=points).error()
 
 
 def _cut(points: Array, index: Ints) -> Ints:
-    """Triangulates polygons of points (n, 3) with indices that end with -1 each.
+    """Triangulates polygons of points (n, 3), whose indices end with -1.
 
-    Returns positions in `index` of the corners of triangles, (f, 3). Raises ValueError for too many
-    concave polygons, or too long ones.
+    Returns the positions of triangle corners in `index`, shape (f, 3).
     """
     ends = np.flatnonzero(np.append(index, -1) < 0)
     starts = np.append(0, ends[:-1] + 1)
@@ -151,7 +150,7 @@ def _cut(points: Array, index: Ints) -> Ints:
         bends = np.cross(outlines - before, following - outlines)
         signs = np.einsum("pci,pi->pc", bends, normals)
         sizes = np.linalg.norm(normals, axis=1) ** 2
-        if count == 4:  # at the concave corner, if there is one
+        if count == 4:  # cut at the concave corner, if any
             turns = (np.argmin(signs, axis=1)[:, None] + np.arange(4)) % 4
             polygons = np.take_along_axis(polygons, turns, axis=1)
             signs = np.ones_like(signs)
@@ -160,7 +159,7 @@ def _cut(points: Array, index: Ints) -> Ints:
         cut.append(polygons[is_convex][:, fan].reshape(-1, 3))
         bent += int((~is_convex).sum())
         if bent > _MAX_CONCAVE:
-            raise ValueError(f"has more than {_MAX_CONCAVE:,} polygons that are not convex")
+            raise ValueError(f"has more than {_MAX_CONCAVE:,} concave polygons")
         for polygon, outline, normal in zip(
             polygons[~is_convex], outlines[~is_convex], normals[~is_convex], strict=True
         ):
@@ -169,17 +168,16 @@ def _cut(points: Array, index: Ints) -> Ints:
 
 
 def clip_ears(outline: Array, normal: Array) -> Ints:
-    """Returns triangles (n - 2, 3) of a planar, possibly concave outline (n, 3) by clipping ears.
+    """Triangulates a planar, possibly concave outline (n, 3) by clipping ears.
 
-    Its corners are counter-clockwise seen along -normal. Raises ValueError if it has too many.
+    The corners are counterclockwise seen against the normal. Returns corner indices (n - 2, 3).
     Source: Meisters, Polygons Have Ears, 1975.
     """
     if len(outline) > _MAX_CORNERS:
         raise ValueError(
-            f"found a polygon of {len(outline)} corners that is not convex; expected at most "
-            f"{_MAX_CORNERS}"
+            f"found a concave polygon with {len(outline)} corners; expected at most {_MAX_CORNERS}"
         )
-    # Projected to the coordinate plane of its largest projection, counter-clockwise.
+    # Project to the coordinate plane with the largest area, counterclockwise.
     drop = int(np.abs(normal).argmax())
     flat = outline[:, [(drop + 1) % 3, (drop + 2) % 3]]
     if normal[drop] < 0:
@@ -190,10 +188,10 @@ def clip_ears(outline: Array, normal: Array) -> Ints:
         ring = flat[left]
         before, after = np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0)
         turn = _cross(ring - before, after - ring)
-        # Clipping the sharpest ear first would look better; the first one found is correct, too.
+        # Any ear is correct, although clipping the sharpest one first would look better.
         ears = np.flatnonzero(turn > 0)
         reflex = ring[turn <= 0]
-        # Without an ear it intersects itself; the rest is cut anyway.
+        # An outline without ears intersects itself, and is cut anyway.
         empty = (int(k) for k in ears if _is_empty(before[k], ring[k], after[k], reflex))
         ear = next(empty, int(np.argmin(np.abs(turn))))
         triangles.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
@@ -228,7 +226,7 @@ def _of_corners(
         polygon = np.arange(len(index)) // 3
     smooth = _smoothing(node, problems, normals, faces, corners, polygon)
     pieces = []
-    for chosen, rgb in _by_colour(node, problems, index, corners, polygon):
+    for chosen, rgb in _by_color(node, problems, index, corners, polygon):
         pairs = np.stack([faces[chosen].ravel(), smooth[chosen].ravel()], axis=1)
         vertices, renamed = np.unique(pairs, axis=0, return_inverse=True)
         own = renamed.reshape(-1, 3)
@@ -240,22 +238,22 @@ def _of_corners(
 
 
 def is_open(vertices: Array, faces: Ints) -> bool:
-    """Whether a surface has an edge that belongs to one triangle only, so that it is open."""
+    """Whether a surface has an edge that belongs to only one triangle."""
     _, names = np.unique(vertices, axis=0, return_inverse=True)
     return _has_ends(names.ravel()[faces])
 
 
 def with_hull(vertices: Array) -> Array:
-    """Vertices (v, 3), plus an unused one just off their plane if they are coplanar.
+    """Returns vertices (v, 3), with an unused one next to their plane if they are coplanar.
 
-    MuJoCo computes a convex hull of every mesh, which fails for planar ones.
+    MuJoCo cannot compute the convex hull of planar meshes.
     """
-    centre = vertices.mean(axis=0)
-    _, extents, axes = np.linalg.svd(vertices - centre, full_matrices=False)
+    center = vertices.mean(axis=0)
+    _, extents, axes = np.linalg.svd(vertices - center, full_matrices=False)
     if len(extents) == 3 and extents[2] > 1e-5 * extents[0]:
         return vertices
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    return np.concatenate([vertices, [centre + 1e-3 * size * axes[2]]])
+    return np.concatenate([vertices, [center + 1e-3 * size * axes[2]]])
 
 
 def _has_ends(faces: Ints) -> bool:
@@ -287,10 +285,10 @@ def _smoothing(
     return smoothed(normals, faces, np.cos(max(crease, 0.0) + 1e-4))
 
 
-def smoothed(normals: Array, faces: Ints, least_cosine: float) -> Ints:
-    """Numbers corners of triangles (f, 3) so that those that meet at smooth edges share a number.
+def smoothed(normals: Array, faces: Ints, min_cosine: float) -> Ints:
+    """Labels corners of triangles (f, 3) so that corners that meet at smooth edges share a label.
 
-    At these the normals of two triangles, of any non-zero length, have `least_cosine` or more.
+    At smooth edges the cosine between the normals of two triangles is at least `min_cosine`.
     """
     units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     count = len(faces)
@@ -303,21 +301,21 @@ def smoothed(normals: Array, faces: Ints, least_cosine: float) -> Ints:
     ends, at = ends[order], at[order]
     of = order // 3
     shared = (ends[1:] == ends[:-1]).all(axis=1)
-    shared &= np.einsum("ij,ij->i", units[of[1:]], units[of[:-1]]) >= least_cosine
+    shared &= np.einsum("ij,ij->i", units[of[1:]], units[of[:-1]]) >= min_cosine
     first, second = at[:-1][shared].ravel(), at[1:][shared].ravel()
     labels = np.arange(3 * count)
     while True:
-        least = np.minimum(labels[first], labels[second])
+        lowest = np.minimum(labels[first], labels[second])
         new = labels.copy()
-        np.minimum.at(new, first, least)
-        np.minimum.at(new, second, least)
+        np.minimum.at(new, first, lowest)
+        np.minimum.at(new, second, lowest)
         new = new[new]
         if (new == labels).all():
             return labels.reshape(-1, 3)
         labels = new
 
 
-def _by_colour(
+def _by_color(
     node: Node, problems: Problems, index: Ints, corners: Ints, polygon: Ints
 ) -> list[tuple[Any, Array | None]]:
     everything: list[tuple[Any, Array | None]] = [(slice(None), None)]
@@ -328,25 +326,24 @@ def _by_colour(
     colors = np.asarray(get(color, "color", kind, np.zeros((0, 3)), problems))[..., :3]
     own = get(node, "colorIndex", "MFInt32", np.zeros(0), problems).astype(np.intp)
     if get(node, "colorPerVertex", "SFBool", True, problems):
-        given = own if len(own) else index
-        if len(given) <= corners.max():
-            found, least = len(given), int(corners.max()) + 1
-            raise Problem("colorIndex", f"found {found} entries", expected=least).error()
-        chosen = given[corners]
+        indices = own if len(own) else index
+        if len(indices) <= corners.max():
+            raise mismatch(len(indices), corners.max() + 1, key="colorIndex", of="entries")
+        chosen = indices[corners]
     else:
         of = polygon[corners[:, 0]]
         if len(own) and len(own) <= of.max():
             raise mismatch(len(own), of.max() + 1, key="colorIndex", of="entries")
         chosen = (own[of] if len(own) else of)[:, None]
-    _check_index("colors", chosen.ravel(), len(colors), least=0)
+    _check_index("colors", chosen.ravel(), len(colors), low=0)
     means = np.clip(colors[chosen].mean(axis=1), 0.0, 1.0)
     values, which = np.unique(means.round(3), axis=0, return_inverse=True)
-    if len(values) > _MAX_COLOURS:
+    if len(values) > _MAX_COLORS:
         return [(slice(None), means.mean(axis=0))]
     return [(which.ravel() == k, value) for k, value in enumerate(values)]
 
 
-# Triangles of a node, and the colours of its faces if any.
+# Functions that return the triangles of a node.
 GEOMETRIES: dict[str, Any] = {
     "Box": _box,
     "Sphere": _sphere,

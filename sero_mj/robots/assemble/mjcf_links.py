@@ -15,7 +15,7 @@ import numpy as np
 from ...base.errors import mismatch
 from ...base.frames import MIRROR, Array, Ints, frame, inverse, rotation_from_quat
 from ..declared.robot import SerialRobot
-from ..importers.mjcf_tree import MjcfTree
+from ..importers.mjcf_model import MjcfTree
 from .mjcf_elements import MESH, pose
 
 TOUCHING = "touching-"  # prefix of names of collision geoms
@@ -37,9 +37,9 @@ def mjcf_tree(robot: SerialRobot) -> MjcfTree:
 
     Raises DeclarationError if it cannot be read, or has a different number of joints.
     """
-    from ..importers.mjcf_robot import kept_tree  # most robots are not read from MJCF
+    from ..importers.mjcf_robot import cached_tree  # most robots are not read from MJCF
 
-    tree = kept_tree(robot.mjcf, Path(robot.directory))
+    tree = cached_tree(robot.mjcf, Path(robot.directory))
     if len(tree.joints) != robot.n:
         raise mismatch(
             len(tree.joints), f"{robot.n}, as the robot has", key="mjcf", of="joints in it"

@@ -1,4 +1,4 @@
-"""Named frames, received frames, and the vectors of smart arrows (sections 2.4, 2.5)."""
+"""Named frames, received frames, and smart arrows (sections 2.4 and 2.5 of the paper)."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .surroundings import Object
 
 WORLD = "world"
 VectorKind = Literal["force", "torque", "velocity", "angular_velocity"]
-# Rotational quantities, shown by a round arrow about their direction.
+# Rotational quantities, shown as round arrows about their direction.
 ROUND_KINDS = ("torque", "angular_velocity")
 UNITS = {"force": "N", "torque": "Nm", "velocity": "m/s", "angular_velocity": "rad/s"}
-# Metres per unit: 100 N, 20 Nm, 1 m/s and 2 rad/s are large for a light-weight robot.
+# m per unit: 100 N, 20 Nm, 1 m/s and 2 rad/s are large for a light-weight robot.
 _SCALES = {"force": 0.004, "torque": 0.005, "velocity": 0.5, "angular_velocity": 0.05}
-# Neither the colours of joint arrows (orange, blue) nor those of axes (red, green, blue).
+# Different from the colors of joint arrows (orange, blue) and axes (red, green, blue).
 _RGBA = {
     "force": (0.76, 0.08, 0.50, 1.0),
     "torque": (0.50, 0.16, 0.72, 1.0),
@@ -38,25 +38,24 @@ def _place(value: Any) -> Any:
 
 
 class SmartArrow(Declaration):
-    """A Cartesian vector drawn at its point of action, as a straight or a round arrow.
+    """A Cartesian vector, drawn as a straight or round arrow at its point of action.
 
-    Its input `NAME.vector` is set by a route, as a robot's inputs are.
+    A route sets its input `NAME.vector`.
 
     Attributes:
-        name: in routes, e.g. `contact` in `contact.vector`.
+        name: name in routes, for example `contact` in `contact.vector`.
         kind: `force`, `torque`, `velocity` or `angular_velocity`.
-        at: the frame it acts at (`lwr/flange`), or a point in the world, m.
-        expressed_in: the frame its components are in, or `world`; None for the frame it acts
-            at, and the world for a point.
-        vector: its components until something is received; None for no data.
-        scale: m per unit of its magnitude: length of a straight arrow, width of a round one.
-        longest: maximum length or width, m; larger magnitudes are drawn striped (round) or dark
-            (straight).
-        radius: of a round arrow, m.
-        unit: shown after its numbers; None for the kind's SI unit.
-        decimals: of its numbers.
-        rgba: colour; None for the kind's.
-        show: whether it is shown.
+        at: frame at which the vector acts (`lwr/flange`), or a point in the world, m.
+        expressed_in: frame of the components, or `world` (default: the frame `at`, or the world for
+            a point).
+        vector: initial components (3,); None for no data.
+        scale: length of a straight arrow, or width of a round arrow, per unit of the magnitude, m.
+        longest: maximum length or width, m. Larger vectors are striped (round) or dark (straight).
+        radius: radius of a round arrow, m.
+        unit: unit shown after the numbers (default: the SI unit of the kind).
+        decimals: number of decimals.
+        rgba: red, green, blue and opacity, from 0 to 1 (default: depends on the kind).
+        show: whether the arrow is shown.
     """
 
     name: Name
@@ -78,12 +77,12 @@ class SmartArrow(Declaration):
 
     @property
     def metres_per_unit(self) -> float:
-        """`scale`, or the default of the kind, m per unit."""
+        """`scale`, or the default of the kind, in m per unit."""
         return _SCALES[self.kind] if self.scale is None else self.scale
 
     @property
     def limit(self) -> float:
-        """`longest`, m; by default 0.5, for a round arrow its radius."""
+        """`longest`, in m (default: 0.5, or the radius of a round arrow)."""
         if self.longest is not None:
             return self.longest
         return self.radius if self.is_round else 0.5
@@ -103,24 +102,24 @@ class SmartArrow(Declaration):
 
     @property
     def components_in(self) -> str:
-        """Name of the frame its components are in, or `world`."""
+        """Name of the frame of the components, or `world`."""
         if self.expressed_in is not None:
             return self.expressed_in
         return self.at if isinstance(self.at, str) else WORLD
 
 
 class ReceivedFrame(Declaration):
-    """A received frame, shown as axes; routes can also use it as a source.
+    """A received frame, shown as axes. Routes can also use it as a source.
 
     Its input `NAME.frame` is T_relative_to_NAME, (4, 4).
 
     Attributes:
-        name: in routes, e.g. `target` in `target.frame`.
-        relative_to: the frame it is given in, e.g. `lwr/base`, or `world`.
-        frame: initial pose, used until a frame is received; None hides it until then.
-        show_axes: whether its axes are shown.
-        axes_size: length of its axes, m.
-        axes_transparency: 0 opaque, 1 invisible.
+        name: name in routes, for example `target` in `target.frame`.
+        relative_to: reference frame, for example `lwr/base`, or `world`.
+        frame: initial pose, used until a frame arrives. If None, the frame is hidden until then.
+        show_axes: whether the axes are shown.
+        axes_size: length of the axes, m.
+        axes_transparency: transparency of the axes, from 0 (opaque) to 1 (invisible).
     """
 
     name: Name
@@ -136,10 +135,10 @@ class NamedFrame:
     """A named frame.
 
     Attributes:
-        shown_with: the robot or double whose `show_axes` applies; empty when it has its own
+        shown_with: robot or double whose `show_axes` applies; empty for a frame with its own
             toggle.
-        moves_with: the robot, double or received frame that moves it; empty when it is fixed.
-        shown: whether it is initially shown, for a frame with its own toggle.
+        moves_with: robot, double or received frame that moves the frame; empty if it is fixed.
+        shown: initial state of its own toggle.
     """
 
     name: str
@@ -157,7 +156,7 @@ def list_frames(
     frames: Mapping[str, ReceivedFrame],
     objects: Sequence[Object],
 ) -> dict[str, NamedFrame]:
-    """Returns all frames of a scene by name, except `world`; includes objects of shape `axes`."""
+    """Returns all frames of a scene except `world`, including objects of shape `axes`, by name."""
     found: list[NamedFrame] = []
     for name, robot in robots.items():
         look = (name, name, robot.axes_length, 1.0 - robot.axes_transparency)
@@ -171,7 +170,7 @@ def list_frames(
             robot = robots[double.of]
             alpha = AXES_OPACITY * (1.0 - robot.axes_transparency)
             look = (name, name, robot.axes_length, alpha)
-            # A double has the base frame of its robot.
+            # Doubles have the base frames of their robots.
             labels = [f"link{i + 1}" for i in range(robot.n)] + ["flange"]
             sites = [(label, label.replace("link", "frame")) for label in labels]
             found += [

@@ -1,7 +1,7 @@
-"""Coupled joints: joints driven by another one through a gear or a tendon.
+"""Coupled joints, which are driven by another joint through a gear or a tendon.
 
-A coupled joint is at offset + ratio * (the joint it is coupled to). Of n joints k are independent;
-packets, routes and declared poses may have k values or all n.
+The position of a coupled joint is offset + ratio * (position of the driving joint). k of the n
+joints are independent. Packets, routes and declared poses contain k or n values.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ class Coupling(Declaration):
     """The coupling of a joint to another one.
 
     Attributes:
-        to: name of the driving joint, which may be coupled itself.
-        ratio: its angle over that joint's; 1 for equal angles, -1 for opposite ones.
-        offset: its value at zero of that joint, rad or m.
+        to: name of the driving joint, which may itself be coupled.
+        ratio: ratio of the angle to that of the driving joint.
+        offset: joint value at zero of the driving joint, rad or m.
     """
 
     to: str
@@ -40,13 +40,13 @@ class Coupling(Declaration):
 
 @dataclass(frozen=True, eq=False)
 class CoupledJoints:
-    """The couplings of n joints to k independent ones.
+    """The couplings of n joints to k independent joints.
 
     Attributes:
-        independent: indices of the independent joints, (k,).
-        source: for every joint, its independent joint as an index into `independent`, (n,).
-        ratio: of its value to that joint's, (n,); 1 for an independent one.
-        offset: its value at zero of that joint, (n,), rad or m.
+        independent: indices (k,) of the independent joints.
+        source: index into `independent` for each joint, (n,).
+        ratio: ratio of each joint value to that of its independent joint, (n,).
+        offset: value of each joint at zero of its independent joint, (n,), rad or m.
     """
 
     independent: Ints
@@ -67,28 +67,27 @@ class CoupledJoints:
         return self.k < self.n
 
     def positions(self, independent: Array) -> Array:
-        """Returns the positions of all joints (..., n), from those of the independent (..., k)."""
+        """Returns the positions (..., n) of all joints from those (..., k) of independent ones."""
         return np.asarray(independent[..., self.source] * self.ratio + self.offset)
 
     def rates(self, independent: Array) -> Array:
         return np.asarray(independent[..., self.source] * self.ratio)
 
     def full(self, key: str, values: Array) -> Array:
-        """Returns a per-joint input (..., n), given it or that of the independent joints (..., k).
+        """Returns the values (..., n) of a per-joint input from n or k values.
 
-        Coupled joints get computed positions and accelerations, and NaN, no data, for anything
-        else.
+        Positions and accelerations of coupled joints are computed. Other quantities are NaN.
         """
         if values.shape[-1] != self.k or not self.is_coupled:
             return values
         return np.asarray(values[..., self.source] * self.factors(key) + self.constants(key))
 
     def factors(self, key: str) -> Array:
-        """Returns the factors, (n,), from the values of the sources to those of all joints."""
+        """Returns the factors (n,) from values of independent joints to values of all joints."""
         return self.ratio if key in ("joint_angles", "joint_accelerations") else np.ones(self.n)
 
     def constants(self, key: str) -> Array:
-        """Returns the constants that are then added, (n,); NaN for unknown values."""
+        """Returns the constants (n,) to be added after multiplication; NaN for unknown values."""
         if key == "joint_angles":
             return self.offset
         known = np.isin(np.arange(self.n), self.independent)
@@ -96,7 +95,7 @@ class CoupledJoints:
 
 
 def coupling_problems(names: Sequence[str], couplings: Mapping[str, Coupling]) -> list[Problem]:
-    """Returns couplings of and to joints that do not exist, and cycles."""
+    """Returns couplings with unknown joints, and cycles."""
     problems = []
     for name, coupling in couplings.items():
         if name not in names:
@@ -121,13 +120,13 @@ def coupling_problems(names: Sequence[str], couplings: Mapping[str, Coupling]) -
 
 
 def coupled_joints(names: Sequence[str], couplings: Mapping[str, Coupling]) -> CoupledJoints:
-    """Resolves couplings without problems down to the independent joints."""
+    """Returns the couplings to independent joints. The arguments must be valid."""
     independent = [i for i, name in enumerate(names) if name not in couplings]
     source, ratio, offset = np.zeros(len(names), np.intp), np.ones(len(names)), np.zeros(len(names))
     for i, name in enumerate(names):
         at = name
         while at in couplings:
-            # offset and ratio were relative to `at`; now relative to the source of `at`
+            # Makes offset and ratio relative to the joint that drives `at`.
             offset[i] += ratio[i] * couplings[at].offset
             ratio[i] *= couplings[at].ratio
             at = couplings[at].to

@@ -1,4 +1,4 @@
-"""Notices joint angles that are probably in degrees although radians are expected."""
+"""Detects joint angles that are probably in degrees instead of radians."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 
 from ...base.frames import Array, Bools
 
-FAR_BEYOND = 2 * np.pi  # rad beyond a position limit; no robot gets there
-MAX_ANGLE = 8 * np.pi  # rad, four turns; of joints without limits
+FAR_BEYOND = 2 * np.pi  # rad beyond a position limit
+MAX_ANGLE = 8 * np.pi  # rad, four rotations, for joints without limits
 _MAX_DEGREES = 360.0
-_STEP, _ROUNDING = 0.1, 1e-5  # degrees are often typed in such steps; rad are not, when measured
+_STEP, _ROUNDING = 0.1, 1e-5  # deg: typed angles are often multiples of this
 
 
 class HasJoints(Protocol):
-    """What is needed of a `SerialRobot`, which checks its own pose by this module."""
+    """Interface of `SerialRobot`, which imports this module."""
 
     name: str
 
@@ -30,11 +30,11 @@ class HasJoints(Protocol):
 
 
 def look_like_degrees(robot: HasJoints, angles: Array) -> Bools:
-    """Returns which joint values (n,), rad or m, are probably in degrees.
+    """Returns a mask of the joint values (n,), rad or m, that are probably in degrees.
 
-    These are angles that are more than `FAR_BEYOND` outside the position limits. For a continuous
-    joint they are angles beyond `MAX_ANGLE`, up to 360, that are multiples of 0.1. A wheel
-    that has rotated many times is therefore not mistaken for one.
+    These are angles that exceed the position limits by more than `FAR_BEYOND`. For continuous
+    joints, these are angles beyond `MAX_ANGLE`, up to 360, that are multiples of 0.1, which
+    excludes wheels that have rotated many times.
     """
     low, high = robot.plausible_limits.T
     with np.errstate(invalid="ignore"):
@@ -47,10 +47,10 @@ def look_like_degrees(robot: HasJoints, angles: Array) -> Bools:
 
 
 def degrees_warning(robot: HasJoints, angles: Array) -> str:
-    """Returns a question about the first joint whose angles look like degrees; empty for none.
+    """Returns a warning about the first joint with angles in degrees, or an empty text.
 
     Args:
-        angles: (n,), or over time (T, n), rad or m; may contain NaN.
+        angles: joint values (n,), or over time (T, n), rad or m; may contain NaN.
     """
     known = np.nan_to_num(np.atleast_2d(angles))
     if not known.size:

@@ -1,4 +1,4 @@
-"""`Double`: a transparent copy of a robot at a target pose or along a path (section 2.3)."""
+"""`Double`: a transparent double of a robot at a target pose or along a path (section 2.3)."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ...base.declaration import Name, Rgba, Vector, of_shape
 from ...base.frames import Array
 from .robot_parts import ArrowQuantity, BillboardLines, Posed
 
-# Green for commanded positions, as in the paper's section 4.2; a bluish one, since who cannot see
-# red would take a pure one for the orange of arrows.
+# Green for commanded positions, as in section 4.2 of the paper. A bluish green differs from the
+# orange of arrows for people with red-green color blindness.
 COMMANDED_RGBA = np.array([0.28, 0.84, 0.66, 0.36])
-AXES_OPACITY = 0.5  # of its coordinate axes
-DOUBLE_GROUP = 2  # of its geoms
+AXES_OPACITY = 0.5  # opacity of the coordinate axes of doubles
+DOUBLE_GROUP = 2  # geom group of doubles
 OUT_OF_SIGHT = np.array([0.0, 0.0, -1000.0])
-# A link closer to the robot's own than this is hidden, to avoid flicker (z-fighting), and has full
-# opacity at this multiple of it, so that it fades in.
+# A link that is closer to the link of the robot is hidden, to avoid flicker (z-fighting). It fades
+# in and reaches full opacity at `_SHOWN_FROM` times this distance.
 _HIDDEN_DISTANCE = 0.002  # m
 _HIDDEN_ANGLE = np.deg2rad(0.5)
 _SHOWN_FROM = 5.0
@@ -28,32 +28,32 @@ _PATH_FADE = (0.12, 0.6)
 
 
 class Double(Posed):
-    """A transparent copy of a robot.
+    """A transparent double of a robot.
 
-    Its inputs (`NAME.joint_angles`, `NAME.torques`, ...) are set by routes, as a robot's are. It
-    has the base frame, limits and arrow sizes of its robot and does not collide. A link that
-    coincides with the robot's is hidden; it fades in as it moves away.
+    Routes set its inputs (`NAME.joint_angles`, `NAME.torques`, ...), like those of a robot. It has
+    the base frame, limits and arrow sizes of its robot, and does not collide. A link that coincides
+    with the link of the robot is hidden, and fades in as it moves away.
 
     Attributes:
-        name: in routes, e.g. `commanded` in `commanded.joint_angles`.
-        of: the robot it doubles.
-        rgba: its colour; the last number is its opacity.
-        joint_angles: (n,), initial pose, used until something is received; None hides it until
-            then.
-        joint_angles_deg: the same in degrees; converted to joint_angles.
-        path: (k, n), joint angles along a planned motion, shown as several doubles that fade
+        name: name in routes, for example `commanded` in `commanded.joint_angles`.
+        of: name of the robot.
+        rgba: red, green, blue and opacity, from 0 to 1.
+        joint_angles: initial joint angles (n,), used until data arrives. If None, the double is
+            hidden until then.
+        joint_angles_deg: initial joint angles (n,) in degrees.
+        path: joint angles (k, n) along a planned motion, shown by several doubles that fade
             towards the start. A path has no inputs.
         path_length: number of doubles that show the path.
         visible: whether it is shown.
         show_axes: whether coordinate axes are shown at every joint and the flange.
         show_arrows: whether round arrows are shown.
-        arrow_quantity: quantity that the arrows show; None for that of its robot.
+        arrow_quantity: quantity of the arrows (default: that of the robot).
         show_billboards: whether billboards are shown.
-        billboard_lines: lines of the billboards; None for its robot's, as far as it has values.
+        billboard_lines: lines of the billboards (default: those of the robot that have values).
         torques: initial measured torques, (n,), Nm or N; None for no data.
         commanded_torques: initial commanded torques, (n,), Nm or N; None for no data.
         joint_accelerations: initial accelerations, (n,), rad/s2 or m/s2; None for no data.
-        billboard_values: initial billboard values, (n,); None for no data.
+        billboard_values: initial values (n,); None for no data.
     """
 
     name: Name
@@ -82,15 +82,20 @@ class Double(Posed):
 
 
 def path_fade(count: int) -> Array:
-    """Returns the opacity factors of the doubles along a path, (count,); 1 for a single one."""
+    """Returns the opacity factors (count,) of the doubles along a path; 1 for a single double."""
     return np.linspace(*_PATH_FADE, count) if count > 1 else np.ones(count)
 
 
 def fade_in(positions: Array, rotations: Array, others: Array, other_rotations: Array) -> Array:
-    """Returns the opacity factors of a double's links, (...,), by their poses and the robot's.
+    """Returns the opacity factors (...,) of the links of a double.
 
-    It is 0 where a link coincides with its robot's, and rises to 1 as it moves away. Positions are
-    (..., 3), m, rotations (..., 9).
+    A factor is 0 if a link coincides with the link of the robot, and rises to 1 as it moves away.
+
+    Args:
+        positions: positions of the links, shape (..., 3), m.
+        rotations: rotations of the links, shape (..., 9).
+        others: positions of the links of the robot.
+        other_rotations: rotations of the links of the robot.
     """
     distance = np.linalg.norm(positions - others, axis=-1)
     # The trace of R_double^T R_robot is 1 + 2 cos(angle between them).
@@ -101,23 +106,26 @@ def fade_in(positions: Array, rotations: Array, others: Array, other_rotations: 
 
 
 def spread_out(positions: Array, radii: Array) -> Array:
-    """Returns the opacity factors of the links of a path's doubles, (rows, n + 1).
+    """Returns the opacity factors (rows, n + 1) of the links of the doubles along a path.
 
-    Starting from the last double, a link is shown if it is clear of the same link of the previously
-    shown double: overlapping doubles would merge. Positions are those of the links' frames, from
-    the base on, (rows, n + 1, 3), m, and radii those of the arrows, (n,), m.
+    Starting from the last double, a link is shown if it is clear of the same link of the previous
+    visible double, because overlapping doubles would merge.
+
+    Args:
+        positions: positions of the base and the links, shape (rows, n + 1, 3), m.
+        radii: radii of the arrows, shape (n,), m.
     """
     rows, links = positions.shape[:2]
     factors = np.ones((rows, links))
     clear = _CLEARANCE * np.append(radii[:1], radii)
-    kept = positions[-1].copy()
-    kept_end = np.roll(kept, -1, axis=0)
+    shown = positions[-1].copy()
+    shown_end = np.roll(shown, -1, axis=0)
     for k in reversed(range(rows - 1)):
         end = np.roll(positions[k], -1, axis=0)
-        moved = np.linalg.norm(positions[k] - kept, axis=1)
-        # A link turns about its first end; the last one extends to its own frame.
-        moved[:-1] = np.maximum(moved, np.linalg.norm(end - kept_end, axis=1))[:-1]
+        moved = np.linalg.norm(positions[k] - shown, axis=1)
+        # A link rotates about its first end. The last link extends to its own frame.
+        moved[:-1] = np.maximum(moved, np.linalg.norm(end - shown_end, axis=1))[:-1]
         factors[k] = np.clip(2.0 * moved / clear - 1.0, 0.0, 1.0)
         is_shown = factors[k] > 0.5
-        kept[is_shown], kept_end[is_shown] = positions[k][is_shown], end[is_shown]
+        shown[is_shown], shown_end[is_shown] = positions[k][is_shown], end[is_shown]
     return factors

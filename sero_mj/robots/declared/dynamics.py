@@ -1,7 +1,4 @@
-"""The tables `[dynamics]` and `[torque_control]` of a robot file.
-
-Link inertias, joint friction and elasticity, and the parameters of the joint torque control.
-"""
+"""The tables `[dynamics]` and `[torque_control]` of a robot file."""
 
 from __future__ import annotations
 
@@ -15,14 +12,14 @@ from ...base.declaration import Declaration, numbers, of_shape
 from ...base.errors import Problem, mismatch, raise_any
 from ...base.frames import Array
 
-# Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
+# Relative tolerance: typed values are rounded, and flat bodies are exactly at the bound.
 _ROUNDING = 1e-6
-_ZERO = 1e-12  # relative; smaller moments are rounding errors, and may be negative in other axes
-# kg/m3 of a link's hull: hollow aluminium with motors and gears. At 840 the hulls of the LWR's
-# moving links have their true mass of 13.4 kg.
+_ZERO = 1e-12  # relative: smaller moments are rounding errors
+# kg/m3 of the hull of a link: hollow aluminum with motors and gears. With 840, the hulls of the
+# moving links of the LWR have their true mass of 13.4 kg.
 LINK_DENSITY = 840.0
 
-_POINT_RADIUS = 0.005  # m, of the ball that replaces a point mass
+_POINT_RADIUS = 0.005  # m, radius of the ball that replaces a point mass
 _INERTIAL = ("masses", "centers_of_mass", "inertias")
 _FRAMES = ("frames", "frame_origins", "mass_scale")
 _PER_LINK = (*_INERTIAL, "frame_origins")
@@ -36,10 +33,10 @@ _PER_JOINT = (
 
 
 def tensors_from(value: Any) -> Array:
-    """Parses inertia tensors as given in a file, (m, 3, 3), kg m2; raises ValueError for others.
+    """Parses inertia tensors from a file, and returns them as an array (m, 3, 3), kg m2.
 
-    An entry is 3 x 3, or 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz of the tensor, as in URDF and
-    MJCF).
+    Each entry is 3 x 3 numbers or 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz of the tensor, as in URDF
+    and MJCF). Raises ValueError for other entries.
     """
     if not isinstance(value, list | tuple | np.ndarray):
         raise mismatch(value, "one tensor per link")
@@ -62,15 +59,15 @@ def tensors_from(value: Any) -> Array:
 
 
 def link_name(k: int) -> str:
-    """Returns the name of body k for messages: the base, then the links from 1."""
+    """Returns the name of body k for messages, where body 0 is the base."""
     return f"link {k}" if k else "the base"
 
 
 def inertia_problem(tensor: Array) -> str | None:
-    """Returns why no rigid body has this tensor (3, 3), kg m2, about its centre; None if one can.
+    """Returns why an inertia tensor (3, 3), kg m2, is invalid, or None if it is valid.
 
-    Its principal moments are positive, and none is larger than the sum of the other two (each is an
-    integral of a sum of two squares).
+    The tensor is about the center of mass. Its principal moments must be positive, and none may
+    exceed the sum of the other two, because each is an integral of a sum of two squares.
     Source: Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13.
     """
     low, middle, high = np.linalg.eigvalsh(tensor)
@@ -86,10 +83,10 @@ def inertia_problem(tensor: Array) -> str | None:
 
 
 def balanced_tensor(tensor: Array, mass: float) -> Array:
-    """Returns a similar valid tensor (3, 3), kg m2, for one that no rigid body can have.
+    """Returns a valid tensor (3, 3), kg m2, with the principal axes of an invalid one.
 
-    Its axes are kept. Principal moments are raised to at least those of a ball of `_POINT_RADIUS`,
-    and the two smaller ones by equal amounts until their sum equals the largest.
+    Principal moments are raised to at least those of a ball with `_POINT_RADIUS`. Then the two
+    smaller ones are raised by equal amounts until their sum equals the largest.
     """
     moments, axes = np.linalg.eigh(tensor)
     moments = np.maximum(moments, 0.4 * mass * _POINT_RADIUS**2)
@@ -100,7 +97,7 @@ def balanced_tensor(tensor: Array, mass: float) -> Array:
 def principal_moments(tensor: Array) -> tuple[Array, Array]:
     """Returns the principal moments (3,), kg m2, and a rotation (3, 3) with their axes as columns.
 
-    Rounding errors in the moments of a flat body are corrected, because MuJoCo tolerates none.
+    Corrects rounding errors in the moments of flat bodies, which MuJoCo would reject.
     """
     moments, axes = np.linalg.eigh(tensor)
     if np.linalg.det(axes) < 0:
@@ -149,31 +146,33 @@ _Positive = Annotated[Array | None, of_shape(None), AfterValidator(_above_zero)]
 
 
 class Dynamics(Declaration):
-    """Masses, inertias, friction and elasticity of one robot; omitted values are estimated.
+    """Masses, inertias, friction and elasticity of one robot. Missing values are estimated.
 
-    Rows per link are n + 1: the base, then the links. SI units: kg, m, kg m2, Nm s/rad, Nm,
-    Nm/rad; for prismatic joints kg, N s/m, N, N/m.
+    Values per link have n + 1 rows: the base, then the links. Values are in SI units: kg, m, kg m2,
+    Nm s/rad, Nm and Nm/rad, and for prismatic joints kg, N s/m, N and N/m.
 
     Attributes:
-        frames: the frame of centres, tensors and origins: `dh`, the frame of the link's DH row
-            (the base's for the base), or `zero_pose`, with axes parallel to the base's at zero
-            joint angles and the same origin.
-        frame_origins: (n + 1, 3), offsets of the origins of these frames along their own axes,
-            m; for data from a model with different origins of its link frames.
-        masses: (n + 1,); 0, with a tensor of zeros, for a massless link.
-        centers_of_mass: (n + 1, 3).
-        inertias: about the centre of mass, per link 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the
-            entries of the tensor as in URDF, not the products of inertia) or 3 x 3.
-        inertia_repair: handling of tensors that no rigid body can have, such as identified values
-            or point masses: `none`, they are an error, or `balance`, see `balanced_tensor`;
-            `repaired` lists the changes. Files may still use the old name `mend`.
-        mass_scale: multiplies masses and tensors of the moving links.
-        density: kg/m3, used to estimate links when no masses are given.
-        motor_inertias: (n,), as seen at the joint: rotor times the square of the gear ratio.
-        viscous_friction: (n,), of motor and gear, on the motor side of the torque sensor.
-        coulomb_friction: (n,), likewise.
-        joint_stiffness: (n,), of gear and torque sensor, for `elastic_joints`.
-        joint_damping: (n,), in parallel with the stiffness.
+        frames: reference frame of centers of mass and tensors: `dh` for the frame of the DH row of
+            the link, or `zero_pose` for a frame with the same origin whose axes are parallel to
+            those of the base at zero joint angles.
+        frame_origins: offsets (n + 1, 3) of the origins of these frames along their own axes, m,
+            for data of a model whose link frames have other origins.
+        masses: masses (n + 1,), kg; 0 and a zero tensor for a massless link.
+        centers_of_mass: centers of mass (n + 1, 3), m.
+        inertias: inertia tensors about the center of mass, kg m2, each with 3 x 3 or 6 numbers
+            (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the entries of the tensor as in URDF, not the products of
+            inertia).
+        inertia_repair: treatment of invalid tensors, such as identified values or point masses:
+            `none` reports an error, `balance` replaces them, see `balanced_tensor`.
+        mass_scale: factor of the masses and tensors of the moving links.
+        density: density for estimates if no masses are declared, kg/m3.
+        motor_inertias: motor inertias (n,) at the joint: rotor inertia times the squared gear
+            ratio, kg m2.
+        viscous_friction: viscous friction (n,) of motor and gear, on the motor side of the torque
+            sensor, Nm s/rad.
+        coulomb_friction: Coulomb friction (n,) of motor and gear, Nm.
+        joint_stiffness: stiffness (n,) of gear and torque sensor, for `elastic_joints`, Nm/rad.
+        joint_damping: damping (n,) in parallel with the stiffness, Nm s/rad.
     """
 
     renamed = {"mend": "inertia_repair"}
@@ -196,7 +195,7 @@ class Dynamics(Declaration):
 
     @property
     def repaired(self) -> list[str]:
-        """The changes by `inertia_repair`, a line for every link."""
+        """Descriptions of the tensors that `inertia_repair` replaced."""
         return list(self._repaired)
 
     @model_validator(mode="after")
@@ -237,27 +236,24 @@ class Dynamics(Declaration):
         return self
 
     def check_counts(self, n: int) -> None:
-        """Checks that every table has the number of entries that n joints require.
-
-        Raises:
-            DeclarationError: with the keys of this table.
-        """
+        """Raises DeclarationError if an array has the wrong number of entries for n joints."""
         problems = _count_problems(self, _PER_LINK, n + 1, "the base and one per joint")
         problems += _count_problems(self, _PER_JOINT, n, _ROWS)
         raise_any(problems)
 
 
 class TorqueControl(Declaration):
-    """The joint torque control between controllers and motors, used if `run.torque_control` is on.
+    """Parameters of the joint torque control, which is active if `run.torque_control` is true.
 
     Attributes:
-        inertia_ratio: of apparent to actual motor inertia; a fourth to a tenth is usual
+        inertia_ratio: ratio of apparent to actual motor inertia, typically between 1/4 and 1/10
             (Albu-Schäffer, Ott, Hirzinger 2007).
-        motor_inertias: (n,), apparent inertias, instead of a common ratio; kg m2 or kg, reflected
-            to the joint.
-        bandwidth: of the low-pass filter of the measured torque, 1/s.
-        damping: ratio, of shaped motor inertia on the spring of an elastic joint with a held link.
-        friction_bandwidth: of the friction observer, 1/s; 0 for no compensation.
+        motor_inertias: apparent motor inertias (n,) at the joint, kg m2 or kg, instead of a common
+            ratio.
+        bandwidth: bandwidth of the low-pass filter of the measured torque, 1/s.
+        damping: damping ratio of the apparent motor inertia on the spring of an elastic joint whose
+            link is held.
+        friction_bandwidth: bandwidth of the friction observer, 1/s; 0 for no compensation.
     """
 
     inertia_ratio: float = Field(0.25, gt=0, le=1)
@@ -285,9 +281,9 @@ def _count_problems(
 
 
 def merge_tables(file_table: Any, override: Any) -> Any:
-    """Returns a robot file's `[dynamics]` with entries overridden, or all by a `Dynamics`.
+    """Returns the table of a robot file with overridden entries.
 
-    When masses, centres and tensors are all overridden, so is the frame they are given in.
+    If masses, centers and tensors are all overridden, their reference frame is, too.
     """
     if not (isinstance(file_table, Mapping) and isinstance(override, Mapping)):
         return override
@@ -299,7 +295,7 @@ def merge_tables(file_table: Any, override: Any) -> Any:
 
 
 def is_overridden(key: str, fields: Mapping[str, Any]) -> bool:
-    """Whether a dotted key of a robot is set by fields that override its file."""
+    """Whether a dotted key is among the fields that override a robot file."""
     name, _, inner = key.partition(".")
     table = fields.get(name)
     if name in ("dynamics", "torque_control") and isinstance(table, Mapping) and inner:

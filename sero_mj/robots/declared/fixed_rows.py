@@ -1,4 +1,4 @@
-"""Rows of a DH table without a joint, as tables of Kinova begin with: what to declare instead."""
+"""Explains how to declare DH rows without a joint, with which tables of Kinova begin."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ FIXED = "fixed"
 
 
 def fixed_row_problem(types: Sequence[object], declared: Mapping[str, Any]) -> Problem | None:
-    """What is wrong with types of joints of which one is `fixed`; None if none is.
+    """Returns the problem of joint types that contain `fixed`, or None.
 
-    Args:
-        declared: the robot's fields that are valid so far.
+    `declared` contains the fields of the robot that are valid so far.
     """
     if FIXED not in types:
         return None
@@ -38,7 +37,7 @@ def fixed_row_problem(types: Sequence[object], declared: Mapping[str, Any]) -> P
 
 
 def _transform(rows: Array, key: str, declared: Mapping[str, Any]) -> Array:
-    """The transform of fixed rows (k, 4), (4, 4), within what stands under the key already."""
+    """Returns the transform (4, 4) of fixed rows (k, 4), after the frame declared under `key`."""
     columns = tuple(declared.get("dh_columns", COLUMNS))
     table = DhTable.from_rows(rows, declared["dh_convention"], columns)
     T = table.frames(np.zeros(len(rows)))[-1].copy()

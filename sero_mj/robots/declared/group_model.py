@@ -1,8 +1,9 @@
-"""Models of groups: a hand of fingers, or a robot with torso, arms and hands.
+"""Models of groups, such as a hand, or a robot with torso, arms and hands.
 
-`models/NAME/group.toml` has tables of robots and groups, which are mounted on each other, and of
-objects. A group with `model = "NAME"` is replaced by these before anything else reads it: robots
-`GROUP_ROBOT` in the order of the model's `members`, placed at the group's frame.
+`models/NAME/group.toml` contains robots and groups, which are mounted on each other, and objects. A
+group with `model = "NAME"` is expanded to these robots before other code reads it. The robots are
+named `GROUP_ROBOT`, have the order of `members` in the model, and are placed at the frame of the
+group.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from ...base.toml_file import key_lines, located, read_toml
 from .groups import Group
 from .surroundings import Object, set_directory
 
-Declared = tuple[tuple[Path, str], ...]  # files and keys of a table, outer ones first
+Declared = tuple[tuple[Path, str], ...]  # files and keys of a table, outer files first
 _DEFAULTS = [key for key in Group.model_fields if key not in ("name", "robots")]
 _SECTIONS = ("robots", "groups", "objects")
 _OF_FILE = ["members", *_SECTIONS, *_DEFAULTS]
@@ -46,14 +47,14 @@ class Expanded:
     """The tables that result from expanding groups.
 
     Attributes:
-        robots: tables by name, with the place and the model's file of each.
-        groups: tables by name, each with its robots; without models.
-        objects: those fixed to the base of a robot, by its name.
-        declared: where tables are declared, by `robots.NAME` and `groups.NAME`.
+        robots: tables by name, each with its placement and the file of its model.
+        groups: tables by name, each with its robots and without a model.
+        objects: objects that are fixed to the base of a robot, by name of the robot.
+        declared: locations of tables in files, by `robots.NAME` and `groups.NAME`.
         problems: all errors in models and in references to them.
-        broken: `groups.NAME` of the groups left out.
-        most: maximum numbers of robots and groups; nested models multiply, so expansion stops
-            beyond them.
+        broken: `groups.NAME` of the skipped groups.
+        maximum: maximum numbers of robots and groups. Expansion stops beyond them, because nested
+            models multiply.
     """
 
     robots: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -62,21 +63,21 @@ class Expanded:
     declared: dict[str, Declared] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
-    most: Mapping[str, int] = field(default_factory=dict)
+    maximum: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def is_full(self) -> bool:
         groups = len(self.groups) + len(self.broken)
-        return len(self.robots) > self.most["robots"] or groups > self.most["groups"]
+        return len(self.robots) > self.maximum["robots"] or groups > self.maximum["groups"]
 
 
-def expand_groups(tables: Mapping[str, Any], file: Path, most: Mapping[str, int]) -> Expanded:
-    """Expands the groups of a scene that have a model; others are kept.
+def expand_groups(tables: Mapping[str, Any], file: Path, maximum: Mapping[str, int]) -> Expanded:
+    """Expands the groups of a scene that have a model.
 
-    Models are searched for beside the scene's file, and among the shipped ones. Expansion stops
-    soon after `most` robots and groups.
+    Models are searched for in the folder of the scene file, and among the included models.
+    Expansion stops soon after `maximum` robots and groups.
     """
-    found = Expanded(most=most)
+    found = Expanded(maximum=maximum)
     for name, table in tables.items():
         if isinstance(table, Mapping) and "model" in table:
             entry = _found_from(file.parent, {"groups": {name: table}})["groups"][name]
@@ -87,10 +88,9 @@ def expand_groups(tables: Mapping[str, Any], file: Path, most: Mapping[str, int]
 
 
 def where(problem: Problem, declared: Declared) -> Problem:
-    """Returns a problem with its file, key and line, for a table declared in several places.
+    """Returns a problem with file, key and line, for a table that several files declare.
 
-    Args:
-        declared: the places; the first one with the key is used, else the last.
+    The first location that contains the key is used, or else the last location.
     """
     key = problem.key.partition(".")[0]
     path, prefix = next((place for place in declared if has_key(place, key)), declared[-1])
@@ -98,19 +98,19 @@ def where(problem: Problem, declared: Declared) -> Problem:
 
 
 def has_key(place: tuple[Path, str], key: str) -> bool:
-    """Whether the table at this place of a file has a key."""
+    """Whether the table at a location in a file has a key."""
     file, prefix = place
     return Problem(key, "").inside(prefix).key in key_lines(file)
 
 
 @dataclass(frozen=True)
 class _Placement:
-    """The frame of the members of a model, or of a scene's robots.
+    """The frame of the members of a model, or of the robots of a scene.
 
     Attributes:
-        scope: prefix of their names, e.g. `justin_left_hand_`.
-        mirrored: whether all of it is mirrored at the xz plane of that frame.
-        mount: frame of a robot that T is relative to; None in the world.
+        scope: prefix of names, for example `justin_left_hand_`.
+        mirrored: whether the members are mirrored at the xz plane of the frame.
+        mount: reference frame of T on a robot; None for the world.
         inside: files of the models that are being expanded, outermost first.
     """
 
@@ -137,7 +137,7 @@ class _Placement:
             T = MIRROR @ T @ MIRROR
         if mount is None:
             T, mount, declared = self.T @ T, self.mount, self.mounted
-        else:  # on another member, which is mirrored if the group is
+        else:  # on another member, which is mirrored together with the group
             mount = f"{self.scope}{mount}"
         scope = f"{self.scope}{name}_"
         return _Placement(scope, T, mirrored != self.mirrored, mount, declared, self.inside)
@@ -166,7 +166,7 @@ def _add_group(
         return
     try:
         _Members(found, replace(place, inside=(*place.inside, path)), entry, declared).add()
-    except DeclarationError as error:  # its file is unreadable
+    except DeclarationError as error:  # the file is unreadable
         found.problems += error.problems
         found.broken.append(f"groups.{around.scope}{name}")
 
@@ -191,11 +191,7 @@ def _name_of(path: Path) -> str:
 
 
 class _Members:
-    """Adds the members of one group with a model.
-
-    Raises:
-        DeclarationError: the model cannot be read.
-    """
+    """Adds the members of one group with a model. Raises DeclarationError for invalid models."""
 
     def __init__(
         self, found: Expanded, place: _Placement, entry: Mapping[str, Any], declared: Declared
@@ -321,13 +317,13 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
 
 
 def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -> dict[str, Any]:
-    """Returns tables with models, meshes and MJCF files resolved to absolute paths.
+    """Returns tables in which models, meshes and MJCF files have absolute paths.
 
-    An existing model is replaced by the `Path` of its file; names are searched for beside the file
-    that contains them, and with `beside` also beside its folder.
+    The name of an existing model is replaced by the `Path` of its file. Names are relative to
+    `folder`, and with `beside` also to its parent folder.
     """
     found: dict[str, Any] = deepcopy(dict(tables))
-    whole = folder.absolute()  # file names in it are not prefixed again
+    whole = folder.absolute()  # prevents a second prefix of file names
     for section in _SECTIONS:
         entries = found.get(section)
         for table in entries.values() if isinstance(entries, dict) else ():
@@ -344,6 +340,6 @@ def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -
             around = Path(os.path.normpath(folder / ".."))
             for place in (folder, around) if beside else (folder,):
                 if isinstance(table.get("model"), str):
-                    with suppress(DeclarationError, UnknownName):  # reported where it is used
+                    with suppress(DeclarationError, UnknownName):  # reported by its user
                         table["model"] = find(table["model"], place)
     return found

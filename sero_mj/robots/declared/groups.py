@@ -1,7 +1,7 @@
-"""`Group`: robots that are moved, switched and shown together.
+"""`Group`: robots with common routes and switches.
 
-A group lists robots and other groups in order. A route to one of its inputs distributes the values
-to the robots in that order; a route to one of its switches sets it for all of them.
+A group lists robots and other groups. A route to an input of the group distributes the values to
+the robots in this order. A route to a switch of the group sets the switch of all robots.
 """
 
 from __future__ import annotations
@@ -18,41 +18,40 @@ from ...base.declaration import Name, Vector
 from ...base.errors import Problem
 from .robot_parts import VALUE_INPUTS, ArrowQuantity, BillboardLines, Posed
 
-_MAX_MEMBERS = 400  # of a group
-_MAX_REPORTED = 5  # unknown members of a group; for each the nearest name is searched
+_MAX_MEMBERS = 400
+_MAX_REPORTED = 5  # unknown members of a group, because searching similar names takes time
 
 
 class Group(Posed):
-    """An ordered group of robots, and defaults for these.
+    """An ordered group of robots with defaults for their fields.
 
-    Fields declared for a robot, in its model or in its table, override the defaults of its group,
-    and those of an inner group override those of an outer one. None means no default.
+    Fields declared for a robot, in its model or in its table, override the defaults of its group.
+    Defaults of inner groups override those of outer groups. None means no default. Values have one
+    entry per joint, or one per independent joint, of all robots in order.
 
     Attributes:
-        name: in routes, e.g. `justin` in `justin.joint_angles`.
-        description: one line about it.
+        name: name in routes, for example `justin` in `justin.joint_angles`.
+        description: description in one line.
         robots: names of robots and groups, in the order of the values in packets.
-        joint_angles: initial pose of all robots in that order, rad or m: of all joints, or of the
-            independent ones. It overrides the poses of its robots and inner groups.
-        joint_angles_deg: the same in degrees; converted to joint_angles.
-        torques: initial measured torques, Nm or N; like the next three, of all joints or of the
-            independent ones, None for no data.
-        commanded_torques: Nm or N.
-        joint_accelerations: rad/s2 or m/s2.
-        billboard_values: in the unit that the billboards show.
-        enable_touch_sensor: whether a click on a robot toggles its features; this and all following
-            fields are defaults for the robots.
-        stale_after: s.
+        joint_angles: initial joint angles, rad or m. They override those of robots and inner
+            groups.
+        joint_angles_deg: initial joint angles in degrees.
+        torques: initial measured torques, Nm or N; None for no data.
+        commanded_torques: initial commanded torques, Nm or N; None for no data.
+        joint_accelerations: initial accelerations, rad/s2 or m/s2; None for no data.
+        billboard_values: initial values of billboards; None for no data.
+        enable_touch_sensor: whether a click on a robot toggles its features.
+        stale_after: time without a packet after which robots are shown gray, in seconds.
         show_axes: whether coordinate axes are shown.
-        axes_size: m.
-        axes_transparency: 0 opaque to 1 invisible.
+        axes_size: length of the axes, m.
+        axes_transparency: transparency of the axes, from 0 (opaque) to 1 (invisible).
         show_arrows: whether round arrows are shown.
         arrow_quantity: quantity of the arrows.
-        arrow_dead_band: fraction of the limit.
-        arrow_radius: m.
-        arrow_width_scale: m per Nm.
+        arrow_dead_band: fraction of the limit below which no arrow is shown.
+        arrow_radius: radius of the arrows, m.
+        arrow_width_scale: arrow width per torque, m per Nm.
         show_billboards: whether billboards are shown.
-        billboard_scale: text height, in units of 0.7 times the picture height.
+        billboard_scale: text height in units of 0.7 times the image height.
         billboard_lines: lines of the billboards.
         elastic_joints: whether simulated joints are elastic.
     """
@@ -79,24 +78,24 @@ class Group(Posed):
     billboard_lines: BillboardLines = None
     elastic_joints: bool | None = None
 
-    # Files and keys of its tables, if it has a model; for problems found later.
+    # Files and keys of its tables if it has a model, for problems detected later.
     _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
 
     @property
     def defaults(self) -> dict[str, object]:
-        """Its defaults, by the robots' field."""
+        """Default values by field of the robots."""
         fields = [key for key in type(self).model_fields if key not in _OWN]
         return {key: getattr(self, key) for key in fields if getattr(self, key) is not None}
 
     def without_defaults(self) -> Group:
-        """Returns the group with its members only, without poses and defaults."""
+        """Returns the group without poses and defaults."""
         group = Group(name=self.name, robots=self.robots)
         group._declared = self._declared
         return group
 
 
-SHARED = ("joint_angles", *VALUE_INPUTS)  # fields whose values are distributed to its robots
-_OWN = ("name", "description", "robots", "joint_angles_deg", *SHARED)  # no defaults
+SHARED = ("joint_angles", *VALUE_INPUTS)  # values that are distributed to the robots
+_OWN = ("name", "description", "robots", "joint_angles_deg", *SHARED)  # fields without defaults
 
 
 @dataclass(frozen=True)
@@ -104,11 +103,10 @@ class Membership:
     """The robots of all groups.
 
     Attributes:
-        members: names of the robots of every group in order, including those of inner groups, each
-            once.
-        around: names of the groups that contain every robot and group, inner ones first.
-        circles: names of groups that are in each other.
-        twice: groups that contain a robot twice, and its name.
+        members: names of the robots of each group, including those of inner groups.
+        around: names of the groups that contain a robot or group, inner groups first.
+        circles: names of groups that contain each other.
+        twice: groups that contain a robot twice, with the name of the robot.
     """
 
     members: dict[str, list[str]]
@@ -155,8 +153,7 @@ def group_problems(
 ) -> list[Problem]:
     """Returns unknown and repeated members, cycles, and contradictory defaults.
 
-    Args:
-        declared: names of all robots and groups, valid or not.
+    `declared` contains the names of all robots and groups, including invalid ones.
     """
     problems = []
     for name, group in groups.items():

@@ -1,4 +1,4 @@
-"""The inputs of a scene, which routes can set, and their slots in `userdata`."""
+"""The inputs of a scene, which routes set, and their slots in `userdata`."""
 
 from __future__ import annotations
 
@@ -21,48 +21,50 @@ from .surroundings import Object
 SOURCE_FIELDS = (
     "received",
     "malformed",
-    "age",  # s since the last valid packet, -1 when there was none
+    "age",  # s since the last valid packet, -1 if there was none
     "wrong_size",  # count, included in malformed
     "last_size",  # bytes of the last packet of a wrong size
     "size",  # bytes expected
-    "fault_age",  # s since the last malformed packet, -1 when there was none
+    "fault_age",  # s since the last malformed packet, -1 if there was none
     "not_frames",  # count, included in malformed
     "wrong_constant",  # count, included in malformed
     "wrong_checksum",  # count, included in malformed
-    "robot_state",  # of a robot's controller, and of the link to it, as numbers that the kind of
-    "link_quality",  # source defines; -1 for those that define none, and before the first packet
+    # State of the robot controller and of its connection, as numbers that the kind of source
+    # defines, or -1.
+    "robot_state",
+    "link_quality",
     "lost",  # missing sequence numbers
     "late",  # out of order: arrived after a later packet
     "duplicates",
     "restarts",  # of the sender's sequence
-    "dropped",  # by the kernel, for sources that must not lose any
-    "senders",  # concurrent senders
-    "link_age",  # s since one of these counts rose, except senders; -1 when none has
+    "dropped",  # by the kernel
+    "senders",  # number of concurrent senders
+    "link_age",  # s since the last loss, duplicate, restart or drop, -1 if there was none
     "foreign",  # packets from other senders than the configured `sender`
-    "foreign_age",  # s since the last of these, -1 when there was none
+    "foreign_age",  # s since the last packet of another sender, -1 if there was none
     "implausible",  # count, included in malformed
-    "failures",  # of reception: exceptions, after which it restarted
-    "is_failing",  # 1 until packets arrive after the last failure, or 10 s have passed
+    "failures",  # exceptions of the receiving thread, which was then restarted
+    "is_failing",  # 1 after a failure until a packet arrives or 10 s have passed
 )
-# Toggles that a packet can set; a value above 0.5 is on. `arrow_quantity` is an index.
+# Toggles that packets can set: values above 0.5 are on. `arrow_quantity` is an index.
 OWNER_TOGGLES = ("show_arrows", "show_billboards", "show_axes", "arrow_quantity")
 # Inputs of every robot, in addition to its own `inputs`.
 ROBOT_INPUTS = ("joint_angles", *VALUE_INPUTS, "base_frame", "flange_check", *OWNER_TOGGLES)
 _TORQUES = ("torques", "commanded_torques", "joint_accelerations")
-SCENE = "toggles"  # `toggles.legend` switches for the whole scene
+SCENE = "toggles"  # owner of switches of the whole scene, such as `toggles.legend`
 
 InputKind = Literal["angles", "values", "pose", "frame", "vector", "toggle"]
-# Kinds in which NaN means "no data"; the others move something, so NaN is an error.
+# Kinds in which NaN means "no data". For other kinds, which move something, NaN is an error.
 BLANKABLE = ("values", "vector", "toggle", "frame")
-POSE_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz")  # in the place of a matrix
-PLANAR = ("x", "y", "yaw")  # in the place of that of a planar base
-_UNIT_TOLERANCE = 1e-2  # of a quaternion's length
-# Largest magnitudes of values that are applied; a packet with a larger one is garbage. They are far
-# above what any robot has, and far below where pictures fail: at 1e6 m, float32 resolves 6 cm.
+POSE_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz")  # alternative to a matrix
+PLANAR = ("x", "y", "yaw")  # alternative to the matrix of a planar base
+_UNIT_TOLERANCE = 1e-2  # of the length of a quaternion
+# Maximum magnitudes of valid values. They are far above those of any robot, and far below those
+# that break images: at 1e6 m, float32 resolves 6 cm.
 MAX_ANGLE = 1e6  # rad, or m for prismatic joints: 160,000 turns
 MAX_POSITION = 1e6  # m
-MAX_TORQUE = 1e9  # Nm or N, also of forces, and rad/s^2 of accelerations
-MAX_OTHER = 1e15  # of numbers of any unit that are only displayed
+MAX_TORQUE = 1e9  # Nm or N, and rad/s^2 or m/s^2 for accelerations
+MAX_OTHER = 1e15  # numbers of any unit that are only displayed
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,12 @@ class Input:
     """One input of a scene, the target of a route.
 
     Attributes:
-        shape: of its values: (n,), (3,), (4, 4) or (1,).
+        shape: shape of the values: (n,), (3,), (4, 4) or (1,).
         kind: `angles` move a robot or double, `values` are shown at joints, a `pose` moves a
-            base, an object or a camera, a `frame` is stored, a `vector` is shown by an arrow, a
-            `toggle` turns a feature on or off.
-        coupled: couplings of the joints, if any; values of the independent joints then suffice.
+            base, object or camera, a `frame` is stored, a `vector` is shown by an arrow, and a
+            `toggle` switches a feature on or off.
+        coupled: couplings of the joints, or None. With couplings, values of the independent joints
+            are sufficient.
     """
 
     name: str
@@ -93,7 +96,7 @@ class Input:
 
     @property
     def limits(self) -> Array:
-        """Largest magnitude of each value that is applied, in the input's shape."""
+        """Maximum magnitudes of valid values, in the shape of the input."""
         if self.is_pose:
             limits = np.full(self.shape, np.inf)
             if self.shape == (4, 4):
@@ -110,7 +113,7 @@ class Input:
 
     @property
     def is_pose(self) -> bool:
-        """Whether it is a pose: as a matrix, or as the numbers that a route has instead."""
+        """Whether the input is a pose, as a matrix or as other numbers."""
         return self.kind in ("pose", "frame")
 
     @property
@@ -140,7 +143,7 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
 
     for name, robot in scene.robots.items():
         add_per_joint(name, robot)
-        if robot.mount is None:  # else its carrier moves it
+        if robot.mount is None:  # otherwise its carrier moves it
             add(name, (4, 4), "pose", "base_frame")
         add(name, (4, 4), "frame", "flange_check")
         add(name, (1,), "toggle", *OWNER_TOGGLES)
@@ -164,11 +167,11 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
 def inputs_of_group(
     inputs: Mapping[str, Input], group: str, key: str, members: Sequence[str]
 ) -> list[Input]:
-    """Returns the members' inputs for an input of their group, in order.
+    """Returns the inputs of the members for an input of their group, in order.
 
     Raises:
-        UnknownName: no member has such an input.
-        ValueError: not all of them have it, or several have it and it is a frame.
+        UnknownName: no member has this input.
+        ValueError: some members lack this input, or several members have it and it is a frame.
     """
     found = {name: inputs.get(f"{name}.{key}") for name in members}
     items = [item for item in found.values() if item is not None]
@@ -189,10 +192,10 @@ def inputs_of_group(
 
 
 def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
-    """Distributes values of all or of the independent joints to the inputs of a group's members.
+    """Distributes values of all or of the independent joints to the members of a group.
 
-    A switch applies to all. Raises ValueError for a wrong number of values, or one that moves
-    something and is not finite.
+    A switch is set for all members. Raises ValueError if the number of values is wrong, or if
+    values that move something are not finite.
     """
     if items[0].kind not in ("angles", "values"):
         return [values] * len(items)
@@ -214,11 +217,12 @@ def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
 
 
 def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
-    """Returns the frame (4, 4) that a packet's numbers describe; of NaN if they are no pose.
+    """Returns the frame (4, 4) that numbers of a packet describe; NaN if they are not a pose.
 
     Args:
-        numbers: a matrix row by row, (16,); x, y, z and a unit quaternion w, x, y, z, (7,); or x, y
-            and yaw of a planar base, (3,); m and rad.
+        numbers: rows of a matrix, (16,); x, y, z and a unit quaternion w, x, y, z, (7,); or x, y
+            and yaw of a planar base, (3,). Units are m and rad.
+        robot: robot with the planar base, or None.
     """
     if len(numbers) == len(PLANAR) and robot is not None:
         return robot.planar_base.pose(numbers)
@@ -231,7 +235,7 @@ def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
 
 
 def numbers_of_frame(T: Array, count: int, robot: SerialRobot | None = None) -> Array:
-    """Returns so many numbers (count,) for a frame, the inverse of `frame_of_numbers`."""
+    """Returns the numbers (count,) that describe a frame, the inverse of `frame_of_numbers`."""
     if count == len(PLANAR) and robot is not None:
         return robot.planar_base.place(T)
     if count == len(POSE_NUMBERS):
@@ -244,7 +248,7 @@ def _can_be_moved(item: Object) -> bool:
 
 
 def moving(scene: Scene) -> set[str]:
-    """Returns the objects and cameras that a route moves, which therefore need their own body."""
+    """Returns the objects and cameras that routes move. They need their own bodies."""
     names = {item.name for item in scene.objects} | set(scene.cameras)
     return {
         name
@@ -254,11 +258,11 @@ def moving(scene: Scene) -> set[str]:
 
 
 def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]:
-    """Allocates a slot in `userdata` for every input and source.
+    """Allocates slots in `userdata` for all inputs and sources.
 
     Returns:
-        slots by name (`lwr.torques`, `sources.udp`), for every input the index of the flag that it
-        was set, and the length of `userdata`.
+        Slots by name (`lwr.torques`, `sources.udp`), indices of the flags that mark inputs as set,
+        and the length of `userdata`.
     """
     lengths: dict[str, int] = {}
     inputs = list_inputs(scene)
@@ -276,9 +280,9 @@ def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]
 
 
 def to_array(item: Input, values: Any) -> Array:
-    """Returns the values of an input as an array (k,) or more; empty if not numeric.
+    """Returns the values of an input as an array, which is empty if they are not numeric.
 
-    The name of an arrow quantity is converted to its index, and missing coupled joints are added.
+    Converts the name of an arrow quantity to its index, and adds missing coupled joints.
     """
     if isinstance(values, str) and item.key == "arrow_quantity" and values in ARROW_QUANTITIES:
         values = ARROW_QUANTITIES.index(values)
@@ -295,7 +299,7 @@ def to_array(item: Input, values: Any) -> Array:
 
 
 def to_frame(target: str, values: Array) -> Array:
-    """Returns a frame (4, 4); raises ValueError with the name of the input if it is invalid."""
+    """Returns a frame (4, 4). Raises DeclarationError with the name of an invalid input."""
     try:
         return frame_from(values, numbers)
     except ValueError as error:

@@ -1,8 +1,7 @@
-"""Inverse kinematics: joint angles that bring a frame to a pose, or as close as possible.
+"""Inverse kinematics by damped least squares, starting from the previous joint angles.
 
-Damped least squares (Nakamura and Hanafusa 1986, Inverse Kinematic Solutions With Singularity
-Robustness, J. Dyn. Sys. Meas. Control 108; Wampler 1986, IEEE Trans. Systems, Man, and Cybernetics
-16), iterated from the previous angles, so that continuous motions are followed continuously.
+Sources: Nakamura and Hanafusa 1986, Inverse Kinematic Solutions With Singularity Robustness,
+J. Dyn. Sys. Meas. Control 108; Wampler 1986, IEEE Trans. Systems, Man, and Cybernetics 16.
 """
 
 from __future__ import annotations
@@ -17,24 +16,24 @@ from . import joint_ranges
 from .robot import SerialRobot
 
 ITERATIONS = 60
-CLOSE = 1e-3  # m or rad; smaller errors count as reached
-_DAMPING = 1e-4  # of the pseudo-inverse, m2 and rad2
+CLOSE = 1e-3  # m or rad; a goal with a smaller error is reached
+_DAMPING = 1e-4  # m2 and rad2
 _MAX_STEP = 0.2  # rad or m per iteration
 _AT_LIMIT = 1e-6  # rad or m
 _POSTURE_GAIN = 0.5  # fraction of the way to the posture, per iteration
 _MIN_POSTURE_STEP = 1e-4  # rad or m; smaller null-space steps end the iteration
-# Maps angles to the frame, (4, 4), m, and its Jacobian (6, n): linear, then angular.
+# Maps joint values to a frame (4, 4), m, and its Jacobian (6, n), with linear rows first.
 Place = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
 class Reached:
-    """The angles closest to a pose.
+    """The result of the inverse kinematics.
 
     Attributes:
-        distance: remaining, m.
-        angle: remaining, rad; 0 for a goal without orientation.
-        at_limit: whether each joint is at a position limit, (n,).
+        distance: remaining distance to the goal, m.
+        angle: remaining rotation to the goal, rad; 0 for a goal without orientation.
+        at_limit: mask (n,) of joints at a position limit.
     """
 
     angles: Array
@@ -48,15 +47,17 @@ class Reached:
 
 
 def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
-    """Returns a function from the independent joints to a frame of a robot, in numpy.
+    """Returns a function from the independent joint values to a frame of a robot.
 
     Args:
         base: T_world_base (4, 4), m.
-        link: that carries the frame, 0 for the base, up to n.
+        link: index of the link of the frame, 0 for the base.
         at: T_link_frame (4, 4), m.
     """
     tree, coupled = robot.kinematics, robot.coupled
-    follows: Array = np.zeros((coupled.n, coupled.k))  # maps their rates to those of all joints
+    follows: Array = np.zeros(
+        (coupled.n, coupled.k)
+    )  # maps rates of independent joints to all joints
     follows[np.arange(coupled.n), coupled.source] = coupled.ratio
 
     def place(angles: Array) -> tuple[Array, Array]:
@@ -73,7 +74,7 @@ def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
 
 
 def independent_limits(robot: SerialRobot) -> Array | None:
-    """Limits of the independent joints, (k, 2), that also satisfy those of coupled ones."""
+    """Returns limits (k, 2) of the independent joints that also satisfy those of coupled joints."""
     if robot.position_limits is None:
         return None
     return joint_ranges.independent_limits(robot.position_limits, robot.coupled)
@@ -89,14 +90,14 @@ def reach(
     posture: Array | None = None,
     iterations: int = ITERATIONS,
 ) -> Reached:
-    """Returns joint angles that bring a frame to a pose, within the position limits.
+    """Returns joint values that bring a frame as close as possible to a pose, within the limits.
 
     Args:
         goal: T_world_frame (4, 4), m.
-        angles: (n,), rad or m, initial.
-        limits: (n, 2), rad or m; None for none.
+        angles: initial joint values, shape (n,), rad or m.
+        limits: position limits, shape (n, 2), rad or m, or None.
         turns: whether the goal includes the orientation.
-        posture: (n,), target of the null space; None for none.
+        posture: target of the null space, shape (n,), rad or m, or None.
     """
     error: Array = np.zeros(6)
     rows = slice(None) if turns else slice(0, 3)
@@ -137,7 +138,7 @@ def _turn(rotation: Array) -> tuple[Array, float]:
 def _step(
     jacobian: Array, error: Array, angles: Array, limits: Array | None, inner: Array | None
 ) -> Array:
-    """A step towards the pose; joints that would leave their limits are held at them."""
+    """Returns a step towards the pose in which joints stop at their limits."""
     m, n = jacobian.shape
     low, high = (np.full(n, -np.inf), np.full(n, np.inf)) if limits is None else limits.T
     free: Array = np.ones(n)

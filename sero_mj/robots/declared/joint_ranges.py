@@ -1,7 +1,8 @@
-"""Finite ranges of joints, for whatever needs one: sliders, example motions, learning.
+"""Finite ranges of joints for sliders, example motions and learning.
 
-Limits of position may be missing, infinite, or placeholders such as the 1e6 m of URDFs that must
-declare some. The physics takes them as declared; a slider, a random pose or an action cannot.
+Position limits may be missing, infinite, or placeholders, such as 1e6 m in URDF files, which must
+declare limits. The simulation uses the limits as declared. Sliders, random poses and actions need
+finite ranges.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ from ...base.frames import Array
 from ..importers.robot_tree import NO_LIMIT
 from .couplings import CoupledJoints
 
-REVOLUTE, PRISMATIC = np.pi, 1.0  # rad, m; to either side of zero, where there is no limit
-_LEAST = 0.01  # of a driving joint's own range, that its coupled joints leave
+REVOLUTE, PRISMATIC = np.pi, 1.0  # rad and m to either side of zero, without a limit
+_MIN_SHARE = 0.01  # of the range of a driving joint that its coupled joints must allow
 
 
 def plausible_limits(position_limits: Array | None, n: int) -> Array:
-    """Returns the position limits (n, 2), rad or m, infinite where missing or a placeholder.
+    """Returns position limits (n, 2), rad or m, with infinity for missing limits and placeholders.
 
-    A placeholder is a limit of `NO_LIMIT`, 1000 rad or m, or more.
+    A limit of 1000 rad or m (`NO_LIMIT`) or more is a placeholder.
     """
     if position_limits is None:
         return np.tile([-np.inf, np.inf], (n, 1))
@@ -30,9 +31,9 @@ def plausible_limits(position_limits: Array | None, n: int) -> Array:
 
 
 def independent_limits(limits: Array, coupled: CoupledJoints) -> Array:
-    """Returns limits of the independent joints, (k, 2), that satisfy those of coupled ones as well.
+    """Returns limits (k, 2) of the independent joints that also satisfy those of coupled joints.
 
-    If these leave a joint less than a hundredth of its own range, they are wrong, and ignored.
+    Limits of coupled joints are ignored if they allow less than 1 % of the range of a joint.
     """
     own = limits[coupled.independent]
     found = own.copy()
@@ -40,7 +41,7 @@ def independent_limits(limits: Array, coupled: CoupledJoints) -> Array:
         low, high = np.sort((limits[joint] - coupled.offset[joint]) / coupled.ratio[joint])
         found[source] = max(found[source, 0], low), min(found[source, 1], high)
     width = np.ptp(own, axis=1)
-    least = np.where(np.isfinite(width), _LEAST * width, 0.0)
+    least = np.where(np.isfinite(width), _MIN_SHARE * width, 0.0)
     is_wrong = found[:, 1] - found[:, 0] <= least
     return np.where(is_wrong[:, None], own, found)
 
@@ -48,12 +49,11 @@ def independent_limits(limits: Array, coupled: CoupledJoints) -> Array:
 def display_ranges(
     position_limits: Array | None, types: Sequence[str], home: Array, coupled: CoupledJoints
 ) -> Array:
-    """Returns a finite range of every joint, (n, 2), lower and upper, rad or m.
+    """Returns finite lower and upper limits (n, 2) of all joints, rad or m.
 
-    It consists of the plausible limits. A missing limit is replaced by -π or π rad for a revolute
-    joint and by -1 or 1 m for a prismatic one, or is this far from the other limit or from the home
-    position if these are outside that range. The range of a driving joint satisfies the limits of
-    its coupled joints, whose ranges follow from it.
+    A missing limit is replaced by ±π rad for a revolute joint and by ±1 m for a prismatic joint. If
+    the other limit or the home position is outside this range, the replacement has this distance
+    from it. The range of a driving joint satisfies the limits of its coupled joints.
     """
     limits = plausible_limits(position_limits, len(types))
     if not coupled.is_coupled:

@@ -1,4 +1,4 @@
-"""Speeds of joints: the declared limits, or defaults for joints without limits."""
+"""Velocity limits of joints, with defaults for joints without a declared limit."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from .robot import SerialRobot
 
 Use = Literal["shown", "target", "agent", "runaway"]
 
-# rad/s of revolute and m/s of prismatic joints, by purpose: a robot that is only shown; a target
-# followed by a controller; an agent's actions; and the threshold above which a simulated joint has
-# run away.
+# rad/s of revolute and m/s of prismatic joints, by purpose: display, targets of controllers,
+# actions of agents, and the threshold for a runaway joint in simulation.
 UNDECLARED: Mapping[Use, tuple[float, float]] = {
     "shown": (4.0, 1.0),
     "target": (1.5, 0.5),
@@ -24,12 +23,12 @@ UNDECLARED: Mapping[Use, tuple[float, float]] = {
 
 
 def undeclared_speeds(robot: SerialRobot, use: Use) -> Array:
-    """Speeds (n,), rad/s or m/s, as if the robot declared no velocity limits."""
+    """Returns the default velocity limits (n,), rad/s or m/s."""
     turns, slides = UNDECLARED[use]
     return np.array([turns if kind == "revolute" else slides for kind in robot.types])
 
 
 def joint_speeds(robot: SerialRobot, use: Use) -> Array:
-    """The velocity limits (n,), rad/s or m/s, or the default of a joint without one."""
+    """Returns the velocity limits (n,), rad/s or m/s, with defaults for missing limits."""
     speeds, limits = undeclared_speeds(robot, use), robot.velocity_limits
     return speeds if limits is None else np.where(np.isfinite(limits), limits, speeds)

@@ -1,4 +1,4 @@
-"""Limbs: the unbranched parts of a robot, by which many joints are routed, switched and shown."""
+"""Limbs: unbranched parts of a robot, used to route, switch and show many joints at once."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 
 from ...base.errors import Problem
 
-_SMALL = r"[^\W\d_A-Z]"  # a letter, of any script, that is no capital of ASCII
+_SMALL = r"[^\W\d_A-Z]"  # any letter except ASCII capitals
 _WORDS = re.compile(rf"[A-Z]+(?!{_SMALL})|[A-Z]?{_SMALL}+|\d+")
-_GENERIC_WORDS = ("joint", "j")  # words that do not identify a limb, like numbers
-# Words that identify the part of a body, for limbs whose joints share no word.
+_GENERIC_WORDS = ("joint", "j")  # words that, like numbers, do not identify a limb
+# Words that identify a part of the body, for limbs whose joint names share no word.
 _PARTS = {
     "arm": ("shoulder", "elbow", "forearm", "wrist"),
     "leg": ("hip", "thigh", "knee", "calf", "ankle"),
@@ -25,12 +25,12 @@ _PART_OF = {word: part for part, words in _PARTS.items() for word in (part, *wor
 def find_limbs(
     names: Sequence[str], carriers: Sequence[int], followed: Mapping[str, str]
 ) -> dict[str, list[int]]:
-    """Returns the limbs of a robot, indices of joints by name; every joint is in exactly one.
+    """Returns the joint indices of all limbs by name. Each joint belongs to exactly one limb.
 
-    A limb is a maximal run of joints, each the only child of the previous one. Runs of coupled
-    joints only belong to the limb of their driving joint (`followed`): the knuckles of a gripper to
-    its drive. It has the common part of its joints' names, or else the first and the last name. A
-    carrier is 0 for the base, i for joint i.
+    A limb is a maximal sequence of joints in which each joint is the only child of the previous
+    one. A sequence of coupled joints belongs to the limb of the driving joint in `followed`. The
+    name of a limb is the common part of its joint names, or else the first and the last name. A
+    carrier is 0 for the base and i for joint i.
     """
     on = Counter(carriers)
     runs: list[list[int]] = []
@@ -50,7 +50,7 @@ def find_limbs(
 
 
 def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> list[Problem]:
-    """Returns errors of declared limbs: names and joints that are unknown or used twice."""
+    """Returns names and joints of declared limbs that are unknown or used twice."""
     problems = []
     limb_of: dict[str, str] = {}
     for limb, joints in limbs.items():
@@ -72,11 +72,7 @@ def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> l
 def all_limbs(
     names: Sequence[str], found: Mapping[str, list[int]], declared: Mapping[str, Sequence[str]]
 ) -> dict[str, list[int]]:
-    """Returns the declared limbs, and the remaining joints in the limbs found.
-
-    Args:
-        declared: names of joints by limb, without problems.
-    """
+    """Returns the declared limbs, and the limbs in `found` without the joints of declared limbs."""
     index = {name: i for i, name in enumerate(names)}
     limbs = {limb: [index[joint] for joint in joints] for limb, joints in declared.items()}
     taken = {i for joints in limbs.values() for i in joints}
@@ -115,7 +111,7 @@ def _ends(names: Sequence[str], run: Sequence[int]) -> str:
 
 
 def limb_name(joints: Sequence[str]) -> str:
-    """Returns the common part of the names of a limb's joints; may be empty."""
+    """Returns the common part of joint names; may be empty."""
     if len(joints) == 1:
         return joints[0]
     words = [_WORDS.findall(name) for name in joints]

@@ -1,8 +1,7 @@
-"""Robots mounted on frames of other robots: their order, their poses, their errors.
+"""Robots mounted on frames of other robots: order, poses and errors.
 
-A robot with `mount = "arm/flange"` is carried by the robot `arm`: its `base_frame` is relative to
-that frame, and its base moves with it. Mounted robots form trees, whose roots are placed in the
-world.
+A robot with `mount = "arm/flange"` is carried by the robot `arm`. Its `base_frame` is relative to
+this frame. Mounted robots form trees whose roots are placed in the world.
 """
 
 from __future__ import annotations
@@ -21,18 +20,18 @@ from .robot_parts import frame_labels
 
 
 def carrier(robot: SerialRobot) -> str | None:
-    """Returns the name of the robot that carries a robot; None for one placed in the world."""
+    """Returns the name of the robot that carries a robot, or None."""
     return None if robot.mount is None else robot.mount.partition("/")[0]
 
 
 def mount_labels(robot: SerialRobot) -> list[str]:
-    """Returns the labels allowed after `NAME/` in a `mount`: base, links, flange, axes at it."""
+    """Returns the labels that may follow `NAME/` in a `mount`: base, links, flange and axes."""
     axes = [child.name for child in robot.children if child.shape == "axes"]
     return [*frame_labels(robot.n), *axes]
 
 
 def mounted_by_joints(robots: Mapping[str, SerialRobot]) -> dict[str, SerialRobot]:
-    """Returns the robots whose `mount` names a joint or link, `icub/l_elbow`, on `icub/link9`."""
+    """Returns the robots with a `mount` on a named joint or link, converted to `icub/link9`."""
     found = {}
     for name, robot in robots.items():
         below, _, label = (robot.mount or "").partition("/")
@@ -52,13 +51,13 @@ def carriers(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
 
 
 def mount_circles(robots: Mapping[str, SerialRobot]) -> list[list[str]]:
-    """Returns the names of robots that carry each other in cycles, each cycle once."""
+    """Returns the cycles of robots that carry each other, by their names."""
     ways = [[name, *carriers(robots, name)] for name in robots]
     return [way for way in ways if carrier(robots[way[-1]]) == way[0] == min(way)]
 
 
 def mount_order(robots: Mapping[str, SerialRobot]) -> list[str]:
-    """Returns the names of all robots in declared order, but each after its carrier.
+    """Returns the names of all robots, carriers first, and otherwise in the order of declaration.
 
     Raises CycleError if robots carry each other in a cycle.
     """
@@ -68,7 +67,7 @@ def mount_order(robots: Mapping[str, SerialRobot]) -> list[str]:
 
 
 def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, int]:
-    """Returns the name of a mounted robot's carrier, and the link, 0 for its base."""
+    """Returns the name of the carrier of a mounted robot, and the index of the link."""
     below, _, label = (robots[name].mount or "").partition("/")
     robot = robots[below]
     label = next((child.on for child in robot.children if child.name == label), label)
@@ -77,7 +76,7 @@ def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, in
 
 
 def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
-    """Returns T_base_mount (..., 4, 4) of one of `mount_labels`, by `robot.kinematics.frames`."""
+    """Returns T_base_mount (..., 4, 4) of a mount label, from the frames of the kinematics."""
     if label == "base":
         return frames[..., 0, :, :]
     if label.startswith("link") and label[4:].isdigit():
@@ -93,11 +92,11 @@ def base_frames(
     joint_angles: Mapping[str, ArrayLike] | None = None,
     placed: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
-    """Returns T_world_base (..., 4, 4) of every robot, by the kinematics of its carriers.
+    """Returns T_world_base (..., 4, 4) of all robots by name.
 
     Args:
-        joint_angles: (..., n) by name, rad or m; the declared ones where missing.
-        placed: T_world_base (..., 4, 4) of robots not at their declared frames.
+        joint_angles: joint values (..., n) by robot, rad or m (default: the declared values).
+        placed: T_world_base (..., 4, 4) of robots that are not at their declared frames.
     """
     bases: dict[str, Array] = {}
     for name in mount_order(robots):
@@ -124,7 +123,7 @@ def unmounted(robot: SerialRobot, T_world_base: Array) -> SerialRobot:
 def mount_problems(robots: Mapping[str, SerialRobot], broken: Mapping[str, bool]) -> list[Problem]:
     """Returns mounts on unknown frames, and cycles of mounts.
 
-    Errors of missing carriers that are `broken`, invalid, are reported elsewhere.
+    Mounts on invalid robots (`broken`) are not reported, because these are reported elsewhere.
     """
     problems = []
     frames = [f"{name}/{label}" for name, robot in robots.items() for label in mount_labels(robot)]

@@ -1,6 +1,6 @@
 """`SerialRobot`: a robot declared by a Denavit-Hartenberg table and link geometry (Fig. 3).
 
-Without such a table, as in URDF and MJCF, its joints have individual frames, and may form a tree.
+Robots from URDF and MJCF have individual joint frames instead of a table, and may form a tree.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from ...base.frames import (
     rotation_to_z,
 )
 from ...base.toml_file import located
+from ..importers.importer import read_robot_file
 from ..importers.joint_names import link_of_parent
 from ..importers.mjcf_file import is_file_name
-from ..importers.robot_file import read_robot_file
 from ..kinematics.dh import DhTable
 from ..kinematics.joint_tree import JointFrames, JointTree, PlanarBase
 from .couplings import CoupledJoints, coupled_joints
@@ -46,13 +46,13 @@ _LIMBS_IN_REPR, _NAMES_IN_REPR = 8, 8
 
 
 class SerialRobot(RobotDeclaration):
-    """A robot as in the paper's `SerialRobot` proto: what it declares, and what follows from that.
+    """A robot like the `SerialRobot` proto of the paper, with derived quantities.
 
-    `RobotDeclaration` has the meaning of every field.
+    `RobotDeclaration` documents the fields.
     """
 
     def frame_label(self, label: str) -> str:
-        """Returns `link3` for the name of a joint, or of a link in its own file."""
+        """Translates the name of a joint or an original link, for example to `link3`."""
         others = [child.name for child in self.children]
         return label if label in others else frame_label(label, self.names, self.link_names)
 
@@ -78,12 +78,12 @@ class SerialRobot(RobotDeclaration):
         """Reads a robot file and overrides its fields.
 
         Args:
-            model: a shipped robot's name (`lwr`), a folder with a `robot.toml`, or a file: TOML, or
-                any format with an importer.
+            model: name of an included robot (`lwr`), folder with a `robot.toml`, or file: TOML, or
+                a format with an importer.
 
         Raises:
             UnknownName: there is no such model.
-            DeclarationError: what is wrong in the file or the overrides.
+            DeclarationError: the file or the overrides are invalid.
         """
         path = paths.find_model(model)
         return build_robot({"name": paths.model_name(path), **overrides}, path)
@@ -98,35 +98,34 @@ class SerialRobot(RobotDeclaration):
     ) -> SerialRobot:
         """Reads a URDF file, or xacro if the package `xacro` is installed.
 
-        A chain gets a Denavit-Hartenberg table with the same frames, if there is one, anything else
-        `joint_frames`. Links that are fixed to each other are merged. Losses (such as missing
-        meshes) are logged as warnings.
+        A serial chain is converted to a Denavit-Hartenberg table with the same frames if possible,
+        and otherwise to `joint_frames`. Links that are fixed to each other are merged. Losses, such
+        as missing meshes, are logged as warnings.
 
         Args:
-            packages: folders of ROS packages by name, for `package://NAME/...`; others are
-                searched for above the file and on the paths that the environment names.
+            packages: folders of ROS packages by name, for `package://NAME/...`. Other packages are
+                searched for in the folders above the file and in paths from the environment.
 
         Raises:
-            DeclarationError: what is wrong in the file or the overrides.
+            DeclarationError: the file or the overrides are invalid.
         """
         path = Path(path)
         return build_robot({"name": paths.model_name(path), **overrides}, path, packages, arguments)
 
     @classmethod
     def from_mjcf(cls, source: Any, **overrides: Any) -> SerialRobot:
-        """Reads a robot from MJCF: all hinges and slides that its actuators drive.
+        """Reads a robot from MJCF, with all hinge and slide joints that actuators drive.
 
         Args:
-            source: a file, text that starts with `<`, a `mujoco.MjSpec`, or a PyMJCF or composer
-                object.
+            source: file, text that starts with `<`, `mujoco.MjSpec`, or PyMJCF or composer object.
 
         Raises:
-            DeclarationError: it cannot be read or compiled, or has no joints.
+            DeclarationError: the model is invalid or has no joints.
         """
         if isinstance(source, Path) or is_file_name(source):
             path = Path(source)
             return build_robot({"name": paths.model_name(path), **overrides}, path)
-        from ..importers.mjcf_robot import mjcf_tables  # most robots are not read from MJCF
+        from ..importers.mjcf_robot import mjcf_tables  # most robots do not need MuJoCo here
 
         tables, warnings = mjcf_tables(source, Path())
         for warning in warnings:
@@ -135,7 +134,7 @@ class SerialRobot(RobotDeclaration):
 
     @cached_property
     def kinematics(self) -> JointTree:
-        """Its DH table, or the frames of its joints."""
+        """The DH table or the joint frames."""
         revolute = np.array([kind == "revolute" for kind in self.types])
         table: JointTree
         if self.joint_frames is not None:
@@ -150,20 +149,20 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def dh(self) -> DhTable | None:
-        """Its Denavit-Hartenberg table; None if its joints have individual frames."""
+        """The Denavit-Hartenberg table; None for a robot with joint frames."""
         table = self.kinematics
         return table if isinstance(table, DhTable) else None
 
     @property
     def carriers(self) -> Ints | None:
-        """Index of each joint's parent frame, (n,), 0 for the base; None for a chain."""
+        """Indices (n,) of the parent frames of joints, 0 for the base; None for a chain."""
         if self.parents is None:
             return None
         return np.array([link_of_parent(each, self.names) for each in self.parents], np.intp)
 
     @property
     def planar_base(self) -> PlanarBase:
-        """How a planar base moves."""
+        """Motion of a planar base."""
         normal = self.base_normal * ([1, -1, 1] if self.mirrored else 1)
         return PlanarBase(self.base_frame, rotation_to_z(np.eye(3), normal).T)
 
@@ -179,27 +178,24 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def has_geometry(self) -> bool:
-        """Whether its links' geometry is declared, not generated."""
+        """Whether the geometry of the links is declared, not generated."""
         return bool(self.filenames) or self.mjcf is not None
 
     @property
     def is_foreign(self) -> bool:
-        """Whether it is from URDF or MJCF, where the base can be anywhere in a robot."""
+        """Whether the robot is from URDF or MJCF, where the base can be anywhere in the robot."""
         return self.mjcf is not None or (
             self._model is not None and self._model.suffix in paths.robot_endings()
         )
 
     @property
     def T_n_flange(self) -> Array:
-        """Frame of the flange in that of its link, (4, 4), m: `flange_frame`, or mirrored."""
+        """Pose (4, 4) of the flange in the frame of its link: `flange_frame`, or mirrored."""
         return MIRROR @ self.flange_frame @ MIRROR if self.mirrored else self.flange_frame
 
     @property
     def link_poses(self) -> dict[str, tuple[int, Array]]:
-        """Links of the original file by name: index of the link, 0 for the base, and the pose.
-
-        The pose is T_link_original (4, 4), m, also of a mirrored robot.
-        """
+        """Link index and T_link_original (4, 4) of each link of the original file, by name."""
         links = {label: i for i, label in enumerate(frame_labels(self.n))}
         return {
             name: (links[at.on], MIRROR @ at.frame @ MIRROR if self.mirrored else at.frame)
@@ -208,7 +204,7 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def child_frames(self) -> list[Array]:
-        """T_on_child (4, 4) of every child in the frame it is on, m: as declared, or mirrored."""
+        """T_on_child (4, 4) of all children: as declared, or mirrored."""
         frames = [child.frame for child in self.children]
         return [MIRROR @ T @ MIRROR for T in frames] if self.mirrored else frames
 
@@ -226,10 +222,7 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def limb_joints(self) -> dict[str, list[int]]:
-        """Indices of the joints of every limb: as declared in `limbs`, else found.
-
-        A limb is an unbranched run of joints, see `find_limbs`; a chain is one.
-        """
+        """Joint indices of each limb: declared `limbs`, then unbranched sequences of joints."""
         carriers = np.arange(self.n) if self.carriers is None else self.carriers
         followed = {name: coupling.to for name, coupling in self.couplings.items()}
         found = find_limbs(self.names, carriers.tolist(), followed)
@@ -242,14 +235,14 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def torque_units(self) -> list[TorqueUnit]:
-        """Unit in which the torque or force of every joint is displayed, n, by `torque_limits`."""
+        """Display units of the torques or forces of n joints, see `torque_limits`."""
         return torque_units(self.torque_bounds, [kind == "revolute" for kind in self.types])
 
     @property
     def arrow_radii(self) -> Array:
-        """Radius of every joint's arrow (n,), m: as declared, else clear of generated shapes.
+        """Radii (n,) of the arrows, m: as declared, or clear of generated shapes.
 
-        With `fit_arrows` the compiled scene has different ones.
+        With `fit_arrows`, the compiled scene uses other radii.
         """
         if self.has_geometry or "arrow_radius" in self.model_fields_set:
             return np.full(self.n, self.arrow_radius)
@@ -257,12 +250,12 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def housing_radii(self) -> Array:
-        """Radius of the generated housing of every joint (n,), m."""
+        """Radii (n,) of the generated housings of the joints, m."""
         return housing_radii(self.kinematics, self.T_n_flange, self.strokes, self.flange_link)
 
     @property
     def axes_length(self) -> float:
-        """Length of the axes, m: as declared, else in proportion to generated shapes."""
+        """Length of the axes, m: as declared, or in proportion to generated shapes."""
         if self.fit_arrows and "axes_size" not in self.model_fields_set:
             return _AXES_OF_REACH * self.reach
         if self.has_geometry or "axes_size" in self.model_fields_set:
@@ -271,31 +264,31 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def plausible_limits(self) -> Array:
-        """Position limits (n, 2), rad or m; infinite where missing or a placeholder."""
+        """Position limits (n, 2), rad or m; infinite for missing limits and placeholders."""
         return plausible_limits(self.position_limits, self.n)
 
     @property
     def display_ranges(self) -> Array:
-        """Finite range of every joint (n, 2), rad or m, for sliders, motions and learning.
+        """Finite ranges (n, 2) of the joints, rad or m, for sliders, motions and learning.
 
-        These are the position limits. Where they are missing, infinite or 1000 rad or m and
-        more, the range is ±π rad for a revolute joint and ±1 m for a prismatic one. The limits of
-        coupled joints bound their driving joint as well.
+        A missing limit, or a limit of 1000 rad or m and more, is replaced by ±π rad for a revolute
+        joint and ±1 m for a prismatic joint. The limits of coupled joints also limit their driving
+        joint.
         """
         return display_ranges(self.position_limits, self.types, self.home, self.coupled)
 
     @property
     def strokes(self) -> Array:
-        """Maximum extension of every prismatic joint (n,), m; zero where not declared."""
+        """Maximum extensions (n,) of prismatic joints, m; zero if not declared."""
         upper = np.maximum(self.plausible_limits[:, 1], 0.0)
         return np.where(np.isfinite(upper) & ~self.kinematics.revolute, upper, 0.0)
 
     @property
     def reach(self) -> float:
-        """Maximum distance of the flange from the base, m, with all links in one line.
+        """Distance of the flange from the base with all links in one line, m.
 
-        Prismatic joints are extended to their `position_limits`, without limits not at all. For a
-        branching robot it is that of the farthest link.
+        Prismatic joints are extended to their `position_limits` if they have limits. For a
+        branching robot, this is the distance of the farthest link.
         """
         limits = self.plausible_limits
         tree, ends = self.kinematics, np.where(np.isfinite(limits), limits, 0.0).T
@@ -305,11 +298,11 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def offsets(self) -> Array:
-        """`offsets_to_center_of_joints` (n, 3): as declared, else at the generated housings.
+        """`offsets_to_center_of_joints` (n, 3): as declared, or at the generated housings.
 
-        These are at the origins of Craig's frames. A standard frame is at the other end of the
-        row's d, often a whole pedestal away from the joint. For a mirrored robot they are in the
-        frames whose z is the axis about which its joints turn.
+        Housings are at the origins of Craig's frames. A standard frame is at the other end of the
+        offset d, often far away from the joint. For a mirrored robot, the offsets are in frames
+        whose z axes are the rotation axes of the joints.
         """
         offsets = np.zeros((self.n, 3))
         if self.offsets_to_center_of_joints is not None:
@@ -323,7 +316,7 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def home(self) -> Array:
-        """Initial joint angles (n,), rad or m: as declared, else zero within the limits."""
+        """Initial joint values (n,), rad or m: as declared, or zero."""
         if self.joint_angles is not None:
             return self.joint_angles
         if not self.couplings:
@@ -335,11 +328,11 @@ class SerialRobot(RobotDeclaration):
         return coupled_joints(self.names, self.couplings)
 
     def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:
-        """Returns T_base_flange by `kinematics`, (..., 4, 4), translation in m.
+        """Returns the forward kinematics T_base_flange (..., 4, 4), translation in m.
 
         Args:
-            joint_angles: (..., n), rad or m, or (..., k) of the independent joints; the declared
-                ones when None.
+            joint_angles: joint values (..., n), rad or m, or (..., k) of the independent joints
+                (default: the initial values).
         """
         q = self.home if joint_angles is None else np.asarray(joint_angles, np.float64)
         if self.couplings and q.shape[-1:] == (self.coupled.k,):
@@ -372,16 +365,16 @@ def build_robot(
     packages: Mapping[str, Path | str] | None = None,
     arguments: Mapping[str, Any] | None = None,
 ) -> SerialRobot:
-    """Builds a robot from its fields, which override those of a robot file if one is given.
+    """Returns a robot with the given fields, which override those of the robot file `model`.
 
     Args:
-        fields: fields of `SerialRobot` that override the file's; single entries of `dynamics` and
-            `torque_control`.
-        model: the robot file; its `directory` is relative to its folder.
+        fields: fields of `SerialRobot`. In `dynamics` and `torque_control`, they override single
+            entries of the file.
+        model: robot file, or None.
         packages: folders of ROS packages by name, for URDF.
 
     Raises:
-        DeclarationError: problems in the file carry its name and line; the others do not.
+        DeclarationError: the robot is invalid. Problems in the file have its name and line.
     """
     if model is None:
         return _with_radians(SerialRobot(**fields))
@@ -392,7 +385,7 @@ def build_robot(
     if isinstance(below.setdefault("directory", ""), str):
         below["directory"] = str(model.parent / below["directory"])
     set_directory(below.get("children"), model.parent)
-    for key in (*IN_DEGREES.values(), "dh_params"):  # given in the other unit
+    for key in (*IN_DEGREES.values(), "dh_params"):  # overridden in the other unit
         if key in fields or f"{key}_deg" in fields:
             below.pop(key, None)
             below.pop(f"{key}_deg", None)

@@ -1,4 +1,4 @@
-"""What a robot declares, and the checks of it; `SerialRobot` derives everything else."""
+"""`RobotDeclaration`: the fields of a robot and their validation."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ from .robot_parts import (
 )
 from .surroundings import Object, check_mjcf
 
-# Values of a DH table's fields for a robot with joint frames.
+# Values of the fields of a DH table for robots with `joint_frames`.
 _OF_TABLE: dict[str, Any] = {
     "dh_params": np.zeros((0, 4)),
     "dh_params_deg": None,
@@ -60,10 +60,10 @@ _OF_TABLE: dict[str, Any] = {
     "length_unit": "m",
     "dh_base_frame": np.eye(4),
 }
-_OTHER_CONVENTIONS = {  # what else they are called: by Craig, and by those who write of Denavit's
+_OTHER_CONVENTIONS = {  # other names of the two conventions
     "modified": "craig", "proximal": "craig", "classic": "standard", "distal": "standard",
 }  # fmt: skip
-_COUPLING_TOLERANCE = 1e-4  # rad or m; angles in files are rounded
+_COUPLING_TOLERANCE = 1e-4  # rad or m: angles in files are rounded
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -75,107 +75,107 @@ def _unit(direction: Array) -> Array:
 
 
 class RobotDeclaration(Declaration):
-    """A robot declared as in the paper's `SerialRobot` proto, with the proto's defaults.
+    """A robot, declared like the `SerialRobot` proto of the paper, with the same defaults.
 
-    Frames are 4x4 row-major, lengths in m, angles in rad, torques in Nm (forces in N for
-    prismatic joints). n is the number of joints, 1 to 128. They form a chain, or with `parents` a
-    tree.
+    Frames are 4x4 row-major arrays, lengths are in m, angles in rad, and torques in Nm (forces in N
+    for prismatic joints). n is the number of joints, from 1 to 128, and k the number of joints that
+    are not coupled to another one. The joints form a chain, or a tree if `parents` is set.
 
     Attributes:
-        name: the robot's name in routes, e.g. `lwr` in `lwr.joint_angles`.
-        description: one line about it, for `sero-mj list`.
-        note: about its data, shown with the legend, e.g. `approximate`.
-        dh_convention: `craig` (modified) or `standard`, there is no default; `none` with
-            `joint_frames`.
-        dh_params: (n, 4), one row per joint.
-        dh_params_deg: the same with alpha and theta in degrees; converted to dh_params.
-        dh_columns: order of the four columns.
-        length_unit: unit of a and d in the table only, `m` or `mm`; converted to m.
-        dh_base_frame: T_base_0, frame 0 of the table in the base.
-        joint_frames: (n, 4, 4), for robots without a DH table: T_parent_i of every joint at zero
-            joint value; joint i turns about, or slides along, z of its own frame.
-        parents: for branching robots, n names: each joint's parent joint, or `base`. A joint that
-            is itself called `base` is referred to by its link, e.g. `link2`. When None, the robot
-            is a chain: the parent is the previous joint.
-        joint_types: n times `revolute` or `prismatic`; a first row without a joint is the
-            `dh_base_frame`.
-        joint_names: n names, as in the robot's own file and in messages; any characters that can be
-            printed. J1, J2, ... by default.
-        link_names: names of base and links in the robot's original file, n + 1. They are names of
-            frames, in addition to `base`, `link1`, ..., and the joint of each link.
-        link_frames: frames of all links of the original file by name, see `LinkFrame`; transforms
-            of ROS (`tf`) are matched with them.
-        limbs: names of joints by limb, for branching robots; the others are found by `limb_joints`.
-            Routes and panels refer to them.
-        couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
-            Inputs and their declared values (`joint_angles`, `torques`, ...) may then be given for
-            the independent joints only; k is their number, else n.
-        position_limits: (n, 2), lower and upper, rad or m.
-        position_limits_deg: the same in degrees; converted to position_limits.
-        velocity_limits: (n,), rad/s or m/s.
-        velocity_limits_deg: the same in degrees per second; converted to velocity_limits.
-        torque_limits: (n,), Nm or N; inf for none. `"largest"`, for all joints or among numbers for
-            some, is the same as inf with `scale_by_largest`.
-        scale_by_largest: whether arrows and cards of joints without a torque limit are scaled by
-            the largest torque seen so far, and say so. Nothing is limited by it.
-        dynamics: masses, inertia and friction; estimated where not given.
-        torque_control: of joint torque control, used in runs with `torque_control`.
-        elastic_joints: whether simulated joints are elastic, with `dynamics.joint_stiffness`.
-        acceleration_limits: (n,), rad/s2 or m/s2, at which arrows of accelerations have full width.
+        name: name of the robot in routes, for example `lwr` in `lwr.joint_angles`.
+        description: description in one line, shown by `sero-mj list`.
+        note: note about the data, such as `approximate`, shown below the legend.
+        dh_convention: `craig` (modified) or `standard`; `none` with `joint_frames`. There is no
+            default.
+        dh_params: DH table (n, 4), one row per joint.
+        dh_params_deg: DH table with alpha and theta in degrees, instead of `dh_params`.
+        dh_columns: order of the four columns (default: alpha, a, theta, d).
+        length_unit: unit of a and d in the DH table, `m` or `mm`. Other lengths are in m.
+        dh_base_frame: T_base_0, pose of frame 0 of the DH table in the base frame.
+        joint_frames: T_parent_i (n, 4, 4) of all joints at joint value zero, instead of a DH table.
+            The z axis of frame i is the axis of joint i.
+        parents: n names, for branching robots: the parent joint of each joint, or `base`. If a
+            joint is named `base`, use its link instead, for example `link2` (default: the previous
+            joint).
+        joint_types: n types, `revolute` or `prismatic` (default: all revolute). A row without a
+            joint at the start of a DH table becomes the `dh_base_frame`.
+        joint_names: n names, as in the original file of the robot and in messages, with any
+            printable characters (default: J1, J2, ...).
+        link_names: n + 1 names of the base and the links in the original file of the robot. They
+            are additional names of the frames `base`, `link1`, ...
+        link_frames: poses of all links of the original file by name, see `LinkFrame`. They relate
+            ROS transforms (`tf`) to the robot.
+        limbs: names of the joints of each limb, for branching robots. Routes and panels use them.
+            Joints in no declared limb form limbs automatically.
+        couplings: coupled joints by name: `{ to = "J3", ratio = 1, offset = 0 }`. Inputs and
+            initial values (`joint_angles`, `torques`, ...) may then have k values instead of n.
+        position_limits: lower and upper limits (n, 2), rad or m.
+        position_limits_deg: lower and upper limits (n, 2) in degrees.
+        velocity_limits: velocity limits (n,), rad/s or m/s.
+        velocity_limits_deg: velocity limits (n,) in degrees per second.
+        torque_limits: torque limits (n,), Nm or N; inf for joints without a limit. `"largest"`, as
+            the only value or for single joints, means inf and sets `scale_by_largest`.
+        scale_by_largest: for joints without a torque limit, whether arrows and billboards are
+            scaled by the largest torque so far. It limits no torque.
+        dynamics: masses, inertias and friction; missing values are estimated.
+        torque_control: parameters of the joint torque control of simulated runs.
+        elastic_joints: whether simulated joints have the elasticity `dynamics.joint_stiffness`.
+        acceleration_limits: accelerations (n,) at which arrows have full width, rad/s2 or m/s2.
         directory: folder of the mesh files.
-        filenames: base and n links; a name, a table (see `LinkGeometry`), or a list of these.
-            Without files, link shapes are generated from the DH table.
-        collisions: base and n links, as `filenames`: collision geometry, meshes by their convex
-            hulls. None for the visual geometry, with one hull for a link's meshes.
-        colors: red, green, blue, alpha (0 to 1) by name, for `filenames`.
-        mjcf: instead of `filenames` and `collisions`, MJCF with the geoms of the links: a file
-            relative to `directory`, text, or an object, see `Object`; its joints are the robot's.
-        mesh_scale: metres per unit of the mesh files.
-        mount: the frame of another robot that carries its base, e.g. `arm/flange`, or the joint of
-            that link, `icub/l_elbow`; None for a robot placed in the world.
+        filenames: geometry of the base and the n links: file names, tables (see `LinkGeometry`), or
+            lists of these (default: shapes generated from the joint frames).
+        collisions: collision geometry of the base and the n links, like `filenames`. Meshes are
+            replaced by their convex hulls (default: the visual geometry, one hull per link).
+        colors: red, green, blue and alpha from 0 to 1 by name, for `filenames`.
+        mjcf: MJCF with the geometry of the links, instead of `filenames` and `collisions`: a file
+            relative to `directory`, text, or an object, see `Object`. It has the same joints.
+        mesh_scale: length of the unit of the mesh files in m.
+        mount: frame of another robot on which the base is mounted, for example `arm/flange`, or a
+            joint whose link carries it, `icub/l_elbow` (default: placed in the world).
         base_frame: T_world_base, or T_mount_base of a mounted robot.
-        free_base: whether its base is free in simulation, starting at `base_frame`: true for a free
-            joint, `planar` for motion in a plane, as of a mobile platform. In mirroring an input
-            places it, like any base.
-        base_normal: normal of the plane of a `planar` base, in the base's frame.
-        base_joint: name of the joint of a free or planar base, as in the robot's original file.
-        mirrored: whether it is the mirror image, at the xz plane of its base, of the robot
-            described by all other fields: a left arm from a right one. Equal joint values give
-            mirrored poses, held by equal torques. With S = diag(1, -1, 1, 1) every frame T becomes
-            S T S, so joints turn opposite to z of their frames.
-        flange_frame: T_n_flange, from the last joint's frame.
-        flange_on: name of the joint whose link carries the flange; None for the last one.
-        joint_angles: (n,), initial pose, used until something is received.
-        joint_angles_deg: the same in degrees; converted to joint_angles.
-        children: objects fixed to the flange, or to the frame that they are `on`.
+        free_base: whether the base moves freely in simulation, starting at `base_frame`: true for a
+            free joint, `planar` for motion in a plane, like a mobile platform. When mirroring, the
+            base follows an input, like any other base.
+        base_normal: normal of the plane of a `planar` base, in the base frame.
+        base_joint: name of the joint of a free or planar base in the original file of the robot.
+        mirrored: whether the robot is mirrored at the xz plane of its base, for example to get a
+            left arm from a right one. Equal joint values result in mirrored poses, and equal
+            torques hold them. With S = diag(1, -1, 1, 1), each frame T becomes S T S, so joints
+            rotate in the negative direction about the z axes of their frames.
+        flange_frame: T_n_flange, pose of the flange in the frame of its link.
+        flange_on: name of the joint whose link carries the flange (default: the last joint).
+        joint_angles: initial joint angles (n,), used until data arrives.
+        joint_angles_deg: initial joint angles (n,) in degrees.
+        children: objects fixed to the flange or to another frame of the robot.
         enable_touch_sensor: whether a click on the robot toggles its features.
-        stale_after: s without a packet until the robot is shown grey.
-        offsets_to_center_of_joints: (n, 3), m, offset of arrows and billboards in the joint's
-            frame; by default they are at generated housings.
-        show_axes: whether coordinate axes are shown at the base, every joint and the flange.
-        axes_size: their length, m; by default in proportion to generated shapes.
-        axes_transparency: 0 opaque to 1 invisible.
+        stale_after: time without a packet after which the robot is shown gray, in seconds.
+        offsets_to_center_of_joints: offsets (n, 3) of arrows and billboards in the joint frames, m
+            (default: the centers of generated housings).
+        show_axes: whether coordinate axes are shown at the base, each joint and the flange.
+        axes_size: length of the axes in m (default: in proportion to generated shapes).
+        axes_transparency: transparency of the axes, from 0 (opaque) to 1 (invisible).
         show_arrows: whether round arrows are shown.
         arrow_quantity: quantity of the arrows: `torques`, `torque_error` (commanded - measured),
             `joint_accelerations`, `singularity` (see `viewer.decor.quantities`),
-            `torque_without_gravity` (measured less what the model needs to hold itself), or
-            `torque_without_friction` (measured less the friction that `dynamics` declares).
+            `torque_without_gravity` (measured - gravity torque of the model), or
+            `torque_without_friction` (measured - friction declared in `dynamics`).
         arrow_dead_band: fraction of the limit below which no arrow is shown, to hide noise.
-        arrow_radius: of the round arrows, m; by default large enough to clear generated shapes.
-        fit_arrows: whether each joint's arrow is fitted to the adjacent links' geometry, instead of
-            `arrow_radius`, and axes without `axes_size` are in proportion to the reach.
-        arrow_width_scale: m per Nm for a joint without torque limit. With a limit an arrow is
-            `arrow_radius` wide at the limit, times this over its default of 0.01.
+        arrow_radius: radius of the round arrows in m (default: clear of generated shapes).
+        fit_arrows: whether the radius of each arrow is fitted to the geometry of the adjacent
+            links, instead of `arrow_radius`. Axes without `axes_size` then scale with the reach.
+        arrow_width_scale: arrow width per torque, m per Nm, for joints without a torque limit.
+            Otherwise, the width at the limit is `arrow_radius` times this value divided by its
+            default of 0.01.
         torques: initial measured torques, (n,) or (k,), Nm or N; None for no data.
         commanded_torques: initial commanded torques, (n,) or (k,), Nm or N; None for no data.
         joint_accelerations: initial accelerations, (n,) or (k,), rad/s2 or m/s2; None for no data.
         show_billboards: whether billboards are shown.
-        billboard_scale: text height, in units of 0.7 times the picture height.
+        billboard_scale: text height in units of 0.7 times the image height.
         billboard_values: initial values, (n,) or (k,); None for no data.
-        billboard_lines: lines of the billboards; None for one per routed input.
-        inputs: names of additional per-joint inputs for billboards, e.g. `temperatures`.
-        flange_tolerance: tolerated distance of a received `flange_check` from the flange, m.
-        flange_tolerance_deg: tolerated angle of it, degrees.
+        billboard_lines: lines of the billboards (default: one per routed input).
+        inputs: names of additional per-joint inputs for billboards, such as `temperatures`.
+        flange_tolerance: maximum distance of a received `flange_check` from the flange, m.
+        flange_tolerance_deg: maximum angle between them, degrees.
     """
 
     checked_alone: ClassVar[frozenset[str]] = frozenset(
@@ -254,8 +254,8 @@ class RobotDeclaration(Declaration):
     flange_tolerance: float = Field(0.001, gt=0)
     flange_tolerance_deg: float = Field(0.5, gt=0)
 
-    _model: Path | None = PrivateAttr(None)  # the robot file, for problems found later
-    # Files and keys of its tables in models of groups, outer ones first; for the same.
+    _model: Path | None = PrivateAttr(None)  # robot file, for problems detected later
+    # Files and keys of its tables in models of groups, outer ones first.
     _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
 
     @field_validator("dh_convention", mode="before")
@@ -290,7 +290,7 @@ class RobotDeclaration(Declaration):
             return value
         if info.field_name in ("joint_angles", "joint_angles_deg", *VALUE_INPUTS):
             if not {"couplings", "joint_names"} <= info.data.keys():
-                return value  # the couplings are unknown
+                return value  # the couplings are invalid
             if info.data["couplings"] and info.field_name == "joint_angles_deg":
                 return np.rad2deg(_with_coupled(np.deg2rad(value), info))
             if info.data["couplings"]:
@@ -375,7 +375,7 @@ class RobotDeclaration(Declaration):
     @classmethod
     def _frames_instead_of_a_table(cls, fields: Any) -> Any:
         if isinstance(fields, Mapping) and fields.get("joint_frames") is not None:
-            # Fields of an existing robot that is validated again because a field is set.
+            # Setting a field of an existing robot validates all fields again.
             as_without = {
                 key
                 for key in _OF_TABLE.keys() & fields
@@ -401,7 +401,7 @@ class RobotDeclaration(Declaration):
             raise ValueError("found both dh_params and dh_params_deg; expected one of them")
         for in_degrees, key in IN_DEGREES.items():
             limits = getattr(self, in_degrees)
-            if limits is not None:  # set without validation, which would come here again
+            if limits is not None:  # set without another validation
                 self.__dict__[key] = np.deg2rad(limits)
                 self.__dict__[in_degrees] = None
         self.__dict__["dh_params_deg"] = None
@@ -410,7 +410,7 @@ class RobotDeclaration(Declaration):
             self.__dict__ |= {"dh_params": self.dh_params * metres, "length_unit": "m"}
         for rows in (self.dh_params, self.dh_base_frame, self.joint_frames):
             if rows is not None:
-                rows.setflags(write=False)  # `kinematics` is computed from them once
+                rows.setflags(write=False)  # `kinematics` is cached
         return self
 
     @field_validator("billboard_lines")
@@ -483,7 +483,7 @@ class RobotDeclaration(Declaration):
     def _one_per_link(cls, links: list[list[LinkGeometry]] | None, info: ValidationInfo) -> Any:
         n = _count(info.data)
         if links is None or not any(links):
-            # The proto's default of filenames is [""]: no geometry given.
+            # [""], the default of the proto, means no geometry.
             return links if info.field_name == "collisions" else []
         if n is not None and len(links) != n + 1:
             raise mismatch(len(links), f"{n + 1}: the base and one per joint", of="entries")
@@ -514,10 +514,10 @@ def _known_names(fields: Mapping[str, Any]) -> list[str] | None:
 
 
 def _with_coupled(values: Array, info: ValidationInfo) -> Array:
-    """Returns the angles of all joints, given these or those of the independent ones.
+    """Returns the angles of all joints from n or k angles.
 
     Other quantities are returned unchanged. Raises ValueError if a value contradicts its coupling,
-    or the number of values is neither n nor k.
+    or if the number of values is neither n nor k.
     """
     names = _joint_names(info.data)
     coupled = coupled_joints(names, info.data["couplings"])
@@ -532,6 +532,6 @@ def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     for name, found, expected in zip(names, values, right, strict=True):
         if abs(found - expected) > _COUPLING_TOLERANCE:
             raise ValueError(
-                f"found {found:g} for {name}; its coupling has it at {expected:g}: leave it out"
+                f"found {found:g} for {name}; expected {expected:g} because of its coupling"
             )
     return values

@@ -1,4 +1,4 @@
-"""Types of the fields of `SerialRobot`: tables, limits, link geometry, billboard lines."""
+"""Types of the fields of robots: tables, limits, link geometry, billboard lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..importers.joint_names import identifiers, is_joint_name
 from ..kinematics.dh import COLUMNS, Column
 from .surroundings import FinishName, MeshFile, Object, check_shape_size
 
-# Packets choose them by their number, so new ones come last.
+# Packets select them by number, so new ones must be added at the end.
 ArrowQuantity = Literal[
     "torques", "torque_error", "joint_accelerations", "singularity", "torque_without_gravity",
     "torque_without_friction",
@@ -32,15 +32,15 @@ BILLBOARD_VALUES = (
     "billboard_values",
 )
 MAX_JOINTS = 128
-LARGEST = "largest"  # torque limit of a joint that has none: the largest torque seen so far
-_MAX_CHILDREN = 2000  # as many as a scene may have objects
-# Fields that can be given in degrees instead.
+LARGEST = "largest"  # torque limit of joints that are scaled by their largest torque so far
+_MAX_CHILDREN = 2000  # the maximum number of objects of a scene
+# Fields in degrees, and the corresponding fields in radians.
 IN_DEGREES = {
     "position_limits_deg": "position_limits",
     "velocity_limits_deg": "velocity_limits",
     "joint_angles_deg": "joint_angles",
 }
-# Fields with one entry per joint, checked against dh_params.
+# Fields with one entry per joint.
 PER_JOINT = (
     "joint_types",
     "joint_names",
@@ -61,7 +61,7 @@ PER_JOINT = (
 
 
 class Posed(Declaration):
-    """A declaration with a pose in rad and m, or in degrees; see `Double` and `Group`."""
+    """A declaration with joint angles in rad or degrees, see `Double` and `Group`."""
 
     joint_angles: Vector | None = None
     joint_angles_deg: Vector | None = None
@@ -71,22 +71,22 @@ class Posed(Declaration):
         if self.joint_angles_deg is not None:
             if self.joint_angles is not None:
                 raise ValueError("found both joint_angles and joint_angles_deg; expected one")
-            # Set without validation, which would come here again.
+            # Set without another validation.
             self.__dict__["joint_angles"] = np.deg2rad(self.joint_angles_deg)
             self.__dict__["joint_angles_deg"] = None
         return self
 
     def check_degrees(self, types: Mapping[str, Sequence[str]]) -> list[Problem]:
-        """Returns errors of a pose in degrees: prismatic joints.
+        """Returns a problem if a pose in degrees contains prismatic joints.
 
         Args:
-            types: of the joints of its robots, by robot.
+            types: joint types by robot.
         """
         sliding = [name for name, of_joints in types.items() if "prismatic" in of_joints]
         if "joint_angles_deg" not in self.model_fields_set or not sliding:
             return []
-        message = f"is for revolute joints only, and {sliding[0]} has others; use joint_angles"
-        return [Problem("joint_angles_deg", f"{message} in rad and m")]
+        message = f"is for revolute joints only, but {sliding[0]} has prismatic joints"
+        return [Problem("joint_angles_deg", f"{message}. Use joint_angles in rad and m")]
 
 
 def _is_permutation(columns: list[str]) -> list[str]:
@@ -157,9 +157,9 @@ def _no_words(limits: Any) -> Any:
 
 
 def split_largest(limits: Any) -> tuple[Any, bool]:
-    """Returns torque limits with None or inf for the word "largest", and whether it was there.
+    """Replaces the word "largest" in torque limits by None or inf.
 
-    The word is for all joints, or among numbers for some.
+    Returns the limits, and whether they contained the word.
     """
     if isinstance(limits, str) and limits == LARGEST:
         return None, True
@@ -224,15 +224,15 @@ class LinkGeometry(Declaration):
     """A mesh file or a primitive shape of a link.
 
     Attributes:
-        file: mesh, relative to the robot's `directory`.
-        shape: a primitive instead; `generated` for the generated shapes of a link without files.
-        size: of that, full lengths and radii in m, see `SHAPE_SIZES`.
-        color: one of the robot's `colors`.
-        opacity: 0 invisible to 1; multiplies that of its colours.
-        finish: of the surface: `plastic`, `metal` or `rubber`.
-        frame: T_link_geometry, in the frame of the link.
-        scale: metres per unit of the mesh file, one number or along x, y and z; None for the
-            robot's `mesh_scale`.
+        file: mesh file, relative to the `directory` of the robot.
+        shape: primitive shape instead of a file, or `generated` for the generated shapes.
+        size: full lengths and radii of the shape in m, see `SHAPE_SIZES`.
+        color: name of one of the `colors` of the robot.
+        opacity: factor of the opacity of the colors, from 0 (invisible) to 1.
+        finish: surface: `plastic`, `metal` or `rubber`.
+        frame: T_link_geometry, pose in the frame of the link.
+        scale: length of the unit of the mesh file in m, one number or three for x, y and z
+            (default: the `mesh_scale` of the robot).
     """
 
     file: MeshFile | None = None
@@ -259,11 +259,11 @@ class LinkGeometry(Declaration):
 
 
 class LinkFrame(Declaration):
-    """Where a link of a robot's original file is.
+    """The pose of a link of the original file of a robot.
 
     Attributes:
-        on: `base`, or the link of this robot that it is, or is fixed to: `link1`, ...
-        frame: its frame in that one.
+        on: reference frame: `base`, `link1`, ...
+        frame: pose in the reference frame.
     """
 
     on: str = "base"
@@ -274,12 +274,12 @@ class BillboardLine(Declaration):
     """One line of a joint's billboard.
 
     Attributes:
-        value: the per-joint input it shows, including the robot's own `inputs`; `torque_error`
-            is commanded - measured.
-        label: text before the number when a billboard has several lines.
-        unit: text after the number; None for the SI unit of the value.
-        decimals: digits after the point; None for the default of the value.
-        scale: multiplies the value before it is shown (57.2958 for degrees).
+        value: per-joint input, including the `inputs` of the robot. `torque_error` is commanded -
+            measured torque.
+        label: text before the number if a billboard has several lines.
+        unit: text after the number (default: the SI unit of the value).
+        decimals: number of decimals (default: depends on the value).
+        scale: factor of the displayed value, for example 57.2958 for degrees.
     """
 
     value: str
@@ -290,14 +290,14 @@ class BillboardLine(Declaration):
 
 
 def frame_labels(n: int) -> list[str]:
-    """Returns the names of the frames of a robot with n joints: base, links, flange."""
+    """Returns the names of the frames of a robot with n joints."""
     return ["base", *(f"link{i + 1}" for i in range(n)), "flange"]
 
 
 def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) -> str:
-    """Translates the name of a joint or a link, or a joint's identifier, to our name of the frame.
+    """Translates the name of a joint or an original link to the name of the frame.
 
-    Any other name is returned unchanged. A joint refers to the link that it moves.
+    A joint refers to the link that it moves. Other names are returned unchanged.
     """
     labels = frame_labels(len(joints))
     if label in labels:
@@ -311,7 +311,7 @@ def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) 
 
 
 def as_link_geometry(value: Any) -> Any:
-    """Converts a file name, a table with `file` and `color`, a list of these, or "" for none."""
+    """Converts file names, tables, and lists of them to a list of tables."""
     if isinstance(value, str):
         return [{"file": value}] if value else []
     if isinstance(value, Mapping | LinkGeometry):
@@ -330,7 +330,7 @@ LinkGeometries = Annotated[
 
 
 def as_billboard_lines(value: Any) -> Any:
-    """Converts every line from the name of a value, or from a table."""
+    """Converts names of values in a list to tables."""
     if isinstance(value, list):
         return [{"value": line} if isinstance(line, str) else line for line in value]
     return value
@@ -343,7 +343,7 @@ BillboardLines = Annotated[
 
 
 def check_colors(links: list[list[LinkGeometry]], colors: Mapping[str, Any]) -> None:
-    """Checks that the colours of link geometry are declared; raises ValueError."""
+    """Raises ValueError if a color of link geometry is not declared."""
     for part in (part for link in links for part in link):
         if part.color is not None and part.color not in colors:
             found = f"{part.file or part.shape}: no color"
@@ -351,10 +351,9 @@ def check_colors(links: list[list[LinkGeometry]], colors: Mapping[str, Any]) -> 
 
 
 def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None:
-    """Checks that every line of a billboard shows a value that exists, or one of `own` inputs.
+    """Raises DeclarationError if a billboard line shows an unknown value.
 
-    Raises:
-        DeclarationError: names the line, its value, and the existing values.
+    `own` contains the additional inputs of the robot.
     """
     for k, line in enumerate(lines or []):
         known = [*BILLBOARD_VALUES, *own]
@@ -366,10 +365,9 @@ def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None
 
 
 def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
-    """Returns the rows (n, 4) of a DH table in rad, converted from degrees if given in these.
+    """Returns the rows (n, 4) of a DH table in rad, converted from `in_degrees` if not None.
 
-    Raises:
-        ValueError: angles that are implausible in rad, or a wrong number of rows.
+    Raises ValueError if angles are implausible in rad, or if the number of rows is wrong.
     """
     angles = [columns.index("alpha"), columns.index("theta")]
     if in_degrees is not None:

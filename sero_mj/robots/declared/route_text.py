@@ -1,4 +1,4 @@
-"""The text of routes: an origin as text, its tokens, and the names that it refers to."""
+"""The text of routes: conversion to text, tokens, and names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...base.errors import did_you_mean, mismatch, problems_of, raise_any
 NOT = "not"
 JOINING = ("and", "or", NOT)  # words between comparisons
 FUNCTIONS = ("abs", "min", "max", "norm", "any", "all")
-_MAX_ORIGIN = 100_000  # characters of a route's text; each may become a token
+_MAX_ORIGIN = 100_000  # characters of the text of a route
 _FOR, _BETWEEN = " for ", ";"  # in origins for some joints only
 _OF_JOINTS = ("from", "joints")
 # Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
@@ -26,9 +26,9 @@ _TOKENS = re.compile(
 
 
 def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
-    """Returns the routes with every origin as text.
+    """Returns the routes with all origins as text.
 
-    Raises DeclarationError if an origin is neither text nor numbers nor a table of joints.
+    Raises DeclarationError if an origin is neither a text, nor numbers, nor a table of joints.
     """
     texts, problems = {}, []
     for target, origin in routes.items():
@@ -44,7 +44,7 @@ class Token(NamedTuple):
     """A token of an origin's text.
 
     Attributes:
-        kind: `number`, `name`, `sign`, or `other` for characters that are invalid in a route.
+        kind: `number`, `name`, `sign`, or `other` for invalid characters.
     """
 
     kind: str
@@ -59,7 +59,7 @@ def tokens_of(origin: str) -> Iterator[Token]:
 
 
 def names_in(origin: str) -> list[str]:
-    """Returns the distinct names in an origin: events, outputs, frames and units."""
+    """Returns the names of events, outputs, frames and units in an origin."""
     words = [*tokens_of(origin), Token("end", "", len(origin))]
     names = (
         word.text
@@ -70,10 +70,10 @@ def names_in(origin: str) -> list[str]:
 
 
 def origin_text(origin: Any) -> str:
-    """Returns an origin as text; numbers and lists of numbers are constants; raises ValueError.
+    """Returns an origin as text. Numbers and lists of numbers are constants.
 
-    One for some joints only is written `udp.values0 for l_elbow, l_wrist`, and several are
-    separated by semicolons; `parts_of_origin` splits them.
+    An origin for some joints is written as `udp.values0 for l_elbow, l_wrist`. Several origins are
+    separated by semicolons, see `parts_of_origin`. Raises ValueError if the origin is invalid.
     """
     if isinstance(origin, Mapping):
         text = _text_for_joints(origin)
@@ -120,10 +120,7 @@ def _text_for_joints(table: Any) -> str:
 
 
 def parts_of_origin(text: str) -> list[tuple[str, list[str] | None]]:
-    """Returns the parts of an origin's text: each origin, and its joints.
-
-    The joints are None for an origin of all joints.
-    """
+    """Returns the origins in a text with their joints, or with None for all joints."""
     if _FOR not in text:
         return [(text, None)]
     pairs = [part.partition(_FOR) for part in text.split(_BETWEEN)]

@@ -53,13 +53,13 @@ _Entry = TypeVar("_Entry", SmartArrow, ReceivedFrame)
 
 
 class SceneToggles(Declaration):
-    """Initial toggles of the whole scene; robots declare their own (`show_arrows`, ...).
+    """Initial switches of the whole scene. Robots have additional ones (`show_arrows`, ...).
 
     Attributes:
         legend: whether the legend of the arrows is shown.
-        status: whether faults of the sources are shown.
+        status: whether errors of the sources are shown.
         frame_names: whether all visible axes show their names.
-        flange_checks: whether received flange frames are compared with the robots' own.
+        flange_checks: whether received flange frames are compared with those of the robots.
     """
 
     legend: bool = True
@@ -73,28 +73,28 @@ class Scene:
 
     Args:
         groups: ordered groups of robots, which share routes and switches.
-        sources: by name; a table with `kind` and its fields, or a source object.
-        routes: origin by input (`lwr.joint_angles`): an event (`udp.values0`), an expression
-            (`udp.values0[0:7] * deg`), or numbers; stored as text. For some of the joints
-            `{"from": "udp.values0", "joints": ["l_elbow", "l_wrist"]}`, a list of these, or one
+        sources: sources by name: tables with `kind` and its fields, or source objects.
+        routes: origin of each input (`lwr.joint_angles`): an event (`udp.values0`), an expression
+            (`udp.values0[0:7] * deg`), or numbers. For single joints, use
+            `{"from": "udp.values0", "joints": ["l_elbow", "l_wrist"]}`, a list of such tables, or a
             limb in the key, `icub.left_arm.joint_angles`.
-        doubles: transparent doubles of the robots; a double of a group becomes one per robot,
-            `DOUBLE_ROBOT`.
-        lights: by name; one that casts shadows when empty, in addition to a headlight.
-        floor: whether there is a floor, at z = 0; `below`: at the lowest point of the robots in
-            their declared pose, if that is lower. When None it is `below` if the scene has a robot
-            from URDF or MJCF, whose base may be its trunk, or one robot without a `base_frame` and
-            no objects; else at 0.
-        decor: settings of visual features, by the name of the feature.
-        broken: sections (`robots`) and entries (`robots.lwr`) of the file that are invalid.
-        lines: of the file by dotted key, if it is not TOML.
+        doubles: transparent doubles of robots. A double of a group becomes one double per robot,
+            named `DOUBLE_ROBOT`.
+        lights: lights by name, in addition to a headlight (default: one that casts shadows).
+        floor: whether there is a floor at z = 0, or `below`: a floor at the lowest point of the
+            robots in their initial pose, if that is below 0. The default is `below` if the scene
+            has a robot from URDF or MJCF, whose base may be its trunk, or a single robot without a
+            `base_frame` and no objects, and true otherwise.
+        decor: settings of visual features by name.
+        broken: invalid sections (`robots`) and entries (`robots.lwr`) of the file.
+        lines: line numbers by dotted key, if the file is not TOML.
 
     Attributes:
-        withheld: what its scenario asks to run and may not, see `base.trust`, so that the scene is
-            shown without simulating; None for nothing.
+        withheld: actions that the scenario requests without permission, see `base.trust`. The scene
+            is then shown without simulation. None if there are no such actions.
 
     Raises:
-        DeclarationError: two robots have the same name, or a route is neither text nor numbers.
+        DeclarationError: two robots have the same name, or a route is invalid.
     """
 
     def __init__(
@@ -174,7 +174,9 @@ class Scene:
         for robot in robots or []:
             self.add(robot)
         self.doubles: dict[str, Double] = {}
-        self.double_groups: dict[str, list[str]] = {}  # names of the doubles of a group's robots
+        self.double_groups: dict[
+            str, list[str]
+        ] = {}  # names of the doubles for the robots of a group
         for double in doubles or [] if "doubles" not in self.broken else []:
             self._add_double(double)
         self.arrows = {name: self._by_links(arrow) for name, arrow in self.arrows.items()}
@@ -186,7 +188,7 @@ class Scene:
     def add(self, robot: SerialRobot) -> SerialRobot:
         """Adds a robot and returns it.
 
-        Raises DeclarationError if there is already a robot of that name.
+        Raises DeclarationError if the name is already in use.
         """
         if robot.name in self.robots:
             raise mismatch(
@@ -256,7 +258,9 @@ class Scene:
             shares[key] = [None] * len(known) if fitting is None else fitting
             if fitting is not None:
                 continue
-            if len(known) == len(robots):  # else robots are invalid, which is reported elsewhere
+            if len(known) == len(
+                robots
+            ):  # otherwise robots are invalid, which is reported elsewhere
                 message = _not_their_sum(value.shape[-1], known)
                 self._group_problems.append(Problem(f"doubles.{double.name}.{key}", message))
         names = [f"{double.name}_{robot.name}" for robot in known]
@@ -266,16 +270,16 @@ class Scene:
         self.double_groups[double.name] = names
 
     def members(self, name: str) -> list[str] | None:
-        """Returns the robots of a group, or the doubles of its double; None for other names.
+        """Returns the robots of a group, or the doubles of its double, including invalid members.
 
-        Invalid and missing members are included.
+        Returns None for other names.
         """
         return self.membership.members.get(name, self.double_groups.get(name))
 
     def routed(self, target: str) -> str | None:
-        """Returns the origin of the route to an input or its group's input; None for none.
+        """Returns the origin of the route to an input or to the input of its group, or None.
 
-        If routes lead to its limbs, it is a list of their origins.
+        If there are routes to limbs, this is a list of their origins.
         """
         name, _, key = target.partition(".")
         doubled = [group for group, names in self.double_groups.items() if name in names]
@@ -295,10 +299,9 @@ class Scene:
         return any(target.count(".") > 1 for target in self.routes)
 
     def sources_of(self, *targets: str) -> set[str]:
-        """Returns the names of the sources that these targets depend on; by default all targets.
+        """Returns the names of the sources on which targets depend (default: all targets).
 
-        A target that depends on another robot's output (`leader.torques`) depends on the
-        sources of that robot.
+        This includes the sources of robots whose outputs (`leader.torques`) a route uses.
         """
         found: set[str] = set()
         todo = list(targets or self.routes)
@@ -323,7 +326,7 @@ class Scene:
         return [file for file in dict.fromkeys(found) if file.is_file()]
 
     def meshes(self) -> list[tuple[str, Path]]:
-        """Returns the key and the file of every mesh of robots and objects."""
+        """Returns the keys and files of the meshes of robots and objects."""
         found: list[tuple[str, str, str | None]] = []
         for name, robot in self.robots.items():
             for key, links in (("filenames", robot.filenames), ("collisions", robot.collisions)):
@@ -337,11 +340,11 @@ class Scene:
         return [(key, Path(folder) / file) for key, folder, file in found if file is not None]
 
     def named_frames(self) -> dict[str, NamedFrame]:
-        """Returns all frames that arrows, received frames and routes can refer to, by name."""
+        """Returns the frames that arrows, received frames and routes can use, by name."""
         return list_frames(self.robots, self.doubles, self.frames, self.objects)
 
     def frame_name(self, name: str) -> str:
-        """Returns `icub/link9` for `icub/l_elbow`, a joint or a link of the robot's own file."""
+        """Translates the name of a joint or original link, `icub/l_elbow`, to `icub/link9`."""
         owner, _, label = name.partition("/")
         double = self.doubles.get(owner)
         robot = self.robots.get(owner if double is None else double.of)
@@ -425,13 +428,15 @@ class Scene:
         if view.follow is None:
             return []
         if view.camera is not None:
-            reason = "is for the free camera, and view.camera names another; leave one of them out"
+            reason = (
+                "is only for the free camera, but view.camera names another one. Remove one of them"
+            )
             return [Problem("view.follow", reason)]
         found = self.follow_problem("view.follow", view.follow)
         return [] if found is None or self.is_broken(view.follow.partition("/")[0]) else [found]
 
     def follow_problem(self, key: str, name: str) -> Problem | None:
-        """Returns the problem of a name that no camera can follow; None for one that it can."""
+        """Returns the problem of a name that a camera cannot follow, or None."""
         names = [*self.groups, *self.robots, *self.named_frames()]
         if name in names or self.frame_name(name) in names:
             return None
@@ -482,7 +487,7 @@ class Scene:
         return problems
 
     def declares(self, section: str, name: str) -> bool:
-        """Whether there is such an entry, valid or not; an invalid one is reported elsewhere."""
+        """Whether an entry exists, even if it is invalid."""
         entries: Mapping[str, Any] = getattr(self, section)
         return name in entries or bool({section, f"{section}.{name}"} & self.broken)
 
@@ -494,7 +499,7 @@ class Scene:
 
     @property
     def argument(self) -> str:
-        """Its argument for commands, or that of its only robot: a shipped name, or a file."""
+        """The scene as an argument of commands: an included name, or a file."""
         file = self.file
         if file is None:
             files = [robot._model for robot in self.robots.values()]
@@ -502,10 +507,10 @@ class Scene:
         return self.name if file is None else argument_of(file)
 
     def located(self, problems: list[Problem]) -> list[Problem]:
-        """Returns the problems with file and line added, where they were read from one."""
+        """Returns problems with file and line, if the scene was read from a file."""
         if self.file is None and self._lines is None:
             return problems
-        if self.file is None:  # of a robot by itself, which has a file
+        if self.file is None:  # the scene of a single robot, which has a file
             return [self._in_its_model(each, self._lines or {}) for each in problems]
         lines = key_lines(self.file) if self._lines is None else self._lines
         return located((self._in_its_model(each, lines) for each in problems), self.file, lines)
@@ -531,9 +536,9 @@ class Scene:
 
 
 def _shares(value: Array, robots: Sequence[SerialRobot]) -> list[Array] | None:
-    """Returns the shares of robots in values (..., n) of all joints, or of the independent ones.
+    """Splits values (..., n) of all or of the independent joints into the values of each robot.
 
-    None if the number of values fits neither.
+    Returns None if the number of values is wrong.
     """
     for counts in ([robot.n for robot in robots], [robot.coupled.k for robot in robots]):
         if sum(counts) == value.shape[-1]:
@@ -555,7 +560,7 @@ def _floor_problems(floor: Any) -> list[Problem]:
 
 
 def excess(sections: Mapping[str, Any]) -> list[Problem]:
-    """Returns sections of a file's tables with more entries than a scene may have."""
+    """Returns the sections of a file that have too many entries."""
     return [
         Problem(key, found=len(entries), expected=f"at most {most}")
         for key, most in MOST_ENTRIES.items()

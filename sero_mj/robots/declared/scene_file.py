@@ -26,8 +26,7 @@ from ...base.errors import (
 )
 from ...base.plugins import DECOR, SOURCES, load_plugin
 from ...base.toml_file import located, read_toml
-from ..importers.importer import read_imported
-from ..importers.robot_file import read_robot_file
+from ..importers.importer import read_imported, read_robot_file
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
 from .group_model import Expanded, expand_groups, where
@@ -39,14 +38,14 @@ from .surroundings import Camera, Light, Object, View, set_directory
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)
-# Sections of tables by name; an ambiguous name refers to the last section that has it.
+# Sections of named tables. An ambiguous name refers to the last section that contains it.
 _ENTRIES = (
     *("decor", "sources", "lights", "cameras", "objects", "frames", "arrows", "doubles"),
-    "robots",  # last, so that a name is a robot's first
+    "robots",  # last, so that robots have priority
 )
 _TABLES: Mapping[str, Callable[..., Any]] = {"view": View, "toggles": SceneToggles}
 _PLAIN = ("floor", "name", "description", "note")
-_OF_MODEL = ("model", "mount", "base_frame", "mirrored")  # keys only of groups with a model
+_OF_MODEL = ("model", "mount", "base_frame", "mirrored")  # keys of groups with a model
 _DEGREES = "_deg"  # suffix of keys in degrees
 _OF_DYNAMICS = (
     "motor_inertias", "viscous_friction", "coulomb_friction", "joint_stiffness", "joint_damping",
@@ -56,7 +55,7 @@ _OF_DYNAMICS = (
 def read_scene_file(
     path: Path, overrides: Mapping[str, Any] | None = None
 ) -> tuple[Scene, list[Problem]]:
-    """Reads a scene file in any format, as `scene_from_tables`; logs what another format loses.
+    """Reads a scene file in any format. Losses of conversion are logged as warnings.
 
     Raises DeclarationError if the file cannot be read.
     """
@@ -115,20 +114,20 @@ def scene_from_tables(
 def group_from_model(
     model: str, name: str | None = None, **fields: Any
 ) -> tuple[list[SerialRobot], list[Group]]:
-    """Reads the model of a group, like `[groups.NAME]` with `model` in a scene.
+    """Reads the model of a group, like a table `[groups.NAME]` with `model` in a scene.
 
     Args:
-        model: a shipped group's name (`dlr_hand2`), a folder with a `group.toml`, or a file.
-        name: of the group; the model's when None.
-        **fields: `mount`, `base_frame`, `mirrored`, defaults of `Group`, and in `robots` and
-            `groups` fields of its members by name.
+        model: name of an included group (`dlr_hand2`), folder with a `group.toml`, or file.
+        name: name of the group (default: the name of the model).
+        **fields: `mount`, `base_frame`, `mirrored`, defaults of `Group`, and fields of members by
+            name in `robots` and `groups`.
 
     Returns:
-        its robots and groups, for a `Scene`.
+        Robots and groups for a `Scene`.
 
     Raises:
         UnknownName: there is no such model.
-        DeclarationError: all errors in the files or the fields.
+        DeclarationError: the files or the fields are invalid.
     """
     path = paths.find_group_model(model)
     entry = {"model": path, **fields}
@@ -139,7 +138,7 @@ def group_from_model(
 
 
 class _SceneReader:
-    """Reads the sections of one file with overrides, and collects their problems."""
+    """Reads the sections of a file with overrides, and collects all problems."""
 
     def __init__(
         self,

@@ -1,9 +1,9 @@
-"""Generates link shapes from the frames of joints, for robots without meshes.
+"""Generates link shapes from joint frames, for robots without meshes.
 
-Every link gets a cylinder about the axis of a revolute joint, or the rod of a prismatic one, which
-slides through a box on the previous link; and capsules along the offsets to the next joint. Sizes
-are in proportion to the reach and never zero. Trims are drawn on them: covers on housings, collars
-on links, a flange.
+Each link has a cylinder about the axis of a revolute joint, or the rod of a prismatic joint, which
+slides through a box on the previous link. Capsules connect it to the next joint. Sizes are in
+proportion to the reach and never zero. Trims are covers on housings, collars on links, and a
+flange. They are drawn and have no mass.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _SEAM = (0.20, 0.21, 0.23, 1.0)
 _STEEL = (0.62, 0.64, 0.66, 1.0)
 
 _RADIUS_OF_REACH = 0.05
-_SMALLEST_REACH = 0.05  # m; so that a table of zeros still shows its joints
-# Radius of the last link over that of the first, so that nested joints share no surface.
+_SMALLEST_REACH = 0.05  # m, so that a DH table of zeros shows its joints
+# Ratio of the radii of the last and the first link, so that nested joints share no surface.
 _TAPER = 0.55
-_HALF_HOUSING = 1.25  # half the length of a housing, in its radii
-_CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
+_HALF_HOUSING = 1.25  # half the length of a housing, in radii
+_CLEAR_OF_HOUSING = 1.7  # in radii of the housing, whose ends are at 1.6 radii
 _SHORTEST_SEGMENT = 1e-6  # m
 
 
@@ -38,7 +38,7 @@ class LinkShape:
 
     Attributes:
         size: radius (m) of capsule and cylinder; half lengths (3,) of a box.
-        ends: (2, 3), where a capsule or cylinder starts and ends; the axis of a box.
+        ends: end points (2, 3) of a capsule or cylinder, or of the axis of a box, m.
     """
 
     kind: Literal["capsule", "cylinder", "box"]
@@ -50,9 +50,10 @@ class LinkShape:
 def housing_radii(
     table: JointTree, flange_frame: Array, strokes: Array | None = None, flange_link: int = -1
 ) -> Array:
-    """Returns the radius of the generated housing of every joint, (n,), m.
+    """Returns the radii (n,) of the generated housings, m.
 
-    Maximum extensions, (n,), m, say how large a robot without lengths is, such as a gantry.
+    The maximum extensions (n,), m, determine the size of robots without link lengths, such as
+    gantries.
     """
     steps, depths = table.step_lengths(), table.depths
     if strokes is not None:
@@ -67,10 +68,10 @@ def housing_radii(
 
 
 def clear_radii(table: JointTree, radii: Array) -> Array:
-    """Returns the radius of rings about the joints that clear all housings, (n,), m.
+    """Returns the radii (n,) of rings about the joints that are clear of all housings, m.
 
-    Intersecting axes (of a shoulder or a wrist) have coinciding housings: each ring clears the
-    largest.
+    The housings of intersecting axes, as in a shoulder or wrist, coincide. Their rings are clear of
+    the largest housing.
     """
     axes, centres = table.joint_axes(table.frames(np.zeros(len(table))))
     if isinstance(table, DhTable) and table.turns_in_carrier:
@@ -87,10 +88,10 @@ def generate_shapes(
     strokes: Array | None = None,
     flange_link: int = -1,
 ) -> list[list[LinkShape]]:
-    """Returns the shapes of the base and of every link, each in its own frame.
+    """Returns the shapes of the base and the links, each in its own frame.
 
-    Rods of prismatic joints are longer by their maximum extension, (n,), m, so that they never
-    leave their housing.
+    Rods of prismatic joints are longer by their maximum extensions (n,), m, so that they do not
+    leave their housings.
     """
     n = len(table)
     strokes = np.zeros(n) if strokes is None else strokes
@@ -115,7 +116,7 @@ def generate_shapes(
 def trims(
     links: list[list[LinkShape]], flange_frame: Array, flange_link: int
 ) -> list[list[LinkShape]]:
-    """Returns what makes generated links look like a machine's; it is drawn and has no mass."""
+    """Returns the trims of generated links, which are drawn and have no mass."""
     found = [[trim for shape in link for trim in _trims_of(shape)] for link in links]
     own = [shape for shape in links[flange_link] if shape.kind != "box"] or links[0]
     radius = 0.8 * min(float(shape.size[0]) for shape in own)
@@ -168,10 +169,9 @@ def _on_root(shapes: list[LinkShape], root: Array | None) -> list[LinkShape]:
 
 
 def _segments(table: JointTree, i: int, rod: float) -> tuple[Array, Array]:
-    """Returns the offsets of row i as polylines, before the joint (fixed) and after it (moved).
+    """Returns the offsets of row i as polylines before the joint (fixed) and after it (moving).
 
-    The offset along the joint's axis is placed before the joint, where it is fixed. The rod of a
-    prismatic joint moves with its link, and reaches back into that offset.
+    The offset along the joint axis is fixed. The rod of a prismatic joint moves with its link.
     """
     zero = np.zeros(3)
     if not isinstance(table, DhTable):
@@ -198,10 +198,10 @@ def _capsules(points: Array, radius: float) -> list[LinkShape]:
 
 
 def _housing(table: JointTree, i: int, radius: float) -> LinkShape:
-    """Returns the housing about the axis of joint i, at the end of the row's offset d.
+    """Returns the housing about the axis of joint i, at the end of the offset d.
 
-    That of a revolute joint is in frame i + 1 and turns; that of a prismatic one is in the frame
-    that carries it, where the rod passes through it.
+    The housing of a revolute joint moves with frame i + 1. The housing of a prismatic joint is in
+    the parent frame, and the rod passes through it.
     """
     axis, centre = np.array([0.0, 0.0, 1.0]), np.zeros(3)
     if not isinstance(table, DhTable):

@@ -1,4 +1,4 @@
-"""Surroundings of the robots: objects, cameras, lights, colour themes and the default view."""
+"""Surroundings of robots: objects, cameras, lights, color themes and the default view."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ..importers.mjcf_file import is_mjcf_object
 
 _MJCF_KINDS = "a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"
 
-# Meaning of the entries of `size` for each shape, m.
+# Entries of `size` of each shape, m.
 SHAPE_SIZES = {
     "box": "length x, length y, length z",
     "sphere": "radius",
@@ -63,7 +63,7 @@ MeshFile = Annotated[str, AfterValidator(_of_a_mesh)]
 
 
 def check_mjcf(mjcf: Any) -> Any:
-    """Returns a piece of MJCF after checking its type; raises ValueError."""
+    """Returns a piece of MJCF. Raises ValueError if its type is invalid."""
     if mjcf is None or is_mjcf_object(mjcf):
         return mjcf
     if not isinstance(mjcf, str):
@@ -76,7 +76,7 @@ def check_mjcf(mjcf: Any) -> Any:
 
 
 def check_shape_size(shape: str, size: Array | None) -> None:
-    """Checks that a shape has the required numbers; raises ValueError."""
+    """Raises ValueError if the size of a shape is invalid."""
     meaning = SHAPE_SIZES[shape]
     if size is None or len(size) != len(meaning.split(",")) or (size <= 0).any():
         found = "none" if size is None else size.tolist()
@@ -89,30 +89,29 @@ def check_shape_size(shape: str, size: Array | None) -> None:
 class Object(Declaration):
     """An object: a primitive shape, coordinate axes, a mesh, a piece of MJCF, or a URDF.
 
-    It is fixed at its declared frame or to a flange; an object of a scene with a mass moves freely
-    in simulation: it falls, and can be pushed and held.
+    An object is fixed to its frame. In simulation, an object of a scene with a mass moves freely.
 
     Attributes:
-        name: unique in its scene or robot.
-        shape: a primitive; `axes` shows coordinate axes at the object's frame; a `limb` is an arm
-            or leg of a person, two links from the origin of its frame to another one's.
+        name: unique name in its scene or robot.
+        shape: primitive shape. `axes` shows coordinate axes at the frame of the object. A `limb` is
+            an arm or leg of a person: two links from its frame to the frame that it `reaches`.
         size: full lengths and radii in m, see `SHAPE_SIZES`.
         mesh: mesh file, relative to `directory`.
-        mesh_scale: metres per unit of the mesh file.
-        mjcf: MJCF file relative to `directory`, MJCF text that starts with `<mujoco`, or in
-            Python an object that contains MJCF: a `mujoco.MjSpec`, a PyMJCF
-            `mjcf.RootElement`, a dm_control composer entity.
-        urdf: URDF file without joints relative to `directory`: a table, a tool; it is fixed.
-        frame: pose in the world, or in the frame of a robot's link that a child is fixed to.
-        reaches: of a limb, the frame where it ends (`left/flange`). Its joint between the links is
-            on the side of its frame's x axis. Where its end is out of reach, it points there.
-        end: of a limb, where it ends in that frame, m.
-        on: of a robot's child, the frame that it is fixed to: `base`, `link1`, ..., `flange`.
-        rgba: colour; an MJCF piece has its own.
-        finish: of the surface of a shape or mesh: `plastic`, `metal` or `rubber`.
-        mass: kg, of a solid of uniform density; a robot's child without a mass has water's density.
-        friction: coefficient of friction of all its contacts in simulation; 0.3 when None.
-        directory: base folder of the files, set by the reader of the declaration.
+        mesh_scale: length of the unit of the mesh file in m.
+        mjcf: MJCF file relative to `directory`, MJCF text that starts with `<mujoco`, or in Python
+            a `mujoco.MjSpec`, a PyMJCF `mjcf.RootElement`, or a dm_control composer entity.
+        urdf: URDF file without joints relative to `directory`, for example of a table or a tool.
+        frame: pose in the world, or in the frame of the robot to which a child is fixed.
+        reaches: for a limb, the frame at its end (`left/flange`). Its joint is on the side of the x
+            axis of its frame. If the end is out of reach, the limb points towards it.
+        end: for a limb, the position of its end in this frame, m.
+        on: for a child of a robot, the frame to which it is fixed: `base`, `link1`, ..., `flange`.
+        rgba: red, green, blue and opacity, from 0 to 1. A piece of MJCF has its own colors.
+        finish: surface of a shape or mesh: `plastic`, `metal` or `rubber`.
+        mass: mass of a solid with uniform density, kg (default for a child of a robot: the density
+            of water).
+        friction: coefficient of friction of all contacts in simulation (default: 0.3).
+        directory: folder of the files, set by the reader of the declaration.
     """
 
     name: Name
@@ -134,7 +133,9 @@ class Object(Declaration):
     friction: float | None = Field(None, ge=0)
     directory: str = ""
 
-    _declared: tuple[Path, str] | None = PrivateAttr(None)  # file and key, if not its robot's
+    _declared: tuple[Path, str] | None = PrivateAttr(
+        None
+    )  # file and key, if they differ from those of the robot
 
     @field_validator("mjcf")
     @classmethod
@@ -175,12 +176,12 @@ class Object(Declaration):
 
     @property
     def is_free(self) -> bool:
-        """Whether it moves in simulation, as an object of a scene."""
+        """Whether it moves freely in simulation."""
         return self.mass is not None
 
 
 def set_directory(children: Any, folder: Path) -> None:
-    """Makes the folders of children relative to the folder of the file that declares them."""
+    """Makes the folders of children relative to the folder of their file."""
     for child in children if isinstance(children, list) else []:
         if isinstance(child, dict) and isinstance(child.setdefault("directory", ""), str):
             child["directory"] = str(folder / child["directory"])
@@ -202,11 +203,11 @@ class Camera(Declaration):
     """A named camera.
 
     Attributes:
-        position: in `frame`, m.
-        look_at: the point at the picture's centre, in `frame`, m.
+        position: position in `frame`, m.
+        look_at: point at the center of the image, in `frame`, m.
         fovy_deg: vertical field of view in degrees.
-        frame: T_world_frame of `position` and `look_at`; its input `NAME.frame` can be set by a
-            route, to move the camera with a robot.
+        frame: T_world_frame of `position` and `look_at`. A route to its input `NAME.frame` can move
+            the camera with a robot.
     """
 
     position: Point
@@ -224,17 +225,16 @@ class Camera(Declaration):
 
 
 class View(Declaration):
-    """The view of a scene when no camera is named.
+    """The default view of a scene.
 
     Attributes:
-        camera: a camera of the scene; the other fields are for the free camera.
-        azimuth_deg: viewing direction about the vertical, 90 looks along +y.
-        elevation_deg: negative looks down.
-        distance: m from the look-at point; None fits the scene.
-        look_at: m; None for the centre of the scene.
-        follow: the robot or group whose base, or the frame (`lwr/flange`), that the free camera
-            moves with; its distance stays.
-        look: colour theme, `light` or `dark`.
+        camera: name of a camera of the scene. The other fields concern the free camera.
+        azimuth_deg: viewing direction about the vertical axis in degrees; 90 looks along +y.
+        elevation_deg: elevation in degrees; negative values look down.
+        distance: distance from the look-at point in m (default: fits the scene).
+        look_at: look-at point (3,), m (default: the center of the scene).
+        follow: robot, group or frame (`lwr/flange`) that the free camera follows.
+        look: color theme, `light` or `dark`.
     """
 
     camera: str | None = None
@@ -248,17 +248,16 @@ class View(Declaration):
 
 @dataclass(frozen=True)
 class PhysicalLight:
-    """Light of the surroundings for renderers that compute with physical quantities.
+    """Light of the surroundings for physically based renderers.
 
-    All of it is relative to the light that shows a white surface as white. The sky is that of the
-    palette.
+    Values are relative to the light that renders a white surface as white.
 
     Attributes:
-        sky: radiance of the sky that lights surfaces, as a factor of the radiance that is seen.
-        ground: radiance from below, likewise, of the colour of the floor's lighter tiles.
-        softbox: radiance of a large lamp above, of which smooth surfaces show reflections.
-        key: illuminance by the light that casts shadows, of a surface that faces it.
-        bulb: radius of that light, m; a larger one has softer shadows.
+        sky: radiance of the sky that lights surfaces, relative to the visible radiance.
+        ground: radiance from below, relative to the color of the lighter tiles of the floor.
+        softbox: radiance of a large lamp above, which smooth surfaces reflect.
+        key: illuminance of the light that casts shadows, on a surface that faces it.
+        bulb: radius of this light, m. A larger radius results in softer shadows.
     """
 
     sky: float
@@ -270,15 +269,15 @@ class PhysicalLight:
 
 @dataclass(frozen=True)
 class Palette:
-    """Colours of the surroundings, red, green, blue, 0 to 1, and their light.
+    """Colors of the surroundings (red, green, blue from 0 to 1) and lights.
 
     Attributes:
-        sky: at the horizon and at the zenith.
-        tiles: of the floor, two shades and the line between them.
-        haze: at the end of the floor.
+        sky: colors at the horizon and at the zenith.
+        tiles: two colors of the floor tiles, and the color of the lines between them.
+        haze: color at the end of the floor.
         headlight: ambient and diffuse intensity.
         key: intensity of the light that casts shadows.
-        physical: the same light for a renderer of physical quantities.
+        physical: the same light for physically based renderers.
     """
 
     sky: tuple[Rgb, Rgb]
@@ -289,10 +288,10 @@ class Palette:
     physical: PhysicalLight
 
 
-KEY_DIRECTION = (-0.35, 0.4, -1.0)  # in which the light that casts shadows shines
+KEY_DIRECTION = (-0.35, 0.4, -1.0)  # direction of the light that casts shadows
 
 PALETTES = {
-    # Chosen together with the key light so that a floor seen from above is just below white.
+    # Together with the key light, a floor is just below white when viewed from above.
     "light": Palette(
         sky=((0.97, 0.98, 0.99), (0.70, 0.76, 0.82)),
         tiles=((0.83, 0.85, 0.87), (0.86, 0.88, 0.90), (0.78, 0.80, 0.83)),
@@ -314,14 +313,14 @@ PALETTES = {
 
 @dataclass(frozen=True)
 class Finish:
-    """How a surface reflects light, whatever its colour.
+    """Reflection of light at a surface.
 
     Attributes:
-        roughness: 0 for a mirror to 1, of renderers of physical quantities; squared it is the
-            width of a microfacet lobe.
-        metallic: share of the light that is reflected as by a metal, in its colour.
+        roughness: roughness from 0 (mirror) to 1, for physically based renderers. Its square is
+            the width of a microfacet lobe.
+        metallic: fraction of the light that is reflected in the color of the surface.
         specular: strength of highlights in the classic renderer, 0 to 1.
-        shininess: sharpness of those, 0 to 1.
+        shininess: sharpness of highlights in the classic renderer, 0 to 1.
     """
 
     roughness: float
@@ -330,10 +329,10 @@ class Finish:
     shininess: float
 
 
-# Plastic is what MuJoCo shows without a material. Surroundings are plain and have one lamp: a metal
-# that reflects all light would be dark almost everywhere, so about half is scattered, as by blasted
-# aluminium. Roughness is chosen by eye, satin for metal and dull for rubber; shininess follows from
-# it, (2 / roughness^4 - 2) / 128, see `filament/geoms.py`.
+# Plastic is the default material of MuJoCo. In surroundings with one lamp, a metal that reflects
+# all light would be almost black, so about half of the light is scattered, like by blasted
+# aluminum. The values of roughness were chosen by eye, satin for metal and dull for rubber. The
+# shininess is (2 / roughness^4 - 2) / 128, see `filament/geoms.py`.
 FINISHES: dict[str, Finish] = {
     "metal": Finish(roughness=0.42, metallic=0.45, specular=0.8, shininess=0.49),
     "rubber": Finish(roughness=0.9, metallic=0.0, specular=0.1, shininess=0.008),
@@ -344,11 +343,11 @@ class Light(Declaration):
     """A light with a position and a direction.
 
     Attributes:
-        position: m.
-        direction: in which the light shines; of any length.
-        diffuse: red, green, blue, 0 to 1.
-        directional: parallel rays, as from the sun.
-        cast_shadow: whether objects cast shadows in its light.
+        position: position (3,), m.
+        direction: direction (3,) of the light, of any length.
+        diffuse: red, green and blue, from 0 to 1.
+        directional: whether the rays are parallel, like those of the sun.
+        cast_shadow: whether objects cast shadows.
     """
 
     position: Point

@@ -1,8 +1,9 @@
-"""Units in which torques and forces of a robot are displayed: one SI prefix for all its joints.
+"""Display units of torques and forces, with one SI prefix for all joints of a robot.
 
-The largest torque of its revolute joints decides, and the largest force of its prismatic joints.
-Nm and N stay from 0.1 to 10,000; other values get the prefix u, m or k that gives the largest value
-1 to 999. Files, packets and messages about single values always use Nm and N.
+The prefix depends on the largest torque of the revolute joints and on the largest force of the
+prismatic joints. From 0.1 to 10,000, the units are Nm and N. Otherwise, the prefix u, m or k is
+chosen so that the largest value is between 1 and 999. Files, packets and messages about single
+values always use Nm and N.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ import numpy as np
 from ...base.frames import Array, Bools
 
 _PLAIN = 0.1, 1e4  # Nm or N
-_PREFIXES = (1e3, "k"), (1e-3, "m"), (1e-6, "u")  # u for µ: billboards are ASCII
+_PREFIXES = (1e3, "k"), (1e-3, "m"), (1e-6, "u")  # u instead of µ, because billboards use ASCII
 
 
 class TorqueUnit(NamedTuple):
     """A unit of torques or forces.
 
     Attributes:
-        factor: multiplied by it, Nm or N are in this unit.
-        name: `mNm`, say.
+        factor: conversion factor from Nm or N to this unit.
+        name: name of the unit, for example `mNm`.
     """
 
     factor: float
@@ -34,7 +35,7 @@ NM, N = TorqueUnit(1.0, "Nm"), TorqueUnit(1.0, "N")
 
 
 def torque_units(largest: Array, revolute: Bools | Sequence[bool]) -> list[TorqueUnit]:
-    """Returns the unit of every joint, n, by the torques that are expected, (n,), Nm or N."""
+    """Returns the units of n joints whose largest torques (n,), Nm or N, are known."""
     turns = np.asarray(revolute, bool)
     known = np.where(np.isfinite(largest), largest, 0.0)
     of_turning = _prefixed(NM.name, float(known[turns].max(initial=0.0)))

@@ -1,6 +1,6 @@
-"""External models: a `WorldView` of a model not compiled by sero-mj.
+"""External models: a `WorldView` of a model that sero-mj did not compile.
 
-In: an `MjModel` and its `MjData`. Out: a `ModelWorld`, with the robots, joints, frames and decor
-sizes that decor reads of a `World`, derived from the model.
+In: an `MjModel` and its `MjData`. Out: a `ModelWorld` with the robots, joints and frames of the
+model, and the sizes of their decor.
 Open first: `model_world.py`; `_model_trees.py` finds robots, `_model_robot.py` declares them.
 """

@@ -1,4 +1,4 @@
-"""Robots in an external model, `SerialRobot`s with frames of joints, and the named frames."""
+"""Declares the robots of an external model, and lists its named frames."""
 
 from __future__ import annotations
 
@@ -19,11 +19,10 @@ from ..assemble.robot_dynamics import GRAVITY
 from ..declared.cartesian import NamedFrame
 from ..declared.double import AXES_OPACITY, Double
 from ..declared.robot import SerialRobot
-from ..importers.mjcf_torque_limits import torque_limits
-from ..importers.mjcf_tree import frames_at_zero, link_poses
+from ..importers.mjcf_model import frames_at_zero, link_poses, torque_limits
 from ._model_trees import Tree, without_scope
 
-# Fields that a user can set for a robot of a model; the others come from the model.
+# Fields that users can set; the model determines the others.
 FIELDS = (
     "torque_limits",
     "acceleration_limits",
@@ -42,8 +41,8 @@ FIELDS = (
     "inputs",
     "enable_touch_sensor",
 )
-_BASE = "base"  # label of a base's frame
-_FULL_WIDTH_G = 5.0  # multiple of free fall at which arrows of accelerations have full width
+_BASE = "base"  # label of the base frame
+_FULL_WIDTH_G = 5.0  # multiple of g at which acceleration arrows reach full width
 
 
 def _positive(value: Any) -> Any:
@@ -51,7 +50,7 @@ def _positive(value: Any) -> Any:
         return None
     array = np.asarray(value)
     if array.dtype.kind not in "iuf" or array.ndim > 1:
-        raise mismatch(value, "a number, or one for each joint")
+        raise mismatch(value, "one number, or one per joint")
     finite = numbers(np.where(np.isposinf(array), 0.0, array))
     array = np.where(np.isposinf(array), np.inf, finite)
     if (array <= 0).any():
@@ -63,7 +62,7 @@ PerJoint = Annotated[Array, BeforeValidator(_positive)]
 
 
 class ModelRobot(SerialRobot):
-    """A robot of an external model, with any number of joints, and names of any characters."""
+    """A robot of an external model, with joint frames instead of a DH table."""
 
     joint_frames: Array | None = None
     joint_names: Annotated[list[str], AfterValidator(list)] = []
@@ -77,12 +76,12 @@ class ModelRobot(SerialRobot):
 
 @dataclass(frozen=True, eq=False)
 class ModelPart(RobotPart):
-    """Indices of a robot of a model in the model.
+    """Indices of a robot in an external model.
 
     Attributes:
-        size: its reach, m.
-        tool: name of the frame at the end of its chain, without the robot's name.
-        labels: names of its base and links, n + 1.
+        size: reach in m.
+        tool: name of the frame at the end of the chain, without the robot's name.
+        labels: names of base and links, n + 1.
     """
 
     robot: ModelRobot
@@ -119,10 +118,7 @@ def model_part(
     overrides: Mapping[str, Any],
     start: int,
 ) -> ModelPart:
-    """Builds a robot of the model, measured in the state `rest`, with the user's overrides.
-
-    Raises DeclarationError for other fields, or values that do not fit.
-    """
+    """Declares a robot, measured in the state `rest`, with the fields that the user overrides."""
     sizes = measure(model, rest, MeasuredBodies(tree.bodies, tree.joints, tree.trunk))
     problems: list[Problem] = []
     with collect(problems, f"robots.{tree.name}"):
@@ -180,7 +176,7 @@ def _model_robot(
             joint_frames=_joint_frames(model, tree),
             joint_types=["revolute" if turns else "prismatic" for turns in revolute],
             joint_names=tree.joint_names,
-            torques=np.zeros(n),  # provided by the model; billboards have to show it
+            torques=np.zeros(n),  # the model provides values; billboards need the input
             **fields,
         )
     raise_any(problems)
@@ -212,12 +208,11 @@ def list_model_frames(
     doubles: Mapping[str, Double],
     wanted: Sequence[str],
 ) -> tuple[dict[str, NamedFrame], dict[str, tuple[str, int]]]:
-    """Lists the named frames of a model, and where each is read.
+    """Lists the named frames of a model, and where each frame is read.
 
-    That is the name of the double in whose state, empty for the model's own, and its row, that of
-    `xpos` or behind it of `site_xpos`. Frames of robots and doubles are named `robot/body`;
-    `wanted` are names of other bodies and sites, initially shown. Raises UnknownName for unknown
-    ones.
+    A frame is read in the state of a double, or in the model's own state if the name is empty. Its
+    row is one of `xpos` followed by `site_xpos`. Frames of robots and doubles are called
+    `robot/body`. `wanted` are names of other bodies and sites.
     """
     frames: dict[str, NamedFrame] = {}
     places: dict[str, tuple[str, int]] = {}
@@ -231,7 +226,7 @@ def list_model_frames(
         alpha = opacity * (1.0 - part.robot.axes_transparency)
         for body, label in body_labels(model, part.tree).items():
             if state and label == _BASE:
-                continue  # a double has the base frame of its robot
+                continue  # a double shares the base frame of its robot
             frame = f"{name}/{label}"
             size = _axes_length(model, part, body)
             frames[frame] = NamedFrame(frame, frame, name, name, size, alpha)
@@ -244,7 +239,7 @@ def list_model_frames(
 
 
 def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
-    """Returns the labels of the frames of a robot's bodies; the first is its base."""
+    """Returns the labels of the frames of a robot's bodies, base first."""
     labels: dict[int, str] = {int(tree.bodies[0]): _BASE}
     bodies = [int(body) for body in tree.bodies[1:]]
     names = [model.body(body).name or f"body{body}" for body in bodies]

@@ -1,6 +1,6 @@
-"""`ModelState`: the state of an external model, with the sites and `userdata` that decor reads.
+"""The state of an external model, with the sites and `userdata` that decor reads.
 
-A compiled model accepts neither, so `ModelWorld` creates this object for every frame.
+They cannot be added to a compiled model, so `ModelWorld` creates a `ModelState` for every frame.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ class ModelState:
     """The state of an external model, as decor reads it.
 
     Attributes:
-        site_xpos: positions of the joints, then the frames, then fixed points, (S, 3), m.
-        doubles: states of the doubles that have a pose, by name; several for a path.
+        site_xpos: positions of joints, then frames, then fixed points, shape (S, 3).
+        doubles: states of the doubles with a pose by name; a path has several states.
     """
 
     data: mujoco.MjData
@@ -41,13 +41,13 @@ class ModelState:
 
 
 class Sites:
-    """Sources of the site poses of a `ModelState`: of joints, then frames, then fixed points.
+    """Reads the site poses of a `ModelState`: joints, then frames, then fixed points.
 
     Args:
-        joints: joint frames of every robot and every double, with the name of the double in
-            whose state they are read; "" for the user's data.
-        frames: likewise the name of a double, and a row of `xpos` followed by `site_xpos`.
-        points: fixed points in the world, (P, 3), m.
+        joints: joint frames of every robot and double, with the name of the double whose state
+            they are read from; "" for the user's data.
+        frames: name of a double or "", and a row of `xpos` followed by `site_xpos`.
+        points: fixed points in the world, shape (P, 3).
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Sites:
         points: Array,
     ) -> None:
         self._joints, self._points, self._count = joints, points, len(frames)
-        self._frames = {  # which frames are read in a state, and in which rows
+        self._frames = {  # indices of the frames in each state, and their rows
             name: (
                 [k for k, (of, _) in enumerate(frames) if of == name],
                 [row for of, row in frames if of == name],
@@ -68,11 +68,11 @@ class Sites:
     def read(
         self, data: mujoco.MjData, doubles: dict[str, list[mujoco.MjData]]
     ) -> tuple[Array, Array]:
-        """Returns positions (S, 3), m, and rotations (S, 9)."""
+        """Returns positions (S, 3) and rotations (S, 9)."""
         positions, rotations = [np.empty((0, 3))], [np.empty((0, 3, 3))]
 
         def state_of(name: str) -> mujoco.MjData:
-            # A double without a pose is read in the user's data; nothing shows it.
+            # A double without a pose is not shown; the user's data replaces it.
             return doubles[name][0] if name in doubles else data
 
         for name, joints in self._joints:
@@ -88,7 +88,7 @@ class Sites:
         upright = np.broadcast_to(np.eye(3), (len(self._points), 3, 3))
         site_xpos = np.concatenate([*positions, at_frames, self._points])
         site_xmat = np.concatenate([*rotations, of_frames, upright])
-        # A diverged simulation has positions that cannot be drawn.
+        # Positions of a diverged simulation cannot be drawn.
         lost = ~(np.isfinite(site_xpos).all(axis=1) & np.isfinite(site_xmat).all(axis=(1, 2)))
         if lost.any():
             site_xpos[lost], site_xmat[lost] = OUT_OF_SIGHT, np.eye(3)
@@ -96,11 +96,10 @@ class Sites:
 
 
 class JointPoses:
-    """Frames of some joints of a model, offset from their anchors by (n, 3), m.
+    """Frames of joints, with z along the axis, offset (n, 3) from the anchors.
 
-    A frame is at a joint's anchor with z along the axis. Like the sites of a compiled scene it
-    turns with the link, and it is parallel to the link's frame where the axis is the link's z.
-    Several hinges of one body rotate in sequence.
+    As in a compiled scene, a frame rotates with its link, and is parallel to the link's frame if
+    the axis is the link's z axis. Several hinges of one body rotate in sequence.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Ints, offset: Array) -> None:
@@ -117,15 +116,11 @@ class JointPoses:
             mujoco.mju_quatZ2Vec(quat, model.jnt_axis[joint])
             mujoco.mju_mulQuat(quat, model.body_quat[body], quat.copy())
             mujoco.mju_quat2Mat(matrix, quat)
-        # y is used where x is along the axis
+        # y is used if x is along the axis
         self._x, self._y = np.moveaxis(in_parent.reshape(-1, 3, 3), 2, 0)[:2]
 
     def place(self, data: mujoco.MjData) -> tuple[Array, Array]:
-        """Computes the frames at the current joint angles.
-
-        Returns:
-            positions (n, 3), m, and rotations (n, 3, 3).
-        """
+        """Returns positions (n, 3) and rotations (n, 3, 3) at the current joint angles."""
         axis = data.xaxis[self._joints]
         parent = data.xmat[self._parents].reshape(-1, 3, 3)
         body = data.xmat[self._bodies].reshape(-1, 3, 3)
@@ -139,7 +134,7 @@ class JointPoses:
         angle = np.where(self._hinge, data.qpos[self._qpos] - self._reference, 0.0)[:, None]
         x = np.cos(angle) * x + np.sin(angle) * np.cross(axis, x)
         rotation = np.stack([x, np.cross(axis, x), axis], axis=2)
-        # MuJoCo's anchor of a slide does not move; its arrow moves with the link.
+        # MuJoCo's anchor of a slide does not move, but its arrow moves with the link.
         along = data.xpos[self._bodies] + np.einsum("nij,nj->ni", body, self._anchor)
         at = np.where(self._hinge[:, None], data.xanchor[self._joints], along)
         return at + np.einsum("nij,nj->ni", rotation, self._offset), rotation
@@ -163,10 +158,9 @@ class ModelDoubles:
     def pose(
         self, data: mujoco.MjData, angles: Mapping[str, Array]
     ) -> dict[str, list[mujoco.MjData]]:
-        """Computes the state of every double that has joint angles; all else is as in `data`.
+        """Returns the states of the doubles with joint angles; other bodies are as in `data`.
 
-        Args:
-            angles: (n,) of every double that has any, except paths, rad or m.
+        `angles` are the joint angles (n,) of doubles by name. Paths have their own.
         """
         poses = {}
         for name, part in self._doubles.items():
@@ -182,7 +176,7 @@ class ModelDoubles:
         return poses
 
     def drawn(self, state: Any, name: str) -> list[DrawnDouble]:
-        """Returns what to draw of one double: its links that do not coincide with the robot's."""
+        """Returns the links of a double that do not coincide with those of its robot."""
         part = self._doubles[name]
         poses = state.doubles.get(name, [])
         mine = np.isin(self._model.body_rootid, self._model.body_rootid[part.of.bodies[1:]])

@@ -1,11 +1,11 @@
 """Finds the robots in an external model, and names them.
 
-A robot is a kinematic tree with hinge or slide joints: one child of the world and all of its
-descendants. Free and ball joints have no single axis and therefore no arrow. Two exceptions:
+A robot is a kinematic tree with hinge or slide joints: a child of the world and its descendants.
+There are two exceptions:
 
-- Where a model has actuators, a robot is a tree that they drive; doors, knobs and goals are not.
-- MuJoCo fuses a fixed trunk with the world, so that its limbs become trees. Limbs that are hinged
-  to the same solid geoms of the world are one robot.
+- If a model has actuators, only the trees that they drive are robots. Doors and knobs are not.
+- MuJoCo fuses a fixed trunk with the world, so that its limbs become separate trees. Limbs that
+  touch the same solid geoms of the world are one robot.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ import numpy as np
 
 from ...base.frames import Array, Ints
 from ..assemble.solids import geom_boxes, geoms_of
-from ..importers.mjcf_tree import driven_roots
+from ..importers.mjcf_model import driven_roots, read_links
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _RESERVED = ("world", "toggles")  # reserved names in routes
-# Words that say which part a root body is, and not which robot.
+# Names of root bodies with only these words do not identify a robot.
 _PART_WORDS = frozenset(
     {
         *("b", "base", "body", "chassis", "footprint", "frame", "link", "main", "mount", "pelvis"),
         *("platform", "robot", "root", "torso", "trunk", "world"),
     }
 )
-_UNNAMED = "MuJoCo Model"  # MuJoCo's name for a model without one
-_TOUCHING = 0.2  # gap up to which solids are joined, fraction of the diagonal of the world's solid
+_UNNAMED = "MuJoCo Model"  # MuJoCo's name for an unnamed model
+_TOUCHING = 0.2  # gap up to which solids touch, relative to the diagonal of the world's solid
 _TYPES = mujoco.mjtGeom
 
 
@@ -40,15 +40,15 @@ class Tree:
     """One kinematic tree, or several with a fused trunk.
 
     Attributes:
-        name: of the root body, or of the model where the root has a name like `base_link`; made
+        name: name of the root body, or of the model if the root has a name like `base_link`. It is
             unique and valid in routes.
-        bodies: ids, parents before children, the root first: the world for a fused trunk.
-        trunk: ids of the world's geoms that are the fused trunk; empty without one.
-        joints: ids of its hinges and slides, (n,).
-        joint_names: without their common scope, n.
-        chain: indices of the joints between the root and the first branch; these move the
-            tool of a serial arm.
-        last: id of the body at the end of that chain.
+        bodies: ids, parents before children. The first is the root, or the world for a trunk.
+        trunk: ids of the world's geoms that form the fused trunk.
+        joints: ids of hinges and slides, shape (n,).
+        joint_names: names without their common scope, n.
+        chain: indices of the joints between the root and the first branch, which move the tool of a
+            serial arm.
+        last: id of the body at the end of the chain.
     """
 
     name: str
@@ -60,26 +60,14 @@ class Tree:
     last: int
 
     def carriers(self, model: mujoco.MjModel) -> Ints:
-        """Returns for each joint the number, from 1, of the one whose link carries it, (n,).
-
-        It is 0 for a joint on the root.
-        """
-        last = {0: 0}  # joint of a body, the last of several
-        found = np.zeros(len(self.joints), np.intp)
-        for i, body in enumerate(model.jnt_bodyid[self.joints].tolist()):
-            above = body
-            while above not in last:
-                above = int(model.body_parentid[above])
-            found[i] = last[above]
-            last[body] = i + 1
-        return found
+        """Returns the parent link of each joint, shape (n,): 0 for the root, i for joint i."""
+        return read_links(model, self.joints)[1]
 
 
 def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree]:
-    """Returns the robots of a model, in the order of their bodies.
+    """Returns the robots of a model in the order of their bodies.
 
-    Args:
-        wanted: names of trees without drives that are robots nevertheless.
+    `wanted` are names of trees without actuators that are robots nevertheless.
     """
     single = np.isin(model.jnt_type, (_HINGE, _SLIDE))
     tree_of_joint = model.body_rootid[model.jnt_bodyid]
@@ -120,7 +108,7 @@ def _fused_groups(model: mujoco.MjModel, roots: Ints) -> list[tuple[Ints, Ints]]
     limbs = []
     for root in hinged:
         own = geoms_of(model, np.array([root]))
-        # With the body's origin, for a limb without any geom.
+        # The origin of the body is included for limbs without geoms.
         corners = np.vstack([data.xpos[root], low[own], high[own]])
         limbs.append(np.stack([corners.min(axis=0), corners.max(axis=0)]))
     size = np.concatenate([np.ptp(limb, axis=0) for limb in limbs]).reshape(-1, 3)
@@ -130,7 +118,7 @@ def _fused_groups(model: mujoco.MjModel, roots: Ints) -> list[tuple[Ints, Ints]]
     for geom in solid.nonzero()[0]:
         box = np.stack([low[geom], high[geom]])
         diagonal = float(np.linalg.norm(box[1] - box[0]))
-        if diagonal <= largest:  # furniture and walls are no trunk
+        if diagonal <= largest:  # excludes furniture and walls
             nodes.append((-1 - int(geom), box, _TOUCHING * diagonal))
     groups: list[tuple[Ints, Ints]] = []
     joined: set[int] = set()
@@ -157,17 +145,16 @@ def _is_limb(model: mujoco.MjModel, root: int) -> bool:
 
 
 def _touching(start: int, nodes: list[tuple[int, Array, float]]) -> list[int]:
-    """Returns the nodes that are joined to one through solids of the world, itself included.
+    """Returns the nodes that are connected to one through solids of the world, including itself.
 
-    Args:
-        nodes: id, negative for solids of the world; box (2, 3), m; gap that it bridges, m.
+    A node has an id (negative for solids of the world), a box (2, 3), and the gap that it bridges.
     """
     found, todo = {start}, [node for node in nodes if node[0] == start]
     while todo:
         key, box, reach = todo.pop()
         for node in nodes:
             if node[0] in found or (key >= 0 and node[0] >= 0):
-                continue  # limbs are joined by a trunk only
+                continue  # only a trunk connects limbs
             gap = max(reach, node[2])
             if (box[0] - gap <= node[1][1]).all() and (node[1][0] - gap <= box[1]).all():
                 found.add(node[0])
@@ -180,11 +167,7 @@ def _scope(model: mujoco.MjModel, body: int) -> str:
 
 
 def _robot_name(model: mujoco.MjModel, roots: Ints, is_alone: bool) -> str:
-    """Returns the name of a robot: of its root, or if that only says which part it is, a wider one.
-
-    Args:
-        is_alone: whether the model has no other robot, so that the model's name is its name.
-    """
+    """Returns the root's name, or the scope or the model's name if that does not identify it."""
     name = str(model.body(int(roots[0])).name).strip("/")
     model_name = model.names[: model.names.index(b"\0")].decode(errors="replace")
     model_name = "" if model_name == _UNNAMED else re.sub(r"[ _-]*scene$", "", model_name)
@@ -223,10 +206,10 @@ def _joint_names(model: mujoco.MjModel, joints: Ints) -> list[str]:
 
 
 def without_scope(names: list[str]) -> list[str]:
-    """Returns names without their common scopes (`jaco/` in `jaco/hand/finger_1`)."""
+    """Returns names without their common scope, such as `jaco/` of `jaco/hand/finger_1`."""
     split = [name.split("/") for name in names]
-    common, most = 0, min((len(parts) - 1 for parts in split), default=0)
-    while common < most and len({parts[common] for parts in split}) == 1:
+    common, limit = 0, min((len(parts) - 1 for parts in split), default=0)
+    while common < limit and len({parts[common] for parts in split}) == 1:
         common += 1
     return ["/".join(parts[common:]) for parts in split]
 

@@ -1,7 +1,7 @@
-"""`ModelWorld`: the `WorldView` of an external model.
+"""`ModelWorld`, the `WorldView` of an external model.
 
-It provides what decor, picking and clicks read of a `World`, derived from the model instead of
-declared in a scene. Input values are stored here, not in the user's data (see `_model_state`).
+It derives from the model what a `World` derives from a scene. Input values are stored here and not
+in the user's data.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ log = logging.getLogger(__name__)
 
 
 _FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # input: field
-_MUJOCO_VIEW = (90.0, -45.0)  # azimuth and elevation for a model without a view
-# Maximum gap and size of objects beside robots that are framed, over the robots' size.
+_MUJOCO_VIEW = (90.0, -45.0)  # MuJoCo's default azimuth and elevation
+# Largest gap and size of framed objects next to robots, relative to the robots' size.
 _MAX_GAP, _MAX_SIZE = 1.0, 2.0
 _FLOORS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _EMPTY = np.empty(0, np.intp)
@@ -45,7 +45,7 @@ class ModelScene(Scene):
     """The scene of an external model."""
 
     def __init__(self, frames: Mapping[str, NamedFrame], **fields: Any) -> None:
-        self._frames = dict(frames)  # needed while the base class checks the rest
+        self._frames = dict(frames)  # the constructor of the base class needs them
         super().__init__(floor=False, **fields)
 
     def frame_name(self, name: str) -> str:
@@ -59,17 +59,17 @@ class ModelWorld(WorldView):
     """The world of an overlay.
 
     Args:
-        robots: fields of robots that override the model, by robot.
-        frames: bodies and sites whose axes are shown, in addition to those of robots.
-        surroundings: whether hosts add the floor, sky and lights that the model lacks.
+        robots: fields of robots that override the model, by robot name.
+        frames: names of bodies and sites whose axes are shown in addition to those of robots.
+        surroundings: whether missing floor, sky and lights are added.
 
     Attributes:
-        options: its constructor arguments except model and data.
-        not_finite: number of NaN, infinite and implausible values that were set; not shown.
+        options: the constructor arguments except model and data.
+        not_finite: number of NaN, infinite and implausible values that were set and not shown.
 
     Raises:
-        DeclarationError: the model has no hinge or slide joint, or a field does not fit it.
-        UnknownName: no robot, body or site of that name.
+        DeclarationError: the model has no hinge or slide, or a field does not fit the model.
+        UnknownName: the model has no such robot, body or site.
     """
 
     has_sites = False
@@ -197,7 +197,7 @@ class ModelWorld(WorldView):
             self.set_declared(self.data, arrow, ("vector",))
 
     def make_data(self) -> mujoco.MjData:
-        """Returns a copy of the user's data, kinematics up to date."""
+        """Returns a copy of the user's data with updated kinematics."""
         data = copy.copy(self.data)
         mujoco.mj_fwdPosition(self.model, data)
         return data
@@ -207,7 +207,7 @@ class ModelWorld(WorldView):
     def state(self, data: Any) -> ModelState:
         if isinstance(data, ModelState):
             return data
-        for name, key in self._live:  # what the user has not set
+        for name, key in self._live:  # inputs that the user has not set
             slot = self.slots[f"{name}.{key}"]
             self._userdata[slot] = getattr(data, _FROM_MODEL[key])[self.robots[name].dofs]
             self._userdata[self.flags[f"{name}.{key}"]] = 1.0
@@ -232,10 +232,7 @@ class ModelWorld(WorldView):
         ]
 
     def geoms_in_view(self) -> Bools:
-        """Returns the geoms of its robots and of movable things beside them, (ngeom,) bool.
-
-        Fixed surroundings may be large, and do not count.
-        """
+        """Returns a mask (ngeom,) of the geoms of robots and of movable objects next to them."""
         model = self.model
         bodies = np.concatenate([tree.bodies[tree.bodies > 0] for tree in self._trees])
         of_robots = np.isin(model.geom_bodyid, bodies)
@@ -253,9 +250,9 @@ class ModelWorld(WorldView):
         return np.asarray(of_robots | (movable & beside & small & is_shown(model)))
 
     def surroundings(self) -> mujoco.MjModel | None:
-        """Returns a model of the floor, sky and lights that the user's model lacks, if any.
+        """Returns a model of the floor, sky and lights that the user's model lacks, or None.
 
-        The floor is at height 0, or below robots that hang lower at the first call: it stays there.
+        The floor is at height 0, or below the lowest robot at the first call.
         """
         if self._surroundings is not None:
             return self._surroundings
@@ -264,9 +261,9 @@ class ModelWorld(WorldView):
         has_sky = (model.tex_type == int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)).any()
         if not self._has_surroundings or (has_floor and has_sky and model.nlight):
             return None
-        seen = self.geoms_in_view()
-        low, high = (corner[seen] for corner in geom_boxes(model, self.make_data()))
-        if not seen.any():
+        visible = self.geoms_in_view()
+        low, high = (corner[visible] for corner in geom_boxes(model, self.make_data()))
+        if not visible.any():
             low = high = np.zeros((1, 3))
         lowest, highest = low.min(axis=0), high.max(axis=0)
         self._surroundings = build_surroundings(
@@ -280,23 +277,25 @@ class ModelWorld(WorldView):
         return self._surroundings
 
     def set_input(self, data: Any, target: str, values: Any) -> None:
-        """Sets an input; it then overrides what the model provides for it.
+        """Sets an input, which then overrides the values of the model.
+
+        NaN, infinite values and values beyond `Input.limits` mean no data. They are not shown, do
+        not move a double, and are counted in `not_finite`.
 
         Args:
-            target: `name.input`, e.g. `arm.torques`; see `inputs`.
-            values: (n,), (3,), or one number, SI units. Of joint values also a vector (nv,) of
-                the model, `data.qfrc_actuator` say, of which the robot's are taken; or a mapping
-                from joint names to numbers, without data for the other joints. NaN, infinity and
-                numbers beyond `Input.limits` mean no data: they are not shown, do not move a
-                double, and are counted in `not_finite`.
+            target: `name.input`, such as `arm.torques`; see `inputs`.
+            values: shape (n,), (3,), or one number. Joint values can also be a vector (nv,) of the
+                model, such as `data.qfrc_actuator`, or a mapping from joint names to numbers.
 
         Raises:
-            UnknownName: no such name, input or joint.
+            UnknownName: unknown robot, input or joint.
             ValueError: wrong number of values, or joint angles of a robot.
         """
         name, _, key = target.partition(".")
         if key == "joint_angles" and name in self.robots:
-            raise ValueError(f"{target}: {name} has the joint angles of your data; set data.qpos")
+            raise ValueError(
+                f"{target}: the joint angles of {name} come from your data; set data.qpos"
+            )
         item = self.resolve_input(target)
         if isinstance(values, Mapping) and item.kind in ("angles", "values"):
             values = self._by_name(name, values)
@@ -312,7 +311,7 @@ class ModelWorld(WorldView):
         bad = ~np.isfinite(array) | (np.abs(array) > item.limits)
         if bad.any() and not isinstance(values, _ByName):
             if not self.not_finite:
-                log.warning("%s: NaN, infinite or too large; counted and not shown", target)
+                log.warning("%s: NaN, infinite or too large values are not shown", target)
             self.not_finite += int(bad.sum())
             if item.kind not in BLANKABLE:
                 return
@@ -324,7 +323,7 @@ class ModelWorld(WorldView):
         self.changes += 1
 
     def input_state(self) -> Array:
-        """Returns the state of all inputs, (k,), for `set_input_state` of an equal world."""
+        """Returns the state of all inputs (k,) for `set_input_state` of an equal world."""
         live = [pair in self._live for pair in self._providable]
         return np.concatenate([self._userdata, live])
 
@@ -351,11 +350,7 @@ class ModelWorld(WorldView):
         return array
 
     def clear_input(self, target: str) -> None:
-        """Clears an input: the value that the model provides is shown again, if any.
-
-        Raises:
-            UnknownName: no such input.
-        """
+        """Clears an input, so that the value of the model is shown again, if any."""
         item = self.resolve_input(target)
         self._userdata[self.flags[target]] = 0.0
         if item.name in self.robots and item.key in _FROM_MODEL:
@@ -364,13 +359,13 @@ class ModelWorld(WorldView):
 
 
 class _ByName(np.ndarray):
-    """Values given by joint name; the NaN of the other joints are not counted."""
+    """Values set by joint name. The NaN of other joints are not counted."""
 
 
 def _no_joints(model: mujoco.MjModel) -> str:
     kinds = [mujoco.mjtJoint(int(kind)).name[6:].lower() for kind in np.unique(model.jnt_type)]
     found = f"joints of type {' and '.join(kinds)}" if kinds else "no joint"
-    return f"found {found}; expected a hinge or slide joint: arrows turn about these"
+    return f"found {found}; expected a hinge or slide joint"
 
 
 def _view(model: mujoco.MjModel) -> View:

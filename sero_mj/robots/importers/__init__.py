@@ -1,7 +1,5 @@
-"""Robots and scenes in other file formats, as the tables of our own.
+"""Importers of robots and scenes, and readers of mesh files.
 
-In: a file of another format, and mesh files. Out: `ImportedTables`: the tables that our TOML file
-would have, their source lines, and what was lost.
-Open first: `imported_tables.py`; then `importer.py` (what all formats have), and the format:
-`urdf.py`, `mjcf_robot.py`; `robot_file.py` selects it.
+In: files of other formats. Out: `ImportedTables`, the tables of an equivalent TOML file.
+Open first: `importer.py`, then the formats `urdf.py` and `mjcf_robot.py`.
 """

@@ -1,4 +1,4 @@
-"""`Importer`: reads robots or scenes in another format as the tables of our own files.
+"""Importers: read robots or scenes in other file formats as the tables of TOML files.
 
 A package adds a format by an entry point in the group `sero_mj.importers`:
 
@@ -15,22 +15,28 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ...base.errors import DeclarationError, Problem, SeroError, about_fault
-from ...base.paths import format_of_file, read_head
+from ...base.paths import ROBOT_FILE, format_of_file, read_head, robot_endings
 from ...base.plugins import IMPORTERS, is_own_class, load_all
+from ...base.toml_file import read_toml
 from .imported_tables import ImportedTables
+
+# Keys that robot files have and scene files do not.
+_ROBOT_KEYS = ("dh_params", "dh_params_deg", "joint_frames")
 
 
 class Importer(ABC):
-    """A file format; its dependencies are imported in `read`, because all formats are asked often.
+    """Reads one file format.
+
+    Import dependencies inside `read`, because all importers are loaded to choose one.
 
     Attributes:
-        endings: file extensions, lower-case, with their dots.
-        is_scene: whether its files are scenes; else robots.
-        object_key: the key of a scene's object for such a file without joints, such as `urdf`;
-            empty for none.
-        takes_arguments: whether a file may ask for values, as xacro does.
-        order: priority among importers that accept a file, lowest first; sero-mj's own have 10 to
-            90.
+        endings: lowercase file extensions with their dots.
+        is_scene: whether the files describe scenes instead of robots.
+        object_key: key of a scene object that takes a file of this format without joints, such as
+            `urdf`. Empty if there is none.
+        takes_arguments: whether files can have arguments, as in xacro.
+        order: priority among importers that accept a file, lowest first. Built-in importers use 10
+            to 90.
     """
 
     endings: ClassVar[tuple[str, ...]]
@@ -41,11 +47,9 @@ class Importer(ABC):
 
     @classmethod
     def takes(cls, path: Path, head: bytes) -> bool:
-        """Whether it can read a file.
+        """Whether the importer accepts a file with one of its endings.
 
-        Args:
-            path: with one of its endings.
-            head: the first 100 kB; empty where the file cannot be read.
+        `head` contains the first 100 kB of the file, or nothing if the file is unreadable.
         """
         return True
 
@@ -56,28 +60,71 @@ class Importer(ABC):
         packages: Mapping[str, Path | str] | None = None,
         arguments: Mapping[str, Any] | None = None,
     ) -> ImportedTables:
-        """Reads a file; file names in the tables are relative to its folder.
+        """Reads a file. File names in the tables are relative to its folder.
 
         Args:
             packages: folders of ROS packages by name.
-            arguments: of the file by name, as in xacro.
+            arguments: values of the file's arguments by name, as in xacro.
 
         Raises:
             DeclarationError: the file cannot be read.
         """
 
 
+class Urdf(Importer):
+    """Robots of ROS in URDF or xacro."""
+
+    endings: ClassVar[tuple[str, ...]] = (".urdf", ".xacro", ".xml")
+    object_key: ClassVar[str] = "urdf"
+    order: ClassVar[int] = 10
+
+    @classmethod
+    def takes(cls, path: Path, head: bytes) -> bool:
+        from .xml_file import first_element
+
+        return path.suffix.lower() != ".xml" or first_element(head) == "robot"
+
+    def read(
+        self,
+        path: Path,
+        packages: Mapping[str, Path | str] | None = None,
+        arguments: Mapping[str, Any] | None = None,
+    ) -> ImportedTables:
+        from .urdf import read_urdf
+
+        return read_urdf(path, packages, arguments)
+
+
+class Mjcf(Importer):
+    """Robots of MuJoCo in MJCF."""
+
+    endings: ClassVar[tuple[str, ...]] = (".xml",)
+    takes_arguments: ClassVar[bool] = False
+    object_key: ClassVar[str] = "mjcf"
+    order: ClassVar[int] = 20
+
+    def read(
+        self,
+        path: Path,
+        packages: Mapping[str, Path | str] | None = None,
+        arguments: Mapping[str, Any] | None = None,
+    ) -> ImportedTables:
+        from .mjcf_robot import read_mjcf
+
+        return read_mjcf(path)
+
+
 @cache
 def importers() -> dict[str, Importer]:
-    """All installed importers by name, in their order."""
+    """Returns all installed importers by name, sorted by `order`."""
     kinds = load_all(IMPORTERS, Importer)
     return {name: kinds[name]() for name in sorted(kinds, key=lambda name: kinds[name].order)}
 
 
 def find_importer(path: Path) -> Importer | None:
-    """The importer of a file, by its extension and first bytes; None for an unknown extension.
+    """Returns the importer for a file's extension and contents; None for an unknown extension.
 
-    Raises DeclarationError if the contents of the file do not match its extension.
+    Raises DeclarationError if the contents do not match the extension.
     """
     named = {
         name: each for name, each in importers().items() if path.suffix.lower() in each.endings
@@ -88,7 +135,7 @@ def find_importer(path: Path) -> Importer | None:
     for each in named.values():
         if each.takes(path, head):
             return each
-    found = format_of_file(path) or ("in no format that is known" if head else "empty")
+    found = format_of_file(path) or ("in an unknown format" if head else "empty")
     expected = " or ".join(f"a file of the importer '{name}'" for name in named)
     raise Problem("", f"is {found}; expected {expected}", str(path)).error()
 
@@ -98,15 +145,12 @@ def read_imported(
     packages: Mapping[str, Path | str] | None = None,
     arguments: Mapping[str, Any] | None = None,
 ) -> ImportedTables | None:
-    """Reads a file by its importer; None where its ending is no one's.
-
-    Raises DeclarationError if the file cannot be read.
-    """
+    """Reads a file by its importer; returns None if no importer has its extension."""
     importer = find_importer(path)
     if importer is None:
         return None
     if arguments and not importer.takes_arguments:
-        message = "is for xacro; this file takes none"
+        message = "only xacro files have arguments"
         raise DeclarationError(
             [Problem(f"arguments.{name}", message, str(path)) for name in arguments]
         )
@@ -118,3 +162,29 @@ def read_imported(
         kind = type(importer)
         reason = f"cannot be read by {kind.__name__}: {about_fault(error, kind)}"
         raise Problem("", reason, str(path)).error() from error
+
+
+def is_robot_file(path: Path) -> bool:
+    """Whether a file describes a robot, by its name, its extension, or keys of robot files."""
+    if path.name == ROBOT_FILE or path.suffix in robot_endings():
+        return True
+    if path.suffix != ".toml":
+        return False
+    try:
+        keys = read_toml(path).keys()
+    except DeclarationError:
+        return False  # reading it as a scene reports the error
+    return not keys.isdisjoint(_ROBOT_KEYS) and "robots" not in keys
+
+
+def read_robot_file(
+    path: Path,
+    packages: Mapping[str, Path | str] | None = None,
+    arguments: Mapping[str, Any] | None = None,
+) -> ImportedTables:
+    """Returns the tables of a robot file in TOML or in any format with an importer.
+
+    File names in the tables are relative to the file's folder.
+    """
+    imported = read_imported(path, packages, arguments)
+    return ImportedTables(read_toml(path), None) if imported is None else imported

@@ -1,18 +1,16 @@
-"""Converts mesh files to what MuJoCo reads: pieces of one colour each.
+"""Reads mesh files as pieces of one color each, in formats that MuJoCo reads.
 
-STL and OBJ are passed on unchanged wherever MuJoCo accepts them. COLLADA is read by pycollada, with
-its unit, the transforms of its nodes, and the colours of its materials; VRML97 by `wrl.py`;
-everything else by trimesh. An OBJ file is checked here and not by trimesh, which takes 0.3 s to
-import, four times as long to read it, and gives no material to faces before the first `usemtl`.
+STL and OBJ files are passed on unchanged if MuJoCo accepts them. COLLADA is read by pycollada,
+formats of extensions by their readers, and everything else by trimesh. OBJ files are checked here,
+because trimesh takes 0.3 s to import and four times as long to read them, and gives no material to
+faces before the first `usemtl`.
 
-A file's up axis is not applied: robot descriptions are written for viewers that show the file's
-coordinates unchanged (RViz and Gazebo), and most exporters do not state the true axis. Textures are
-not shown; a textured material gets the mean colour of its picture.
+The up axis of a file is ignored, because RViz and Gazebo ignore it and most exporters do not write
+the true axis. A textured material gets the mean color of its image.
 
-Transparency is that of the format: `d` and `Tr` of OBJ materials (`Tr` = 1 - `d`), the alpha of
-PLY, OFF, 3MF and VRML, and of glTF materials with alphaMode BLEND; with MASK a material is visible
-or not. COLLADA's is taken as its specification says, with a warning: some exporters write the
-opposite. Materials of OBJ and COLLADA that would be invisible are opaque.
+Transparency follows each format: `d` and `Tr` of OBJ materials (`Tr` = 1 - `d`), alpha in PLY, OFF,
+3MF and VRML, and alphaMode of glTF materials. Some exporters write the opposite of what COLLADA
+specifies, so its transparency is logged. Invisible materials of OBJ and COLLADA become opaque.
 """
 
 from __future__ import annotations
@@ -39,17 +37,17 @@ from ...base.frames import Array, Ints
 from ...base.paths import read_file
 from ...base.plugins import MESHES, load_plugin, plugins
 
-_BY_MUJOCO = (".stl", ".obj", ".msh")  # it reads these itself
+_BY_MUJOCO = (".stl", ".obj", ".msh")  # formats that MuJoCo reads
 _CONVERTED = (".dae", ".ply", ".off", ".glb", ".gltf", ".3mf")
-MOST_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triangles)
-MOST_CONVERTED_BYTES = 100_000_000  # of any other; converting takes up to 30 times as much memory
+MAX_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triangles)
+MAX_CONVERTED_BYTES = 100_000_000  # of other files; conversion takes up to 30 times the memory
 _MAX_STL_FACES = 200_000  # MuJoCo's limit for STL files
-_MAX_PICTURE_BYTES = 50_000_000  # of a texture
-_MAX_KEPT_BYTES = 150_000_000  # of meshes, with their vertices
+_MAX_IMAGE_BYTES = 50_000_000  # of a texture
+_MAX_CACHE_BYTES = 150_000_000  # of meshes with their vertices
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
 _FLATNESS = 1e-5  # thickness over length
 _INVISIBLE = 0.01  # opacity
-_CUTOFF = 0.5  # glTF's default of alphaCutoff
+_CUTOFF = 0.5  # default of alphaCutoff in glTF
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 log = logging.getLogger(__name__)
@@ -58,23 +56,18 @@ Rgba = tuple[float, float, float, float]
 
 
 def mesh_endings() -> tuple[str, ...]:
-    """Endings of the formats that `read_mesh` reads, with their dots.
+    """Returns the extensions of mesh files, with their dots.
 
-    A package adds a format by an entry point in the group `sero_mj.meshes`, called like the ending
-    without its dot: a function of a path, which returns for every colour vertices (v, 3), triangles
-    (f, 3), and red, green, blue, alpha (4,) or None.
+    A package adds a format by an entry point in the group `sero_mj.meshes` with the name of the
+    extension without its dot. This is a function of a path that returns, for every color, vertices
+    (v, 3), triangles (f, 3), and RGBA (4,) or None.
     """
     return (*_BY_MUJOCO, *_CONVERTED, *(f".{name}" for name in plugins(MESHES)))
 
 
 @dataclass(frozen=True, eq=False)
 class MeshPiece:
-    """Triangles of one colour.
-
-    Attributes:
-        contents: of a file that MuJoCo reads.
-        rgba: the file's own colour, 0 to 1; None where it has none.
-    """
+    """Triangles of one color, as the contents of a file that MuJoCo reads."""
 
     contents: bytes
     ending: str
@@ -82,7 +75,7 @@ class MeshPiece:
 
     @cached_property
     def points(self) -> Array:
-        """Its vertices (k, 3), in the unit of the file; vertices may be repeated."""
+        """Vertices in the unit of the file, shape (k, 3); they may be repeated."""
         if self.ending == ".stl":
             corners = np.frombuffer(self.contents, _FACET, offset=84)["corners"]
             return np.asarray(corners.reshape(-1, 3), np.float64)
@@ -93,43 +86,43 @@ class MeshPiece:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of its contents, in hexadecimal digits."""
+        """SHA-256 of the contents as hexadecimal digits."""
         return sha256(self.contents).hexdigest()
 
     @cached_property
     def is_flat(self) -> bool:
-        """Whether it is planar, so that it has no volume and no convex hull."""
+        """Whether the vertices are coplanar, so that they have no convex hull."""
         away = self.points - self.points.mean(axis=0)
         moments = np.linalg.eigvalsh(away.T @ away)
         return bool(moments[0] < _FLATNESS**2 * moments[2])
 
 
 def _points_of_obj(contents: bytes) -> Array:
-    lines, text = _lines_of_obj(contents, b"v")
-    # Fast if all have the same count of numbers: 3, or 6 with a colour; other text ends parsing.
+    lines = re.findall(rb"\nv[ \t]([^\n]*)", contents)
+    # Fast if all vertices have 3 numbers, or 6 with a color. Other text ends parsing.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        values = np.fromstring(text, sep=" ")
+        values = np.fromstring(b" ".join(lines), sep=" ")
     for count in (3, 6):
-        if len(values) == count * lines > 0:
+        if len(values) == count * len(lines) > 0:
             return values.reshape(-1, count)[:, :3]
     found = np.array(_VERTEX.findall(contents), np.bytes_)
     return found.reshape(-1, 3).astype(np.float64)
 
 
-_Key = tuple[str, int, int, int]  # path, inode, time of the last change in ns, size
-_kept: OrderedDict[_Key, tuple[MeshPiece, ...]] = OrderedDict()
+_Key = tuple[str, int, int, int]  # path, inode, modification time in ns, size
+_cache: OrderedDict[_Key, tuple[MeshPiece, ...]] = OrderedDict()
 _lock = threading.Lock()
 
 
 def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
-    """Reads a mesh file; lengths are in the unit that the file states, else unconverted.
+    """Reads a mesh file, and caches the result until the file changes.
 
-    The result is cached until the file changes.
+    Lengths are in m if the file declares its unit, and unconverted otherwise.
 
     Raises:
-        DeclarationError: the file is missing, too large (`MOST_MESH_BYTES`,
-            `MOST_CONVERTED_BYTES`), of an unknown format, or has no drawable triangles.
+        DeclarationError: the file is missing or too large, has an unknown format, or has no
+            drawable triangles.
     """
     ending = path.suffix.lower()
     if ending not in (known := mesh_endings()):
@@ -139,30 +132,30 @@ def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
         status = path.stat()
         key = (str(path.absolute()), status.st_ino, status.st_mtime_ns, status.st_size)
         with _lock:
-            if key in _kept:
-                _kept.move_to_end(key)
-                return _kept[key]
-        contents = read_file(path, MOST_MESH_BYTES if passed else MOST_CONVERTED_BYTES)
+            if key in _cache:
+                _cache.move_to_end(key)
+                return _cache[key]
+        contents = read_file(path, MAX_MESH_BYTES if passed else MAX_CONVERTED_BYTES)
     except (OSError, ValueError) as error:
         raise _wrong(path, reason_of(error)) from error
     if passed and (pieces := _as_it_is(path, ending, contents)) is not None:
-        _keep(key, pieces)
+        _store(key, pieces)
         return pieces
-    if len(contents) > MOST_CONVERTED_BYTES:
-        most = f"{MOST_CONVERTED_BYTES / 1e6:g} MB"
+    if len(contents) > MAX_CONVERTED_BYTES:
+        limit = f"{MAX_CONVERTED_BYTES / 1e6:g} MB"
         found = f"{len(contents) / 1e6:.1f} MB of {ending[1:].upper()} that MuJoCo cannot read"
-        raise _wrong(path, f"found {found} without conversion; expected at most {most}")
+        raise _wrong(path, f"found {found} without conversion; expected at most {limit}")
     pieces = _converted(path, ending, contents)
-    _keep(key, pieces)
+    _store(key, pieces)
     return pieces
 
 
-def _keep(key: _Key, pieces: tuple[MeshPiece, ...]) -> None:
+def _store(key: _Key, pieces: tuple[MeshPiece, ...]) -> None:
     with _lock:
-        _kept[key] = pieces
-        sizes = [sum(len(p.contents) + p.points.nbytes for p in each) for each in _kept.values()]
-        while sum(sizes) > _MAX_KEPT_BYTES:
-            _kept.popitem(last=False)
+        _cache[key] = pieces
+        sizes = [sum(len(p.contents) + p.points.nbytes for p in each) for each in _cache.values()]
+        while sum(sizes) > _MAX_CACHE_BYTES:
+            _cache.popitem(last=False)
             sizes.pop(0)
 
 
@@ -178,27 +171,27 @@ def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]
         vertices, normals, texture, faces = struct.unpack("<4i", contents[:16].ljust(16, b"\0"))
         size = 16 + 12 * vertices + 12 * normals + 8 * texture + 12 * faces
         if len(contents) != size or min(vertices, normals, texture, faces) < 0:
-            raise _wrong(path, "is not as long as its counts of vertices and faces say")
+            raise _wrong(path, "does not have the size that its header requires")
         corners = np.frombuffer(contents, "<i4", 3 * faces, size - 12 * faces)
         _check_faces(path, corners, vertices)
     else:
         count = int.from_bytes(contents[80:84], "little")
         if _is_binary(contents) and len(contents) < 84 + 50 * count:
             found = max(len(contents) - 84, 0) // 50
-            raise _wrong(path, f"is cut off: it announces {count} triangles, found {found}")
+            raise _wrong(path, f"is truncated: found {found} of {count} triangles")
         if len(contents) != 84 + 50 * count or not 1 <= count <= _MAX_STL_FACES:
-            return None  # in ASCII, or too many faces
+            return None  # ASCII, or too many faces
     _check(path, piece.points)
     return (piece,)
 
 
 def _is_binary(contents: bytes) -> bool:
-    """Whether an STL file is binary; its first word may be `solid` nevertheless."""
+    """Whether an STL file is binary. Binary files may begin with `solid`, too."""
     return len(contents) >= 84 and b"\0" in contents[:1000]
 
 
 def _obj_as_it_is(path: Path, contents: bytes) -> tuple[MeshPiece, ...] | None:
-    contents = b"\n" + without_bom(contents)  # so that each line is preceded by a line break
+    contents = b"\n" + without_bom(contents)  # so that each line follows a line break
     colors = _material_colors(path, contents)
     used = list(dict.fromkeys(map(_plain_name, _statements(contents, b"usemtl"))))
     if len({colors.get(name) for name in used}) > 1:
@@ -217,11 +210,8 @@ def _obj_as_it_is(path: Path, contents: bytes) -> tuple[MeshPiece, ...] | None:
 
 
 def _statements(contents: bytes, keyword: bytes) -> list[bytes]:
-    # In a tenth of the time of a regular expression.
-    lower, upper = (contents.split(b"\n" + key)[1:] for key in (keyword, keyword.upper()))
-    parts = lower + upper
-    lines = (part.partition(b"\n")[0] for part in parts)
-    return [line.strip() for line in lines if line[:1] in (b" ", b"\t") and line.strip()]
+    lines = re.findall(rb"\n(?i:%b)[ \t]+([^\n]+)" % keyword, contents)
+    return [line.strip() for line in lines if line.strip()]
 
 
 def _plain_name(name: bytes) -> bytes:
@@ -229,32 +219,20 @@ def _plain_name(name: bytes) -> bytes:
 
 
 def without_bom(text: bytes) -> bytes:
-    """A text in UTF-8 without a byte order mark; one in UTF-16 is converted."""
+    """Returns text as UTF-8 without a byte order mark, converted from UTF-16 if necessary."""
     if text.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return text.decode("utf-16", "replace").encode()
     return text.removeprefix(codecs.BOM_UTF8)
 
 
-def _lines_of_obj(contents: bytes, kind: bytes) -> tuple[int, bytes]:
-    """Returns the number of lines of a kind in an OBJ file, and their text."""
-    begin = contents.find(b"\n%b " % kind)
-    end = contents.find(b"\n", contents.rfind(b"\n%b " % kind) + 1)
-    text = contents[begin : end if end >= 0 else None]
-    count = text.count(b"\n%b " % kind)
-    if begin >= 0 and text.count(b"\n") == count:  # one block: takes a third of the time
-        return count, text.translate(bytes.maketrans(kind, b" "))
-    lines = re.findall(rb"\n%b[ \t]([^\n]*)" % kind, contents)
-    return len(lines), b" ".join(lines)
-
-
 def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
-    """Vertex indices of all triangles of an OBJ file, from 0; None if it has other faces.
+    """Returns vertex indices of all triangles of an OBJ file; None if there are other faces.
 
     Negative indices count from the last of `count` vertices.
     """
-    _, text = _lines_of_obj(contents, b"f")
-    # A corner is `vertex/texture/normal`, of which the latter two may be missing; in most files all
-    # have the same form. Otherwise every corner is parsed separately.
+    text = b" ".join(re.findall(rb"\nf[ \t]([^\n]*)", contents))
+    # A corner is `vertex/texture/normal`, and the latter two may be missing. In most files all
+    # corners have the same form. Otherwise every corner is parsed separately.
     numbers = _integers(text.replace(b"/", b" "))
     if numbers is None:
         return None
@@ -273,7 +251,7 @@ def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
 def _integers(text: bytes) -> Ints | None:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", DeprecationWarning)  # for text that is not a number
+            warnings.simplefilter("error", DeprecationWarning)  # from text that is not a number
             numbers = np.fromstring(text, np.int64, sep=" ")
     except (DeprecationWarning, ValueError):
         return None
@@ -282,26 +260,26 @@ def _integers(text: bytes) -> Ints | None:
 
 def _check_faces(path: Path, corners: Any, count: int) -> None:
     if len(corners) and not 0 <= corners.min() <= corners.max() < count:
-        raise _wrong(path, "has faces of vertices that it does not have")
+        raise _wrong(path, "has faces with nonexistent vertices")
 
 
 def _check(path: Path, points: Any) -> None:
     if not np.isfinite(points).all():
         raise _wrong(path, "has vertices that are not finite numbers")
     if len(points) and np.abs(points).max() > LARGEST:
-        raise _wrong(path, f"has vertices farther away than {LARGEST:g}")
+        raise _wrong(path, f"has coordinates beyond {LARGEST:g}")
     if len(points) < 3:
         raise _wrong(path, "has no triangles")
     # MuJoCo requires four distinct vertices; only small meshes can have fewer.
     if len(points) < 100 and len(np.unique(points, axis=0)) < 4:
-        raise _wrong(path, "has fewer than 4 different vertices")
+        raise _wrong(path, "has fewer than 4 distinct vertices")
 
 
 def _material_colors(path: Path, contents: bytes) -> dict[bytes, Rgba]:
     colors: dict[bytes, Rgba] = {}
     for file in _material_files(path, contents):
         try:
-            text = b"\n" + without_bom(read_file(file, _MAX_PICTURE_BYTES))
+            text = b"\n" + without_bom(read_file(file, _MAX_IMAGE_BYTES))
         except (OSError, ValueError):
             continue
         for block in re.split(rb"\n[ \t]*newmtl[ \t]+", text, flags=re.IGNORECASE)[1:]:
@@ -325,7 +303,7 @@ def _material_files(path: Path, contents: bytes) -> list[Path]:
     folder, files = path.parent, list[Path]()
     for line in _statements(contents, b"mtllib"):
         whole = line.decode("utf-8", "replace").replace("\\", "/")
-        for names in ([whole], whole.split()):  # blanks separate names, or are part of one
+        for names in ([whole], whole.split()):  # spaces separate names, or belong to one
             found = [each for name in names if (each := _existing(folder / name)) is not None]
             if found:
                 files += found
@@ -354,7 +332,7 @@ def _opacity_of_obj(material: dict[bytes, bytes]) -> float:
 def _visible(path: Path, name: bytes | str, color: Rgba, alpha: float) -> Rgba:
     if not alpha > _INVISIBLE:  # NaN as well
         name = name if isinstance(name, str) else name.decode("utf-8", "replace")
-        log.warning("mesh %s: material '%s' would be invisible; it is shown opaque", path, name)
+        log.warning("mesh %s: material '%s' would be invisible and is drawn opaque", path, name)
         return color
     return (*color[:3], round(min(alpha, 1.0), 4))
 
@@ -372,17 +350,14 @@ def _rgba(values: Any, alpha: float = 1.0) -> Rgba | None:
     return (red, green, blue, opacity)
 
 
-def _mean_color(picture: Any) -> Rgba | None:
-    """Mean colour of a picture, a file or a Pillow image; None where it cannot be read.
-
-    It is that of pixels that are not transparent, with the mean opacity of all.
-    """
+def _mean_color(image: Any) -> Rgba | None:
+    """Returns the mean color of the opaque pixels of a file or Pillow image, and mean opacity."""
     from PIL import Image
 
     try:
-        if isinstance(picture, Path):
-            picture = Image.open(io.BytesIO(read_file(picture, _MAX_PICTURE_BYTES)))
-        pixels = np.asarray(picture.convert("RGBA").resize((16, 16)), np.float64) / 255.0
+        if isinstance(image, Path):
+            image = Image.open(io.BytesIO(read_file(image, _MAX_IMAGE_BYTES)))
+        pixels = np.asarray(image.convert("RGBA").resize((16, 16)), np.float64) / 255.0
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         return None
     shown = pixels[pixels[..., 3] > 0.5]
@@ -394,15 +369,15 @@ def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...
     read = _extension_parts if of_extension else _READERS.get(ending, _trimesh_parts)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of libraries about their own dependencies
+            warnings.simplefilter("ignore")  # from libraries about their dependencies
             parts = read(path, ending, contents)
     except DeclarationError:
         raise
     except ImportError as error:
-        raise _wrong(path, f"reading {ending} takes the package '{error.name}'") from error
+        raise _wrong(path, f"reading {ending} requires the package '{error.name}'") from error
     except RecursionError:
         raise _wrong(path, "is nested too deeply") from None
-    except Exception as error:  # libraries raise anything for a broken file
+    except Exception as error:  # libraries raise anything for an invalid file
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise _wrong(path, f"cannot be read: {reason}") from error
     by_color: dict[Rgba | None, list[_Part]] = {}
@@ -423,8 +398,6 @@ def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """Triangles: vertices (v, 3) in m, normals (v, 3) or None, faces (f, 3), a colour."""
-
     vertices: Array
     normals: Array | None
     faces: Ints
@@ -485,7 +458,7 @@ def _collada_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
     parts = []
     for bound in document.scene.objects("geometry"):
         for primitive in bound.original.primitives:
-            # A polygon list triangulates itself; lines cannot.
+            # Lists of polygons have `triangleset`; lines do not.
             has_polygons = hasattr(primitive, "triangleset")
             triangles = primitive.triangleset() if has_polygons else primitive
             corners = np.asarray(getattr(triangles, "vertex_index", None))
@@ -498,10 +471,7 @@ def _collada_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
 
 
 def _without_broken_materials(contents: bytes, known: set[str]) -> bytes:
-    """Removes unreadable materials from geometry, which pycollada would leave out with them.
-
-    Often the picture of a material is missing.
-    """
+    """Removes unreadable materials, with which pycollada would also leave out the geometry."""
     from lxml import etree
 
     from .xml_file import parse_xml
@@ -528,7 +498,7 @@ def _collada_color(path: Path, material: Any) -> Rgba | None:
     diffuse = getattr(getattr(material, "effect", None), "diffuse", None)
     if diffuse is None:
         return None
-    if hasattr(diffuse, "sampler"):  # a picture
+    if hasattr(diffuse, "sampler"):  # an image
         file = getattr(diffuse.sampler.surface.image, "path", "") or ""
         color = _mean_color(path.parent / file.removeprefix("file://"))
         return None if color is None else (*color[:3], 1.0)
@@ -537,13 +507,13 @@ def _collada_color(path: Path, material: Any) -> Rgba | None:
         return color
     name = material.name or material.id
     if alpha > _INVISIBLE:
-        text = "mesh %s: material '%s' has opacity %.3g as COLLADA defines transparency; "
+        text = "mesh %s: material '%s' has opacity %.3g by COLLADA's definition of transparency; "
         log.warning(text + "some exporters write the opposite", path, name, alpha)
     return _visible(path, name, color, alpha)
 
 
 def _collada_opacity(effect: Any) -> float:
-    """The opacity of an effect, as COLLADA 1.5 (Determining Transparency) defines it."""
+    """Returns the opacity of an effect by COLLADA 1.5, section Determining Transparency."""
     nodes = {key: effect.xmlnode.find(f".//{{*}}{key}") for key in ("transparent", "transparency")}
     if all(node is None for node in nodes.values()) or hasattr(effect.transparent, "sampler"):
         return 1.0
@@ -553,7 +523,7 @@ def _collada_opacity(effect: Any) -> float:
     factor = 1.0 if nodes["transparency"] is None else float(effect.transparency)
     node = nodes["transparent"]
     mode = "A_ONE" if node is None else node.get("opaque", "A_ONE")
-    # Weights of CIE 1931's luminance, as in the specification.
+    # Weights of CIE 1931 luminance, as in the specification.
     value = color[3] if mode.startswith("A") else color[:3] @ [0.212671, 0.715160, 0.072169]
     opacity = factor * value
     return float(1.0 - opacity if mode.endswith("ZERO") else opacity)
@@ -598,13 +568,13 @@ def _trimesh_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
     return parts
 
 
-_MATERIALS = "materials"  # in place of a file's name
+_MATERIALS = "materials"  # replaces the name of a material file
 
 
 def _numbered_materials(path: Path, contents: bytes) -> tuple[bytes, dict[str, Rgba]]:
-    """An OBJ file with numbered materials, and their colours by number, as far as known.
+    """Returns an OBJ file with numbered materials, and the known colors by number.
 
-    So trimesh, which does not find all files and names, only keeps them apart.
+    trimesh does not find all material files and names; so it only distinguishes the numbers.
     """
     contents = b"\n" + without_bom(contents)
     known = _material_colors(path, contents)
@@ -628,12 +598,12 @@ def _trimesh_color(mesh: Any) -> Rgba | None:
         main = np.asarray(visual.main_color) / 255.0
         return _rgba(main, main[3])
     material = visual.material
-    picture = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+    image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
     color, main = None, np.asarray(material.main_color) / 255.0
-    if picture is not None and (color := _mean_color(picture)) is not None:
+    if image is not None and (color := _mean_color(image)) is not None:
         main[3] *= color[3]
     color = color or _rgba(main)
-    # glTF ignores alpha unless its material says how to use it.
+    # glTF ignores alpha unless the material has an alphaMode.
     mode = getattr(material, "alphaMode", None) or "OPAQUE"
     if mode == "MASK":
         cutoff = getattr(material, "alphaCutoff", None)

@@ -1,10 +1,10 @@
-"""Reads MJCF and the files it refers to as a `mujoco.MjSpec`."""
+"""Reads MJCF as a `mujoco.MjSpec`, together with the files it refers to, and writes it."""
 
 from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -16,23 +16,23 @@ from ...base.errors import Problem
 from ...base.paths import format_of_file, read_file
 
 _LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
-_MAX_BYTES = 100_000_000  # of a file of MJCF
-_MAX_ELEMENTS = 20_000  # MuJoCo takes as long as the square of them: for 40,000 geoms 8 s
+_MAX_BYTES = 100_000_000  # of an MJCF file
+_MAX_ELEMENTS = 20_000  # MuJoCo takes quadratic time: 8 s for 40,000 geoms
 _ELEMENT = re.compile(rb"<(?:geom|body|site)\b")
 _REPEATED = re.compile(rb"""<replicate\b[^>]*?\bcount\s*=\s*["']\s*(\d+)""")
 _INCLUDED = re.compile(rb"""<include\b[^>]*?\bfile\s*=\s*["']([^"']+)""")
-MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
+MAX_ASSET_BYTES = 500_000_000  # of a texture or a mesh (ten million triangles)
 
 
 def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
-    """Reads a piece of MJCF and the files it refers to, which are stored in the spec.
+    """Reads a piece of MJCF, and stores the files it refers to in the spec.
 
-    The source is a file name; text that starts with `<`; or an object that `is_mjcf_object`
-    accepts, which is not changed. Raises DeclarationError if it cannot be read.
+    The source is a file name, text that starts with `<`, or an object that `is_mjcf_object`
+    accepts. The object is not changed.
     """
     try:
         spec = _read(source, folder)
-        _keep_files(spec)
+        _store_files(spec)
     except OSError as error:
         reason = f"{error.filename or source}: {error.strerror or error}"
         raise Problem("mjcf", f"cannot be read: {reason}").error() from error
@@ -41,12 +41,12 @@ def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
         raise Problem("mjcf", f"cannot be read: {reason}").error() from error
     for k, body in enumerate(spec.bodies[1:]):
         if not body.name:
-            body.name = f"body{k + 1}"  # contacts are excluded by name
+            body.name = f"body{k + 1}"  # contact exclusion needs names
     return spec
 
 
 def is_mjcf_object(source: Any) -> bool:
-    """Whether an object contains MJCF: an `MjSpec`, PyMJCF's `RootElement`, a composer entity."""
+    """Whether an object is an `MjSpec`, a `RootElement` of PyMJCF, or a composer entity."""
     root = _root_element(source)
     return isinstance(source, mujoco.MjSpec) or (
         hasattr(root, "to_xml_string") and hasattr(root, "get_assets")
@@ -54,7 +54,7 @@ def is_mjcf_object(source: Any) -> bool:
 
 
 def is_file_name(source: Any) -> bool:
-    """Whether a piece of MJCF is the name of its file, and not its text or an object."""
+    """Whether a piece of MJCF is a file name, and not text or an object."""
     return isinstance(source, str) and not source.lstrip().startswith("<")
 
 
@@ -69,19 +69,20 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
         root = _root_element(source)
         return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
     if is_file_name(source):
-        _check_elements(read_file(folder / source, _MAX_BYTES), (folder / source).parent)
+        _read_included(read_file(folder / source, _MAX_BYTES), (folder / source).parent)
         found = format_of_file(folder / source)
         if found not in (None, "an MJCF file", "a URDF file"):  # MuJoCo reports invalid XML
             raise ValueError(f"is {found}; expected MJCF, which begins with <mujoco>")
         return mujoco.MjSpec.from_file(str(folder / source))
-    _check_elements(source.encode(), folder)
-    spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))
+    spec = mujoco.MjSpec.from_string(source, include=_read_included(source.encode(), folder))
     spec.modelfiledir = str(folder)
     return spec
 
 
-def _check_elements(text: bytes, folder: Path) -> None:
-    waiting, known, count = [text], set[str](), 0
+def _read_included(text: bytes, folder: Path) -> dict[str, bytes]:
+    """Returns the included files by name. Raises ValueError for too many elements."""
+    found: dict[str, bytes] = {}
+    waiting, count = [text], 0
     while waiting:
         part = waiting.pop()
         count += len(_ELEMENT.findall(part)) + sum(map(int, _REPEATED.findall(part)))
@@ -90,53 +91,36 @@ def _check_elements(text: bytes, folder: Path) -> None:
                 f"has too many bodies, geoms and sites; expected at most {_MAX_ELEMENTS:,}"
             )
         names = {name.decode("utf-8", "replace") for name in _INCLUDED.findall(part)}
-        for name in names - known:
-            if (folder / name).is_file():  # else MuJoCo says that it is not
-                waiting.append(read_file(folder / name, _MAX_BYTES))
-        known |= names
-
-
-def _included(text: str, folder: Path) -> Mapping[str, bytes]:
-    from xml.etree import ElementTree
-
-    found: dict[str, bytes] = {}
-    waiting = [text.encode()]
-    while waiting:
-        try:
-            names = {
-                tag.get("file", "") for tag in ElementTree.fromstring(waiting.pop()).iter("include")
-            }
-        except ElementTree.ParseError:
-            continue  # MuJoCo reports the position
-        for name in names - set(found):
-            found[name] = read_file(folder / name, _MAX_BYTES)
-            waiting.append(found[name])
+        for name in names - found.keys():
+            if (folder / name).is_file():  # else MuJoCo reports it
+                found[name] = read_file(folder / name, _MAX_BYTES)
+                waiting.append(found[name])
     return found
 
 
-def _keep_files(spec: mujoco.MjSpec) -> None:
+def _store_files(spec: mujoco.MjSpec) -> None:
     for folder, elements in (
         (spec.meshdir, [*spec.meshes, *spec.skins]),
         (spec.texturedir, [*spec.textures]),
         (spec.meshdir, [*spec.hfields]),
     ):
         for element in elements:
-            element.file = _kept(spec, folder, element.file)
+            element.file = _stored(spec, folder, element.file)
     for texture in spec.textures:
-        texture.cubefiles = [_kept(spec, spec.texturedir, file) for file in texture.cubefiles]
+        texture.cubefiles = [_stored(spec, spec.texturedir, file) for file in texture.cubefiles]
     spec.meshdir = spec.texturedir = ""
 
 
-def _kept(spec: mujoco.MjSpec, folder: str, file: str) -> str:
+def _stored(spec: mujoco.MjSpec, folder: str, file: str) -> str:
     if not file or file in spec.assets:
         return file
     name = Path(file).name if spec.strippath else file
     path = Path(spec.modelfiledir) / folder / name
-    return add_file(spec, path, read_file(path, MOST_ASSET_BYTES))
+    return add_file(spec, path, read_file(path, MAX_ASSET_BYTES))
 
 
 def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | None = None) -> str:
-    """Stores a file's contents in the assets of a spec and returns its name there.
+    """Stores a file in the assets of a spec, and returns its name there.
 
     The name is unique across folders, so that specs can be attached to each other.
     """
@@ -147,10 +131,9 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | Non
 
 
 def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]:
-    """Writes a compiled spec of `as_spec` as MJCF; returns the files written, the XML first.
+    """Writes a compiled spec as MJCF, and returns the written files, the XML file first.
 
-    Its files go into a folder beside it, `NAME_assets`. A comment of one or several lines is put at
-    the beginning.
+    Assets are written to the folder `NAME_assets` next to the XML file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     written, folder = [path], path.parent / f"{path.stem}_assets"
@@ -170,9 +153,9 @@ def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]
 
 @contextmanager
 def _full_precision() -> Iterator[None]:
-    """Makes MuJoCo write numbers with 17 digits instead of six.
+    """Makes MuJoCo write numbers with 17 digits instead of six within the context.
 
-    MuJoCo 4.0.0 has no public function for it. If a later version lacks this one, six are written.
+    MuJoCo 4.0.0 has no public function for this. If the private one is missing, six are written.
     """
     folder = Path(mujoco.__file__).parent
     files = (file for name in _LIBRARY_NAMES for file in folder.glob(name))

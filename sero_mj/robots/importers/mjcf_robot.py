@@ -1,7 +1,7 @@
-"""Reads a robot from MJCF: its joints, limits, inertias, friction and couplings, as our tables.
+"""Reads the robot of an MJCF file as the tables of a robot file.
 
-Its geoms remain in the file, which the robot's `mjcf` names: `robots.assemble.mjcf_links` reads
-them from there with their meshes, materials and collision parameters.
+The geoms remain in the MJCF file, which the robot's `mjcf` names. `robots.assemble.mjcf_links`
+reads them with their meshes, materials and collision parameters.
 """
 
 from __future__ import annotations
@@ -16,19 +16,25 @@ import mujoco
 import numpy as np
 
 from ...base.declaration import LARGEST
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import DeclarationError, Problem, first_of
 from ...base.frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
-from .imported_tables import ImportedTables, first_of
+from .imported_tables import ImportedTables
 from .joint_names import joint_names_of, parents_of
-from .mjcf_couplings import couplings_of
 from .mjcf_file import as_spec, is_file_name
-from .mjcf_torque_limits import torque_limits
-from .mjcf_tree import MjcfTree, find_tree
-from .robot_tree import TOO_FAR, flange_body, meant_limits, plain_name, six_of
+from .mjcf_model import ON_JOINT, MjcfTree, find_tree, torque_limits
+from .robot_tree import (
+    TOO_FAR,
+    UrdfLink,
+    flange_body,
+    joint_inertia,
+    plain_name,
+    plausible_limits,
+    six_of,
+)
 
-_INITIAL_KEYS = ("home", "stand", "init", "default")  # key frames used as the initial pose
+_INITIAL_KEYS = ("home", "stand", "init", "default")  # keyframes for the initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
-_MAX_FACTOR = 10  # times the torque that holds the whole robot, stretched
+_MAX_FACTOR = 10  # largest plausible torque limit over the torque that holds the whole weight
 _TOLERANCE = 1e-4  # rad or m
 # Keys of `[dynamics]` by MuJoCo's fields of degrees of freedom.
 _DOF_FIELDS = {
@@ -38,10 +44,12 @@ _DOF_FIELDS = {
 }
 
 _RESISTING = ("damping", "frictionloss")
+_OF_JOINTS, _OF_TENDONS = int(mujoco.mjtEq.mjEQ_JOINT), int(mujoco.mjtEq.mjEQ_TENDON)
+_WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 
 def read_mjcf(path: Path) -> ImportedTables:
-    """Reads the robot of an MJCF file; raises DeclarationError, and NoJoints without joints."""
+    """Reads the robot of an MJCF file. Raises NoJoints if no joint is movable."""
     try:
         tables, lost = mjcf_tables(path.name, path.parent)
     except DeclarationError as error:
@@ -51,26 +59,23 @@ def read_mjcf(path: Path) -> ImportedTables:
 
 
 def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """Returns the tables of a robot, and what was lost.
-
-    Raises DeclarationError if it cannot be read or compiled, or has no joints.
-    """
+    """Returns the tables of the robot in a piece of MJCF, and a warning for each lost element."""
     tree = tree_of(source, folder)
     model, joints = tree.model, tree.joints
     revolute = _turns(tree)
-    names = _names(model, joints)
+    names = _joint_names(model, joints)
     limited = model.jnt_limited[joints].astype(bool)
-    stated = np.where(limited[:, None], model.jnt_range[joints], [-np.inf, np.inf])
-    limits = meant_limits(stated)
+    declared = np.where(limited[:, None], model.jnt_range[joints], [-np.inf, np.inf])
+    limits = plausible_limits(declared)
     lost = list(tree.left_out)
-    if (far := (limits != stated).any(axis=1)).any():
+    if (far := (limits != declared).any(axis=1)).any():
         lost.append(f"{TOO_FAR}: {_some(names, far)}")
     if any(getattr(model, f"dof_{what}")[model.jnt_dofadr[tree.free]].any() for what in _RESISTING):
         lost.append("damping and friction of the joints of the base are left out")
     torques = _plausible(tree, torque_limits(model, joints), lost)
     dofs = model.jnt_dofadr[joints]
     link, T_link_flange = _flange(tree)
-    couplings = couplings_of(tree, names, lost)
+    couplings = _couplings(tree, names, lost)
     tables: dict[str, Any] = {
         "mjcf": source,
         "joint_frames": tree.joint_frames,
@@ -104,7 +109,7 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
 
 
 def plain_tables(tables: dict[str, Any]) -> dict[str, Any]:
-    """Returns a robot's tables as written by hand: without entries that equal the defaults."""
+    """Returns a robot's tables without entries that equal the defaults."""
     plain = {key: value for key, value in tables.items() if key != "directory"}
     for key in ("couplings", "free_base"):
         if not plain[key]:
@@ -138,7 +143,7 @@ def _link_frames(tree: MjcfTree) -> dict[str, Any]:
 
 
 def tree_of(source: Any, folder: Path) -> MjcfTree:
-    """Returns the robot in a piece of MJCF; raises DeclarationError."""
+    """Compiles a piece of MJCF, see `as_spec`, and returns the robot in it."""
     spec = as_spec(source, folder)
     try:
         with warnings.catch_warnings():
@@ -150,67 +155,61 @@ def tree_of(source: Any, folder: Path) -> MjcfTree:
         reason = " ".join(str(error).split())
         raise Problem("mjcf", reason).error() from None
     if is_file_name(source):
-        _kept[folder / source] = _changed(folder / source), tree
-        while len(_kept) > _MAX_KEPT:
-            del _kept[next(iter(_kept))]
+        _cached[folder / source] = _modified(folder / source), tree
+        while len(_cached) > _MAX_CACHED:
+            del _cached[next(iter(_cached))]
     return tree
 
 
-def kept_tree(source: Any, folder: Path) -> MjcfTree:
-    """As `tree_of`, but cached until the file changes."""
+def cached_tree(source: Any, folder: Path) -> MjcfTree:
+    """Like `tree_of`, but cached until the file changes."""
     if is_file_name(source):
-        changed, tree = _kept.get(folder / source, (0, None))
-        if tree is not None and changed == _changed(folder / source):
+        modified, tree = _cached.get(folder / source, (0, None))
+        if tree is not None and modified == _modified(folder / source):
             return tree
     return tree_of(source, folder)
 
 
-_MAX_KEPT = 8
-_kept: dict[Path, tuple[int, MjcfTree]] = {}  # by file, with the time of its last change
+_MAX_CACHED = 8
+_cached: dict[Path, tuple[int, MjcfTree]] = {}  # by file, with its modification time
 
 
-def _changed(file: Path) -> int:
+def _modified(file: Path) -> int:
     return file.stat().st_mtime_ns if file.is_file() else 0
 
 
-def _names(model: mujoco.MjModel, joints: Ints) -> list[str]:
+def _joint_names(model: mujoco.MjModel, joints: Ints) -> list[str]:
     found = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(j)) for j in joints]
-    given = [name or f"joint{k + 1}" for k, name in enumerate(found)]
-    scopes = {name.rpartition("/")[0] for name in given}
+    named = [name or f"joint{k + 1}" for k, name in enumerate(found)]
+    scopes = {name.rpartition("/")[0] for name in named}
     if len(scopes) == 1:
-        given = [name.rpartition("/")[2] for name in given]
-    return joint_names_of(given)[0]
+        named = [name.rpartition("/")[2] for name in named]
+    return joint_names_of(named)[0]
 
 
 def _inertias(tree: MjcfTree) -> dict[str, Any]:
-    model, n = tree.model, len(tree.poses)
-    masses, firsts, tensors = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
+    model, back = tree.model, inverse(tree.poses)
+    parts: list[list[tuple[UrdfLink, Array]]] = [[] for _ in tree.poses]
     for body in np.flatnonzero(tree.links >= 0).tolist():
-        link, mass = tree.links[body], float(model.body_mass[body])
-        inertial = frame(rotation_from_quat(model.body_iquat[body]), model.body_ipos[body])
-        T = inverse(tree.poses[link]) @ tree.bodies[body] @ inertial
-        axes, at = T[:3, :3], T[:3, 3]
-        masses[link] += mass
-        firsts[link] += mass * at
+        axes = rotation_from_quat(model.body_iquat[body])
         tensor = axes @ np.diag(model.body_inertia[body]) @ axes.T
-        tensors[link] += tensor + mass * (at @ at * np.eye(3) - np.outer(at, at))
-    centers = firsts / np.where(masses > 0, masses, 1.0)[:, None]
-    for k, c in enumerate(centers):
-        tensors[k] -= masses[k] * (c @ c * np.eye(3) - np.outer(c, c))
-    tensors = np.where((masses > 0)[:, None, None], tensors, 0.0)
+        part = UrdfLink("", None, float(model.body_mass[body]), model.body_ipos[body], tensor)
+        link = int(tree.links[body])
+        parts[link].append((part, back[link] @ tree.bodies[body]))
+    masses, centers, tensors = zip(*map(joint_inertia, parts), strict=True)
     return {
-        "masses": masses,
-        "centers_of_mass": centers,
-        "inertias": tensors,
+        "masses": np.array(masses),
+        "centers_of_mass": np.array(centers),
+        "inertias": np.array(tensors),
         "inertia_repair": "balance",
     }
 
 
 def _bounded(values: Array, what: str, names: list[str], lost: list[str]) -> Array:
     if (far := values > LARGEST).any():
-        lost.append(f"{what} is taken for {LARGEST:g}, the most: {_some(names, far)}")
+        lost.append(f"{what} is clipped to {LARGEST:g}: {_some(names, far)}")
     if (negative := values < 0).any():
-        lost.append(f"negative {what} is taken for none: {_some(names, negative)}")
+        lost.append(f"negative {what} is set to 0: {_some(names, negative)}")
     return np.clip(values, 0.0, LARGEST)
 
 
@@ -229,8 +228,8 @@ def _plausible(tree: MjcfTree, limits: Array, lost: list[str]) -> Array:
         many = "those of all joints" if far.all() else f"{int(far.sum())} of {len(far)}"
         largest = float(limits[far].max())
         lost.append(
-            f"torque limits up to {largest:g} are over {_MAX_FACTOR} times what holds all of its "
-            f"weight at its extent; {many} are taken for none"
+            f"torque limits up to {largest:g} exceed {_MAX_FACTOR} times the torque that holds the "
+            f"robot's weight at its full extent; {many} are ignored"
         )
     return np.where(far, np.inf, limits)
 
@@ -243,7 +242,7 @@ def _turns(tree: MjcfTree) -> Bools:
 def _flange(tree: MjcfTree) -> tuple[int, Array]:
     """Returns the link that carries the flange, and T_link_flange.
 
-    The flange is at a site there whose name is that of a tool, else at the last body.
+    The flange is at a site of this link with the name of a tool, or else at its last body.
     """
     model = tree.model
     link = flange_body(tree.parents.tolist())
@@ -257,9 +256,9 @@ def _flange(tree: MjcfTree) -> tuple[int, Array]:
 
 
 def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -> dict[str, Any]:
-    """Returns the joint angles, and the frame of a free base, of a key frame, else of `qpos0`.
+    """Returns the joint angles, and the frame of a free base, in a keyframe or in `qpos0`.
 
-    The key frame is the first with a name for it, or the only one if it has no name.
+    The keyframe is the first one with a name in `_INITIAL_KEYS`, or a single unnamed one.
     """
     model = tree.model
     qpos = model.qpos0
@@ -270,7 +269,7 @@ def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -
     if named:
         qpos = model.key_qpos[named[0]]
     q = qpos[model.jnt_qposadr[tree.joints]].copy()
-    for _ in couplings:  # as often as a chain of couplings may have joints
+    for _ in couplings:  # a chain of couplings may contain all of them
         for name, coupling in couplings.items():
             q[names.index(name)] = coupling["ratio"] * q[names.index(coupling["to"])]
             q[names.index(name)] += coupling["offset"]
@@ -287,10 +286,100 @@ def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -
 def _free_base(tree: MjcfTree) -> dict[str, Any]:
     if not len(tree.free):
         return {"free_base": False}
-    given = mujoco.mj_id2name(tree.model, mujoco.mjtObj.mjOBJ_JOINT, int(tree.free[0]))
-    name = {"base_joint": plain_name(given.rpartition("/")[2], set())} if given else {}
+    name = mujoco.mj_id2name(tree.model, mujoco.mjtObj.mjOBJ_JOINT, int(tree.free[0]))
+    base = {"base_joint": plain_name(name.rpartition("/")[2], set())} if name else {}
     if len(tree.free) == 1:
-        return {"free_base": True, **name}
+        return {"free_base": True, **base}
     normal = tree.model.jnt_axis[tree.free[2]]
     own = {} if np.array_equal(normal, [0, 0, 1]) else {"base_normal": normal}
     return {"free_base": "planar", **own}
+
+
+def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, Any]:
+    """Returns the couplings by coupled joint; adds a sentence to `lost` for other constraints.
+
+    MuJoCo constrains `y - y0 = p(x - x0)`, where y and x are two joint values or tendon lengths, y0
+    and x0 their values at `qpos0`, and p a polynomial. Without x it is `y - y0 = p(0)`. The length
+    of a fixed tendon is a weighted sum of joint values. Source:
+    https://mujoco.readthedocs.io/en/stable/XMLreference.html#equality-joint
+
+    A constraint is a coupling if it is linear in two joints of the robot. The first joint follows
+    the second one, unless only the first one has an actuator or already follows another joint. In a
+    tendon, a joint follows the joints before it.
+    """
+    model, found = tree.model, dict[str, Any]()
+    ref = model.qpos0[model.jnt_qposadr[tree.joints]]
+    on_joint = np.isin(model.actuator_trntype, ON_JOINT)
+    driven = np.isin(tree.joints, model.actuator_trnid[on_joint, 0])
+    for i in np.flatnonzero(np.isin(model.eq_type, (_OF_JOINTS, _OF_TENDONS))).tolist():
+        joints, factors, reason = _linear(tree, i)
+        if not model.eq_active0[i] or not (joints or reason):
+            continue
+        if not reason:
+            first, second = joints
+            if driven[first] and not driven[second]:
+                first, second = second, first
+            if _leads_back(found, names, first, second):
+                first, second = second, first
+            if _leads_back(found, names, first, second):
+                reason = "they are coupled already"
+        if reason:
+            who = ", ".join(names[k] for k in sorted(joints)) or f"number {i}"
+            lost.append(f"the constraint of {who} is left out: {reason}")
+            continue
+        ratio = -factors[second] / factors[first]
+        offset = ref[first] + model.eq_data[i, 0] / factors[first] - ratio * ref[second]
+        found[names[first]] = {"to": names[second], "ratio": float(ratio), "offset": float(offset)}
+    return found
+
+
+def _linear(tree: MjcfTree, equality: int) -> tuple[list[int], Array, str]:
+    """Returns a constraint's joints, follower first, their factors (n,), and why it is no coupling.
+
+    The sum of factors times (q - qpos0) equals the first coefficient of the polynomial. The reason
+    is empty if the constraint is a coupling.
+    """
+    model = tree.model
+    items = model.eq_obj1id[equality], model.eq_obj2id[equality]
+    sides = [_weights(model, equality, item) for item in items]
+    row = {int(joint): k for k, joint in enumerate(tree.joints)}
+    members = list(dict.fromkeys(joint for side in sides for joint in side))
+    joints = [row[joint] for joint in members if joint in row]
+    if model.eq_type[equality] == _OF_TENDONS:
+        joints.sort(reverse=True)
+    factors, slope = np.zeros(len(tree.joints)), float(model.eq_data[equality, 1])
+    for side, factor in zip(sides, (1.0, -slope), strict=True):
+        for joint in side.keys() & row.keys():
+            factors[row[joint]] += factor * side[joint]
+    reason = ""
+    if any(item >= 0 and not side for item, side in zip(items, sides, strict=True)):
+        reason = "the length of a spatial tendon is not linear"
+    elif joints and len(joints) < len(members):
+        reason = "it contains a joint that is not part of the robot"
+    elif sides[1] and model.eq_data[equality, 2:5].any():
+        reason = "it is not linear"
+    elif joints and (len(joints) != 2 or not factors[joints].all()):
+        reason = "a coupling has two joints"
+    return joints, factors, reason
+
+
+def _weights(model: mujoco.MjModel, equality: int, item: int) -> dict[int, float]:
+    """Returns the weights of joints in a side of a constraint by id; empty for spatial tendons."""
+    if item < 0:
+        return {}
+    if model.eq_type[equality] == _OF_JOINTS:
+        return {int(item): 1.0}
+    first = model.tendon_adr[item]
+    wraps = range(first, first + model.tendon_num[item])
+    return {
+        int(model.wrap_objid[k]): float(model.wrap_prm[k])
+        for k in wraps
+        if model.wrap_type[k] == _WRAPS_JOINT
+    }
+
+
+def _leads_back(couplings: dict[str, Any], names: list[str], one: int, other: int) -> bool:
+    at: str | None = names[other]
+    while at is not None and at != names[one]:
+        at = couplings[at]["to"] if at in couplings else None
+    return at is not None or names[one] in couplings

@@ -1,8 +1,4 @@
-"""Finds files named in robot descriptions: `package://`, `model://`, `file://`, relative.
-
-ROS and Gazebo need not be installed: packages are searched for above the file that names them, then
-on the paths of the environment.
-"""
+"""Finds files that robot descriptions refer to, without requiring ROS or Gazebo."""
 
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ from urllib.parse import unquote
 
 from ...base.paths import open_file
 
-# Folders with packages in them; of the latter, below `share`.
+# Variables with folders that contain packages, directly or below `share`.
 _PACKAGE_PATHS = (
     "ROS_PACKAGE_PATH",
     "GZ_SIM_RESOURCE_PATH",
@@ -22,26 +18,26 @@ _PACKAGE_PATHS = (
     "GAZEBO_MODEL_PATH",
 )
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
-# NAME=DIR, separated as in a path; extended by `--package`.
+# NAME=DIR entries, separated as in PATH; set by `--package`.
 PACKAGES_VARIABLE = "SERO_MJ_PACKAGES"
-# Arguments of xacro as a JSON object; extended by `--arg`.
+# Arguments of xacro as a JSON object; set by `--arg`.
 ARGUMENTS_VARIABLE = "SERO_MJ_XACRO_ARGUMENTS"
-_MAX_ABOVE = 12  # folders above a file that are searched
+_MAX_ABOVE = 12  # number of searched folders above a file
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/*")
-# The syntax of xacro and launch files, whose programs would insert a path.
+# Substitutions in xacro and launch files.
 _FIND = re.compile(r"(?:file:/*)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*")
 _MANIFEST_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 
 
 def find_file(name: str, beside: Path, packages: Mapping[str, Path] | None = None) -> Path | None:
-    """Returns the file that a description names; None if there is none.
+    """Returns the file that a robot description refers to; None if it does not exist.
 
     Args:
         name: `package://NAME/...`, `model://NAME/...`, `file:///...`, `$(find NAME)/...`, or a
-            path; relative ones start at the folder of the description, or at any folder above it.
-            Case matters only where it distinguishes files.
-        beside: the description's own file.
-        packages: folders of packages by name, before any others.
+            path. Relative paths are searched for in the folder of the description and in the
+            folders above it. Case is ignored if there is no exact match.
+        beside: file of the robot description.
+        packages: folders of packages by name; these take precedence.
     """
     if "\0" in name:
         return None
@@ -53,7 +49,7 @@ def find_file(name: str, beside: Path, packages: Mapping[str, Path] | None = Non
                 if found is not None and found.is_file():
                     return Path(os.path.abspath(found))
             except OSError:
-                continue  # a name that is too long, or a folder that may not be entered
+                continue  # the name is too long, or the folder is not accessible
     return None
 
 
@@ -68,7 +64,7 @@ def _in_other_case(path: Path) -> Path | None:
 
 
 def package_of(name: str) -> str | None:
-    """The package that a file's name names; None where it names none."""
+    """Returns the package in the name of a file; None if there is none."""
     if (sought := _FIND.match(name)) is not None:
         return sought[1]
     found = _SCHEME.match(name)
@@ -90,7 +86,7 @@ def _candidates(name: str, beside: Path, packages: Mapping[str, Path]) -> Iterat
         package, _, inside = rest.partition("/")
         inside = inside.lstrip("/")
         yield from (folder / inside for folder in package_folders(package, beside, packages))
-        # Its folder has another name, as copies have.
+        # The package may be in a folder with another name.
         yield from (above / inside for above in _above(beside))
     elif not kind:
         yield from (above / rest for above in _above(beside))
@@ -99,10 +95,10 @@ def _candidates(name: str, beside: Path, packages: Mapping[str, Path]) -> Iterat
 def package_folders(
     package: str, beside: Path, packages: Mapping[str, Path] | None = None
 ) -> Iterator[Path]:
-    """Yields the folders that a package may be in, the likeliest first.
+    """Yields the possible folders of a package in order of precedence.
 
-    Args:
-        packages: folders of packages by name, before any others.
+    These are the entry of `packages`, the folders above the file `beside`, and the folders in the
+    environment variables of ROS and Gazebo.
     """
     if packages and package in packages:
         yield Path(packages[package])

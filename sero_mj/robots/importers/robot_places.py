@@ -1,7 +1,7 @@
-"""`RobotPlace`: where robots are found by a name that is no file, and none of ours.
+"""Places where robots are found by names that are neither files nor shipped robots.
 
-They are those of the package `robot_descriptions`, of a checkout of MuJoCo Menagerie, and of ROS
-packages. Another package adds a place by an entry point in the group `sero_mj.robots`.
+Built in are the package `robot_descriptions`, MuJoCo Menagerie and ROS packages. Other packages add
+a `RobotPlace` by an entry point in the group `sero_mj.robots`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ...base.paths import ROBOT_FILE, list_models, model_in, models_dir
 from ...base.trust import import_listed
 from .package_files import find_file
 
-# Names of makers and of their drivers, for what others call otherwise.
+# Shipped robots by names that manufacturers and drivers use.
 _ALIASES: Mapping[str, str] = {
     "frankaemikapanda": "panda",
     "frankapanda": "panda",
@@ -38,7 +38,7 @@ _ALIASES: Mapping[str, str] = {
     "universalrobotsur5e": "ur5e",
 }
 _ENDINGS = ("_description", "_mj_description")  # of the modules of robot_descriptions
-_BESIDE = ("mujoco_menagerie", "menagerie")  # folders of a checkout
+_BESIDE = ("mujoco_menagerie", "menagerie")  # folders of a local clone
 _WRAPPER = """\
 <robot xmlns:xacro="http://www.ros.org/wiki/xacro" name={name}>
 {arguments}
@@ -48,11 +48,11 @@ _WRAPPER = """\
 
 
 class RobotPlace(ABC):
-    """A place where robots have names.
+    """A place where robots are found by name.
 
     Attributes:
-        none: what is said there where it knows no names.
-        order: in which places are asked, lowest first; sero-mj's own have 10 to 90.
+        none: text shown instead of names if there are none.
+        order: search priority, lowest first. Built-in places use 10 to 90.
     """
 
     title: ClassVar[str]
@@ -61,30 +61,30 @@ class RobotPlace(ABC):
 
     @abstractmethod
     def names(self) -> list[str]:
-        """Returns the names that are known there; it takes no network."""
+        """Returns the known names without accessing the network."""
 
     @abstractmethod
     def find(self, name: str) -> Path | None:
-        """Returns the file of a robot; None if none has that name.
+        """Returns the file of a robot; None if the name is unknown.
 
-        Raises SeroError if it has the name, but cannot be had.
+        Raises SeroError if the robot is known but not available.
         """
 
     def near(self, name: str) -> str | None:
-        """Returns the name there that may be meant by one that is unknown; None for none."""
+        """Returns the known name that is most similar to an unknown one, or None."""
         return nearest(name, self.names())
 
 
 class RobotDescriptions(RobotPlace):
-    """The package `robot_descriptions`, which clones repositories of robots into its cache.
+    """The package `robot_descriptions`, which clones repositories of robots into a cache.
 
-    A robot is named as its module, `ur5e_description`; shorter names are not taken, because what
-    they would fetch may have hundreds of megabytes.
+    A robot has the name of its module, such as `ur5e_description`. Shorter names are not accepted,
+    because downloads can have hundreds of megabytes.
     """
 
     order: ClassVar[int] = 90
     title: ClassVar[str] = "robot_descriptions"
-    none: ClassVar[str] = "pip install 'sero-mj[robots]' brings it"
+    none: ClassVar[str] = "install it with pip install 'sero-mj[robots]'"
 
     def names(self) -> list[str]:
         if find_spec("robot_descriptions") is None:
@@ -94,17 +94,17 @@ class RobotDescriptions(RobotPlace):
         return [name for name, about in DESCRIPTIONS.items() if about.has_urdf or about.has_mjcf]
 
     def find(self, name: str) -> Path | None:
-        if not _plain(name).endswith(_plain(_ENDINGS[0])):  # importing the package takes a while
+        if not _plain(name).endswith(_plain(_ENDINGS[0])):  # importing the package is slow
             return None
         module = {_plain(each): each for each in self.names()}.get(_plain(name))
         if module is None:
             return None
         try:
             found = import_listed("robot_descriptions", module, self.names())
-        except Exception as error:  # of git, of the network, of the package
-            told = " ".join(str(error).split())[:300]
+        except Exception as error:  # from git, the network or the package
+            reason = " ".join(str(error).split())[:300]
             raise UsageError(
-                f"{module}: robot_descriptions cannot fetch it: {type(error).__name__}: {told}"
+                f"{module}: robot_descriptions cannot fetch it: {type(error).__name__}: {reason}"
             ) from error
         for attribute in ("URDF_PATH", "MJCF_PATH"):
             if (path := getattr(found, attribute, None)) is not None:
@@ -135,14 +135,15 @@ def _wrapped(module: str, found: Any) -> Path:
 
 
 class Menagerie(RobotPlace):
-    """A checkout of MuJoCo Menagerie: `$MENAGERIE_PATH`, or a folder `mujoco_menagerie` beside.
+    """A clone of MuJoCo Menagerie in `$MENAGERIE_PATH` or in the folder `mujoco_menagerie`.
 
-    A robot is named as its folder, with or without its maker: `universal_robots_ur5e`, `ur5e`.
+    A robot has the name of its folder, with or without the manufacturer: `universal_robots_ur5e` or
+    `ur5e`.
     """
 
     order: ClassVar[int] = 20
     title: ClassVar[str] = "MuJoCo Menagerie"
-    none: ClassVar[str] = "no checkout in $MENAGERIE_PATH, nor in a folder mujoco_menagerie here"
+    none: ClassVar[str] = "no clone in $MENAGERIE_PATH or ./mujoco_menagerie"
 
     def names(self) -> list[str]:
         return [folder.name for folder in _menagerie()]
@@ -167,7 +168,7 @@ def _menagerie() -> list[Path]:
 
 
 class OtherSpellings(RobotPlace):
-    """Shipped robots as their makers and drivers call them: `franka_research_3`, `UR5e`."""
+    """Shipped robots by names that manufacturers and drivers use: `franka_research_3`, `UR5e`."""
 
     order: ClassVar[int] = 30
     title: ClassVar[str] = "other spellings of shipped robots"
@@ -186,7 +187,7 @@ class RosPackages(RobotPlace):
 
     order: ClassVar[int] = 10
     title: ClassVar[str] = "ROS packages"
-    none: ClassVar[str] = "by their files, package://NAME/FILE"
+    none: ClassVar[str] = "use package://NAME/FILE"
 
     def names(self) -> list[str]:
         return []
@@ -197,8 +198,8 @@ class RosPackages(RobotPlace):
         found = find_file(name, Path.cwd() / "scene.toml")
         if found is None:
             raise UsageError(
-                f"{name}: no such file in a package; --package NAME=DIR, $ROS_PACKAGE_PATH and "
-                "$AMENT_PREFIX_PATH say where packages are"
+                f"{name}: no such file in a package. Set the folder of the package with --package "
+                "NAME=DIR, $ROS_PACKAGE_PATH or $AMENT_PREFIX_PATH."
             )
         return found
 

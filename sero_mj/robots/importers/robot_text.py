@@ -1,4 +1,4 @@
-"""Writes a robot's tables as a commented robot file, as written by hand."""
+"""Writes the tables of a robot as a commented robot file."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def robot_text(
     bodies: Sequence[Sequence[str]],
     flange: str,
 ) -> str:
-    """Returns the text of a robot file; `tomllib` reads tables of the same robot from it."""
+    """Returns the text of a robot file that declares the robot of `tables`."""
     text = _RobotText(bodies, _rounded(tables))
     lines = [
-        f"Made of {file} by `sero-mj import`. Lengths in m, angles in rad, masses in kg,",
-        "torques in Nm (of prismatic joints forces in N). Links fixed to each other are one.",
+        f"Converted from {file} by `sero-mj import`. Lengths in m, angles in rad, masses in kg,",
+        "torques in Nm (prismatic joints: forces in N). Links joined by fixed joints are merged.",
     ]
     if described.warnings:
-        lines += ["", "What is not as in that file:"]
+        lines += ["", "Differences from that file:"]
         lines += [f"- {warning}" for warning in described.warnings]
     text.lines += [_SCHEMA, *(f"# {line}".rstrip() for line in lines)]
     text.add_kinematics(flange, limbs)
@@ -74,20 +74,20 @@ class _RobotText:
             self.lines.append(f"{key} = {inline(frame_table(self._tables[key]))}{note}")
 
     def add_kinematics(self, flange: str, limbs: Mapping[str, Sequence[int]]) -> None:
-        self.lines += ["#", f"# Limbs, by which routes call them, of {len(self._names)} joints:"]
+        self.lines += ["#", f"# Limbs ({len(self._names)} joints). Routes can use these names:"]
         self.lines += [f"# - {self._limb(name, joints)}" for name, joints in limbs.items()]
         self.lines += ["", f"description = {inline(self._tables['description'])}", ""]
         if "dh_params" in self._tables:
             self._given("dh_convention")
             about = "alpha (rad), a (m), theta (rad), d (m)"
             self._rows("dh_params", self._tables["dh_params"], self._of_joints, about)
-            self._frame("dh_base_frame", "frame 0 of the table in the base")
+            self._frame("dh_base_frame", "frame 0 of the table, relative to the base")
         else:
-            about = "frame of each link on what carries it, at joint value zero; z is the joint's"
+            about = "frame of each link relative to its parent, at joint value zero; z: joint axis"
             frames = [frame_table(T) for T in self._tables["joint_frames"]]
             self._rows("joint_frames", frames, self._of_joints, about)
         self._given("joint_names", "joint_types")
-        self._given("link_names", about="names in that file, of the base first")
+        self._given("link_names", about="link names in that file, base first")
         self._given("parents", about="the joint whose link carries each joint")
         self._given("flange_on", about="the joint whose link carries the flange")
         self._frame("flange_frame", flange)
@@ -99,20 +99,20 @@ class _RobotText:
         for key, about in (
             ("position_limits", "rad or m; inf for none"),
             ("velocity_limits", "rad/s or m/s"),
-            ("torque_limits", "Nm or N; at these arrows have their full width"),
+            ("torque_limits", "Nm or N; arrows reach full width at these torques"),
         ):
             if key in self._tables:
                 self._rows(key, self._tables[key], self._names, about)
-        self._given("joint_angles", about="until something is received; zero is out of the limits")
-        self._given("fit_arrows", about="arrows are as large as the links beside them need")
+        self._given("joint_angles", about="initial pose, because zero is outside the limits")
+        self._given("fit_arrows", about="fit the size of each arrow to the adjacent links")
 
     def add_geometry(self) -> None:
         self.lines.append("")
         self._given("directory")
-        self._given("mjcf", about="what is drawn and what touches; its joints are these")
+        self._given("mjcf", about="visual and collision geoms; the joints are the same")
         for key, about in (
-            ("filenames", "what is drawn"),
-            ("collisions", "what touches in simulation"),
+            ("filenames", "visual shapes"),
+            ("collisions", "collision shapes"),
         ):
             if key not in self._tables:
                 continue
@@ -134,13 +134,13 @@ class _RobotText:
                     self.lines += toml_entry(key, {**value, **at} if at else value)
         if "dynamics" not in self._tables:
             return
-        self.lines += ["", "# Of the base and the links, in their frames; the rest is estimated."]
+        self.lines += ["", "# Per link, base first, in link frames. Missing values are estimated."]
         self.lines.append("[dynamics]")
         about = {
             "masses": "kg",
             "centers_of_mass": "m",
-            "inertias": "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, kg m2",
-            "motor_inertias": "kg m2, as seen at the joint",
+            "inertias": "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the center of mass, kg m2",
+            "motor_inertias": "kg m2, at the joint (after the gear)",
             "viscous_friction": "Nm s/rad or N s/m",
             "coulomb_friction": "Nm or N",
         }

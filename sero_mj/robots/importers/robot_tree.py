@@ -1,8 +1,8 @@
 """Converts a tree of links and joints, as in URDF, to the tables of a robot file.
 
-Links that are fixed to each other become one: their inertias are added up, and their geometries
-merged. The result is a base and a link per movable joint, whose frame has the joint's axis as its
-z. A chain gets a Denavit-Hartenberg table if it has one, anything else the frames of its joints.
+Links that are fixed to each other are merged, with their inertias and geometries. The result is a
+base and one link per movable joint; the z axis of a link's frame is the joint axis. A chain gets a
+Denavit-Hartenberg table if possible, other trees the frames of their joints.
 """
 
 from __future__ import annotations
@@ -27,27 +27,26 @@ _FLANGES = (
     "tool0", "flange", "tcp", "tool_center_point", "ee_link", "end_effector", "eef", "ee", "tool",
     "gripper_tcp", "hand_tcp", "grasp", "gripper", "hand",
 )  # fmt: skip
-_MAX_LENGTH_RATIO = 10.0  # a table's lengths over the reach; above it, normals are too far away
-_MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative; as in `robots.declared.dynamics`
-NO_LIMIT = 1e3  # rad or m; limits beyond this mean no limit
-TOO_FAR = f"limits of {NO_LIMIT:g} m or rad and more are taken for none"
+_MAX_LENGTH_RATIO = 10.0  # largest length of a DH table over the reach
+_MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative, as in `robots.declared.dynamics`
+NO_LIMIT = 1e3  # rad or m; larger limits mean no limit
+TOO_FAR = f"limits of {NO_LIMIT:g} rad or m and more are ignored"
 
 
 def flange_body(parents: Sequence[int]) -> int:
-    """The body that carries the flange: the last of the longest branch, or the hand of its fingers.
+    """Returns the body that carries the flange: the end of the longest branch, or a gripper.
 
-    Args:
-        parents: of the bodies 1, 2, ...; 0 is the base.
+    `parents` are the parents of bodies 1, 2, ...; 0 is the base.
     """
-    ways = [[0]]  # from the base to each body
+    paths = [[0]]  # from the base to each body
     for body, parent in enumerate(parents, 1):
-        ways.append([*ways[parent], body])
-    longest = max(map(len, ways))
-    deepest = [way for way in ways if len(way) == longest]
-    # The fingers of a gripper share a hand; the arms of a humanoid share no flange.
+        paths.append([*paths[parent], body])
+    longest = max(map(len, paths))
+    deepest = [path for path in paths if len(path) == longest]
+    # Fingers share most of their paths; the arms of a humanoid do not.
     common = [same[0] for same in zip(*deepest, strict=True) if len({*same}) == 1]
-    is_hand = len(common) > 1 and 2 * (len(common) - 1) >= longest - 1
-    return common[-1] if is_hand else deepest[0][-1]
+    is_gripper = len(common) > 1 and 2 * (len(common) - 1) >= longest - 1
+    return common[-1] if is_gripper else deepest[0][-1]
 
 
 @dataclass
@@ -55,10 +54,10 @@ class Geometry:
     """A mesh or a shape.
 
     Attributes:
-        file: of the mesh, absolute; None for a shape.
+        file: absolute path of the mesh; None for a shape.
         shape: `box`, `sphere`, `cylinder` or `capsule`.
-        size: as `robots.declared.surroundings.SHAPE_SIZES`.
-        color: name and rgba; None for none.
+        size: see `robots.declared.surroundings.SHAPE_SIZES`.
+        color: name and rgba.
     """
 
     frame: Array
@@ -73,7 +72,7 @@ class Geometry:
 
 @dataclass
 class UrdfLink:
-    """A rigid part: mass, kg; centre of mass (3,), m; tensor about it (3, 3), kg m2; geometry."""
+    """A link, with the center of mass (3,) and the inertia tensor (3, 3) about it."""
 
     name: str
     line: int | None = None
@@ -86,9 +85,12 @@ class UrdfLink:
 
 @dataclass
 class Joint:
-    """A joint: `kind` is `revolute`, `prismatic` or `fixed`; `frame` T_parent_child at zero.
+    """A joint.
 
-    Missing limits are infinite; `mimic` is a joint's name, a ratio and an offset.
+    Attributes:
+        kind: `revolute`, `prismatic` or `fixed`.
+        frame: T_parent_child at joint value zero.
+        mimic: name of the followed joint, ratio and offset.
     """
 
     name: str
@@ -110,20 +112,20 @@ class Joint:
 
 @dataclass
 class _Body:
-    """Links that are fixed to each other: those of the base, or those moved by a joint."""
+    """Links that are fixed to each other: the base, or the links that a joint moves."""
 
     joint: Joint | None
     parent: int
-    T_parent: Array  # at zero, of the body's frame, whose z is the joint's axis
-    links: list[tuple[UrdfLink, Array]] = field(default_factory=list)  # with T_body_link
-    fixed: dict[str, str] = field(default_factory=dict)  # link to the link it is fixed to
+    T_parent: Array  # T_parent_body at joint value zero; z is the joint axis
+    links: list[tuple[UrdfLink, Array]] = field(default_factory=list)  # and T_body_link
+    fixed: dict[str, str] = field(default_factory=dict)  # parents of fixed links
 
 
 class TreeTables:
     """Builds the tables of a tree of links.
 
     Attributes:
-        bodies: names of the links of every body, base first, for comments.
+        bodies: names of the links of every body, base first.
         T_body_link: body and T_body_link (4, 4) of every link by name, in the frames of `tables`.
     """
 
@@ -148,7 +150,7 @@ class TreeTables:
         carrier, self.flange, T_flange = self._flange()
         if self.joints:
             self._kinematics(carrier, T_flange)
-        # From the bodies' own frames to those of the tables.
+        # From the frames of the bodies to the frames of the tables.
         self._carried = [np.eye(4) for _ in self._bodies]
         if self._in_dh is not None:
             self._carried[1:] = list(self._in_dh.link_frames)
@@ -177,7 +179,7 @@ class TreeTables:
             for key in ("joint_names", "joint_types", "joint_frames", "dh_params", "parents"):
                 self._line(f"{key}.{i}", joint.line)
         if changed:
-            self.warnings.append(f"names of joints changed: {', '.join(changed)}")
+            self.warnings.append(f"joints were renamed: {', '.join(changed)}")
         return names
 
     def _flange(self) -> tuple[int, str, Array]:
@@ -268,7 +270,7 @@ class TreeTables:
         dynamics: dict[str, Any] = {}
         if any(link.mass > 0 for body in self._bodies for link, _ in body.links):
             sums = [
-                _inertia([(link, T_carried @ T) for link, T in body.links])
+                joint_inertia([(link, T_carried @ T) for link, T in body.links])
                 for body, T_carried in zip(self._bodies, self._carried, strict=True)
             ]
             dynamics = {
@@ -278,7 +280,7 @@ class TreeTables:
             }
             self._check_masses(sums, dynamics)
         else:
-            self.warnings.append("no link has a mass; simulation estimates them")
+            self.warnings.append("no link has a mass; the simulation estimates all masses")
         for key, values in (
             ("viscous_friction", [joint.damping for joint in self.joints]),
             ("coulomb_friction", [joint.friction for joint in self.joints]),
@@ -292,22 +294,22 @@ class TreeTables:
                 self._line(f"dynamics.{key}.{i}", body.links[0][0].line)
 
     def _check_masses(self, sums: list[tuple[float, Array, Array]], dynamics: Any) -> None:
-        none, odd = [], []
+        massless, odd = [], []
         for i, (mass, _, tensor) in enumerate(sums):
             name = self.bodies[i][0]
             if mass == 0.0 and i > 0:
-                none.append(f"'{name}'")
+                massless.append(f"'{name}'")
             elif mass > 0.0:
                 low, middle, high = np.linalg.eigvalsh(tensor)
                 if low <= _ZERO * high or low + middle < high * (1 - _MOMENT_ROUNDING):
                     odd.append(f"'{name}'")
-        if none:
-            self.warnings.append(f"moving links without mass: {', '.join(none)}")
+        if massless:
+            self.warnings.append(f"moving links without mass: {', '.join(massless)}")
         if odd:
             dynamics["inertia_repair"] = "balance"
             self.warnings.append(
-                f"no rigid body has the tensors of {', '.join(odd)} and what is fixed to them; "
-                "they are raised to the nearest that one can have"
+                f"the inertia tensors of {', '.join(odd)}, with the links fixed to them, are "
+                "physically impossible; they are raised to the nearest possible tensors"
             )
 
     def _geometry(self) -> None:
@@ -356,13 +358,13 @@ class _Colors:
         return name
 
 
-def meant_limits(limits: Array) -> Array:
-    """Returns position limits (..., 2), rad or m, infinite where they mean no limit."""
+def plausible_limits(limits: Array) -> Array:
+    """Returns position limits (..., 2) with limits of `NO_LIMIT` or more replaced by infinity."""
     return np.where(np.abs(limits) < NO_LIMIT, limits, [-np.inf, np.inf])
 
 
 def plain_name(name: str, taken: set[str]) -> str:
-    """Returns an unused name of letters, digits, _ and - only, and adds it to `taken`."""
+    """Returns an unused name with only letters, digits, _ and -, and adds it to `taken`."""
     plain = _NO_NAME.sub("_", name)
     if not re.match(r"[A-Za-z_]", plain):
         plain = f"_{plain}"
@@ -375,9 +377,9 @@ def plain_name(name: str, taken: set[str]) -> str:
 
 
 def aligned(axis: Array) -> Array:
-    """Returns a rotation (3, 3) whose z axis is a given direction; exact for coordinate axes."""
+    """Returns a rotation (3, 3) with z along an axis of any length; exact for coordinate axes."""
     axis = axis / np.linalg.norm(axis)
-    # Of x and y, the one farther from the axis is projected to become its x.
+    # The x axis is x or y, whichever is farther from the axis, made perpendicular to it.
     helper = np.eye(3)[0 if abs(axis[0]) <= abs(axis[1]) else 1]
     if abs(axis[0]) < 1e-12 and abs(axis[1]) < 1e-12:
         z = np.sign(axis[2])
@@ -394,7 +396,7 @@ def _merged(links: list[UrdfLink], joints: list[Joint], root: str) -> list[_Body
         below.setdefault(each.parent, []).append(each)
     order = {id(each): k for k, each in enumerate(joints)}
     bodies = [_Body(None, 0, np.eye(4))]
-    # Branches still to be visited: a movable joint, its body, T_body_parent.
+    # Branches to visit: a movable joint, its parent body, and T_body_parent.
     waiting: list[tuple[Joint | None, int, Array]] = [(None, 0, np.eye(4))]
     while waiting:
         joint, parent, T = waiting.pop()
@@ -418,7 +420,8 @@ def _merged(links: list[UrdfLink], joints: list[Joint], root: str) -> list[_Body
     return bodies
 
 
-def _inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Array]:
+def joint_inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Array]:
+    """Returns mass, center of mass, and inertia tensor about it of links with T_body_link."""
     mass = sum(link.mass for link, _ in parts)
     if mass <= 0.0:
         return 0.0, np.zeros(3), np.zeros((3, 3))
@@ -434,7 +437,7 @@ def _inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Array]:
 
 
 def six_of(tensor: Array) -> list[float]:
-    """Returns Ixx, Iyy, Izz, Ixy, Ixz, Iyz of a tensor (3, 3)."""
+    """Returns Ixx, Iyy, Izz, Ixy, Ixz, Iyz of an inertia tensor (3, 3)."""
     entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     return [float(tensor[i, j]) for i, j in entries]
 

@@ -1,4 +1,4 @@
-"""Writes tables as TOML, formatted as if by hand."""
+"""Writes tables as readable TOML."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ from typing import Any
 
 _WIDTH = 100
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_LONG_TEXT = 400  # characters of a text that is written over several lines
+_LONG_TEXT = 400  # characters; longer text is written over several lines
 
 
 def toml_text(tables: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
-    """Writes tables so that `tomllib` reads them back unchanged.
-
-    The comments are lines at the beginning, without `#`.
-    """
+    """Returns tables as TOML that begins with comment lines, declared without `#`."""
     lines = [f"# {line}".rstrip() for line in comments]
     plain = {key: value for key, value in tables.items() if not _is_section(value)}
     lines += [*([""] if lines and plain else []), *_entries(plain)]
@@ -36,13 +33,13 @@ def _section(name: str, value: Any) -> list[str]:
     if isinstance(value, list):
         return [line for each in value for line in ["", f"[[{name}]]", *_body(name, each)]]
     body = _body(name, value)
-    # The headers of tables inside it declare it implicitly.
+    # Headers of inner tables declare this table implicitly.
     has_header = bool(body) and body[0] == ""
     return body if has_header else ["", f"[{name}]", *body]
 
 
 def _body(name: str, table: Mapping[str, Any]) -> list[str]:
-    # Small tables inside named ones are written inline, such as frames and couplings.
+    # Small inner tables are written inline, such as frames and couplings.
     depth = len(re.findall(r'"[^"]*"|[^.]+', name))
     inner = {key: value for key, value in table.items() if _is_section(value)}
     small = {
@@ -63,7 +60,7 @@ def _entries(table: Mapping[str, Any]) -> list[str]:
 
 
 def toml_entry(key: str, value: Any) -> list[str]:
-    """The lines of a key and its value; long values take several."""
+    """Returns the lines of a key and its value."""
     line = f"{toml_key(key)} = {inline(value)}"
     if isinstance(value, str) and len(value) > _LONG_TEXT and "'''" not in value:
         line = f"{toml_key(key)} = '''\n{value}'''"
@@ -87,17 +84,17 @@ def _rows(values: list[Any]) -> list[str]:
 
 
 def toml_key(key: str) -> str:
-    """A key, quoted if necessary."""
+    """Returns a key, quoted if necessary."""
     return key if _BARE.fullmatch(key) else _quoted(key)
 
 
 def _quoted(text: str) -> str:
-    # JSON's escapes are TOML's, except for one character that JSON does not escape.
+    # JSON and TOML have the same escapes, except for DEL, which JSON does not escape.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def inline(value: Any) -> str:
-    """A value in one line."""
+    """Returns a value on one line."""
     if isinstance(value, Mapping):
         entries = ", ".join(f"{toml_key(key)} = {inline(each)}" for key, each in value.items())
         return f"{{ {entries} }}" if entries else "{}"

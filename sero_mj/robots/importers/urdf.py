@@ -1,9 +1,9 @@
-"""Reads URDF, tolerating common errors, as the tables of a robot file.
+"""Reads URDF and xacro files as the tables of a robot file.
 
-Follows the specification of URDF 1.0 (wiki.ros.org/urdf/XML), and where it is silent, the viewers
-that files are written for: colours of a mesh file override the `<material>` beside it (RViz), a
-range of zero means no limit (MuJoCo), a joint without an axis has x. All errors are reported
-together, with the lines of their elements. An unreadable mesh is left out.
+Follows the URDF 1.0 specification (wiki.ros.org/urdf/XML) and tolerates common errors. Where the
+specification is silent, it follows other tools: colors of a mesh file override the `<material>`
+(RViz), and a range of zero means no limit (MuJoCo). All errors are reported together, with lines.
+MuJoCo's own reader supports neither COLLADA nor `package://`; yourdfpy reports no line numbers.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from urllib.parse import unquote
 import numpy as np
 
 from ...base.declaration import LARGEST
-from ...base.errors import DeclarationError, Problem, did_you_mean, raise_any, reason_of
+from ...base.errors import DeclarationError, Problem, did_you_mean, first_of, raise_any, reason_of
 from ...base.frames import Array, frame, rotation_from_rpy
 from ...base.paths import format_of_file, read_file
-from .imported_tables import ImportedTables, NoJoints, first_of
+from .imported_tables import ImportedTables, NoJoints
 from .mesh_files import read_mesh
 from .package_files import ARGUMENTS_VARIABLE, find_file, package_folders, package_of
 from .robot_tree import (
@@ -33,15 +33,14 @@ from .robot_tree import (
     TreeTables,
     UrdfLink,
     aligned,
-    meant_limits,
     plain_name,
+    plausible_limits,
 )
 from .xml_file import Element, XmlError, parse_loose_xml, parse_xml
 
 _MAX_BYTES = 50_000_000
-_MAX_JOINTS = 128  # movable ones
-_MAX_LINKS = 10_000  # with fixed ones; some steps take as long as the square of them
-_MOST_FILES = 3  # that are missing, in one sentence
+_MAX_JOINTS = 128  # movable joints
+_MAX_LINKS = 10_000  # some steps take quadratic time
 _FREEING = ("floating", "planar")
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
@@ -52,13 +51,11 @@ _SECOND_POINT = re.compile(r"^([+-]?[0-9]+\.[0-9]*)\.$")
 _FROM_ENVIRONMENT = re.compile(r"\$\((?:env\s+(\w+)|optenv\s+(\w+)([^()]*))\)")
 _NO_ARGUMENT = re.compile(r"Undefined substitution argument (\w+)")
 _NO_XACRO = (
-    "is xacro, which becomes URDF by a package: `pip install sero-mj[xacro]`, or on a machine "
-    "with ROS `xacro {name} > robot.urdf`"
+    "is a xacro file. Install the xacro reader with `pip install sero-mj[xacro]`, or convert the "
+    "file on a machine with ROS: `xacro {name} > robot.urdf`"
 )
-
-
 _UNEXPANDED = (
-    'elements of xacro are left out; xmlns:xacro="http://www.ros.org/wiki/xacro" expands them'
+    'xacro elements are ignored; add xmlns:xacro="http://www.ros.org/wiki/xacro" to expand them'
 )
 
 
@@ -67,21 +64,18 @@ def read_urdf(
     packages: Mapping[str, Path | str] | None = None,
     arguments: Mapping[str, Any] | None = None,
 ) -> ImportedTables:
-    """Reads a robot from a URDF file, or from xacro if the package `xacro` is installed.
+    """Reads a robot from a URDF file, or from a xacro file if the package `xacro` is installed.
+
+    Chains that have a DH table get one by Craig's convention; other robots get `joint_frames`.
 
     Args:
-        packages: folders of ROS packages by name, for `package://NAME/...`; others are searched
-            for above the file and on the paths that the environment names.
-        arguments: of xacro by name, overriding its defaults.
-
-    Returns:
-        the tables of a robot file: a DH table (Craig's) for chains that have one, else
-        `joint_frames`; `filenames`, `collisions`, `colors`, limits, couplings and `dynamics`.
+        packages: folders of ROS packages by name, for `package://NAME/...`. Other packages are
+            searched for as in `package_folders`.
+        arguments: values of xacro arguments by name.
 
     Raises:
-        NoJoints: it has no movable joint; `read_rigid_urdf` reads it.
-        DeclarationError: everything that is wrong in it, with lines, and arguments that it does
-            not ask for.
+        NoJoints: the file has no movable joint. Read it with `read_rigid_urdf`.
+        DeclarationError: all errors of the file, and unknown arguments.
     """
     file = UrdfFile(Path(path), packages, arguments)
     file.check()
@@ -89,17 +83,14 @@ def read_urdf(
 
 
 def read_rigid_urdf(path: Path | str) -> ImportedTables:
-    """Reads a URDF file without movable joints, a tool say, as a robot with the base alone.
-
-    Raises DeclarationError with all errors in it, with lines, or if it has joints.
-    """
+    """Reads a URDF file without movable joints, such as a tool, as a robot that is only a base."""
     file = UrdfFile(Path(path))
     if file.tree.joints:
         raise Problem(
             "robot",
             found=len(file.tree.joints),
-            of="joints that move",
-            expected=f'none in an object: a robot is model = "{file.path.name}"',
+            of="movable joints",
+            expected=f'none in an object; declare a robot with model = "{file.path.name}"',
             file=str(path),
         ).error()
     return file.described
@@ -109,15 +100,15 @@ class _Arguments(dict[str, str]):
     def __init__(self, arguments: Mapping[str, Any]) -> None:
         over = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
         super().__init__({name: _as_text(value) for name, value in {**arguments, **over}.items()})
-        self.given = set(self)
-        self.asked: set[str] = set()
+        self.declared = set(self)
+        self.used: set[str] = set()
 
     def __contains__(self, name: object) -> bool:
-        self.asked.add(str(name))
+        self.used.add(str(name))
         return super().__contains__(name)
 
     def __getitem__(self, name: str) -> str:
-        self.asked.add(name)
+        self.used.add(name)
         return super().__getitem__(name)
 
 
@@ -126,13 +117,12 @@ def _as_text(value: Any) -> str:
 
 
 class UrdfFile:
-    """One URDF file that is being read.
+    """A URDF file that is read by the constructor.
 
-    Args:
-        convention: of its DH table, where it has one.
+    `convention` applies to the DH table, if there is one.
 
     Attributes:
-        tree: its converted tree, with names that only comments need.
+        tree: the converted tree of links.
         described: the result of `read_urdf`.
     """
 
@@ -149,13 +139,13 @@ class UrdfFile:
         self._problems: list[Problem] = []
         self._warnings: list[str] = []
         self._is_xacro, self._has_lines = False, True
-        self._lost: dict[str, None] = {}  # missing mesh files
-        self._found: dict[str, Path | None] = {}  # the file of each name
-        self._last_found: dict[str, Path] = {}  # the folder of a package
-        self._unread: dict[Path, str] = {}
-        self._colored: dict[Path, bool] = {}  # whether a mesh file has colours
+        self._missing: dict[str, None] = {}  # names of missing mesh files
+        self._found: dict[str, Path | None] = {}  # mesh files by name
+        self._last_found: dict[str, Path] = {}  # folders of packages
+        self._unreadable: dict[Path, str] = {}  # errors of mesh files
+        self._colored: dict[Path, bool] = {}  # whether a mesh file has colors
         self._flat: set[Path] = set()
-        self._odd: dict[str, list[str]] = {}  # reinterpreted values, and where
+        self._notes: dict[str, list[str]] = {}  # warnings, and the elements they concern
         root = self._root()
         self._root_line = root.sourceline if self._has_lines else None
         if (count := sum(1 for _ in _children(root, "link"))) > _MAX_LINKS:
@@ -172,14 +162,14 @@ class UrdfFile:
         self._check_mimics(joints)
         moving = [joint for joint in joints if joint.kind in MOVING]
         if len(moving) > _MAX_JOINTS:
-            found = f"{len(moving)} joints that move"
+            found = f"{len(moving)} movable joints"
             self._problem(root, "robot", f"found {found}; expected at most {_MAX_JOINTS}")
         self._stop()
-        self._tell_about_meshes(links)
-        given = (root.get("name") or "").strip()
+        self._warn_about_meshes(links)
+        robot = (root.get("name") or "").strip()
         base = base if free_base is None else free_base.child
-        self.tree = TreeTables(given, links, joints, base, convention)
-        name = plain_name(given or path.stem, set())
+        self.tree = TreeTables(robot, links, joints, base, convention)
+        name = plain_name(robot or path.stem, set())
         tables: dict[str, Any] = {
             "name": name,
             "description": f"{len(moving)} joint{'s' * (len(moving) > 1)}, from {path.name}",
@@ -194,7 +184,7 @@ class UrdfFile:
             tables["base_frame"] = base_frame.tolist()
         tables |= {**self.tree.tables, "fit_arrows": True}
         warnings = [
-            *(f"{what}: {first_of(where)}" for what, where in self._odd.items()),
+            *(f"{what}: {first_of(where)}" for what, where in self._notes.items()),
             *self._warnings,
             *self.tree.warnings,
         ]
@@ -202,22 +192,18 @@ class UrdfFile:
         self.described = ImportedTables(tables, {k: v for k, v in lines.items() if v}, warnings)
 
     def check(self) -> None:
-        """Refuses what an object may be and no robot.
-
-        Raises NoJoints if no joint is movable, and DeclarationError for arguments that it does not
-        ask for.
-        """
-        given, asked = self._arguments.given, self._arguments.asked
-        for name in sorted(given - asked):
-            message = f"xacro has no argument '{name}'{did_you_mean(name, asked)}"
+        """Raises NoJoints without movable joints, and DeclarationError for unknown arguments."""
+        used = self._arguments.used
+        for name in sorted(self._arguments.declared - used):
+            message = f"unknown xacro argument '{name}'{did_you_mean(name, used)}"
             if not self._is_xacro:
-                message = "is for xacro; this file is plain URDF"
+                message = "only xacro files have arguments; this file is plain URDF"
             self._problem(None, f"arguments.{name}", message)
         self._stop()
         if not self.tree.joints:
             message = (
-                "has no joint that moves; expected one or more: what is rigid is an object, "
-                f'urdf = "{self.path.name}"'
+                "has no movable joint; expected one or more. Add a rigid body to a scene as an "
+                f'object with urdf = "{self.path.name}"'
             )
             raise NoJoints([Problem("robot", message, str(self.path), self._root_line)])
 
@@ -230,12 +216,12 @@ class UrdfFile:
 
     def _note(self, what: str, element: Element, key: str) -> None:
         line = f" (line {element.sourceline})" if self._has_lines else ""
-        self._odd.setdefault(what, []).append(f"{key}{line}")
+        self._notes.setdefault(what, []).append(f"{key}{line}")
 
     def _root(self) -> Element:
         try:
-            root, told = parse_loose_xml(read_file(self.path, _MAX_BYTES))
-            self._warnings += told
+            root, warnings = parse_loose_xml(read_file(self.path, _MAX_BYTES))
+            self._warnings += warnings
             if any(_XACRO.match(name) for each in root.iter() for name in _names(each)):
                 root = self._expanded()
             else:
@@ -245,7 +231,7 @@ class UrdfFile:
             raise
         except XmlError as error:
             self._problems += [
-                Problem("", f"is not XML that can be read: {reason}", str(self.path), line)
+                Problem("", f"is not valid XML: {reason}", str(self.path), line)
                 for line, reason in error.reasons
             ]
         except FileNotFoundError:
@@ -268,7 +254,7 @@ class UrdfFile:
         def value(found: re.Match[str]) -> str:
             name, optional, default = found.groups()
             if name is not None and name not in os.environ:
-                message = f"found {found[0]}; the environment has no {name}"
+                message = f"found {found[0]}, but the environment variable {name} is not set"
                 self._problem(element, f"<{_tag(element)}>", message)
             return os.environ.get(name or optional, (default or "").strip())
 
@@ -279,28 +265,30 @@ class UrdfFile:
 
     def _expanded(self) -> Element:
         try:
-            import simpleeval  # noqa: F401  # both are needed by `xacro_file`
+            import simpleeval  # noqa: F401  # `xacro_file` needs both
             import xacro  # noqa: F401
 
             from . import xacro_file
         except ImportError:
             self._problem(None, "", _NO_XACRO.format(name=self.path.name))
             self._stop()
-        self._is_xacro, self._has_lines = True, False  # xacro keeps no lines
+        self._is_xacro, self._has_lines = True, False  # xacro loses line numbers
 
         def find(package: str) -> str:
             folders = package_folders(package, self.path, self._packages)
             found = next((str(folder) for folder in folders if folder.is_dir()), None)
             if found is None:
-                raise ValueError(f"package '{package}' is not found: --package {package}=DIR")
+                raise ValueError(
+                    f"package '{package}' not found; set its folder with --package {package}=DIR"
+                )
             return found
 
         try:
             text = xacro_file.expand(self.path, self._arguments, find)
-        except (Exception, SystemExit) as error:  # whatever xacro makes of a wrong file
+        except (Exception, SystemExit) as error:  # xacro raises anything for an invalid file
             reason = " ".join(str(error).split()) or type(error).__name__
-            if (lacking := _NO_ARGUMENT.search(reason)) is not None:
-                reason += f"; --arg {lacking[1]}=VALUE says what it is"
+            if (missing := _NO_ARGUMENT.search(reason)) is not None:
+                reason += f"; set it with --arg {missing[1]}=VALUE"
             self._problem(None, "", f"xacro cannot expand it: {reason}")
             self._stop()
         return parse_xml(text.encode())
@@ -328,7 +316,9 @@ class UrdfFile:
         for element in _children(root, "link"):
             name = self._name(element, "link")
             if name in lines:
-                self._problem(element, f"link '{name}'", f"is there already, line {lines[name]}")
+                self._problem(
+                    element, f"link '{name}'", f"is already defined in line {lines[name]}"
+                )
                 continue
             lines[name] = element.sourceline
             link = UrdfLink(name, element.sourceline)
@@ -351,11 +341,11 @@ class UrdfFile:
         mass, inertia = _child(inertial, "mass"), _child(inertial, "inertia")
         value = None
         if mass is None or mass.get("value") is None:
-            self._note("<inertial> without <mass value=...>, taken for none", inertial, key)
+            self._note("<inertial> without <mass value=...> is ignored", inertial, key)
         elif (value := self._number(mass, "value", key)) is not None and value < 0:
             self._problem(mass, key, f"<mass>: found {value:g} kg; expected 0 or more")
-        elif value == 0 and _all(element, "geometry"):  # else it is a named frame
-            self._note("links whose mass is zero", mass, f"'{link.name}'")
+        elif value == 0 and _all(element, "geometry"):  # links without geometry are frames
+            self._note("links with zero mass", mass, f"'{link.name}'")
         tensor = np.zeros((3, 3))
         if inertia is not None:
             names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -367,7 +357,7 @@ class UrdfFile:
                 xx, yy, zz, xy, xz, yz = found
                 tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], np.float64)
         if value and not tensor.any():
-            self._note("links with a mass and no tensor", inertial, f"'{link.name}'")
+            self._note("links with a mass but no inertia tensor", inertial, f"'{link.name}'")
         if value and value > 0:
             link.mass, link.center = value, T[:3, 3]
             link.tensor = T[:3, :3] @ tensor @ T[:3, :3].T
@@ -385,7 +375,7 @@ class UrdfFile:
             return self._mesh(inner, tag, link, T, color)
         if _tag(inner) not in _SHAPES:
             near = did_you_mean(_tag(inner), ["mesh", *_SHAPES])
-            self._problem(inner, key, f"<{tag}>: no geometry <{_tag(inner)}>{near}")
+            self._problem(inner, key, f"<{tag}>: unknown geometry <{_tag(inner)}>{near}")
             return None
         names = _SHAPES[_tag(inner)].split(", ")
         if _tag(inner) == "box":
@@ -396,7 +386,7 @@ class UrdfFile:
         if size is None:
             return None
         if (size <= 0).any():
-            self._note(f"shapes of <{tag}> without extent, left out", inner, f"'{link}'")
+            self._note(f"<{tag}> shapes without a positive size are left out", inner, f"'{link}'")
             return None
         return Geometry(T, shape=_tag(inner), size=size, color=color, line=element.sourceline)
 
@@ -422,19 +412,19 @@ class UrdfFile:
             return None
         scale = np.ones(3)
         if mesh.get("scale") is not None:
-            given = self._numbers(mesh, "scale", key, (1, 3))
-            if given is None:
+            values = self._numbers(mesh, "scale", key, (1, 3))
+            if values is None:
                 return None
-            scale = np.broadcast_to(given, 3).copy()
+            scale = np.broadcast_to(values, 3).copy()
         if (scale == 0).any():
-            self._note("meshes scaled to nothing, left out", mesh, f"'{link}'")
+            self._note("meshes with a scale of 0 are left out", mesh, f"'{link}'")
             return None
         file = self._mesh_file(mesh, name, tag, link)
         if file is None:
             return None
         if color is None or not self._colored[file]:
             return Geometry(T, file, scale, color=color, line=mesh.sourceline)
-        # As in RViz, colours of the mesh file take precedence, with the opacity of the material.
+        # As in RViz, colors of the mesh file override the material, except for its opacity.
         alpha = float(color[1][3]) or 1.0
         return Geometry(T, file, scale, opacity=alpha, line=mesh.sourceline)
 
@@ -443,22 +433,24 @@ class UrdfFile:
             self._found[name] = self._search(name)
         file = self._found[name]
         if file is None:
-            self._lost[name] = None
+            self._missing[name] = None
             return None
-        if file not in self._colored and file not in self._unread:
+        if file not in self._colored and file not in self._unreadable:
             try:
                 pieces = read_mesh(file)
                 self._colored[file] = any(piece.rgba is not None for piece in pieces)
                 if any(piece.is_flat for piece in pieces):
                     self._flat.add(file)
             except DeclarationError as error:
-                self._unread[file] = str(error.problems[0])
+                self._unreadable[file] = str(error.problems[0])
         if tag == "collision" and file in self._flat:
             self._note(
-                "flat meshes of <collision> left out, as they have no hull", mesh, f"'{link}'"
+                "flat <collision> meshes are left out; they have no convex hull",
+                mesh,
+                f"'{link}'",
             )
             return None
-        return None if file in self._unread else file
+        return None if file in self._unreadable else file
 
     def _search(self, name: str) -> Path | None:
         file = find_file(name, self.path, {**self._last_found, **self._packages})
@@ -469,23 +461,27 @@ class UrdfFile:
                 self._last_found[package] = file.parents[len(inside.parts) - 1]
         return file
 
-    def _tell_about_meshes(self, links: list[UrdfLink]) -> None:
-        if self._lost:
-            wanted = {package for name in self._lost if (package := package_of(name)) is not None}
+    def _warn_about_meshes(self, links: list[UrdfLink]) -> None:
+        if self._missing:
+            wanted = {
+                package for name in self._missing if (package := package_of(name)) is not None
+            }
             unknown = [
                 package
                 for package in sorted(wanted)
                 if not any(f.is_dir() for f in package_folders(package, self.path, self._packages))
             ]
-            how = "".join(f"; --package {package}=DIR says where it is" for package in unknown)
+            how = "".join(f"; set its folder with --package {package}=DIR" for package in unknown)
             if not any(link.visuals for link in links) and any(link.collisions for link in links):
                 how = f"; collision shapes are shown instead{how}"
-            count = len(self._lost)
+            count = len(self._missing)
             self._warnings.append(
-                f"{count} mesh file{'s are' if count > 1 else ' is'} not found and not shown{how}: "
-                f"{first_of(list(self._lost), _MOST_FILES)}"
+                f"{count} mesh file{'s were' if count > 1 else ' was'} not found{how}: "
+                f"{first_of(list(self._missing), 3)}"
             )
-        self._warnings += [f"{reason}; it is not shown" for reason in self._unread.values()]
+        self._warnings += [
+            f"{reason}; the mesh is not shown" for reason in self._unreadable.values()
+        ]
 
     def _joints(self, root: Element, links: set[str]) -> list[Joint]:
         joints: list[Joint] = []
@@ -495,7 +491,7 @@ class UrdfFile:
             name = self._name(element, "joint")
             key = f"joint '{name}'"
             if name in lines:
-                self._problem(element, key, f"is there already, line {lines[name]}")
+                self._problem(element, key, f"is already defined in line {lines[name]}")
                 continue
             lines[name] = element.sourceline
             kind = (element.get("type") or "").strip()
@@ -512,8 +508,8 @@ class UrdfFile:
             parent, child = ends
             assert parent is not None and child is not None
             if child in carried:
-                message = f"carries link '{child}', which joint '{carried[child]}' carries"
-                self._problem(element, key, f"{message}; expected one joint for each link")
+                message = f"link '{child}' is already the child of joint '{carried[child]}'"
+                self._problem(element, key, f"{message}; expected one parent joint per link")
                 continue
             carried[child] = name
             joint = Joint(name, kind, parent, child, T, np.array([1.0, 0, 0]), element.sourceline)
@@ -538,14 +534,15 @@ class UrdfFile:
     def _axis(self, element: Element, joint: Joint) -> None:
         axis, key = _child(element, "axis"), f"joint '{joint.name}'"
         if axis is None:
-            what = "turn about x" if joint.kind != "planar" else "move in the yz plane"
+            what = "use the x axis" if joint.kind != "planar" else "move in the yz plane"
             self._note(f"joints without <axis> {what}", element, f"'{joint.name}'")
         else:
-            given = self._numbers(axis, "xyz", key, (3,))
-            if given is not None and np.linalg.norm(given) < 1e-9:
-                self._problem(axis, key, f"<axis>: found {_text(given)}; expected a direction")
-            elif given is not None:
-                joint.axis = given
+            values = self._numbers(axis, "xyz", key, (3,))
+            if values is not None and np.linalg.norm(values) < 1e-9:
+                found = " ".join(f"{value:g}" for value in values)
+                self._problem(axis, key, f"<axis>: found {found}; expected a direction")
+            elif values is not None:
+                joint.axis = values
 
     def _moving(self, element: Element, joint: Joint) -> None:
         key = f"joint '{joint.name}'"
@@ -575,7 +572,7 @@ class UrdfFile:
             if value < 0:
                 self._problem(dynamics, key, f"{what}: found {value:g}; expected 0 or more")
             elif value > LARGEST:
-                self._note(f"{what} is taken for {LARGEST:g}, the most", dynamics, key)
+                self._note(f"{what} is clipped to {LARGEST:g}", dynamics, key)
             setattr(joint, what, min(value, LARGEST))
 
     def _limit(self, limit: Element, joint: Joint, key: str) -> None:
@@ -584,11 +581,11 @@ class UrdfFile:
             upper = self._number(limit, "upper", key, 0.0, largest=np.inf)
             if lower is not None and upper is not None:
                 if lower >= upper:
-                    how = "equal" if lower == upper else "in the wrong order"
-                    what = f"joints whose limits are {how} are taken as without limits"
+                    how = "equal" if lower == upper else "swapped"
+                    what = f"joints with {how} limits are treated as unlimited"
                     self._note(what, limit, f"'{joint.name}'")
                 else:
-                    joint.lower, joint.upper = meant_limits(np.array([lower, upper])).tolist()
+                    joint.lower, joint.upper = plausible_limits(np.array([lower, upper])).tolist()
                     if (joint.lower, joint.upper) != (lower, upper):
                         self._note(TOO_FAR, limit, f"'{joint.name}'")
         for name in ("velocity", "effort"):
@@ -596,7 +593,7 @@ class UrdfFile:
             if value is not None and value < 0:
                 message = f"<limit>: found {name} = {value:g}; expected 0 or more"
                 self._problem(limit, key, message)
-            elif value and value < LARGEST:  # zero means unknown
+            elif value and value < LARGEST:  # 0 means unknown
                 setattr(joint, name, value)
 
     def _tree(self, links: list[UrdfLink], joints: list[Joint]) -> str:
@@ -609,32 +606,33 @@ class UrdfFile:
         base = max(whole, key=lambda name: len(whole[name]), default="")
         for link in roots:
             if link.name != base:
-                message = f"no joint has it as <child>; expected one, as the base is '{base}'"
+                message = f"is not the child of a joint; expected one, because the base is '{base}'"
                 self._item_problem("link", link, message)
         everywhere = set().union(*whole.values()) if whole else set()
-        circle = [link for link in links if link.name not in everywhere]
-        if circle:
-            names = ", ".join(f"'{link.name}'" for link in circle[:6])
-            message = f"joints go round in a circle: {names}; expected a tree"
-            self._item_problem("link", circle[0], message)
+        loop = [link for link in links if link.name not in everywhere]
+        if loop:
+            names = ", ".join(f"'{link.name}'" for link in loop[:6])
+            message = f"the joints form a loop: {names}; expected a tree"
+            self._item_problem("link", loop[0], message)
         return base
 
     def _free_base(
         self, root: str, links: list[UrdfLink], joints: list[Joint]
     ) -> tuple[Array, Joint | None]:
-        """The frame of the base in that of the root, and the joint that frees it, if there is one.
+        """Returns T_root_base, and the joint of a free base, if there is one.
 
-        It is the floating or planar joint above which nothing moves, and below which everything
-        does. What is not below it is removed. Other floating joints are held at their origins, as
-        MuJoCo has free joints at top level only, and other planar ones become three joints.
+        This is the floating or planar joint that is fixed to the root and carries all movable
+        joints. Links and joints that it does not carry are removed. Other floating joints are
+        fixed, because MuJoCo has free joints at top level only. Other planar joints become three
+        joints.
         """
         below: dict[str, list[Joint]] = {}
         for joint in joints:
             below.setdefault(joint.parent, []).append(joint)
-        inside: dict[str, set[str]] = {}  # the links below a joint, by its name
+        inside: dict[str, set[str]] = {}  # links below a joint
         freeing: list[tuple[Array, Joint]] = []
         waiting = [(root, np.eye(4))]
-        while waiting:  # through what is fixed to the root
+        while waiting:  # links that are fixed to the root
             name, T = waiting.pop()
             for joint in below.get(name, []):
                 T_child = T @ joint.frame
@@ -662,14 +660,14 @@ class UrdfFile:
             links[:] = [link for link in links if link.name in mine]
             joints[:] = [joint for joint in joints if joint.parent in mine]
         if held := [f"'{joint.name}'" for joint in joints if joint.kind == "floating"]:
-            message = "floating joints inside a robot are held at their origins"
+            message = "floating joints inside a robot are fixed at their origins"
             self._warnings.append(f"{message}: {first_of(held)}")
         for joint in [each for each in joints if each.kind == "planar"]:
             at = joints.index(joint)
             joints[at : at + 1], added = _single_axes(joint, {link.name for link in links})
             links += added
             names = ", ".join(f"'{each.name}'" for each in joints[at : at + 3])
-            self._warnings.append(f"planar joint '{joint.name}' is three joints: {names}")
+            self._warnings.append(f"planar joint '{joint.name}' became three joints: {names}")
         return T, chosen
 
     def _item_problem(self, kind: str, item: UrdfLink | Joint, message: str) -> None:
@@ -689,12 +687,12 @@ class UrdfFile:
             elif _follows_itself(joint, by_name):
                 reason = "it follows itself"
             elif to not in moving:
-                reason = f"joint '{to}' does not move"
+                reason = f"joint '{to}' is not movable"
             elif ratio == 0:
                 reason = "multiplier is 0"
             if reason:
                 line = f" (line {joint.line})" if self._has_lines else ""
-                self._odd.setdefault("joints whose <mimic> is left out", []).append(
+                self._notes.setdefault("ignored <mimic> elements", []).append(
                     f"'{joint.name}'{line}: {reason}"
                 )
                 joint.mimic = None
@@ -745,20 +743,22 @@ class UrdfFile:
         try:
             values = np.array([float(word) for word in text.split()])
         except ValueError:
-            values = self._meant(element, text, key, counts)
+            values = self._tolerant_numbers(element, text, key, counts)
         if len(values) > counts[-1] and not np.isnan(values).any():
-            self._note(f"more than {expected} in {name}, the first are taken", element, key)
+            self._note(f"extra values of {name} are ignored", element, key)
             values = values[: counts[-1]]
         if len(values) not in counts or np.isnan(values).any() or (abs(values) > largest).any():
             found = f"{name} = '{text[:80]}'"
-            most = f" up to {largest:g}" if (abs(values) > largest).any() else ""
+            limit = f" up to {largest:g}" if (abs(values) > largest).any() else ""
             self._problem(
-                element, key, f"<{_tag(element)}>: found {found}; expected {expected}{most}"
+                element, key, f"<{_tag(element)}>: found {found}; expected {expected}{limit}"
             )
             return None
         return values
 
-    def _meant(self, element: Element, text: str, key: str, counts: tuple[int, ...]) -> Array:
+    def _tolerant_numbers(
+        self, element: Element, text: str, key: str, counts: tuple[int, ...]
+    ) -> Array:
         words = [_SECOND_POINT.sub(r"\1", word) for word in _COMMAS.split(text.strip())]
         if len(words) == 1:
             words = [_SECOND_POINT.sub(r"\1", word) for word in text.split()]
@@ -768,7 +768,7 @@ class UrdfFile:
             return np.array([np.nan])
         if len(values) not in counts:
             return np.array([np.nan])
-        self._note(f"'{text[:80]}' is taken for {' '.join(words)}", element, key)
+        self._note(f"'{text[:80]}' is read as {' '.join(words)}", element, key)
         return values
 
 
@@ -796,10 +796,6 @@ def _all(element: Element, tag: str) -> list[Element]:
     return [each for each in element.iter() if _tag(each) == tag]
 
 
-def _text(values: Array) -> str:
-    return " ".join(f"{value:g}" for value in values)
-
-
 def _reached(root: str, below: Mapping[str, list[Joint]]) -> set[str]:
     found, waiting = {root}, [root]
     while waiting:
@@ -811,11 +807,7 @@ def _reached(root: str, below: Mapping[str, list[Joint]]) -> set[str]:
 
 
 def _single_axes(joint: Joint, taken: set[str]) -> tuple[list[Joint], list[UrdfLink]]:
-    """Two prismatic joints and a revolute one instead of a planar one, and the links between them.
-
-    Args:
-        taken: names of links.
-    """
+    """Returns two prismatic joints and a revolute one for a planar joint, and links in between."""
     axes = aligned(joint.axis).T
     made: list[Joint] = []
     added = [UrdfLink(plain_name(f"{joint.name}_{axis}", taken), joint.line) for axis in "xy"]

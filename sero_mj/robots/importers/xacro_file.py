@@ -1,11 +1,9 @@
-"""Expands xacro without running Python that is in the file.
+"""Expands xacro files without executing arbitrary Python code in them.
 
-The package `xacro` hands expressions (`${...}`, `$(eval ...)`) to Python's `eval`, which a file can
-use to run anything. Here the package `simpleeval` interprets them instead: arithmetic,
-comparisons, conditions, lists, dictionaries, comprehensions, and the functions that xacro offers.
-Lambdas, f-strings and attributes other than those of dictionaries and plain methods are errors.
-
-Importing this module needs both packages.
+The package `xacro` passes expressions (`${...}`, `$(eval ...)`) to Python's `eval`. Here the
+package `simpleeval` interprets them instead: arithmetic, comparisons, conditions, lists,
+dictionaries, comprehensions, and the functions of xacro. Lambdas, f-strings and attributes other
+than dictionary entries and safe methods are errors. This module requires both packages.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ import xacro
 from simpleeval import BASIC_ALLOWED_ATTRS, EvalWithCompoundTypes, FeatureNotAvailable
 from xacro import substitution_args
 
-_LONGEST_RANGE = 100_000
+_MAX_RANGE = 100_000
 _REFUSED = ("type", "vars", "isinstance", "issubclass", "repr", "hash")
 _METHODS = {
     str: BASIC_ALLOWED_ATTRS[str] - {"format", "format_map"},
@@ -31,24 +29,22 @@ _METHODS = {
     tuple: {"index", "count"},
     float: {"is_integer"},
 }
-# The package has its state, and its own evaluation, in its modules.
+# xacro has global state, and its evaluation is patched globally.
 _LOCK = threading.Lock()
 
 
 def expand(path: Path, arguments: Mapping[str, str], find: Callable[[str], str]) -> str:
-    """Returns the XML that a file of xacro becomes; raises whatever xacro raises.
+    """Returns the XML of an expanded xacro file. Raises any exception of xacro.
 
     `find` returns the folder of a ROS package, for `$(find NAME)`.
     """
-    said = io.StringIO()
-    with _LOCK, _without_python(find), redirect_stderr(said), redirect_stdout(said):
+    output = io.StringIO()
+    with _LOCK, _without_python(find), redirect_stderr(output), redirect_stdout(output):
         return str(xacro.process_file(str(path), mappings=arguments).toxml())
 
 
 @contextmanager
 def _without_python(find: Callable[[str], str]) -> Iterator[None]:
-    """Replaces the evaluation of expressions, and the search for packages, within the context."""
-
     def evaluate(text: str, names: Mapping[str, Any], locals: object = None) -> Any:
         return _Interpreter(names).eval(text.strip())
 
@@ -82,7 +78,7 @@ def _without_python(find: Callable[[str], str]) -> Iterator[None]:
 
 
 class _Names(Mapping[str, Any]):
-    """Functions, then arguments, which are looked up only if an expression has them."""
+    """Functions, then arguments, which are looked up only if an expression uses them."""
 
     def __init__(
         self,
@@ -106,8 +102,6 @@ class _Names(Mapping[str, Any]):
 
 
 class _Interpreter(EvalWithCompoundTypes):  # type: ignore[misc]  # has no types
-    """Interprets one expression of xacro."""
-
     def __init__(self, names: Mapping[str, Any]) -> None:
         super().__init__(names=names, functions={})
         self.functions = _Functions(names)
@@ -142,8 +136,8 @@ class _Functions(dict[str, Any]):
 
 
 def range_up_to(*limits: int) -> range:
-    """`range`, but of a length that a file cannot use to exhaust the memory."""
+    """Like `range`, but limited in length, so that a file cannot exhaust the memory."""
     found = range(*limits)
-    if len(found) > _LONGEST_RANGE:
-        raise ValueError(f"found a range of {len(found)}; expected up to {_LONGEST_RANGE}")
+    if len(found) > _MAX_RANGE:
+        raise ValueError(f"found a range of {len(found)}; expected up to {_MAX_RANGE}")
     return found

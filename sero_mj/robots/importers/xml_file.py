@@ -1,4 +1,4 @@
-"""Reads untrusted XML safely."""
+"""Reads XML of unknown origin safely."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 from lxml import etree
 
 Element: TypeAlias = Any  # lxml has no types
-_MAX_HEAD = 100_000  # bytes in which a file's first element begins
+_MAX_HEAD = 100_000  # bytes that contain the beginning of the first element
 _NO_ELEMENT = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!.*?>", re.DOTALL)
 _ELEMENT = re.compile(rb"<([A-Za-z_][\w.-]*)")
-# Allowed before a file's first element, and tolerated before its declaration.
+# Allowed before the first element, and tolerated before the XML declaration.
 _BEFORE = rb"\s|\xef\xbb\xbf|<!--(?>.*?-->)"
 _DECLARATION = re.compile(rb"((?>%b)*+)(<\?xml\s[^>]*?\?>)" % _BEFORE, re.DOTALL)
 _VERSION = re.compile(rb"version\s*=\s*[\"']1\.")
@@ -26,7 +26,7 @@ _MAX_PREFIXES = 100
 
 
 class XmlError(ValueError):
-    """Unreadable XML; `reasons` are pairs of a line, or None, and the error there."""
+    """Invalid XML. `reasons` are pairs of a line, or None, and an error message."""
 
     def __init__(self, reasons: list[tuple[int | None, str]]) -> None:
         self.reasons = reasons
@@ -34,29 +34,29 @@ class XmlError(ValueError):
 
 
 def first_element(head: bytes) -> str | None:
-    """Returns the name of a file's first element; None if `head` has none."""
+    """Returns the name of the first element in `head`, or None."""
     found = _ELEMENT.search(_NO_ELEMENT.sub(b"", head))
     return None if found is None else found[1].decode()
 
 
 def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
-    """Returns the root element; its descendants know their lines (`sourceline`).
+    """Returns the root element. Raises XmlError.
 
-    Declarations of entities are refused: they can expand a few bytes to gigabytes, or insert other
-    files. Nothing is fetched from the network. An encoding overrides the file's. Raises XmlError.
+    Entity declarations are rejected, because they can expand a few bytes to gigabytes or insert
+    other files. The network is not used. `encoding` overrides the file's encoding.
     """
     stated = None
     if encoding is None and (found := _STATED.match(contents)) is not None:
         stated = found[1].decode()
     known = None if (name := encoding or stated) is None else _known(name)
-    encoding = None if known == stated else known  # lxml reads a stated encoding that it knows
+    encoding = None if known == stated else known  # lxml handles a declared encoding that it knows
     try:
         parser = etree.XMLParser(
             resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
             recover=False, remove_comments=True, remove_pis=True, encoding=encoding,
         )  # fmt: skip
     except LookupError:
-        raise XmlError([(None, f"has an unknown encoding, '{encoding}'")]) from None
+        raise XmlError([(None, f"has the unknown encoding '{encoding}'")]) from None
     try:
         root = etree.fromstring(contents, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
@@ -81,16 +81,16 @@ def _known(encoding: str) -> str:
 
 
 def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
-    """As `parse_xml`, but corrects errors that other programs accept; also returns what they are.
+    """Like `parse_xml`, but tolerates some errors, and also returns warnings about them.
 
-    These are a declaration that is not at the start or of an unknown version, and undeclared
-    prefixes. Both are corrected within their lines, so all other checks still apply.
+    Tolerated are undeclared prefixes, and an XML declaration that is not at the start or has an
+    unknown version. The corrections do not change line numbers.
     """
     try:
         return parse_xml(contents), []
     except XmlError as error:
         first = error
-    told: list[str] = []
+    warnings: list[str] = []
     encoding = None
     found = _DECLARATION.match(contents[:_MAX_HEAD])
     is_first = found is not None and not found[1].strip(b"\xef\xbb\xbf")
@@ -99,7 +99,7 @@ def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
         encoding = None if stated is None else stated[1].decode()
         blank = re.sub(rb"[^\n]", b" ", found[2])
         contents = contents[: found.start(2)] + blank + contents[found.end(2) :]
-        told.append(f"its XML declaration is not as it must be, and not read: {_shown(found[2])}")
+        warnings.append(f"the invalid XML declaration is ignored: {_shown(found[2])}")
     root = _ROOT.match(contents)
     if root is not None:
         tag = contents[root.end() : contents.find(b">", root.end())]
@@ -108,10 +108,10 @@ def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
         if 0 < len(unknown) <= _MAX_PREFIXES:
             added = b"".join(b' xmlns:%b="%b"' % (each, each) for each in unknown)
             contents = contents[: root.end()] + added + contents[root.end() :]
-            told.append(f"prefixes of names are not declared: {_shown(b', '.join(unknown))}")
-    if not told:
+            warnings.append(f"undeclared prefixes: {_shown(b', '.join(unknown))}")
+    if not warnings:
         raise first
-    return parse_xml(contents, encoding), told
+    return parse_xml(contents, encoding), warnings
 
 
 def _shown(text: bytes) -> str:
@@ -120,5 +120,5 @@ def _shown(text: bytes) -> str:
 
 def _plain(message: str) -> str:
     if "amplification" in message:
-        return "declares entities that grow without end; expected none"
+        return "declares entities that expand without limit; expected none"
     return message.partition(", use XML_PARSE_HUGE")[0].strip()

@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from ...base.errors import Problem, SimulationError
+from ...base.errors import Problem, SimulationError, mismatch
 from ...base.frames import Array
 from ...base.trust import RequestedAction
 from ...robots.declared.robot import SerialRobot
@@ -107,6 +107,14 @@ class Reachable(ControllerDeclaration):
     def check_files(self) -> None:
         if self.command:
             find_program(self.command, self.folder)
+
+    @staticmethod
+    def steps_per_cycle(cycle: float, timestep: float) -> int:
+        """Returns the number of time steps in a cycle (s); raises DeclarationError."""
+        steps = round(cycle / timestep)
+        if steps < 1 or abs(steps * timestep - cycle) > 1e-9:
+            raise mismatch(cycle, f"a multiple of the time step, {timestep:g} s", key="cycle")
+        return steps
 
 
 class Link:

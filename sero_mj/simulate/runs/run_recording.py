@@ -35,7 +35,7 @@ from ...robots.declared.degrees import degrees_warning
 from ...robots.declared.group_model import Expanded, expand_groups
 from ...robots.declared.robot import SerialRobot, build_robot
 from ...robots.declared.scene import MOST_ENTRIES, Scene
-from ...robots.importers.robot_file import read_robot_file
+from ...robots.importers.importer import read_robot_file
 from .recorded_signals import Series, follow_routes, read_events
 from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
 
@@ -81,7 +81,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         if len(runs) > 1:
             found = ", ".join(runs)
             raise UsageError(
-                f"{path} has several runs: {found}; choose with --source {runs[0]}, say"
+                f"{path} has several runs: {found}; choose one with --source {runs[0]}"
             )
         if runs:
             return _simulated(recording, runs[0], scene)

@@ -1,8 +1,7 @@
-"""Smart axes: coordinate axes at the base, every joint, the flange and named frames.
+"""Smart axes: coordinate axes at the base, every joint, the flange and named frames (section 2.5).
 
-x is red, y green, z blue. Coinciding frames are nested: each further one has shorter and thicker
-bars, so that all of them can be distinguished and clicked on in any orientation (section 2.5). A
-click shows a frame's name.
+x is red, y green, z blue. If frames coincide, each further one has shorter and thicker bars, so
+that all of them are visible and clickable in any orientation. A click shows the name of a frame.
 """
 
 from __future__ import annotations
@@ -25,12 +24,12 @@ from .panels import Panels, labels_below
 # Red, green, blue, in shades that also differ in lightness.
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
 _HALF_WIDTH_OF_LENGTH = 0.022
-_STALE_SHARE = 0.75  # fraction of grey in the colour of a stale frame
-# Frames closer than the first coincide, farther than the second they do not. In between, sizes
-# change continuously, so that frames that move apart do not flicker.
+_STALE_SHARE = 0.75  # fraction of gray in the color of a stale frame
+# Frames closer than the first distance coincide; frames farther apart than the second do not. In
+# between, sizes change continuously, so that frames that move apart do not flicker.
 _AT_ONE_PLACE = (0.004, 0.02)  # m
 _SHORTER, _THICKER = 0.45, 0.35  # scale factors per coinciding frame
-# Rotations of the bar's z onto x, y and z.
+# Rotations that map the z axis of a bar to x, y and z.
 ONTO_AXIS = np.array(
     [
         [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
@@ -52,7 +51,7 @@ class SmartAxes(Feature):
 
 
 def ranks(positions: Array) -> Array:
-    """Returns how many earlier frames coincide with every frame.
+    """Returns the number of earlier frames that coincide with each frame.
 
     Args:
         positions: (m, 3), m.
@@ -78,11 +77,8 @@ def draw_axes(
 ) -> None:
     """Draws three bars for every frame whose axes are shown.
 
-    Bars are boxes of 12 triangles. Arrow geoms have a thousand: axes would cost more than the
-    robot.
-
-    Args:
-        stale: which frames have no fresh data and are drawn grey, (M,) bool.
+    Bars are boxes with 12 triangles each. Arrow geoms have about a thousand triangles, so axes
+    would be slower to render than the robot. Frames in `stale`, (M,) bool, are gray.
     """
     table = world.frames
     index = (shown & (table.alpha > 0)).nonzero()[0]
@@ -116,9 +112,9 @@ def draw_bars(
         origins: (k, 3), m.
         rotation: (k, 3, 3).
         size: length and half the width of the bars, (k,) each, m.
-        rgb: of the three bars, (3, 3) or (k, 3, 3).
+        rgb: colors of the three bars, (3, 3) or (k, 3, 3).
         alpha: (k,).
-        items: rows of the frames in `FrameTable`, (k,); None for axes that cannot be clicked on.
+        items: rows of the frames in `FrameTable`, (k,); None for axes that cannot be clicked.
     """
     kind = Kind.NONE if items is None else Kind.AXES
     owners = 0 if items is None else np.repeat(items, 3)
@@ -137,7 +133,7 @@ def draw_bars(
 
 
 class FrameNames(Feature):
-    """Shows the names of frames whose name is switched on, by a click for example."""
+    """Shows the names of selected frames."""
 
     order = 60
 
@@ -150,11 +146,7 @@ class FrameNames(Feature):
 def name_panels(
     world: WorldView, data: mujoco.MjData, named: Bools, view: ImageView
 ) -> Panels | None:
-    """Returns labels below the origins of frames, or None if there are none.
-
-    Args:
-        named: whether a frame's name is shown, (M,) bool.
-    """
+    """Returns labels below the origins of the named frames, (M,) bool; None if there are none."""
     shown = named.nonzero()[0]
     if not len(shown):
         return None
@@ -162,5 +154,5 @@ def name_panels(
     found = labels_below(data.site_xpos[world.frames.site[shown]], [titles[i] for i in shown], view)
     if found is None:
         return None
-    panels, seen = found
-    return replace(panels, kind=Kind.NAME, items=shown[seen])
+    panels, visible = found
+    return replace(panels, kind=Kind.NAME, items=shown[visible])

@@ -1,17 +1,19 @@
-"""Billboards: panels beside the robots, with a leader line to the item they describe.
+"""Places billboards beside the robots, with leader lines to the items that they describe.
 
-Each robot's cards stand on its own side of the picture; a single robot, or one in the middle, has
-cards on both sides. Their heights follow the joints continuously; a card changes its place only
-where leaders would cross, or where a robot gets behind it.
+Each robot has its billboards on its own side of the image. A single robot, or the one in the
+middle, has billboards on both sides. Their heights follow the joints continuously. A billboard
+changes its place only if leaders would cross or a robot moves behind it.
 """
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...base.frames import Array, Bools, Ints
 from ...robots.assemble.parts import DoublePart
@@ -24,22 +26,23 @@ from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
 
 _Key = tuple[Kind, int]
 
-_CLOSE = 0.03  # of the picture's width, by which a robot moves before it changes its place
-_MIN_GAIN = 0.01  # of a line's height: less is noise, and no reason to change places
-FEWEST = 8  # cards, also where they need several columns
-# Of a robot with more joints only the most loaded have cards, unless they were clicked on.
+_CLOSE = 0.03  # fraction of the image width that a robot moves before it is sorted again
+_MIN_GAIN = 0.01  # fraction of a line's height; smaller gains are noise
+FEWEST = 8  # minimum number of billboards, even if they need several columns
+# If a robot has more than 24 joints, only the 12 most loaded joints and clicked ones are shown.
 _MANY, _MAX_LOADED = 24, 12
-GAP = 0.3  # between cards, of a line's height
-# A hand or finger is less than this of the arm that carries it: their cards stand together.
+GAP = 0.3  # between billboards, fraction of a line's height
+# A hand or finger smaller than this fraction of its arm has its billboards beside those of the arm.
 SMALL = 0.5
-NO_SHARE = -1.0  # comes after any known share
-# A card takes the room of another one only if its share is larger by this factor, and this much.
+NO_SHARE = -1.0  # sorted after any known share
+# A billboard replaces a shown one only if its share is larger by this factor plus this amount.
 _MORE = (1.25, 0.02)
-_NEW_ROOM = 0.5  # of a line's height, by which robots must be farther away from a new card
-_MARGIN = 0.5  # of a line's height
-_LANE = 0.2  # between leaders beside a column of cards, of a line's height
-_OF_LIMB = 2  # how many cards of joints the card of a limb stands for where there is little room
-_OF_LOADS = (Kind.BILLBOARD, Kind.LIMB)  # kinds of which the most loaded are shown
+_NEW_ROOM = 0.5  # additional distance of robots from new billboards, fraction of a line's height
+_MARGIN = 0.5  # fraction of a line's height
+_LANE = 0.2  # between leaders beside a column, fraction of a line's height
+_OF_LIMB = 2  # billboards of joints that the billboard of a limb counts as
+_LOADS = (Kind.BILLBOARD, Kind.LIMB)  # kinds with a share
+_LOADED = ", the most loaded"  # end of the note, unless no load is known
 _ROUNDS = 8  # of placing and uncrossing; panels of several sizes can need more than one
 # Dark on a light scene, light on a dark one.
 LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
@@ -47,19 +50,17 @@ LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)
 
 @dataclass(frozen=True, eq=False)
 class BillboardGroup:
-    """BillboardGroup of one kind, before layout.
+    """Billboards of one kind, before layout.
 
     Attributes:
-        texts: the lines of every card, top first.
-        owners: robot or double that they belong to, by their order in `WorldView.owners`, (k,); -1
-            for none.
-        side: `LEFT` or `RIGHT`, (k,), where there is one robot; else the robot's side is taken.
+        texts: lines of every billboard, top first.
+        owners: index in `WorldView.owners` of their robot or double, (k,); -1 for none.
+        side: `LEFT` or `RIGHT`, (k,), for a single robot; several robots determine it themselves.
         rank: vertical order, lowest first, (k,).
-        share: how much each carries of what it can, (k,), `NO_SHARE` where that is unknown: where
-            there is no room for all, those with the largest are shown; inf for those that always
-            are.
-        clear: minimum horizontal distance of their columns from the anchors, pixels.
-        rgba: (k, 4), or one for all.
+        share: load as a fraction of the limit, (k,), by which billboards are chosen if there is no
+            room for all; `NO_SHARE` if unknown, inf for billboards that are always shown.
+        clear: minimum horizontal distance of the columns from the anchors, pixels.
+        rgba: one color, or (k, 4).
     """
 
     kind: Kind
@@ -74,19 +75,16 @@ class BillboardGroup:
     clear: float
     rgba: tuple[float, float, float, float] | Array = PANEL_RGBA
 
-    def only(self, kept: Bools) -> BillboardGroup:
-        """Returns those of its cards that are kept, (k,)."""
+    def only(self, is_shown: Bools) -> BillboardGroup:
         arrays = ("items", "anchors", "sizes", "owners", "side", "rank", "share")
-        parts = {name: getattr(self, name)[kept] for name in arrays}
-        texts = [text for text, is_kept in zip(self.texts, kept, strict=True) if is_kept]
-        rgba = self.rgba[kept] if isinstance(self.rgba, np.ndarray) else self.rgba
+        parts = {name: getattr(self, name)[is_shown] for name in arrays}
+        texts = [text for text, is_on in zip(self.texts, is_shown, strict=True) if is_on]
+        rgba = self.rgba[is_shown] if isinstance(self.rgba, np.ndarray) else self.rgba
         return replace(self, **parts, texts=texts, rgba=rgba)
 
 
 @dataclass(frozen=True, eq=False)
-class _AllCards:
-    """BillboardGroup of all kinds as one, in the order of their groups."""
-
+class _All:
     groups: list[BillboardGroup]
     keys: list[_Key]
     anchors: Array
@@ -97,123 +95,101 @@ class _AllCards:
     share: Array
 
     @classmethod
-    def of(cls, groups: list[BillboardGroup]) -> _AllCards:
-        def joined(name: str) -> Any:
-            return np.concatenate([getattr(group, name) for group in groups])
-
+    def of(cls, groups: list[BillboardGroup]) -> _All:
         keys = [(group.kind, int(item)) for group in groups for item in group.items]
-        arrays = {name: joined(name) for name in ("anchors", "sizes", "owners", "side", "share")}
-        return cls(groups, keys, **arrays, rank=joined("rank").astype(float))
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(group, name) for group in groups])
+            for name in ("anchors", "sizes", "owners", "side", "rank", "share")
+        }
+        return cls(groups, keys, **{**arrays, "rank": arrays["rank"].astype(float)})
 
     @property
-    def is_asked(self) -> Bools:
+    def is_clicked(self) -> Bools:
         return np.isinf(self.share)
 
-    def only(self, kept: Bools) -> _AllCards:
-        """Returns the cards that are kept, (k,), with their current sides and ranks."""
+    def only(self, is_shown: Bools) -> _All:
         ends = np.cumsum([len(group.texts) for group in self.groups])
-        parts = zip(self.groups, np.split(kept, ends[:-1]), strict=True)
-        found = _AllCards.of([group.only(mine) for group, mine in parts if mine.any()])
-        return replace(found, side=self.side[kept], rank=self.rank[kept])
+        parts = zip(self.groups, np.split(is_shown, ends[:-1]), strict=True)
+        found = _All.of([group.only(mine) for group, mine in parts if mine.any()])
+        return replace(found, side=self.side[is_shown], rank=self.rank[is_shown])
 
 
 @dataclass
 class _Memory:
-    """What is kept from frame to frame, so that no card moves to and fro at a limit.
+    """State of the last frame, so that no billboard alternates between two places.
 
     Attributes:
         order: robots from left to right.
-        middles: by which they are sorted, pixels.
-        wanted: side of a card that the robots' positions give.
-        places: side and rank of a card.
-        chosen: the cards that were shown where there was no room for all.
+        middles: their horizontal positions by which they are sorted, pixels.
+        preferred: side of each billboard according to the robots' positions.
+        places: side and rank of each billboard.
+        chosen: shown billboards if there was no room for all; else empty.
     """
 
     order: list[int] = field(default_factory=list)
     middles: dict[int, float] = field(default_factory=dict)
-    wanted: dict[_Key, int] = field(default_factory=dict)
+    preferred: dict[_Key, int] = field(default_factory=dict)
     places: dict[_Key, tuple[int, float]] = field(default_factory=dict)
     chosen: set[_Key] = field(default_factory=set)
 
-    def copy(self) -> _Memory:
-        return _Memory(
-            self.order,
-            self.middles.copy(),
-            self.wanted.copy(),
-            self.places.copy(),
-            self.chosen.copy(),
-        )
-
-    def sort_robots(self, across: Array, of_point: Ints, width: float) -> None:
-        """Sorts the robots from left to right; small moves change nothing."""
-        robots = set(of_point.tolist())
+    def sort_robots(self, x: Array, robot_of_point: Ints, width: float) -> None:
+        robots = set(robot_of_point.tolist())
         for robot in robots:
-            middle = float(across[of_point == robot].mean())
+            middle = float(x[robot_of_point == robot].mean())
             if abs(middle - self.middles.get(robot, np.inf)) > _CLOSE * width:
                 self.middles[robot] = middle
         self.order = sorted(robots, key=self.middles.__getitem__)
 
-    def recall(self, cards: _AllCards) -> None:
-        """Gives cards their last sides and ranks, unless another side is wanted now."""
-        for k, key in enumerate(cards.keys):
-            if self.wanted.get(key) == cards.side[k] and key in self.places:
-                cards.side[k], cards.rank[k] = self.places[key]
+    def restore_places(self, every: _All) -> None:
+        for k, key in enumerate(every.keys):
+            if self.preferred.get(key) == every.side[k] and key in self.places:
+                every.side[k], every.rank[k] = self.places[key]
             else:
-                self.wanted[key] = int(cards.side[k])
+                self.preferred[key] = int(every.side[k])
 
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Where the cards are that are shown, and their leaders, (m, 2) each, pixels.
+    """Places of the shown billboards and of their leaders, (m, 2) each, pixels.
 
     Attributes:
-        note: how many are shown, in a list; empty if all are.
-        bends: of the leaders; as `starts` where they are straight.
+        note: panel with the number of shown billboards, in a list; empty if all are shown.
+        bends: where leaders bend; the same as `starts` for straight leaders.
     """
 
-    cards: _AllCards
-    kept: Bools
+    billboards: _All
+    is_shown: Bools
     note: list[Panels]
     centres: Array
     starts: Array
     bends: Array
 
-    def panels(self, groups: list[BillboardGroup]) -> list[Panels]:
-        counts = [len(group.texts) for group in groups]
-        centres = np.split(self.centres, np.cumsum(counts)[:-1])
-        return [
-            Panels(
-                middle, each.sizes, each.texts, each.rgba, each.kind, each.items, has_values=True
-            )
-            for middle, each in zip(centres, groups, strict=True)
-        ]
-
 
 @dataclass(frozen=True, eq=False)
-class _Body:
-    """What the robots cover: pixels of points (m, 2), their robots, and rectangles (m, 4)."""
+class _Covered:
+    """Pixels of points on robots (m, 2), their robots (m,), and covered rectangles (m, 4)."""
 
     pixels: Array
     robots: Ints
-    covered: Array
+    rectangles: Array
 
 
 class BillboardLayout:
-    """Places the cards of a world, and keeps their places from frame to frame.
+    """Places the billboards of a world.
 
-    A card keeps its side and its place in the vertical order from frame to frame, until leaders
-    cross: then two cards change places. While nothing moves that cards depend on, they are not
-    placed anew: of a frame that takes 8 ms of an LWR at 1280x800 (24 ms of Justin) that saves 6 ms
+    A billboard keeps its side and its place in the vertical order from frame to frame until leaders
+    cross. Then two billboards swap places. The layout is reused while nothing that it depends on
+    moves: of a frame of an LWR at 1280x800, which takes 8 ms (24 ms of Justin), this saves 6 ms
     (8 ms).
 
     Args:
-        owner_group: as returned by `owner_groups`.
+        owner_group: result of `owner_groups`.
     """
 
     def __init__(self, owner_group: Ints) -> None:
         self._owner_group = owner_group
         self._memory = _Memory()
-        self._last: tuple[tuple[object, ...], _Placed] | None = None  # and what it followed from
+        self._last: tuple[tuple[object, ...], _Placed] | None = None  # inputs and their result
 
     def lay_out(
         self,
@@ -226,81 +202,88 @@ class BillboardLayout:
         corners: list[Panels],
         leader_rgba: tuple[float, float, float, float] = LEADER_RGBA["light"],
     ) -> tuple[list[BillboardGroup], list[Panels], list[Panels]]:
-        """Places the cards and draws their leaders.
+        """Places the billboards and draws their leaders.
 
-        Where there is no room for all beside what the robots cover, or a robot has many, those
-        with the largest shares are shown, but not less than a few; a note in the corner says how
-        many.
+        If a robot has many billboards, or if there is no room for all of them beside the robots,
+        those with the largest shares are shown, but at least a few. A note in the corner states how
+        many are shown.
 
         Args:
-            radii: of the robot around every point, (m,), m.
+            radii: radius of the robot around every point, (m,), m.
             owners: index of the robot or double of every point, (m,).
-            corners: panels in the corners of the picture, which cards must not cover.
+            corners: panels in the corners of the image, which billboards do not cover.
 
         Returns:
-            the cards that are shown, their panels, and the note for the corner if there is one.
+            the shown billboards, their panels, and the note in a list, which may be empty.
         """
         groups = [group for group in groups if group.texts]
         if not groups:
             return [], [], []
-        cards = _AllCards.of(groups)
+        every = _All.of(groups)
+        covered, radius = self._project(view, points, radii, owners)
+        order = self._by_share(every)
+        # Of the shares, only their order matters and whether they are known; both rarely change.
+        arrays: list[NDArray[Any]] = [covered.pixels, covered.robots, radius, order]
+        arrays += [every.share > NO_SHARE, every.is_clicked, every.anchors, every.sizes]
+        arrays += [every.owners, every.side, every.rank, *view.free]
+        arrays += [array for corner in corners for array in (corner.centres, corner.sizes)]
+        clear = tuple(float(group.clear) for group in groups)
+        inputs = (view.font, tuple(every.keys), clear, tuple(array.tobytes() for array in arrays))
+        if self._last is not None and self._last[0] == inputs:
+            placed = self._last[1]
+        else:
+            before = deepcopy(self._memory)
+            placed = self._place(view, every, covered, corners, order)
+            self._last = (inputs, placed) if self._memory == before else None
+        if placed.note:
+            groups = every.only(placed.is_shown).groups
+        anchors = placed.billboards.anchors
+        draw_leaders(buffer, view, placed.starts, placed.bends, anchors, leader_rgba)
+        centres = np.split(placed.centres, np.cumsum([len(group.texts) for group in groups])[:-1])
+        panels = [
+            Panels(
+                middle, each.sizes, each.texts, each.rgba, each.kind, each.items, has_values=True
+            )
+            for middle, each in zip(centres, groups, strict=True)
+        ]
+        return groups, panels, placed.note
+
+    def _project(
+        self, view: ImageView, points: Array, radii: Array, owners: Ints
+    ) -> tuple[_Covered, Array]:
         pixels, depth = view.project(points)
         is_before = depth > view.near
         pixels, robots = pixels[is_before], self._owner_group[owners[is_before]]
         radius = (radii[is_before] / view.pixel_size(depth[is_before]))[:, None]
-        body = _Body(pixels, robots, np.concatenate([pixels - radius, pixels + radius], axis=1))
-        order = self._by_share(cards)
-        # Of shares only the order counts and what is known: most values change without it.
-        arrays = [body.pixels, body.robots, radius, order, cards.share > NO_SHARE, cards.is_asked]
-        arrays += [cards.anchors, cards.sizes, cards.owners, cards.side, cards.rank, *view.free]
-        arrays += [array for corner in corners for array in (corner.centres, corner.sizes)]
-        clear = tuple(float(group.clear) for group in groups)
-        contents = tuple(array.tobytes() for array in arrays)
-        inputs = (view.font, tuple(cards.keys), clear, contents)
-        if self._last is None or self._last[0] != inputs:
-            before = self._memory.copy()
-            placed = self._place(view, cards, body, corners, order)
-            self._last = (inputs, placed) if self._memory == before else None
-        else:
-            placed = self._last[1]
-        if placed.note:
-            groups = cards.only(placed.kept).groups
-        anchors = placed.cards.anchors
-        draw_leaders(buffer, view, placed.starts, placed.bends, anchors, leader_rgba)
-        return groups, placed.panels(groups), placed.note
+        rectangles = np.concatenate([pixels - radius, pixels + radius], axis=1)
+        return _Covered(pixels, robots, rectangles), radius
 
-    def _by_share(self, cards: _AllCards) -> Ints:
-        """Returns the order in which cards get room, (k,); those shown last come a bit earlier."""
-        last = np.array([key in self._memory.chosen for key in cards.keys])
+    def _by_share(self, every: _All) -> Ints:
+        was_chosen = np.array([key in self._memory.chosen for key in every.keys])
         factor, more = _MORE
-        share = cards.share
-        wanted = np.where(last, np.maximum(factor * share, share) + more, share)
-        return np.argsort(-wanted, kind="stable")
+        share = every.share
+        raised = np.where(was_chosen, np.maximum(factor * share, share) + more, share)
+        return np.argsort(-raised, kind="stable")
 
     def _place(
-        self,
-        view: ImageView,
-        cards: _AllCards,
-        body: _Body,
-        corners: list[Panels],
-        order: Ints,
+        self, view: ImageView, every: _All, covered: _Covered, corners: list[Panels], order: Ints
     ) -> _Placed:
         low, high = view.free
         width, height = high - low
-        covered = body.covered - [*low, *low]
-        self._memory.sort_robots(body.pixels[:, 0], body.robots, width)
-        self._set_sides(cards)
-        self._memory.recall(cards)
-        kept, note = self._choose(view, cards, covered, corners, order)
+        rectangles = covered.rectangles - [*low, *low]
+        self._memory.sort_robots(covered.pixels[:, 0], covered.robots, width)
+        self._set_sides(every)
+        self._memory.restore_places(every)
+        is_shown, note = self._choose(view, every, rectangles, corners, order)
         if note:
-            cards = cards.only(kept)
-        anchors, sizes, gap = cards.anchors, cards.sizes, GAP * view.font.height
-        across = np.concatenate([body.pixels[:, 0], anchors[:, 0]]) - low[0]
-        span = max(float(across.min()), 0.0), min(float(across.max()), width)
-        beside = min(max(3 * gap, *(group.clear for group in cards.groups)), width / 6)
+            every = every.only(is_shown)
+        anchors, sizes, line = every.anchors, every.sizes, view.font.height
+        gap = GAP * line
+        x = np.concatenate([covered.pixels[:, 0], anchors[:, 0]]) - low[0]
+        span = max(float(x.min()), 0.0), min(float(x.max()), width)
+        beside = min(max(3 * gap, *(group.clear for group in every.groups)), width / 6)
         kept_free = _rectangles([*corners, *note], low)
-        lane, least_gain = _LANE * view.font.height, _MIN_GAIN * view.font.height
-        side, rank, same = cards.side, cards.rank, np.arange(len(cards.keys))
+        side, rank, same = every.side, every.rank, np.arange(len(every.keys))
         best: tuple[int, Ints, Array, _Placed] | None = None
         for _ in range(_ROUNDS):
             by_rank = np.argsort(rank, kind="stable")
@@ -315,153 +298,140 @@ class BillboardLayout:
                 height,
                 span=span,
                 kept_free=kept_free,
-                covered=covered,
+                covered=rectangles,
             )
             starts = _starts(centres, sizes, anchors, side)
-            turns = bends(starts, anchors, centres, sizes, lane)
+            turns = bends(starts, anchors, centres, sizes, _LANE * line)
             tangled = tangle(starts, turns, anchors, centres - sizes / 2, centres + sizes / 2)
             if best is None or tangled < best[0]:
-                best = tangled, side, rank, _Placed(cards, kept, note, centres, starts, turns)
-            changed = uncross(starts, anchors, least_gain)
+                best = tangled, side, rank, _Placed(every, is_shown, note, centres, starts, turns)
+            changed = uncross(starts, anchors, _MIN_GAIN * line)
             if (changed == same).all():
-                changed = uncross(turns, anchors, least_gain)
+                changed = uncross(turns, anchors, _MIN_GAIN * line)
             if not tangled or (changed == same).all():
                 break
             side, rank = side[changed], rank[changed]
         assert best is not None
         _, side, rank, placed = best
         places = zip(side.tolist(), rank.tolist(), strict=True)
-        self._memory.places.update(zip(cards.keys, places, strict=True))
+        self._memory.places.update(zip(every.keys, places, strict=True))
         return placed
 
-    def _set_sides(self, cards: _AllCards) -> None:
-        """Gives the cards of several robots the sides of these, about equally many on each."""
+    def _set_sides(self, every: _All) -> None:
         robots = self._memory.order
         if len(robots) < 2:
             return
-        of_card = np.append(self._owner_group, -1)[cards.owners]  # -1 for no owner
-        counts = np.array([(of_card == robot).sum() for robot in robots])
+        robot_of = np.append(self._owner_group, -1)[every.owners]  # -1 for no owner
+        counts = np.array([(robot_of == robot).sum() for robot in robots])
         middles = np.cumsum(counts) - counts / 2
         for place, robot in enumerate(robots):
-            if 2 * place + 1 != len(robots):  # one in the middle has cards on both sides
+            if 2 * place + 1 != len(robots):  # the middle robot has billboards on both sides
                 is_left = middles[place] < counts.sum() / 2
-                cards.side[of_card == robot] = LEFT if is_left else RIGHT
+                every.side[robot_of == robot] = LEFT if is_left else RIGHT
 
     def _choose(
-        self,
-        view: ImageView,
-        cards: _AllCards,
-        covered: Array,
-        corners: list[Panels],
-        order: Ints,
+        self, view: ImageView, every: _All, covered: Array, corners: list[Panels], order: Ints
     ) -> tuple[Bools, list[Panels]]:
-        """Returns which cards are shown, (k,), and a note of how many, in a list; none for all.
+        """Returns which billboards are shown, (k,), and a note if these are not all.
 
-        They are those with the largest shares in the whole image. Billboards whose side has no room
-        may change to the other one.
+        If a side has no room, its billboards may move to the other side.
         """
-        memory, count_all = self._memory, len(cards.keys)
-        asked, limit = int(cards.is_asked.sum()), _most_cards(cards, view)
+        memory, total = self._memory, len(every.keys)
+        limit, nothing = _max_count(every, view), np.zeros((0, 4))
         first = order[:limit]
-        fitting = partial(self._fitting, view, cards, first)
-        everything, nothing = np.ones(count_all, bool), np.zeros((0, 4))
+        fit = partial(self._fit, view, every, first)
 
-        def is_all(found: tuple[int, Ints]) -> bool:
-            if found[0] < count_all:
-                return False
-            cards.side[order] = found[1]
-            memory.chosen.clear()
-            return True
+        def show(count: int, sides: Ints) -> Bools:
+            every.side[first] = sides
+            is_shown = np.zeros(total, bool)
+            is_shown[order[:count]] = True
+            shown = {key for key, is_on in zip(every.keys, is_shown, strict=True) if is_on}
+            memory.chosen = shown if count < total else set()
+            return is_shown
 
-        # The card of a limb has more lines than those of joints, and says as much as several.
-        weights = np.where([kind == Kind.LIMB for kind, _ in cards.keys], _OF_LIMB, 1)[order]
+        # The billboard of a limb has more lines and replaces several billboards of joints.
+        weights = np.where([kind == Kind.LIMB for kind, _ in every.keys], _OF_LIMB, 1)[order]
         few = max(int((weights.cumsum() <= FEWEST).sum()), 1)
-        if count_all <= few and is_all(fitting(nothing, corners, count_all)):
-            return everything, []
-        if not memory.chosen and is_all(fitting(covered, corners)):
-            return everything, []
-        note = _note(view, count_all, corners)
+        attempts = [(nothing, total)] if total <= few else []
+        attempts += [] if memory.chosen else [(covered, 0)]
+        for around, required in attempts:
+            count, sides = fit(around, corners, required)
+            if count == total:
+                return show(count, sides), []
+        note = _note(view, total, corners)
         corners = [*corners, note]
-        # A few are shown even over robots, but never over each other.
-        fewest = fitting(nothing, corners, min(few, limit))[0]
-        least = max(min(fewest, max(few, asked), limit), 1)
+        # A few are shown even in front of robots, but never in front of each other.
+        fewest = fit(nothing, corners, min(few, limit))[0]
+        required = max(min(fewest, max(few, int(every.is_clicked.sum())), limit), 1)
         apart = _NEW_ROOM * view.font.height * np.array([-1, -1, 1, 1])
-        count, sides = fitting(covered + apart, corners, least)
-        if is_all((count, sides)):
-            return everything, []
-        if count < len(memory.chosen):  # as many as in the last frame, if they still have room
-            most, sides = fitting(covered, corners, least)
-            count = min(most, len(memory.chosen))
-        if count < least:
-            count, sides = least, fitting(nothing, corners, least)[1]
-        cards.side[first] = sides
-        kept = np.zeros(count_all, bool)
-        kept[order[:count]] = True
-        memory.chosen = {key for key, is_kept in zip(cards.keys, kept, strict=True) if is_kept}
-        return kept, [replace(note, texts=[[_text_of(cards, kept)]])]
+        count, sides = fit(covered + apart, corners, required)
+        if count == total:
+            return show(count, sides), []
+        if count < len(memory.chosen):  # as many as in the last frame if they still have room
+            count, sides = fit(covered, corners, required)
+            count = min(count, len(memory.chosen))
+        if count < required:
+            count, sides = required, fit(nothing, corners, required)[1]
+        is_shown = show(count, sides)
+        return is_shown, [replace(note, texts=[[_note_of(every, is_shown)]])]
 
-    def _fitting(
+    def _fit(
         self,
         view: ImageView,
-        cards: _AllCards,
+        every: _All,
         first: Ints,
         covered: Array,
         corners: list[Panels],
-        fewest: int = 0,
+        required: int = 0,
     ) -> tuple[int, Ints]:
-        """Returns for how many of the first cards there is room, and their sides.
-
-        Each of several robots has its cards on its own side, if these are not too few.
-        """
         low, high = view.free
-        width, height = high - low
+        gap, kept_free = GAP * view.font.height, _rectangles(corners, low)
+        # With several robots, billboards change sides only if too few fit otherwise.
         for may_move in (False, True) if len(self._memory.order) > 1 else (True,):
             found = with_room(
-                cards.sizes[first],
-                cards.side[first],
-                GAP * view.font.height,
-                width,
-                height,
-                kept_free=_rectangles(corners, low),
+                every.sizes[first],
+                every.side[first],
+                gap,
+                *(high - low),
+                kept_free=kept_free,
                 covered=covered,
                 may_move=may_move,
             )
-            if found[0] >= fewest:
+            if found[0] >= required:
                 break
         return found
 
 
 def owner_groups(world: WorldView) -> Ints:
-    """Returns the index of the robot with which the cards of every owner of joints stand.
+    """Returns, for every owner of joints, the index of the robot whose billboards it joins.
 
-    A double's is that of its robot; a hand's that of the arm which carries it.
+    A double joins its robot, and a hand joins the arm that carries it.
     """
     names, robots = list(world.owners), world.scene.robots
 
-    def stands_with(name: str) -> str:
+    def joined(name: str) -> str:
         below = carrier(robots[name]) if name in robots else None
         if below not in world.robots or robots[name].reach > SMALL * robots[below].reach:
             return name
-        return stands_with(below)
+        return joined(below)
 
     return np.array(
         [
-            names.index(stands_with(part.double.of if isinstance(part, DoublePart) else name))
+            names.index(joined(part.double.of if isinstance(part, DoublePart) else name))
             for name, part in world.owners.items()
         ],
         np.intp,
     )
 
 
-def _most_cards(cards: _AllCards, view: ImageView) -> int:
-    """Returns how many cards a picture has at most: of each owner with many `_MAX_LOADED`."""
-    asked, (low, high) = int(cards.is_asked.sum()), view.free
-    if is_narrow(cards.sizes, GAP * view.font.height, high[0] - low[0]):
-        return max(FEWEST, asked)  # leaders cross one column more than two
-    owners = cards.owners
+def _max_count(every: _All, view: ImageView) -> int:
+    clicked, (low, high) = int(every.is_clicked.sum()), view.free
+    if is_narrow(every.sizes, GAP * view.font.height, high[0] - low[0]):
+        return max(FEWEST, clicked)  # leaders cross a single column more often than two
+    owners = every.owners
     counts = np.unique(owners[owners >= 0], return_counts=True)[1]
-    most = np.where(counts > _MANY, _MAX_LOADED, counts).sum() + (owners < 0).sum()
-    return max(int(most), asked)
+    total = np.where(counts > _MANY, _MAX_LOADED, counts).sum() + (owners < 0).sum()
+    return max(int(total), clicked)
 
 
 def _rectangles(corners: list[Panels], origin: Array) -> Array:
@@ -469,9 +439,9 @@ def _rectangles(corners: list[Panels], origin: Array) -> Array:
     return rows - np.tile(origin, 2)
 
 
-def _note(view: ImageView, count: int, corners: list[Panels]) -> Panels:
+def _note(view: ImageView, total: int, corners: list[Panels]) -> Panels:
     margin = _MARGIN * view.font.height
-    text = _note_text(count, count)  # the longest
+    text = _note_text(total, total)  # the longest one
     size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
     right, bottom = view.free[1][0] - margin, view.free[0][1] + margin
     for corner in corners:  # above the legend, in a narrow picture
@@ -482,19 +452,19 @@ def _note(view: ImageView, count: int, corners: list[Panels]) -> Panels:
     return Panels(centre[None], size[None], [[text]])
 
 
-def _note_text(shown: int, count: int, *, is_loaded: bool = True, what: str = " joints") -> bytes:
-    which = ", the most loaded" if is_loaded else ""  # of joints without data none is
-    return f"billboards: {shown} of {count}{what}{which}".encode()
+def _note_text(shown: int, total: int, what: str = " joints", which: str = _LOADED) -> bytes:
+    return f"billboards: {shown} of {total}{what}{which}".encode()
 
 
-def _text_of(cards: _AllCards, kept: Bools) -> bytes:
-    is_load = np.array([kind in _OF_LOADS for kind, _ in cards.keys])
-    has_limbs = any(kind == Kind.LIMB for kind, _ in cards.keys)
+def _note_of(every: _All, is_shown: Bools) -> bytes:
+    kinds = [kind for kind, _ in every.keys]
+    is_load = np.isin(kinds, _LOADS)
+    is_known = (every.share[is_shown & is_load] > NO_SHARE).all()
     return _note_text(
-        int((kept & is_load).sum()),
+        int((is_shown & is_load).sum()),
         int(is_load.sum()),
-        is_loaded=bool((cards.share[kept & is_load] > NO_SHARE).all()),
-        what="" if has_limbs else " joints",
+        "" if Kind.LIMB in kinds else " joints",
+        _LOADED if is_known else "",
     )
 
 
@@ -506,7 +476,7 @@ def _starts(centres: Array, sizes: Array, anchors: Array, side: Ints) -> Array:
 
 
 def move_below(right: Panels, left: Panels) -> Panels:
-    """Returns the upper left corner's panels, moved below the right one's if they overlap."""
+    """Returns the panels of the upper left corner, moved below those of the right one if needed."""
     low, _ = bounds(right)
     _, high = bounds(left)
     down = high[1] - low[1]
@@ -516,16 +486,16 @@ def move_below(right: Panels, left: Panels) -> Panels:
 
 
 def bounds(panels: Panels) -> tuple[Array, Array]:
-    """Returns the lower left and upper right pixel of all panels of a corner."""
+    """Returns the lower left and the upper right pixel of the panels in a corner."""
     half = panels.sizes / 2
     return (panels.centres - half).min(axis=0), (panels.centres + half).max(axis=0)
 
 
 def heights_in_order(heights: Array) -> Ints:
-    """Returns the rank of every height, the lowest first, (k,).
+    """Returns the rank of every height, (k,), 0 for the lowest.
 
-    The order is computed once, in the declared pose: sorting by the current heights would make
-    panels swap places.
+    Compute it once for the declared pose: ranks of the current heights would make billboards swap
+    places.
     """
     order = np.argsort(heights, kind="stable")
     rank = np.empty(len(order), np.intp)

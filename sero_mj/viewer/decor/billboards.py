@@ -40,8 +40,8 @@ _LABELS = {
     "joint_angles": "pos",
     "billboard_values": "val",
 }
-_CLOSE = 0.01  # of the picture's width, by which a limb is beside the middle of its robot
-_PLAIN_BELOW = 1e6  # above it values are written with an exponent
+_CLOSE = 0.01  # minimum distance of a limb from the middle of its robot, fraction of image width
+_PLAIN_BELOW = 1e6  # larger values are written with an exponent
 # Default unit and decimals of a value, for revolute and for prismatic joints.
 _UNITS = {
     "joint_accelerations": (("rad/s2", 2), ("m/s2", 2)),
@@ -50,8 +50,8 @@ _UNITS = {
 }
 # Default decimals of torques, whose unit is the robot's.
 _TORQUES = {"torques": 1, "commanded_torques": 1, "torque_error": 2, "torque_limit": 1}
-# Of a torque as many decimals are shown as tell this share of that of a full arrow.
-_SEEN, _MAX_DECIMALS, _ROUNDING = 0.01, 4, 1e-9
+# Decimals of torques resolve this fraction of the torque of a full arrow.
+_RESOLUTION, _MAX_DECIMALS, _ROUNDING = 0.01, 4, 1e-9
 _OWN_UNIT = (("", 2), ("", 2))  # of `billboard_values` and a robot's own inputs
 # Values and labels that a click on an arrow shows (section 2.2).
 _DETAILS = {
@@ -62,10 +62,10 @@ _DETAILS = {
     "torque_share": "share",
 }
 
-_LARGEST = "largest seen"  # label of the largest torque seen so far, in place of a limit
+_LARGEST = "largest seen"  # label if the largest torque so far replaces the limit
 _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
-_FILLED = 0.55  # part of both sides of a picture that cards may take before limbs have one card
-_TINT = 0.30  # fraction of the double's colour in the colour of its panels
+_FILLED = 0.55  # maximum filled fraction of both sides before limbs are collapsed
+_TINT = 0.30  # fraction of the double's color in the color of its panels
 
 
 class Billboards(Feature):
@@ -77,23 +77,15 @@ class Billboards(Feature):
         super().__init__(world)
         joints = world.joints
         parts = list(world.owners.values())
-        self._declared = [declared_lines(part, world.scene) for part in parts]
-        # Without declared lines or inputs to show, cards have angles until there are torques.
-        self._has_angles = np.array(
-            [
-                not has_chosen_lines(part) and [line.value for line in lines] == ["joint_angles"]
-                for part, lines in zip(parts, self._declared, strict=True)
-            ],
-            bool,
-        )
-        # BillboardGroup whose one number is a torque that nobody has chosen.
-        self._are_torques = np.array(
-            [
-                not has_chosen_lines(part) and [line.value for line in lines] == ["torques"]
-                for part, lines in zip(parts, self._declared, strict=True)
-            ],
-            bool,
-        )
+        declared = [declared_lines(part, world.scene) for part in parts]
+        # Defaults show angles until torques are received, and torque errors if arrows do.
+        defaults = [
+            "" if has_chosen_lines(part) or len(lines) > 1 else lines[0].value
+            for part, lines in zip(parts, declared, strict=True)
+        ]
+        self._has_angles = np.array([value == "joint_angles" for value in defaults], bool)
+        self._has_torques = np.array([value == "torques" for value in defaults], bool)
+
         self._formats: dict[int, Formats] = {}
         self._names: dict[int, _LimbNames] = {}
         self._side = np.concatenate(
@@ -101,7 +93,7 @@ class Billboards(Feature):
         ).astype(np.intp)
         self._limbs = limbs = billboard_limbs(world)
         self._limb = limbs.beside
-        self._close = 0.0  # how far from its robot's middle a limb has no side, picture widths
+        self._close = 0.0  # see `_CLOSE`; 0 for the first frame, in which every limb gets a side
         group = limbs.groups[joints.owner]
         every = [np.unique(self._limb[group == each]) for each in np.unique(group)]
         self._limbs_of_groups = [limbs for limbs in every if len(limbs) > 1]
@@ -119,57 +111,58 @@ class Billboards(Feature):
         return self._formats[longest]
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds the billboards that are shown, of joints in the picture.
+        """Adds the billboards of joints in the image.
 
-        If there are too many, one card replaces those of all joints of a limb that were not
-        clicked. `BillboardLayout` then keeps the clicked ones and those with the largest load.
+        If there are too many, one billboard replaces those of all joints of a limb that were not
+        clicked. `BillboardLayout` then selects the clicked ones and those with the largest load.
         """
-        cards = self._cards(frame)
-        if cards is None:
+        group = self._of_joints(frame)
+        if group is None:
             return
         if len(self._limbs.names) > 1:
-            most = _room_for(cards.sizes, frame.view)
-            told = self._limbs.collapsed(cards.items, np.isinf(cards.share), most)
-            if told.any():
-                frame.billboards.append(self._of_limbs(frame, cards.only(told)))
-                cards = cards.only(~told)
-        if cards.texts:
-            frame.billboards.append(cards)
+            room = _room_for(group.sizes, frame.view)
+            collapsed = self._limbs.collapsed(group.items, np.isinf(group.share), room)
+            if collapsed.any():
+                frame.billboards.append(self._of_limbs(frame, group.only(collapsed)))
+                group = group.only(~collapsed)
+        if group.texts:
+            frame.billboards.append(group)
 
-    def _of_limbs(self, frame: Frame, cards: BillboardGroup) -> BillboardGroup:
+    def _of_limbs(self, frame: Frame, group: BillboardGroup) -> BillboardGroup:
         names, view = self._limb_names(frame.view), frame.view
         of_joint = self._limbs.of_joint
-        limb = of_joint[cards.items]
+        limb = of_joint[group.items]
         numbers, first = np.unique(limb, return_index=True)
         mine = [(limb == number).nonzero()[0] for number in numbers]
-        most = [rows[cards.share[rows].argmax()] for rows in mine]
+        largest = [rows[group.share[rows].argmax()] for rows in mine]
         texts, widths = [], np.empty(len(numbers))
-        for k, (number, rows, top) in enumerate(zip(numbers.tolist(), mine, most, strict=True)):
+        for k, (number, rows, top) in enumerate(zip(numbers.tolist(), mine, largest, strict=True)):
             lines = [line_of(f"{names.limbs[number]}  {len(rows)} joints")]
-            if cards.share[top] > NO_SHARE:
-                joint = int(cards.items[top])
-                value = cards.texts[top][0].rsplit(b"  ", 1)[-1].strip()
+            if group.share[top] > NO_SHARE:
+                joint = int(group.items[top])
+                value = group.texts[top][0].rsplit(b"  ", 1)[-1].strip()
                 if np.isfinite(frame.arrow_limit[joint]):
-                    value = b"%.0f %%" % (100 * cards.share[top])
+                    value = b"%.0f %%" % (100 * group.share[top])
                 label = line_of(names.joints[joint])
-                lines.append(b"most " + label + b"  " + value)
+                lines.append(b"max " + label + b"  " + value)
+            # Widths do not shrink, because the most loaded joint changes.
             key = (view.font.height, number)
             widths[k] = max(self._limb_widths.get(key, 0), view.font.block_width(lines))
-            self._limb_widths[key] = int(widths[k])  # does not shrink: the most loaded one changes
+            self._limb_widths[key] = int(widths[k])
             texts.append(lines)
-        stale = np.array([frame.stale_joints[cards.items[rows]].all() for rows in mine])
+        stale = np.array([frame.stale_joints[group.items[rows]].all() for rows in mine])
         return replace(
-            cards,
+            group,
             kind=Kind.LIMB,
             items=np.array([(of_joint == number).argmax() for number in numbers], np.intp),
-            anchors=np.array([cards.anchors[rows].mean(axis=0) for rows in mine]),
+            anchors=np.array([group.anchors[rows].mean(axis=0) for rows in mine]),
             sizes=panel_sizes(widths, np.array([len(lines) for lines in texts]), view),
             texts=texts,
-            owners=cards.owners[first],
-            side=cards.side[first],
-            rank=np.array([cards.rank[rows].mean() for rows in mine]),
-            share=cards.share[most],
-            rgba=np.where(stale[:, None], _STALE_RGBA, self._rgba[cards.items[first]]),
+            owners=group.owners[first],
+            side=group.side[first],
+            rank=np.array([group.rank[rows].mean() for rows in mine]),
+            share=group.share[largest],
+            rgba=np.where(stale[:, None], _STALE_RGBA, self._rgba[group.items[first]]),
         )
 
     def _limb_names(self, view: ImageView) -> _LimbNames:
@@ -186,7 +179,7 @@ class Billboards(Feature):
             )
         return self._names[longest]
 
-    def _cards(self, frame: Frame) -> BillboardGroup | None:
+    def _of_joints(self, frame: Frame) -> BillboardGroup | None:
         data, view, toggles, values = frame.data, frame.view, frame.toggles, frame.values
         stale = frame.stale_joints
         joints = self.world.joints
@@ -201,7 +194,7 @@ class Billboards(Feature):
         formats = self._formats_for(view)
         count = np.bincount(joints.owner, np.isfinite(values["torques"]), len(self._has_angles))
         has_torques = (self._has_angles & (count > 0))[joints.owner]
-        are_errors = (has_torques | self._are_torques[joints.owner]) & shows_errors(toggles)
+        are_errors = (has_torques | self._has_torques[joints.owner]) & shows_errors(toggles)
         lines = [
             formats.details[i]
             if toggles.details[i]
@@ -219,8 +212,8 @@ class Billboards(Feature):
             share = 100 * np.abs(values["torques"]) / limit
             values = {**values, "torque_limit": limit, "torque_share": share}
         texts, widths = self._write(index.tolist(), lines, values, view.font)
-        asked = toggles.details | (toggles.clicked & toggles.billboards)
-        # Clear of the round arrows of the joint closest to the camera.
+        is_clicked = toggles.details | (toggles.clicked & toggles.billboards)
+        # At a distance from the round arrow of the joint closest to the camera.
         clear = 2.0 * joints.arrow_radius[index].max() / view.pixel_size(float(depth.min()))
         return BillboardGroup(
             kind=Kind.BILLBOARD,
@@ -231,29 +224,26 @@ class Billboards(Feature):
             owners=joints.owner[index],
             side=self._sides(frame)[index],
             rank=self._rank[index],
-            share=np.where(asked[index], np.inf, self._shares(frame)[index]),
+            share=np.where(is_clicked[index], np.inf, self._shares(frame)[index]),
             clear=clear,
             rgba=np.where(stale[index, None], _STALE_RGBA, self._rgba[index]),
         )
 
     def _sides(self, frame: Frame) -> Ints:
-        """Returns the side of every joint's card, (N,), one for a whole limb.
-
-        It is the limb's in the picture; one in the middle stays where it is.
-        """
         if not self._is_in_limbs.any():
             return self._side
+        # A whole limb is on the side of its place in the image; near the middle, the side is kept.
         joints, view = self.world.joints, frame.view
         pixels, depth = view.project(frame.data.site_xpos[joints.centre_site])
         is_before = depth > view.near
         counts = np.maximum(np.bincount(self._limb, is_before), 1.0)
-        across = np.bincount(self._limb, np.where(is_before, pixels[:, 0], 0.0)) / counts
+        x = np.bincount(self._limb, np.where(is_before, pixels[:, 0], 0.0)) / counts
         middles = np.zeros(len(counts))
         for limbs in self._limbs_of_groups:
-            middles[limbs] = np.median(across[limbs])
-        beside = (across - middles)[self._limb]
+            middles[limbs] = np.median(x[limbs])
+        beside = (x - middles)[self._limb]
         moved = self._is_in_limbs & (np.abs(beside) >= self._close * view.width)
-        self._close = _CLOSE  # from the first picture on, so that cards do not go to and fro
+        self._close = _CLOSE  # so that billboards do not alternate between the sides
         self._side[moved] = np.where(beside[moved] < 0, LEFT, RIGHT)
         return self._side
 
@@ -302,8 +292,6 @@ class Billboards(Feature):
 
 
 class _LimbNames(NamedTuple):
-    """Names of limbs, and of all joints within their limbs."""
-
     limbs: list[str]
     joints: list[str]
 
@@ -322,11 +310,11 @@ class Formats:
     """The lines of every joint's billboard.
 
     Attributes:
-        declared: as declared, or what its robot has inputs for.
-        torques: where these have come without being declared.
-        modelled: where these are the model's.
-        errors: where arrows show torque errors.
-        details: that a click on its arrow shows.
+        declared: declared lines, or lines for the inputs of the robot.
+        torques: lines if torques were received without being declared.
+        modelled: lines if the torques are those of the model.
+        errors: lines if arrows show torque errors.
+        details: lines shown by a click on the arrow.
     """
 
     declared: list[list[LineFormat]]
@@ -337,9 +325,9 @@ class Formats:
 
 
 def joint_titles(world: WorldView, longest: int) -> list[str]:
-    """Returns the titles of the cards of all joints, with names of at most `longest` characters."""
+    """Returns the billboard titles of all joints, with names of at most `longest` characters."""
     parts = list(world.owners.values())
-    # With several robots, joint names alone are ambiguous.
+    # Joint names alone are ambiguous if there are several robots.
     is_ambiguous = [len(world.robots) > 1 or isinstance(part, DoublePart) for part in parts]
     return titles(
         [short_joint_names(part.robot.names, part.robot.name) for part in parts],
@@ -417,27 +405,27 @@ class LineFormat:
         if not math.isfinite(value):
             missing = NO_LIMIT if self.key == "torque_limit" else NO_DATA
             return line_of(self.head) + missing
-        # Adding zero converts -0.0, the result of rounding a small negative value, to 0.0.
+        # Adding zero converts -0.0, the result of rounding, to 0.0.
         value = round(value * self.scale, self.decimals) + 0.0
         form = self.form if abs(value) < _PLAIN_BELOW else self.scientific
         return line_of(self.head + form % value)
 
 
 def has_chosen_lines(part: Owner) -> bool:
-    """Whether what cards say is declared; else they say what comes."""
+    """Whether the lines of billboards are declared rather than derived from the received inputs."""
     return part.declared.billboard_lines is not None or part.billboard_lines is not None
 
 
 def shows_errors(toggles: Toggles) -> Bools:
-    """Of which joints the arrows are on and show torque errors, (N,)."""
+    """Returns the joints whose arrows are on and show torque errors, (N,) bool."""
     shown = toggles.arrow_quantity == ARROW_QUANTITIES.index("torque_error")
     return np.asarray(toggles.arrows & shown)
 
 
 def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
-    """Returns the lines of billboards: as declared, else the inputs routed to the robot or double.
+    """Returns the declared lines of billboards, or lines for the inputs routed to the owner.
 
-    A double has the lines of its robot, as far as it has values for them.
+    A double has the lines of its robot for which it has values.
     """
     declared = part.declared
 
@@ -465,8 +453,8 @@ def billboard_lines(
     """Returns the line formats of one joint's billboard.
 
     Args:
-        declared: the declared lines.
-        full: torque of an arrow of full width, Nm or N, for decimals; inf where unknown.
+        full: torque for full arrow width, Nm or N, which determines the decimals; inf if
+            unknown.
     """
     several = len(declared) > 1
     labels = [
@@ -484,7 +472,8 @@ def detail_lines(
     """Returns the line formats of all values of one joint's arrow, see `billboard_lines`.
 
     Args:
-        is_largest: whether its limit is the largest torque seen so far, which its line then says.
+        is_largest: whether the limit is the largest torque seen so far, which changes the
+            label.
     """
     labels = {**_DETAILS, "torque_limit": _LARGEST} if is_largest else _DETAILS
     return [
@@ -509,7 +498,7 @@ def _line(
             torque = N if prismatic else NM
         (scale, unit), decimals = torque, _TORQUES[key]
         if 0 < full < np.inf:
-            needed = math.ceil(-math.log10(_SEEN * scale * full) - _ROUNDING)
+            needed = math.ceil(-math.log10(_RESOLUTION * scale * full) - _ROUNDING)
             decimals = min(max(decimals, needed), _MAX_DECIMALS)
     else:
         unit, decimals = _UNITS.get(key, _OWN_UNIT)[prismatic]

@@ -1,4 +1,4 @@
-"""`Decor`: all features of a world, as a function of data, toggles and view; robots' outlines."""
+"""`Decor`: all features of a world, as a function of data, toggles and view."""
 
 from __future__ import annotations
 
@@ -24,20 +24,16 @@ from .toggles import Toggles
 
 log = logging.getLogger(__name__)
 
-_BESIDE = 0.6  # distance of the label from the pointer, of a line's height
-# Positions of the label: lower right, where pointers do not cover it, then above, then left.
+_BESIDE = 0.6  # distance of the label from the pointer, fraction of a line's height
+# Candidates for the label: lower right, where pointers do not cover it, then above, then left.
 _CORNERS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0]])
-# Fraction of white in panels: on the dark floor of the dark look they would not be seen.
+# Fraction of white in panels, which would be invisible in front of the floor of the dark look.
 _LIGHTER = {"light": 0.0, "dark": 0.14}
 _HOVER_RGBA = (0.20, 0.20, 0.16, 0.90)
 
 
 class Decor:
-    """The decor of one world.
-
-    Args:
-        arrow_geoms: maximum number of geoms of a round arrow.
-    """
+    """The decor of one world; `arrow_geoms` is the maximum number of geoms of a round arrow."""
 
     def __init__(
         self, world: WorldView, capacity: int = CAPACITY, arrow_geoms: int = ARROW_GEOMS
@@ -48,11 +44,11 @@ class Decor:
         self._world = world
         self._arrow_geoms = arrow_geoms
         self._staleness = Staleness(world)
-        self._cards = BillboardLayout(owner_groups(world))
+        self._layout = BillboardLayout(owner_groups(world))
         self._outline = Outline(world)
 
     def draw(self, data: mujoco.MjData, toggles: Toggles, view: ImageView) -> GeomBuffer:
-        """Lays out one frame and returns the buffer that holds it."""
+        """Lays out one frame and returns the buffer that contains it."""
         buffer, world = self.buffer, self._world
         of_model, data = data, world.state(data)
         buffer.clear()
@@ -81,17 +77,17 @@ class Decor:
         )
         self._each("lay_out", frame)
         look = world.scene.view.look
-        cards: list[Panels] = []
+        billboards: list[Panels] = []
         if frame.billboards:
             body = self._outline.points(of_model, buffer.hidden, data.site_xpos, frame.shown.arrows)
-            frame.billboards, cards, note = self._cards.lay_out(
+            frame.billboards, billboards, note = self._layout.lay_out(
                 buffer, view, frame.billboards, *body, frame.corners, LEADER_RGBA[look]
             )
             frame.corners += note
         notes = self._staleness.panels(buffer, data, view, stale)
-        panels = [*frame.corners, *cards]
+        panels = [*frame.corners, *billboards]
         panels += clear_of([*frame.panels, *notes], panels, view)
-        # Text first: where the capacity is exceeded, arrows are dropped and not text.
+        # Text comes first: if the capacity is exceeded, arrows are dropped instead.
         panels += _hover_panel(toggles, view, panels)
         self.panels = draw_panels(buffer, view, panels, _LIGHTER[look])
         self._each("draw", frame)
@@ -109,12 +105,12 @@ class Decor:
 
 
 def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
-    """Returns a factor for every geom (ngeom,): doubles fade in as they leave the robot."""
     compiled = [part for part in world.doubles.values() if part.is_compiled]
     if not compiled:
         return None
     factors = np.ones(world.model.nbody)
     for part in compiled:
+        # A double fades in as it leaves its robot.
         links, own = part.bodies, part.of.bodies
         factors[links] = fade_in(data.xpos[links], data.xmat[links], data.xpos[own], data.xmat[own])
         if part.path is not None:
@@ -123,7 +119,6 @@ def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
 
 
 def _hover_panel(toggles: Toggles, view: ImageView, others: list[Panels]) -> list[Panels]:
-    """Returns the label beside the pointer in a list; empty if there is nothing under it."""
     if toggles.hover is None:
         return []
     text, pixel = toggles.hover
@@ -141,10 +136,10 @@ def _hover_panel(toggles: Toggles, view: ImageView, others: list[Panels]) -> lis
 
 
 class Outline:
-    """Points along the links of all robots and doubles, with radii, as an outline of them.
+    """Points along the links of all robots and doubles.
 
-    Every geom counts as a capsule along its longest side, with a point at each end and in the
-    middle.
+    Every geom is approximated by a capsule along its longest side, with points at both ends and in
+    the middle.
     """
 
     def __init__(self, world: WorldView) -> None:
@@ -173,12 +168,12 @@ class Outline:
 
         Args:
             hidden: geoms that are not shown, (ngeom,) bool; None for none.
-            sites: positions of the world's sites, `site_xpos` of its state, m.
-            arrows: which joints have an arrow, which belongs to the outline, (N,) bool.
+            sites: positions of the world's sites, `site_xpos`, m.
+            arrows: joints with an arrow, which belongs to the outline, (N,) bool.
         """
         rotation = data.geom_xmat[self._geoms].reshape(-1, 1, 3, 3)
         points = data.geom_xpos[self._geoms, None] + (rotation @ self._offsets[..., None])[..., 0]
-        is_shown = points[:, 0, 2] > OUT_OF_SIGHT[2] / 2  # doubles without a pose are far away
+        is_shown = points[:, 0, 2] > OUT_OF_SIGHT[2] / 2  # false for doubles without a pose
         if hidden is not None:
             is_shown &= ~hidden[self._geoms]
         joints = self._joints

@@ -1,6 +1,6 @@
-"""`Feature`: the base class of visual features, built-in or of another package; and its `Frame`.
+"""`Feature`: the base class of visual features, built-in and third-party, and its `Frame`.
 
-A package adds a feature by an entry point in the group `sero_mj.decor`:
+A package adds a feature with an entry point in the group `sero_mj.decor`:
 
     [project.entry-points."sero_mj.decor"]
     temperature = "my_package:TemperatureGauge"
@@ -27,21 +27,22 @@ from .toggles import ShownItems, Toggles
 
 @dataclass(eq=False)
 class Frame:
-    """A frame during layout.
+    """A frame during layout. Features append to `billboards`, `corners` and `panels`.
 
     Attributes:
-        data: the state of the world: `time`, `xpos`, `site_xpos`, `userdata`, ... as of `MjData`.
-        shown: the part of it that has a pose.
-        values: per-joint values by name, (N,) each: `torques`, `torque_error`, `joint_angles`, and
-            every other input of robots; NaN for no data.
-        arrow_values: values that the joints' arrows show, (N,), NaN for no data.
+        data: state of the world with the fields of `MjData`: `time`, `xpos`, `site_xpos`,
+            `userdata`, ...
+        shown: items that are switched on and have a pose.
+        values: values of all joints by name, (N,) each, NaN for no data: `torques`,
+            `torque_error`, `joint_angles`, and all other inputs of robots.
+        arrow_values: values shown by the joints' arrows, (N,), NaN for no data.
         arrow_limit: values at which arrows have full width, (N,), inf for none.
-        stale: message by name of robots, doubles, arrows and frames without fresh data.
-        stale_joints: which joints have no fresh data, (N,) bool.
+        stale: messages by the names of robots, doubles, arrows and frames without fresh data.
+        stale_joints: joints without fresh data, (N,) bool.
         arrow_geoms: maximum number of geoms of a round arrow.
-        cards: panels beside the robots with leaders; features append theirs.
-        corners: panels in the corners of the picture, which cards do not cover; likewise.
-        panels: other panels; likewise.
+        billboards: panels beside the robots, with leaders.
+        corners: panels in the corners of the image, which billboards do not cover.
+        panels: other panels.
     """
 
     buffer: GeomBuffer
@@ -70,7 +71,7 @@ class Frame:
 
 
 class Drawn(Protocol):
-    """What is drawn with every frame."""
+    """Anything drawn with every frame."""
 
     def lay_out(self, frame: Frame) -> None: ...
 
@@ -78,10 +79,10 @@ class Drawn(Protocol):
 
 
 class FeatureSettings(Declaration):
-    """Settings of a feature in a scene, `[decor.NAME]`; subclasses add their own.
+    """Settings of a feature in a scene, `[decor.NAME]`. Subclasses add fields.
 
     Attributes:
-        show: whether it is shown.
+        show: whether the feature is shown.
     """
 
     show: bool = True
@@ -90,12 +91,13 @@ class FeatureSettings(Declaration):
 class Feature:
     """A visual feature of a world.
 
-    All features lay out first, then text is drawn, then all of them draw. So text is kept where
-    the number of geoms exceeds the host's capacity.
+    First `lay_out` is called for all features, then text is drawn, then `draw` is called for all
+    features. If the number of geoms exceeds the capacity, geoms of `draw` are dropped, but not
+    text.
 
     Attributes:
         order: position in both passes, lowest first; built-in features have 10 to 90.
-        settings: those of the scene, from `start` on.
+        settings: settings in the scene, available from `start` on.
     """
 
     order: ClassVar[int] = 100
@@ -106,7 +108,7 @@ class Feature:
         self.world = world
 
     def start(self) -> None:
-        """Checks the settings against the world, once; raises DeclarationError, UnknownName."""
+        """Called once to check the settings; raises DeclarationError or UnknownName."""
 
     def lay_out(self, frame: Frame) -> None:
         """Adds billboards, corner panels and panels to the frame."""
@@ -116,11 +118,11 @@ class Feature:
 
 
 def make_features(world: WorldView) -> list[Feature]:
-    """Returns all installed features that a world shows; logs those that cannot be loaded.
+    """Returns all installed features that a world shows, and logs those that cannot be loaded.
 
     Raises:
         UnknownName: the scene has settings of a feature that is not installed.
-        DeclarationError: settings are wrong.
+        DeclarationError: settings are invalid.
     """
     kinds, tables = load_all(DECOR, Feature), world.scene.decor
     for name in tables:

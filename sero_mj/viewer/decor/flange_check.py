@@ -1,7 +1,7 @@
 """Flange check (section 3.1): compares a received base-to-flange frame with the robot's own.
 
-The received frame is drawn as a second, paler flange frame with a line to the first. The difference
-is shown in the upper right corner, or in red beside the flange if it exceeds the robot's
+The received frame is drawn as a second, paler flange frame with a line to the robot's. The
+difference is shown in the upper right corner, or in red beside the flange if it exceeds the robot's
 `flange_tolerance`.
 """
 
@@ -24,13 +24,13 @@ from .panels import Panels, panel_sizes
 from .smart_arrows import frames_along
 
 OFF_RGBA = (0.55, 0.04, 0.04, 0.92)
-_PALE = 0.45  # fraction of white in the colour of the received axes
+_PALE = 0.45  # fraction of white in the color of the received axes
 _LINE_RGBA = (0.78, 0.07, 0.07, 1.0)
-_RIGHT_LINE_RGBA = (0.35, 0.37, 0.40, 1.0)
+_GOOD_LINE_RGBA = (0.35, 0.37, 0.40, 1.0)
 _LINE_HALF_WIDTH = 0.003  # m
-_AXES_SHARE = 0.8  # of the robot's axes
+_AXES_SHARE = 0.8  # length of the received axes, fraction of the robot's axes
 _CORNER_RGBA = (0.09, 0.11, 0.14, 0.6)
-_MARGIN = 0.5  # of a line's height
+_MARGIN = 0.5  # fraction of a line's height
 
 
 def flange_difference(
@@ -39,8 +39,8 @@ def flange_difference(
     """Returns the difference between the received flange frame and the robot's own.
 
     Returns:
-        distance of the origins, m, and angle between the two, rad; None if no frame, or one with
-        NaN, was received.
+        distance of the origins, m, and angle between the frames, rad; None if no valid frame
+        was received.
     """
     received = _received(world, data, robot)
     if received is None:
@@ -72,7 +72,7 @@ class FlangeCheck(Feature):
         if not frame.toggles.flange_checks or not (data.userdata[self._flags] > 0).any():
             return
         items, anchors, texts, right = [], [], [], []
-        clear, unseen = 0.0, False
+        clear, is_hidden = 0.0, False
         for i, (name, part) in enumerate(self.world.robots.items()):
             difference = flange_difference(self.world, data, name)
             if difference is None:
@@ -92,20 +92,20 @@ class FlangeCheck(Feature):
             pixel, depth = view.project(point)
             if not view.sees(pixel, depth):
                 right.append(line_of(f"{name} flange is off {numbers}"))
-                unseen = True
+                is_hidden = True
                 continue
             clear = max(clear, robot.axes_length / view.pixel_size(float(depth)))
             items.append(i)
             anchors.append(pixel)
             head = f"{name} flange is off"
-            position, turn = f"  position {1e3 * distance:8.2f} mm", f"  angle    {angle:8.2f} deg"
-            texts.append([line_of(head), position.encode(), turn.encode()])
+            position = f"  position {1e3 * distance:8.2f} mm".encode()
+            texts.append([line_of(head), position, f"  angle    {angle:8.2f} deg".encode()])
         if items:
-            frame.billboards.append(self._cards(view, items, np.array(anchors), texts, clear))
+            frame.billboards.append(self._group(view, items, np.array(anchors), texts, clear))
         if right:
-            frame.corners.append(_corner(view, right, unseen))
+            frame.corners.append(_corner(view, right, is_hidden))
 
-    def _cards(
+    def _group(
         self,
         view: ImageView,
         items: list[int],
@@ -148,7 +148,7 @@ class FlangeCheck(Feature):
                 rows["pos"] = own + between / 2
                 rows["mat"] = frames_along(between[None] / distance)
                 rows["size"] = (_LINE_HALF_WIDTH, _LINE_HALF_WIDTH, distance / 2)
-                rows["rgba"] = _LINE_RGBA if off else _RIGHT_LINE_RGBA
+                rows["rgba"] = _LINE_RGBA if off else _GOOD_LINE_RGBA
         return np.asarray(T[:3, 3])
 
 

@@ -1,7 +1,7 @@
-"""`Font`: widths of a host's characters; and those of MuJoCo's built-in label font.
+"""`Font`: widths of characters, and lines of text in aligned columns.
 
-Lines of panels are UTF-8. Characters other than ASCII are set in further faces of Inter (Latin,
-Greek, Cyrillic), or in fonts for other scripts that are installed on this machine.
+Lines are UTF-8. Characters outside ASCII are set in further faces of Inter (Latin, Greek,
+Cyrillic), or in installed fonts for other scripts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ...robots.assemble.world_view import WorldView
 
 Widths = NDArray[np.intp] | NDArray[np.float64]
 
-# MjrContext.charWidth[32:127] at font scale 150 %, from MuJoCo 4.0.0; verified by a test.
+# MjrContext.charWidth[32:127] at font scale 150 %, MuJoCo 4.0.0; checked by a test.
 _WIDTHS_150 = (
     6, 6, 9, 14, 12, 18, 15, 6, 7, 7, 12, 12, 6, 7, 6, 8, 12, 12, 12, 12, 12, 12, 12, 12, 12,
     12, 6, 6, 12, 12, 12, 10, 18, 15, 14, 16, 15, 14, 13, 16, 15, 6, 12, 15, 12, 18, 15, 17, 14,
@@ -35,37 +35,37 @@ FONT_HEIGHTS = {100: 18, 150: 28, 200: 37, 250: 45, 300: 54}
 
 
 FONTS = Path(__file__).parents[1] / "fonts"
-_MOST_BYTES = 99  # of a line; MuJoCo's labels have no more
-# Of systems, by the names of their files: scripts that Inter does not have.
-_OF_SYSTEMS = (
+_MAX_BYTES = 99  # maximum length of labels in MuJoCo
+# Files of system fonts for scripts that Inter does not have.
+_SYSTEM_FONTS = (
     "NotoSansCJK-Regular.ttc", "NotoSansCJKsc-Regular.otf", "SourceHanSansSC-Regular.otf",
     "wqy-microhei.ttc", "DroidSansFallbackFull.ttf", "DroidSansFallback.ttf", "PingFang.ttc",
     "Hiragino Sans GB.ttc", "AppleSDGothicNeo.ttc", "msyh.ttc", "YuGothM.ttc", "malgun.ttf",
     "NotoSansDevanagari-Regular.ttf", "NotoSansArabic-Regular.ttf", "NotoSansHebrew-Regular.ttf",
     "NotoSansThai-Regular.ttf", "DejaVuSans.ttf", "Arial Unicode.ttf", "segoeui.ttf",
 )  # fmt: skip
-_SIZE = 16.0  # pixels, at which characters are looked for
+_SIZE = 16.0  # pixels, at which fonts are searched for characters
 
 
 def line_of(text: str) -> bytes:
-    """Returns a text as a line of a panel: UTF-8, cut off where it is too long."""
+    """Returns a text as a line of a panel, UTF-8, truncated if it is too long."""
     raw = text.encode("utf-8", "replace")
-    if len(raw) <= _MOST_BYTES:
+    if len(raw) <= _MAX_BYTES:
         return raw
-    return raw[:_MOST_BYTES].decode("utf-8", "ignore").encode("utf-8")
+    return raw[:_MAX_BYTES].decode("utf-8", "ignore").encode("utf-8")
 
 
 def open_face(file: Path | str, size: float) -> ImageFont.FreeTypeFont:
     """Opens a font at a size in pixels; raises OSError."""
-    # Not Raqm, which is not everywhere and would set a few pixels differently.
+    # Raqm is not available everywhere and places some characters differently.
     return ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.BASIC)
 
 
 @lru_cache(maxsize=1)
 def more_fonts() -> tuple[str, ...]:
-    """Returns the files of fonts for characters other than ASCII, as far as they are installed."""
+    """Returns the installed font files for characters outside ASCII."""
     found = [str(FONTS / "Inter-Medium-more.ttf")]
-    for name in _OF_SYSTEMS:
+    for name in _SYSTEM_FONTS:
         with suppress(OSError):
             found.append(str(open_face(name, _SIZE).path))
     return tuple(found)
@@ -73,7 +73,7 @@ def more_fonts() -> tuple[str, ...]:
 
 @lru_cache(maxsize=4096)
 def font_with(character: str) -> str | None:
-    """Returns the file of the first of `more_fonts` that has a character; None without one."""
+    """Returns the first file of `more_fonts` that has a character, or None."""
     for file in more_fonts():
         face = open_face(file, _SIZE)
         missing = face.getmask("\uffff")
@@ -84,7 +84,7 @@ def font_with(character: str) -> str | None:
 
 
 def drawable(text: str) -> bool:
-    """Whether fonts have all characters of a text."""
+    """Whether the fonts have all characters of a text."""
     return text.isascii() or all(c.isascii() or font_with(c) is not None for c in text)
 
 
@@ -93,9 +93,10 @@ class Font:
     """A proportional font.
 
     Attributes:
-        height: of a line, pixels.
-        has_columns: whether the host aligns the numbers of a panel, see `value_columns`.
-        other: the width of any other character, pixels; that of a wide letter when None.
+        height: height of a line, pixels.
+        widths: widths of the ASCII characters, (128,), pixels.
+        has_columns: whether numbers of a panel are aligned, see `value_columns`.
+        other: width of any other character, pixels; None for the width of W.
     """
 
     height: int
@@ -121,7 +122,7 @@ class Font:
         return float(self.widths[ord("W")]) if self.other is None else self.other(character)
 
     def block_width(self, lines: list[bytes]) -> int:
-        """Returns the width of a panel's lines with values, pixels."""
+        """Returns the width of the lines of a panel with values, pixels."""
         if not self.has_columns:
             return max(self.width(line) for line in lines)
         return int(np.ceil(value_columns(lines, self.width).width))
@@ -135,27 +136,16 @@ class Font:
         return np.asarray(until[ends] - until[ends - [len(line) for line in lines]])
 
 
-def _default() -> Font:
-    widths = np.zeros(128, np.intp)
-    widths[32:127] = _WIDTHS_150
-    return Font(FONT_HEIGHTS[150], widths)
-
-
-DEFAULT_FONT = _default()
-
-
-_TEXT_OF_SCALE = 0.7  # text height over the picture's shorter side per unit of billboard_scale
+DEFAULT_FONT = Font(FONT_HEIGHTS[150], np.pad(_WIDTHS_150, (32, 1)))
+_TEXT_OF_SCALE = 0.7  # text height per unit of billboard_scale, fraction of the shorter image side
 _MIN_LINE = FONT_HEIGHTS[100]  # pixels; smaller text is hard to read
-_LARGEST_LINE = 0.0675  # of that side
+_MAX_LINE = 0.0675  # maximum height of a line, fraction of that side
 
 
 def line_height(world: WorldView, width: int, height: int) -> int:
-    """Returns the height of a line of text in a picture of that size, pixels.
-
-    It goes with the picture's shorter side.
-    """
+    """Returns the height of a line of text, pixels, in proportion to the shorter image side."""
     scales = [part.robot.billboard_scale for part in world.robots.values()] or [0.05]
-    wanted = min(_TEXT_OF_SCALE * max(scales), _LARGEST_LINE) * min(width, height)
+    wanted = min(_TEXT_OF_SCALE * max(scales), _MAX_LINE) * min(width, height)
     return max(round(wanted), _MIN_LINE)
 
 
@@ -170,12 +160,12 @@ _GAP = " "  # before the numbers
 
 @dataclass(frozen=True)
 class ValueLine:
-    """A line that ends in a number.
+    """A line that ends with a number.
 
     Attributes:
-        whole: of the number, before the point; `no data` where there is none.
-        rest: of the number, from the point on.
-        unit: with a space before it.
+        whole: integer part of the number; `no data` if there is none.
+        rest: the number from the decimal point on.
+        unit: unit, with a leading space.
     """
 
     name: str
@@ -195,26 +185,16 @@ class ValueLine:
 
 @dataclass(frozen=True)
 class ValueColumns:
-    """Lines in columns, pixels from the left and right edge of their text.
-
-    Attributes:
-        label: where labels start.
-        tail: distance of the points from the right edge.
-        width: of all columns.
-    """
+    """Lines in columns, pixels."""
 
     rows: list[ValueLine | str]
-    label: float
-    tail: float
-    width: float
+    label: float  # left edge of the labels
+    tail: float  # distance of the decimal points from the right edge
+    width: float  # total width
 
 
 def value_columns(lines: Sequence[bytes], width: Width) -> ValueColumns:
-    """Returns lines in columns.
-
-    Args:
-        width: of a text, pixels.
-    """
+    """Returns lines in columns, with distances in pixels from the edges of their text."""
     rows = [_parsed(line.decode("utf-8", "replace")) for line in lines]
     values = [row for row in rows if isinstance(row, ValueLine)]
     names = max((width(row.name) for row in values), default=0.0)

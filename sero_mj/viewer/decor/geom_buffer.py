@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...base.frames import Array, Bools, Ints
 from ...robots.assemble.parts import DrawnDouble
 
-# mjvGeom of MuJoCo 4.0 (mjvisualize.h). `struct_view` compares it with the loaded library.
+# mjvGeom of MuJoCo 4.0 (mjvisualize.h); `struct_view` checks it against the loaded library.
 GEOM = np.dtype(
     {
         "names": [
@@ -30,14 +30,14 @@ GEOM = np.dtype(
 )  # fmt: skip
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 CAPACITY = 4096  # geoms of a frame
-# Both renderers of MuJoCo 4.0.0 draw an arrow half as long as its size[2] (glScalef by size[2] / 6
-# in render_gl3.c): a third of it shaft, a sixth head; verified by a test in a picture.
+# MuJoCo 4.0.0 draws arrows half as long as size[2] (glScalef by size[2] / 6 in render_gl3.c), with
+# a shaft of a third and a head of a sixth of size[2]; checked by a test.
 ARROW_SIZE_OF_LENGTH = 2.0
 GREY = (0.50, 0.50, 0.51)
 
 
 class Kind(IntEnum):
-    """Kind of item that a geom belongs to; with the item's index it identifies what was clicked."""
+    """Kind of item that a geom belongs to; kind and index identify what was clicked."""
 
     NONE = 0
     ARROW = 1  # item: joint of the world
@@ -47,24 +47,24 @@ class Kind(IntEnum):
     VECTOR = 5  # item: smart arrow
     CARD = 6  # item: smart arrow; the panel with its numbers
     CHECK = 7  # item: robot; the panel of its flange check
-    HANDLE = 8  # item: what it does, see `handles`
+    HANDLE = 8  # item: index in `HANDLE_NAMES`
     PART = 9  # no item: the name of a part of the model
-    LIMB = 10  # item: first joint of a limb; its card
+    LIMB = 10  # item: first joint of a limb; the billboard of the limb
 
 
 class GeomBuffer:
     """A buffer of decor geoms that is cleared and filled again every frame.
 
     Attributes:
-        count: how many are in use.
+        count: number of geoms in use.
         kinds: kind of item that every geom belongs to (`Kind`).
         items: index of this item.
         dropped: number of geoms of this frame that exceeded the capacity.
-        grey: geoms of the model to draw grey, (ngeom,) bool; None for none.
+        grey: geoms of the model to draw gray, (ngeom,) bool; None for none.
         hidden: geoms of the model not to draw, (ngeom,) bool; None for none.
-        opacity: factor for every geom of the model, (ngeom,); None for 1.
+        opacity: factor for the opacity of every geom of the model, (ngeom,); None for 1.
         drawn_doubles: doubles to draw that are not compiled into the model.
-        text: rows of the panels and their labels, for hosts that set text themselves.
+        text: rows of panels and labels, which windows and images typeset themselves.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
@@ -72,7 +72,7 @@ class GeomBuffer:
         self.rows["dataid"] = self.rows["objid"] = self.rows["matid"] = -1
         self.rows["texid"] = self.rows["segid"] = -1
         self.rows["texrepeat"] = 1.0
-        # Prevents the classic renderer from casting shadows of billboards on the robot.
+        # Without this, billboards cast shadows on the robot in the classic renderer.
         self.rows["category"] = int(mujoco.mjtCatBit.mjCAT_DECOR)
         self.rows["objtype"] = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
         self.rows["shininess"] = 0.3
@@ -100,8 +100,8 @@ class GeomBuffer:
     ) -> NDArray[Any]:
         """Allocates n rows for geoms of one type and returns them.
 
-        The caller sets size, pos, mat and rgba. If the capacity does not suffice for all of them,
-        none are returned and `dropped` is increased, so that nothing is drawn in part.
+        The caller sets size, pos, mat and rgba. If they exceed the capacity, no rows are returned
+        and `dropped` increases, so that nothing is drawn partially.
 
         Args:
             geom: `mjtGeom`.
@@ -116,7 +116,7 @@ class GeomBuffer:
         self.items[place] = items
         self.count += n
         rows["type"] = geom
-        if geom == _LABEL:  # others have no label; clearing it for all would be the slowest part
+        if geom == _LABEL:  # clearing the labels of all geoms would be slow
             self._labelled.append(place)
         rows["emission"] = 0.35
         rows["specular"] = 0.1
@@ -126,13 +126,14 @@ class GeomBuffer:
 def place_triangles(rows: NDArray[Any], origin: Array, second: Array, third: Array) -> None:
     """Sets size, pos and mat of triangles.
 
-    A triangle's corners are its origin, size[0] along x and size[1] along y; it is seen from where
-    z points to. Coordinates come first, as arrays with an inner dimension of 3 take half as long
-    again.
+    A triangle's corners are its origin, size[0] along x and size[1] along y; it is visible from the
+    side that z points to. Coordinates come first, because numpy is slower for arrays with an inner
+    dimension of 3.
 
     Args:
-        rows: (...), of `GeomBuffer.take`.
-        origin: first corner, (3, ...), m; the three are anticlockwise where they are seen from.
+        rows: (...), from `GeomBuffer.take`.
+        origin: first corner, (3, ...), m; the corners are counterclockwise as seen from the
+            visible side.
     """
     x, y = second - origin, third - origin
     rows["size"][..., 0] = _normalise(x)

@@ -1,7 +1,7 @@
-"""Handles by which a frame is dragged, and the mark of a place that cannot be reached.
+"""Handles to drag a frame, the mark of an unreachable target, and the ring of the selected joint.
 
-Three arrows move the frame along its axes, three rings turn it about them, and a cube at its origin
-moves it in the plane of the picture. All are as large in the picture however near it is.
+Three arrows move the frame along its axes, three rings rotate it about them, and a cube at its
+origin moves it in the image plane. Their size in the image does not depend on the distance.
 """
 
 from __future__ import annotations
@@ -19,24 +19,25 @@ from .feature import Feature, Frame
 from .geom_buffer import ARROW_SIZE_OF_LENGTH, GeomBuffer, Kind
 from .image_view import ImageView
 
-# What the handles do, by the item of their geoms: axes 0 to 2 along, 3 to 5 about, and the cube.
+# Names of the handles, by the item of their geoms.
 HANDLE_NAMES = (
     *(f"move along {axis}" for axis in "xyz"),
     *(f"turn about {axis}" for axis in "xyz"),
     "move in the picture",
 )
 CUBE = 6
-_ARROW_LENGTH = 6.4  # of a line's height
+# Sizes of the handles, fractions of a line's height.
+_ARROW_LENGTH = 6.4
 _RING_RADIUS = 4.6
 _ARROW_RADIUS = 0.22
 _RING_HALF_WIDTH = 0.11
 _CUBE_HALF = 0.30
+_MARK_HALF = 0.16
 SEGMENTS = 28  # boxes of a ring
 _LIT_RGB = (1.00, 0.86, 0.25)
 _CUBE_RGB = (0.92, 0.93, 0.95)
 _MARK_RGBA = (0.90, 0.12, 0.10, 0.95)
-_MARK_HALF = 0.16  # of a line's height
-_LARGEST = 0.16  # of the picture's height: the arrows in small pictures
+_LARGEST = 0.16  # maximum length of the arrows, fraction of the image height
 
 
 class HandleDecor(Feature):
@@ -55,7 +56,7 @@ class HandleDecor(Feature):
 
 
 def handle_length(point: Array, view: ImageView) -> float:
-    """Returns the length of a line's height at a point (3,) of the picture, m."""
+    """Returns the length in m that a line's height has in the image at a point (3,)."""
     depth = max(float((point - view.position) @ view.forward), view.near)
     line = min(view.font.height, _LARGEST * view.height / _ARROW_LENGTH)
     return float(view.pixel_size(depth)) * line
@@ -67,11 +68,7 @@ def ring_radius(point: Array, view: ImageView) -> float:
 
 
 def draw_handles(buffer: GeomBuffer, pose: Array, lit: int, view: ImageView) -> None:
-    """Draws the handles of a frame.
-
-    Args:
-        pose: T_world_frame (4, 4), m.
-    """
+    """Draws the handles of a frame with the pose T_world_frame (4, 4), m."""
     origin, rotation = pose[:3, 3], pose[:3, :3]
     unit = handle_length(origin, view)
     rgb = np.array([*AXIS_RGB, *AXIS_RGB, _CUBE_RGB])
@@ -107,12 +104,12 @@ def fill_ring(
     half_width: float,
     rgba: Sequence[float],
 ) -> None:
-    """Makes boxes a ring.
+    """Arranges boxes in a ring about the third column of `axes` (3, 3).
 
     Args:
-        axes: (3, 3), of which the third column is the ring's axis.
+        rows: geoms of the boxes.
         radius: m.
-        half_width: of the ring, m.
+        half_width: half the width of the ring, m.
     """
     phase = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
     x, y, z = axes.T
@@ -125,22 +122,22 @@ def fill_ring(
 
 
 def _draw_mark(buffer: GeomBuffer, mark: Array, view: ImageView) -> None:
-    wanted, there = mark
-    half = _MARK_HALF * handle_length(wanted, view)
+    target, actual = mark
+    half = _MARK_HALF * handle_length(target, view)
     rows = buffer.take(4, int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
         return
-    rows["pos"], rows["rgba"] = wanted, _MARK_RGBA
+    rows["pos"], rows["rgba"] = target, _MARK_RGBA
     rows["mat"] = view.facing
     turn = np.sqrt(0.5) * np.array([[1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, np.sqrt(2.0)]])
     rows["mat"][:2] = view.facing @ turn
     rows["size"][:2] = [[5 * half, half, half], [half, 5 * half, half]]
     rows["size"][2] = half
-    way = wanted - there
-    length = float(np.linalg.norm(way))
-    rows["pos"][3] = (wanted + there) / 2
+    between = target - actual
+    length = float(np.linalg.norm(between))
+    rows["pos"][3] = (target + actual) / 2
     if length > 1e-9:
-        z = way / length
+        z = between / length
         x = np.cross(z, view.forward)
         x = x / max(float(np.linalg.norm(x)), 1e-9)
         rows["mat"][3] = np.column_stack([x, np.cross(z, x), z])
@@ -149,12 +146,12 @@ def _draw_mark(buffer: GeomBuffer, mark: Array, view: ImageView) -> None:
 
 
 _RGBA = (0.16, 0.75, 0.95, 0.95)
-_LARGER = 1.3  # than the joint's arrow
+_LARGER = 1.3  # radius, in radii of the joint's arrow
 _HALF_WIDTH = 1.4  # pixels
 
 
 class SelectionRing(Feature):
-    """Draws the ring about the joint that a user has selected."""
+    """Draws the ring about the selected joint."""
 
     order = 84
 

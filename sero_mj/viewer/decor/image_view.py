@@ -1,4 +1,4 @@
-"""`ImageView`: camera pose, field of view and size of a picture."""
+"""`ImageView`: camera pose, field of view and size of an image."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Depth = TypeVar("Depth", float, Array)
 
 @dataclass(frozen=True, eq=False)
 class ImageView:
-    """A perspective camera and its picture.
+    """A perspective camera and its image.
 
     Pixels are counted from the lower left corner, x to the right, y up.
 
     Attributes:
-        position: of the camera, (3,), m.
+        position: position of the camera, (3,), m.
         right: unit vector (3,).
         up: unit vector (3,).
         forward: unit vector (3,).
         tan_half_fovy: tangent of half the vertical field of view.
         near: distance of the near plane, m.
-        inset: margins of the picture that the host's own windows cover: left, bottom, right, top,
-            pixels; panels are placed inside.
+        inset: margins of the image that UI covers: left, bottom, right, top, pixels; panels are
+            placed inside.
     """
 
     position: Array
@@ -53,7 +53,7 @@ class ImageView:
         font: Font = DEFAULT_FONT,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> ImageView:
-        """Returns the view of an `MjvScene` that `mjv_updateScene` has filled."""
+        """Returns the view of an `MjvScene` filled by `mjv_updateScene`."""
         left, right = scene.camera[0], scene.camera[1]
         position = (np.array(left.pos, np.float64) + right.pos) / 2
         forward = np.array(left.forward, np.float64)
@@ -74,7 +74,7 @@ class ImageView:
 
     @cached_property
     def free(self) -> tuple[Array, Array]:
-        """Lower left and upper right pixel (2,) of the area that the host does not cover."""
+        """Lower left and upper right pixel (2,) of the area that is not covered by UI."""
         left, below, right, above = self.inset
         low = np.array([left, below])
         return low, np.maximum(np.array([self.width - right, self.height - above]), low)
@@ -93,7 +93,7 @@ class ImageView:
         return np.array([self.width / 2, self.height / 2])
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Projects points of the world into the picture.
+        """Projects world points into the image.
 
         Returns:
             pixels (..., 2), and depth along the viewing direction (...), m; a point behind the
@@ -106,7 +106,7 @@ class ImageView:
         return pixels + self._centre, depth
 
     def sees(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
-        """Whether projected points are in the picture, (...) bool."""
+        """Whether projected points are in the image, (...) bool."""
         inside = (pixels >= 0).all(axis=-1) & (pixels < [self.width, self.height]).all(axis=-1)
         return np.asarray(inside & (depth > self.near))
 
@@ -114,7 +114,7 @@ class ImageView:
         """Returns the world points (..., 3), m, at pixels and depths.
 
         Args:
-            depth: along the viewing direction, m; a scalar, or (..., 1).
+            depth: depth along the viewing direction, m; a scalar, or (..., 1).
         """
         scale = self.pixel_size(depth)
         middle = self.position + depth * self.forward

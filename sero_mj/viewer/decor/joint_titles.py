@@ -1,4 +1,4 @@
-"""Names of joints on cards: without repeated parts, and of limited length."""
+"""Titles of joints and frames, of limited length and without repeated parts."""
 
 from __future__ import annotations
 
@@ -10,23 +10,20 @@ from itertools import takewhile
 from .font import drawable
 from .image_view import ImageView
 
-SHORTEST, LONGEST = 14, 40  # characters to which a robot's or a joint's name is shortened
-_SHARE = 0.25  # of the picture's width, that a name may take
-_BETWEEN = r"[_\-\s/:.]+"  # words of a name
+SHORTEST, LONGEST = 14, 40  # range of the maximum length of a name, characters
+_SHARE = 0.25  # maximum width of a name, fraction of the image width
+_BETWEEN = r"[_\-\s/:.]+"  # separator of the words of a name
 _WORD = r"[^_\-\s/:.]*"
-_GENERIC = ("joint", "jnt", "j", "link")  # says nothing about a joint
+_GENERIC = ("joint", "jnt", "j", "link")
 _END = re.compile(rf"({_BETWEEN}({'|'.join(_GENERIC)}))+$", re.IGNORECASE)
 
 
 def short_joint_names(joints: Sequence[str], robot: str) -> list[str]:
     """Returns the names of a robot's joints without repeated parts.
 
-    Left out are the robot's name in front, the words that all names begin with, and `joint` at the
-    end; but names stay distinct, and more than a number. A name in a script for which no font is
-    installed becomes `joint 3`.
-
-    Args:
-        joints: all names of the robot's joints.
+    The robot's name at the start, the words that all names begin with, and `joint` at the end are
+    removed, as long as the names remain distinct and more than a number. If no installed font has
+    the characters of a name, it becomes `joint 3`.
     """
     own = re.compile(rf"^{re.escape(robot)}{_BETWEEN}(?=.)", re.IGNORECASE)
     names = _if_clear(list(joints), [own.sub("", name) for name in joints])
@@ -48,7 +45,7 @@ def _if_clear(names: list[str], plain: list[str]) -> list[str]:
 
 
 def longest_name(view: ImageView) -> int:
-    """Returns how many characters of a name there is room for on the cards of a picture."""
+    """Returns the number of characters of a name that fit on the billboards of an image."""
     room = _SHARE * view.width / view.font.width("n")
     return int(min(max(room, SHORTEST), LONGEST))
 
@@ -59,12 +56,13 @@ def titles(
     is_named: Sequence[bool],
     longest: int = SHORTEST,
 ) -> list[str]:
-    """Returns the titles of the cards of all joints.
+    """Returns the titles of the billboards of all joints.
 
     Args:
-        owners: names of these; words that all begin with are left out.
-        is_named: whether a title has the name of its owner, for each of these.
-        longest: characters of a robot's or a joint's name.
+        joints: short names of the joints of each owner.
+        owners: names of the robots and doubles; words that all of them begin with are removed.
+        is_named: whether the title contains the name of the owner, for each owner.
+        longest: maximum length of a robot's or a joint's name, characters.
     """
     of_joints = iter(shortened([name for names in joints for name in names], longest))
     owners = without_common_start(owners)
@@ -82,7 +80,7 @@ def titles(
 
 
 def without_common_start(owners: Sequence[str]) -> list[str]:
-    """Returns names without their common first words."""
+    """Returns names without the words that all of them begin with."""
     words = [name.split("_") for name in owners]
     same = 0
     if len(words) > 1:
@@ -91,9 +89,9 @@ def without_common_start(owners: Sequence[str]) -> list[str]:
     return _if_clear(list(owners), ["_".join(of_name[same:]) for of_name in words])
 
 
-@lru_cache(maxsize=16)  # asked for each frame
+@lru_cache(maxsize=16)  # called for each frame
 def frame_titles(names: tuple[str, ...]) -> list[str]:
-    """Returns the names of frames, `ROBOT/FRAME` or of their own, without robots' common words."""
+    """Returns the names of frames without the words that all robots' names begin with."""
     owners = list(dict.fromkeys(name.partition("/")[0] for name in names if "/" in name))
     short = dict(zip(owners, without_common_start(owners), strict=True))
     return [
@@ -104,9 +102,9 @@ def frame_titles(names: tuple[str, ...]) -> list[str]:
 
 
 def shortened(names: Sequence[str], longest: int = SHORTEST) -> list[str]:
-    """Returns names of at most `longest` characters, long ones without their middle.
+    """Returns names of at most `longest` characters; the middle of longer names is removed.
 
-    Those that would become the same are longer, as far as they have to be.
+    Names that would become equal are shortened less.
     """
 
     def at_most(name: str, length: int) -> str:

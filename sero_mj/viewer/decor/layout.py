@@ -1,7 +1,6 @@
-"""Layout of panels in columns beside the robots, and of straight leaders, in pixels.
+"""Layout of panels in columns beside the robots, and of their leaders, in pixels.
 
-Heights follow what the panels point at continuously. Panels do not overlap as long as the picture
-is large enough.
+Heights follow the anchors continuously. Panels do not overlap if the image is large enough.
 """
 
 from __future__ import annotations
@@ -11,8 +10,10 @@ import numpy as np
 from ...base.frames import Array, Bools, Ints
 
 LEFT, RIGHT = 0, 1
-_RAMP = 6  # distance, in gaps, over which a column that approaches a corner gradually avoids it
-_MIN_GAP = 0.2  # of the usual gap, before a second column is begun or a robot is covered
+_RAMP = 6  # distance, in gaps, over which an approaching column gradually avoids a corner
+_MIN_GAP = (
+    0.2  # minimum fraction of the gap before a second column is started or robots are covered
+)
 
 
 def columns(
@@ -28,16 +29,19 @@ def columns(
     kept_free: Array | None = None,
     covered: Array | None = None,
 ) -> Array:
-    """Lays out all panels of a picture.
+    """Returns the centers of all panels of an image, (k, 2).
 
     Args:
         anchors: pixel of every panel's joint, (k, 2), in vertical order of the panels, lowest
             first.
         sizes: width and height of every panel, (k, 2), pixels.
         side: `LEFT` or `RIGHT`, (k,).
+        gap: minimum space between panels, pixels.
         beside: space between the innermost columns and the outermost joint, pixels.
-        kept_free: rectangles in the corners of the picture (legend, faults, flange check) that
+        span: left and right limit of the robots, pixels; None for those of the anchors.
+        kept_free: rectangles in the corners of the image (legend, errors, flange check) that
             panels do not cover: left, bottom, right, top, (c, 4), pixels.
+        covered: rectangles covered by robots, which panels avoid if possible, (m, 4), pixels.
     """
     centres = np.empty((len(anchors), 2))
     if not len(anchors):
@@ -51,8 +55,8 @@ def columns(
         groups.append(_chunks((side == which).nonzero()[0], sizes, gap, high - low))
     widths = [[float(sizes[column, 0].max()) + gap for column in group] for group in groups]
     left, right = (sum(group) for group in widths)
-    # Both sides move inward, over the robot if necessary, so that panels neither leave the picture
-    # nor cover the other side.
+    # Both sides move inward, over the robot if necessary, so that panels stay in the image and do
+    # not cover the other side.
     first, last = span or (float(anchors[:, 0].min()), float(anchors[:, 0].max()))
     inner_left = max(first - beside, left)
     inner_right = min(last + beside, width - right)
@@ -93,14 +97,14 @@ def with_room(
     covered: Array,
     may_move: bool,
 ) -> tuple[int, Ints]:
-    """Returns how many of the first panels one column on each edge of the picture has room for.
+    """Returns how many of the first panels fit into one column on each side of the image.
 
-    A narrow picture has one column, on the right.
+    A narrow image has one column, on the right.
 
     Args:
         side: `LEFT` or `RIGHT`, (k,).
         gap: minimum space between panels, pixels.
-        may_move: whether a panel for which its own side has no room stands on the other one.
+        may_move: whether panels may change sides if their own side has no room.
 
     Returns:
         their number, and the side of every panel (k,).
@@ -128,20 +132,20 @@ def with_room(
 
 
 def is_narrow(sizes: Array, gap: float, width: float) -> bool:
-    """Whether two columns of panels (k, 2) side by side would cover each other, in pixels."""
+    """Whether an image is too narrow for two columns of panels with these sizes (k, 2)."""
     return bool(2 * (float(sizes[:, 0].max(initial=0.0)) + gap) > width)
 
 
 def side_limits(corners: Array, side: int, width: float, height: float) -> tuple[float, float]:
-    """Returns the vertical range that corners leave free on one side of the picture, pixels."""
+    """Returns the vertical range that corners leave free on one side of the image, pixels."""
     on_left = (corners[:, 0] + corners[:, 2]) / 2 < width / 2
-    # A corner panel that extends beyond the middle limits the other side too.
+    # A corner panel that extends beyond the middle also limits the other side.
     wide = (corners[:, 2] > width / 2) & (corners[:, 0] < width / 2)
     return limits(corners[wide | (on_left == (side == LEFT))], height)
 
 
 def limits(corners: Array, height: float) -> tuple[float, float]:
-    """Returns the vertical range that corners leave free, at least a third of the picture."""
+    """Returns the vertical range that corners leave free, at least a third of the image."""
     at_bottom = corners[:, 1] + corners[:, 3] < height
     below = float(corners[at_bottom, 3].max(initial=0.0))
     above = float(corners[~at_bottom, 1].min(initial=height))
@@ -150,10 +154,11 @@ def limits(corners: Array, height: float) -> tuple[float, float]:
 
 
 def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: float) -> Array:
-    """Returns corners of the other side, with heights scaled for a column that begins at `inner`.
+    """Returns corners of the other side, scaled by their distance from a column at `inner`.
 
-    The height is full for a corner that reaches the column, zero for one `ramp` pixels away, and
-    interpolated in between, so that panels do not jump when the robot moves.
+    A corner that reaches the column has its full height, one at a distance of `ramp` pixels has
+    height zero. In between, heights are interpolated, so that panels do not jump when the robot
+    moves.
     """
     away = inner - corners[:, 2] if outward > 0 else corners[:, 0] - inner
     share = np.clip(1.0 - away / ramp, 0.0, 1.0)
@@ -175,10 +180,10 @@ def _chunks(index: Ints, sizes: Array, gap: float, height: float) -> list[Ints]:
 
 
 def spread(centres: Array, heights: Array, gap: float, low: float, high: float) -> Array:
-    """Moves intervals apart, in their given order, as little as necessary.
+    """Moves intervals apart by the smallest distances that keep their order.
 
     Args:
-        centres: desired centres, (k,), pixels.
+        centres: desired centers, (k,), pixels.
         heights: (k,), pixels.
         gap: minimum space between two intervals, pixels.
         low: lower bound of all intervals.
@@ -186,7 +191,7 @@ def spread(centres: Array, heights: Array, gap: float, low: float, high: float) 
             overlap evenly.
 
     Returns:
-        centres (k,), the first lowest.
+        centers (k,), lowest first.
     """
     if not len(centres):
         return centres
@@ -209,11 +214,11 @@ def spread(centres: Array, heights: Array, gap: float, low: float, high: float) 
 def spread_around(
     centres: Array, heights: Array, gap: float, low: float, high: float, blocked: Array
 ) -> Array:
-    """Moves intervals apart, as `spread` does, and out of blocked ranges where there is room.
+    """Moves intervals apart as `spread` does, and out of blocked ranges if there is room.
 
     Args:
-        blocked: lower and upper end of every blocked range, (b, 2), pixels; without effect if the
-            intervals do not fit between them.
+        blocked: lower and upper end of every blocked range, (b, 2), pixels; ignored if the
+            intervals do not fit between the ranges.
     """
     rooms = _rooms_between(blocked, low, high, float(heights.min())) if len(blocked) else []
     for between in (gap, _MIN_GAP * gap) if rooms else ():
@@ -231,10 +236,7 @@ def spread_around(
 def _assign_rooms(
     centres: Array, heights: Array, gap: float, rooms: list[tuple[float, float]]
 ) -> list[int] | None:
-    """Returns the index of the first interval of every room, and k; None if they do not fit.
-
-    The intervals are moved least in total, by dynamic programming over the rooms.
-    """
+    # Dynamic programming over the rooms, which minimizes the total distance.
     k = len(centres)
     until = np.concatenate([[0.0], np.cumsum(heights + gap)])
     least = np.where(np.arange(k + 1) == 0, 0.0, np.inf)  # of the first i intervals so far
@@ -270,17 +272,17 @@ def _rooms_between(
 def place_clear(
     centres: Array, sizes: Array, taken: Array, low: Array, high: Array, is_needed: Bools
 ) -> tuple[Array, Bools]:
-    """Moves rectangles off occupied ones and off each other, each as little as possible.
+    """Moves rectangles off occupied ones and off each other by the smallest distances.
 
     Args:
-        taken: left, bottom, right and top of what stays where it is, (m, 4), pixels.
-        low: lower left pixel of the room that there is, (2,).
+        taken: left, bottom, right and top of fixed rectangles, (m, 4), pixels.
+        low: lower left pixel of the available area, (2,).
         high: upper right pixel, (2,).
-        is_needed: whether each takes its place also where there is no room, (k,).
+        is_needed: whether each rectangle is also placed if there is no room, (k,).
 
     Returns:
-        centres (k, 2), and whether there is room for each, (k,). One for which there is none stays
-        where it is.
+        centers (k, 2), and whether there is room for each, (k,). Rectangles without room do not
+        move.
     """
     placed, has_room = centres.copy(), np.ones(len(centres), bool)
     for k, (centre, half) in enumerate(zip(centres, sizes / 2, strict=True)):
@@ -307,16 +309,11 @@ def place_clear(
 
 
 def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
-    """Returns which start belongs to every end, so that straight leaders do not cross.
+    """Returns the start for every end of straight leaders such that they do not cross, (k,).
 
-    Two that cross change their starts, which makes their total length smaller: so it ends.
-
-    Args:
-        least_gain: two stay as they are if their total length would become smaller by less than
-            this, pixels: those that barely cross, next to one of their ends.
-
-    Returns:
-        index of the start for every end, (k,).
+    Two leaders that cross swap their starts, which reduces their total length, so the loop
+    terminates. `least_gain` is the minimum reduction in pixels; smaller ones belong to leaders that
+    barely cross.
     """
     index = np.arange(len(starts))
     for _ in range(len(index) ** 2):
@@ -336,8 +333,8 @@ def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
 def bends(starts: Array, ends: Array, centres: Array, sizes: Array, lane: float) -> Array:
     """Returns where leaders bend so that they do not run behind other panels of their column.
 
-    Such a leader leaves its panel along the edge of the column, and turns to its joint where the
-    column ends: the farther its panel, the farther from the edge, so that leaders do not cross.
+    Such a leader leaves its panel along the edge of the column and turns to its joint at the end of
+    the column. Leaders of farther panels are farther from the edge, so that leaders do not cross.
 
     Args:
         lane: distance between leaders beside a column, pixels.
@@ -358,7 +355,7 @@ def bends(starts: Array, ends: Array, centres: Array, sizes: Array, lane: float)
         if between.any():
             past = high[between, 1].max() if up[k] > 0 else low[between, 1].min()
             turns[k] = starts[k, 0], past
-    # The nearest panel of a column has the innermost lane, on each of its two ways out.
+    # The nearest panel of a column has the innermost lane, upward and downward.
     is_bent = np.any(turns != starts, axis=1)
     same = in_column & (up[:, None] == up) & is_bent[:, None] & is_bent
     nearer = same & (up[:, None] * (centres[None, :, 1] - centres[:, None, 1]) >= 0)
@@ -368,13 +365,13 @@ def bends(starts: Array, ends: Array, centres: Array, sizes: Array, lane: float)
         straight = turns.copy()
         straight[k] = starts[k]
         fewer = tangle(starts, straight, ends, low, high)
-        if fewer + 1 < tangled:  # one that would cross several others stays straight
+        if fewer + 1 < tangled:  # a leader that would cross several others stays straight
             turns, tangled = straight, fewer
     return turns
 
 
 def tangle(starts: Array, bends: Array, ends: Array, low: Array, high: Array) -> int:
-    """Returns how often leaders cross each other, or run behind panels but their own.
+    """Returns how often leaders cross each other or run behind panels other than their own.
 
     Args:
         low: lower left pixels of the panels, (k, 2).
@@ -389,7 +386,7 @@ def tangle(starts: Array, bends: Array, ends: Array, low: Array, high: Array) ->
 
 
 def behind(starts: Array, ends: Array, low: Array, high: Array) -> Bools:
-    """Returns which straight leaders (rows) run behind which panels but their own, (k, k) bool."""
+    """Returns which straight leaders (rows) run behind which other panels, (k, k) bool."""
     along = ends - starts
     along = np.where(np.abs(along) < 1e-9, 1e-9, along)[:, None]
     first, second = (

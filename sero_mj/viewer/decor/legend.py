@@ -1,4 +1,4 @@
-"""The legend: quantity of the arrows, positive direction, and meaning of full width."""
+"""The legend: quantity of the arrows, positive direction, and value at full width."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from .smart_arrows import SHORTEST, arrow_vectors
 from .toggles import Toggles
 
 _RGBA = (0.09, 0.11, 0.14, 0.6)
-# Names of the colours in `round_arrows`; verified by a test.
+# Names of the colors in `round_arrows`; checked by a test.
 _SIGNS = b"orange: + about z, blue: -"
-_LARGEST_SHARE = 0.10  # maximum fraction of the picture
-_MARGIN = 0.5  # of a line's height
+_LARGEST_SHARE = 0.10  # maximum fraction of the image
+_MARGIN = 0.5  # fraction of a line's height
 _MODELLED = "gravity torque of the model"
 _WORDS = {
     "torques": ("joint torque", "torque limit"),
@@ -32,8 +32,8 @@ _WORDS = {
     "torque_without_friction": ("torque less the model's friction", "torque limit"),
 }
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
-_MAX_NAMES = 32  # characters, of robots before a note, and of arrows before their scale
-# Inputs that arrows of a quantity need.
+_MAX_NAMES = 32  # characters of the names before a note or a scale
+# Inputs required for each quantity.
 _NEEDED = {
     "torques": ("torques",),
     "torque_error": ("torques", "commanded_torques"),
@@ -42,19 +42,19 @@ _NEEDED = {
     "torque_without_gravity": ("torques",),
     "torque_without_friction": ("torques",),
 }
-# Of sliding joints these are forces.
+# Quantities that are forces for prismatic joints.
 _TORQUES = ("torques", "torque_error", "torque_without_gravity", "torque_without_friction")
 _LARGEST = "largest seen so far"
 _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
-# A line with a bar before each number, as wide as an arrow of that share of the limit.
+# A line with a bar before each number, as wide as an arrow at that fraction of the limit.
 _SHARES = np.array([0.1, 0.5, 1.0])
-SCALE = ("     10 %", "     50 %", "     ")  # and the name of the limit
-_BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # of a line's height
+SCALE = ("     10 %", "     50 %", "     ")  # followed by the name of the limit
+_BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # fractions of a line's height
 
 
 def arrows_line(quantity: str, has_sliding: bool) -> str:
-    """The line of the legend that says what round arrows show."""
+    """Returns the line of the legend for the quantity of round arrows."""
     return _arrows_line(quantity, _WORDS[quantity][0], has_sliding)
 
 
@@ -65,10 +65,10 @@ def _arrows_line(quantity: str, what: str, has_sliding: bool) -> str:
 class Legend(Feature):
     """Panels for all quantities that arrows show, in the lower left corner.
 
-    Below them is what scene and robots note about their data.
+    Below them are the notes of the scene and its robots.
 
     Attributes:
-        is_steady: whether the scale of a smart arrow stays once the arrow was seen.
+        is_steady: whether the scale of a smart arrow remains after the arrow has disappeared.
     """
 
     order = 40
@@ -79,10 +79,10 @@ class Legend(Feature):
         self._key: object = None
         self._panels: list[Panels] = []
         self._notes = _notes(world)
-        self._drawn = np.zeros(len(world.arrows.names), bool)  # smart arrows, so far
+        self._drawn = np.zeros(len(world.arrows.names), bool)  # smart arrows drawn so far
         self._joints = np.arange(len(world.joints.names))
         self._routed = _routed(world)
-        self._known = np.zeros_like(self._routed)  # by quantity and joint: arrows, so far
+        self._known = np.zeros_like(self._routed)  # arrows drawn so far, by quantity and joint
 
     def lay_out(self, frame: Frame) -> None:
         """Adds the legend if it is switched on and there is an arrow or a note."""
@@ -105,7 +105,7 @@ class Legend(Feature):
             view.height,
             view.inset,
         )
-        if key != self._key:  # cached: it changes only with the toggles and the picture
+        if key != self._key:  # changes only with the toggles and the image
             self._key, self._panels = key, self._laid_out(toggles, arrows, view, limit)
         return self._panels
 
@@ -160,24 +160,18 @@ class Legend(Feature):
             if has_scale and without.any():
                 lines.insert(2, f"{self._who(shown, without)}: {unlimited}".encode())
             texts.append(lines)
-        sizes = np.array(
-            [
-                panel_sizes(
-                    np.array([max(view.font.width(line) for line in lines)]), len(lines), view
-                )[0]
-                for lines in texts
-            ]
-        )
-        # Omitted in a small picture, of which it would cover too much.
+        widths = np.array([max(view.font.width(line) for line in lines) for lines in texts])
+        sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
+        # Omitted if it would cover too much of a small image.
         room = _LARGEST_SHARE * view.width * view.height
-        kept = int((np.cumsum(sizes.prod(axis=1)) < room).sum())
-        if not kept:
+        count = int((np.cumsum(sizes.prod(axis=1)) < room).sum())
+        if not count:
             return []
         below = np.concatenate([[0.0], np.cumsum(sizes[:-1, 1] + margin)])
         centres = view.free[0] + margin + sizes / 2
         centres[:, 1] += below
-        panels = Panels(centres[:kept], sizes[:kept], texts[:kept], _RGBA)
-        of_arrows = np.arange(kept) >= bool(self._notes)
+        panels = Panels(centres[:count], sizes[:count], texts[:count], _RGBA)
+        of_arrows = np.arange(count) >= bool(self._notes)
         notes, scaled = panels.only(~of_arrows), panels.only(of_arrows)
         scaled = replace(scaled, bars=_bars(scaled, view), of_arrows=True)
         return [each for each in (notes, scaled) if each.texts]
@@ -204,8 +198,8 @@ class Legend(Feature):
         scene = self.world.scene
         lines: dict[str, list[str]] = {}
         kinds: dict[str, dict[str, None]] = {}
-        seen = toggles.vectors & self._drawn
-        for name in np.array(self.world.arrows.names, object)[seen]:
+        shown = toggles.vectors & self._drawn
+        for name in np.array(self.world.arrows.names, object)[shown]:
             arrow = scene.arrows[name]
             value = round_down_1_2_5(_STATED_LENGTH / arrow.metres_per_unit)
             size = 1e3 * value * arrow.metres_per_unit
@@ -221,7 +215,6 @@ class Legend(Feature):
 
 
 def _routed(world: WorldView) -> Bools:
-    """Whether the values of a joint's arrow have routes, by quantity and joint, (quantities, N)."""
     found = np.zeros((len(ARROW_QUANTITIES), len(world.joints.names)), bool)
     for name, part in world.owners.items():
         for code, quantity in enumerate(ARROW_QUANTITIES):

@@ -17,14 +17,14 @@ from .joint_titles import without_common_start
 
 @dataclass(frozen=True, eq=False)
 class BillboardLimbs:
-    """The limbs of a world, for cards.
+    """Limbs of a world, for billboards.
 
     Attributes:
-        groups: index of the robot with which the cards of every owner of joints stand,
-            (len(owners),); each double has its own.
-        beside: number of the limb with whose cards every joint's stands, (N,): fingers with their
-            arm.
-        names: of these limbs.
+        groups: index of the robot whose billboards every owner of joints joins, (len(owners),);
+            each double has its own.
+        beside: number of the limb whose billboards every joint's billboard joins, (N,): fingers
+            join their arm.
+        of_joint: number of the limb of every joint, (N,), an index of `names`.
     """
 
     groups: Ints
@@ -35,43 +35,45 @@ class BillboardLimbs:
     def joints_of(self, joint: int) -> Ints:
         return np.flatnonzero(self.of_joint == self.of_joint[joint])
 
-    def collapsed(self, shown: Ints, is_asked: Bools, most: int) -> Bools:
-        """Returns which joints the card of their limb tells of, (k,).
+    def collapsed(self, shown: Ints, is_clicked: Bools, room: int) -> Bools:
+        """Returns the joints that are replaced by the billboard of their limb, (k,) bool.
 
-        They are those of the limbs with the most joints, until there are not too many cards; both
-        legs, or none.
+        Limbs with the most joints are collapsed first, until the remaining billboards fit. Limbs
+        with equally many joints, such as two legs, are collapsed together.
 
         Args:
-            shown: joints to tell of, (k,).
-            is_asked: whether each has a card of its own in any case, (k,).
-            most: cards that there is room for.
+            shown: joints with a billboard, (k,).
+            is_clicked: whether each keeps its own billboard in any case, (k,).
+            room: number of billboards that fit.
         """
         limb = self.of_joint[shown]
-        told = np.zeros(len(shown), bool)
-        if len(shown) <= most or len(np.unique(limb)) == 1:  # of one limb the most loaded say more
-            return told
-        numbers, counts = np.unique(limb[~is_asked], return_counts=True)
-        cards = len(shown)
+        collapsed = np.zeros(len(shown), bool)
+        # For a single limb, the most loaded joints are more informative.
+        if len(shown) <= room or len(np.unique(limb)) == 1:
+            return collapsed
+        numbers, counts = np.unique(limb[~is_clicked], return_counts=True)
+        total = len(shown)
         for count in np.unique(counts[counts > 1])[::-1]:
-            if cards > most:
+            if total > room:
                 of_count = numbers[counts == count]
-                told |= np.isin(limb, of_count) & ~is_asked
-                cards -= int(count - 1) * len(of_count)
-        return told
+                collapsed |= np.isin(limb, of_count) & ~is_clicked
+                total -= int(count - 1) * len(of_count)
+        return collapsed
 
 
 def billboard_limbs(world: WorldView) -> BillboardLimbs:
     """Returns the limbs of a world.
 
-    Limbs that are small beside the one that carries them stand with it, and are one together. So
-    are all robots that stand with another one: the fingers of a hand.
+    Limbs that are small compared to the limb that carries them are combined into one and join the
+    billboards of their carrier. The same holds for robots carried by another one, such as the
+    fingers of a hand.
     """
     joints, parts = world.joints, list(world.owners.values())
     is_double = np.array([isinstance(part, DoublePart) for part in parts], bool)
     groups = np.where(is_double, np.arange(len(parts)), owner_groups(world))
     centres = world.state(world.make_data()).site_xpos[joints.centre_site]
     beside, limb = joints.limb.copy(), joints.limb.copy()
-    carried: dict[int, int] = {}  # by the limb that carries them
+    carried: dict[int, int] = {}  # combined limb by the limb that carries it
     for part in parts:
         first = part.joints.start
         n = part.joints.stop - first

@@ -1,7 +1,7 @@
-"""`ModelDrawing`: what MuJoCo draws of a model besides its surfaces, for all hosts.
+"""`ModelDrawing`: parts of a model that MuJoCo draws in addition to its surfaces.
 
-Contacts, inertias, joints and centres of mass are geoms of MuJoCo; that surfaces are transparent or
-wireframes are options of its scenes.
+Contacts, inertias, joints and centers of mass are geoms of MuJoCo. Transparency and wireframes are
+options of its scenes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .toggles import Toggles
 
 log = logging.getLogger(__name__)
 
-# Flags of `mjtVisFlag` by switch; contacts have their forces as well where these are known.
+# Flags of `mjtVisFlag` by switch. Contacts include their forces if they are known.
 _FLAGS = {
     "contacts": "mjVIS_CONTACTPOINT",
     "inertias": "mjVIS_INERTIA",
@@ -35,32 +35,32 @@ _WIREFRAME = int(mujoco.mjtRndFlag.mjRND_WIREFRAME)
 _ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _JOINT = int(mujoco.mjtObj.mjOBJ_JOINT)
-_JOINT_SIZE = (0.22, 0.22, 3.2)  # of arrows of joints, of the radius of those of torques
+_JOINT_SIZE = (0.22, 0.22, 3.2)  # size of arrows of joints, in radii of the torque arrows
 _SPHERE, _UNKNOWN = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtObj.mjOBJ_UNKNOWN)
-_LIGHTEST = 1e-6  # kg
-# Sizes, of the mean size of bodies; those of MuJoCo hide an arm, and where it touches something.
+_MIN_MASS = 1e-6  # kg
+# Sizes in mean body sizes; with MuJoCo's defaults, they hide arms and contacts.
 _SIZES = {
     "contactwidth": 0.13, "contactheight": 0.03, "forcewidth": 0.04, "com": 0.15,
     "jointlength": 0.9, "jointwidth": 0.07,
 }  # fmt: skip
-_INERTIA_RGBA = (0.8, 0.2, 0.2, 0.25)  # that of MuJoCo hides an arm behind a box that is too large
-_WEIGHT_LENGTH = 0.25  # of the arrow of a force that is the weight of everything, of its extent
-_GLOW = 0.35  # emission of decor: it is not darker than what the others draw
-_MOST_ROWS = 4000
+_INERTIA_RGBA = (0.8, 0.2, 0.2, 0.25)  # MuJoCo's default is opaque and hides the arm
+_WEIGHT_LENGTH = 0.25  # length of the arrow of the model's whole weight, fraction of its extent
+_GLOW = 0.35  # minimum emission, as of other decor
+_CAPACITY = 4000
 
 
 class ModelDrawing:
-    """Draws parts of a world's model, as the switches of `Toggles` say."""
+    """Draws parts of a world's model, as selected by the switches of `Toggles`."""
 
     def __init__(self, world: WorldView) -> None:
         self._world = world
         self._surfaces, self._parts = mujoco.MjvOption(), mujoco.MjvOption()
         self._parts.flags[:] = 0
-        for group in ("geom", "site", "tendon", "flex", "skin"):  # surfaces are drawn already
+        for group in ("geom", "site", "tendon", "flex", "skin"):  # surfaces are already drawn
             getattr(self._parts, f"{group}group")[:] = 0
         self._perturb = mujoco.MjvPerturb()
         self._own: mujoco.MjvScene | None = None
-        self._views: tuple[mujoco.MjvScene, np.ndarray | None] | None = None
+        self._views: tuple[mujoco.MjvScene, np.ndarray] | None = None
 
     @cached_property
     def _model(self) -> mujoco.MjModel:
@@ -79,7 +79,7 @@ class ModelDrawing:
 
     @cached_property
     def _radii(self) -> Array:
-        """Of the arrows of the model's joints, (njnt,), m; 0 for what has none."""
+        # Radii of the joints' arrows, (njnt,), m; 0 for joints without one.
         world, model = self._world, self._world.model
         radii = np.zeros(model.njnt)
         for part in world.robots.values():
@@ -94,7 +94,7 @@ class ModelDrawing:
         camera: mujoco.MjvCamera,
         scene: mujoco.MjvScene,
     ) -> None:
-        """Lets MuJoCo fill a scene with the world, as it is seen by a camera."""
+        """Lets MuJoCo fill a scene with the world as seen by a camera."""
         self._surfaces.flags[_TRANSPARENT] = toggles.transparent
         scene.flags[_WIREFRAME] = toggles.wireframe
         model = self._world.model
@@ -102,19 +102,18 @@ class ModelDrawing:
         self.add(data, toggles, scene)
 
     def rows(self, data: mujoco.MjData, toggles: Toggles) -> np.ndarray:
-        """Returns the geoms of parts alone, (k,) of `GEOM`; takes no time while none is on."""
-        if not _is_asked(toggles):
+        """Returns only the geoms of the parts, (k,) of `GEOM`."""
+        if not _has_parts(toggles):
             return np.zeros(0, GEOM)
         if self._own is None:
-            self._own = mujoco.MjvScene(self._world.model, maxgeom=_MOST_ROWS)
+            self._own = mujoco.MjvScene(self._world.model, maxgeom=_CAPACITY)
         self._own.ngeom = 0
         self.add(data, toggles, self._own)
-        rows = self._rows_of(self._own)
-        return np.zeros(0, GEOM) if rows is None else rows[: self._own.ngeom].copy()
+        return self._rows_of(self._own)[: self._own.ngeom].copy()
 
     def add(self, data: mujoco.MjData, toggles: Toggles, scene: mujoco.MjvScene) -> None:
-        """Adds the geoms of parts to a scene."""
-        if not _is_asked(toggles):
+        """Adds the geoms of the parts to a scene."""
+        if not _has_parts(toggles):
             return
         for name, flag in _FLAGS.items():
             self._parts.flags[int(getattr(mujoco.mjtVisFlag, flag))] = getattr(toggles, name)
@@ -139,10 +138,7 @@ class ModelDrawing:
             mujoco.mj_collision(model, own)
 
     def _tidy(self, scene: mujoco.MjvScene, start: int) -> None:
-        view = self._rows_of(scene)
-        if view is None:
-            return
-        rows = view[start : scene.ngeom]
+        rows = self._rows_of(scene)[start : scene.ngeom]
         rows["emission"] = np.maximum(rows["emission"], _GLOW)
         of_joints = (rows["objtype"] == _JOINT).nonzero()[0]
         radii = self._radii[rows["objid"][of_joints]]
@@ -150,17 +146,17 @@ class ModelDrawing:
         rows["size"][sized] = radii[radii > 0, None] * _JOINT_SIZE
         is_centre = (rows["objtype"] == _UNKNOWN) & (rows["type"] == _SPHERE)
         masses = self._model.body_subtreemass[np.where(is_centre, rows["objid"], 0)]
-        kept = rows[~is_centre | (masses > _LIGHTEST)]
-        rows[: len(kept)] = kept
-        scene.ngeom = start + len(kept)
+        shown = rows[~is_centre | (masses > _MIN_MASS)]
+        rows[: len(shown)] = shown
+        scene.ngeom = start + len(shown)
 
-    def _rows_of(self, scene: mujoco.MjvScene) -> np.ndarray | None:
+    def _rows_of(self, scene: mujoco.MjvScene) -> np.ndarray:
         if self._views is None or self._views[0] is not scene:
             self._views = scene, struct_view(scene)
         return self._views[1]
 
 
-def _is_asked(toggles: Toggles) -> bool:
+def _has_parts(toggles: Toggles) -> bool:
     return any(getattr(toggles, name) for name in _FLAGS)
 
 

@@ -1,4 +1,4 @@
-"""Semitransparent panels with text, laid out in pixels, in front of the scene."""
+"""Translucent panels with text, laid out in pixels, in front of the scene."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from .image_view import ImageView
 from .layout import place_clear
 
 PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
-# Depths in units of the near plane: text before panels before leaders before the scene.
+# Depths in units of the near plane: text in front of panels, leaders and the scene.
 _PANEL_DEPTH, _LEADER_DEPTH = 1.5, 1.6
-_FRONT_DEPTH = 1.3  # offset of panels in front of the others
+_FRONT_DEPTH = 1.3  # depth of panels in front of other panels
 _BAR_DEPTH = 1.45
 _TEXT_NEARER = 0.1
 BAR_RGBA = (0.93, 0.93, 0.93, 1.0)
 _UPPER_LEFT = np.array([-0.5, 0.5])
-_LEADER_BASE = 0.22  # of a line's height
-_BENT = 0.6  # width of a bent leader, of that of a straight one
-PADDING = 0.35  # of a line's height, on every side
+_LEADER_BASE = 0.22  # fraction of a line's height
+_BENT = 0.6  # width of a bent leader, fraction of the width of a straight one
+PADDING = 0.35  # on every side, fraction of a line's height
 
 
 def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: ImageView) -> Array:
     """Returns width and height of panels, (k, 2), pixels.
 
     Args:
-        text_widths: of the widest line of every panel, (k,), pixels.
+        text_widths: width of the widest line of every panel, (k,), pixels.
         lines: number of lines of every panel, (k,).
     """
     line = view.font.height
@@ -46,13 +46,13 @@ class Panels:
     """Panels with text, laid out in pixels.
 
     Attributes:
-        texts: the lines of every panel, top first.
-        rgba: their colour, or one for each, (k, 4).
+        texts: lines of every panel, top first.
+        rgba: one color, or (k, 4).
         items: index of the joint or frame that every panel belongs to, (k,).
         in_front: whether they cover other panels; covered text is not drawn.
-        has_values: whether their lines are values, which hosts may align in columns.
-        bars: light bars on them: left, bottom, width and height, (m, 4), pixels.
-        of_arrows: whether they say what arrows mean, and mean nothing without these.
+        has_values: whether their lines are values, which may be aligned in columns.
+        bars: light bars on the panels: left, bottom, width and height, (m, 4), pixels.
+        of_arrows: whether they explain arrows and are useless without arrows.
     """
 
     centres: Array
@@ -66,20 +66,19 @@ class Panels:
     bars: Array | None = None
     of_arrows: bool = False
 
-    def only(self, kept: Bools) -> Panels:
-        """Returns those of its panels that are kept, (k,)."""
+    def only(self, shown: Bools) -> Panels:
         return replace(
             self,
-            centres=self.centres[kept],
-            sizes=self.sizes[kept],
-            texts=[text for text, is_kept in zip(self.texts, kept, strict=True) if is_kept],
-            rgba=self.rgba[kept] if isinstance(self.rgba, np.ndarray) else self.rgba,
-            items=None if self.items is None else self.items[kept],
+            centres=self.centres[shown],
+            sizes=self.sizes[shown],
+            texts=[text for text, is_shown in zip(self.texts, shown, strict=True) if is_shown],
+            rgba=self.rgba[shown] if isinstance(self.rgba, np.ndarray) else self.rgba,
+            items=None if self.items is None else self.items[shown],
         )
 
 
 def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
-    """Returns centres and sizes of panels, moved to be inside the picture."""
+    """Returns centers and sizes of panels, moved into the image."""
     widths = np.array([max(view.font.width(line) for line in lines) for lines in texts], float)
     sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
     half = sizes / 2
@@ -88,28 +87,24 @@ def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tupl
 
 
 def labels_below(places: Array, names: list[str], view: ImageView) -> tuple[Panels, Ints] | None:
-    """Returns labels below places of the world, and which of these are seen; None for none.
-
-    Args:
-        places: (k, 3), m.
-    """
+    """Returns labels below world points (k, 3) and the indices of visible points; None for none."""
     pixels, depth = view.project(places)
-    seen = view.sees(pixels, depth).nonzero()[0]
-    if not len(seen):
+    visible = view.sees(pixels, depth).nonzero()[0]
+    if not len(visible):
         return None
-    lines = [[line_of(names[k])] for k in seen.tolist()]
-    centres, sizes = labels_at(view, pixels[seen] - [0.0, view.font.height], lines)
-    return Panels(centres, sizes, lines), seen
+    lines = [[line_of(names[k])] for k in visible.tolist()]
+    centres, sizes = labels_at(view, pixels[visible] - [0.0, view.font.height], lines)
+    return Panels(centres, sizes, lines), visible
 
 
 def clear_of(labels: list[Panels], others: list[Panels], view: ImageView) -> list[Panels]:
-    """Returns labels moved off other panels and off each other, as far as the picture has room.
+    """Returns labels moved off other panels and off each other, as far as there is room.
 
-    Names for which there is none are left out: nobody could read them, nor what is below.
+    Names without room are omitted, because overlapping text is unreadable.
 
     Args:
-        labels: the first ones have the first choice.
-        others: these stay where they are.
+        labels: labels to move; the first ones are placed first.
+        others: fixed panels.
     """
     if not labels:
         return []
@@ -128,8 +123,8 @@ def clear_of(labels: list[Panels], others: list[Panels], view: ImageView) -> lis
     ends = np.cumsum([len(label.texts) for label in labels])
     parts = zip(labels, np.split(centres, ends[:-1]), np.split(has_room, ends[:-1]), strict=True)
     return [
-        replace(label, centres=at).only(kept | (label.kind != Kind.NAME))
-        for label, at, kept in parts
+        replace(label, centres=at).only(fits | (label.kind != Kind.NAME))
+        for label, at, fits in parts
     ]
 
 
@@ -139,12 +134,12 @@ def draw_panels(
     """Draws all panels of a frame in one vectorized pass.
 
     Args:
-        groups: panels of different colours.
-        lighter: fraction of white that is added to all of them.
+        groups: panels of different colors.
+        lighter: fraction of white added to their colors.
 
     Returns:
-        the panels as drawn, in this order, with empty lines where others cover them; none if they
-        exceed the buffer's capacity.
+        the panels as drawn, in this order, with empty lines if other panels cover them; an
+        empty list if they exceed the buffer's capacity.
     """
     groups = sorted((group for group in groups if group.texts), key=lambda group: group.in_front)
     if not groups:
@@ -180,13 +175,13 @@ def draw_panels(
     starts = (centres + sizes * _UPPER_LEFT)[panel]
     starts[:, 0] += PADDING * line
     starts[:, 1] -= (PADDING / 2 + 1 + row) * line
-    drawn = _in_colours(groups, rows["rgba"].astype(float))
+    visible = np.ones(len(lines), bool)
     if in_front.any():
-        seen = ~_covered(view, starts, lines, centres[in_front], sizes[in_front])
-        seen |= in_front[panel]
-        drawn = _without(drawn, ~seen)
-        starts, panel = starts[seen], panel[seen]
-        lines = [text for text, is_seen in zip(lines, seen, strict=True) if is_seen]
+        visible = ~_covered(view, starts, lines, centres[in_front], sizes[in_front])
+        visible |= in_front[panel]
+    drawn = _as_drawn(groups, rows["rgba"].astype(float), visible)
+    starts, panel = starts[visible], panel[visible]
+    lines = [text for text, is_visible in zip(lines, visible, strict=True) if is_visible]
     _draw_lines(buffer, view, starts, lines, depth[panel])
     for group in groups:
         if group.bars is not None:
@@ -221,26 +216,21 @@ def _draw_bars(buffer: GeomBuffer, view: ImageView, bars: Array) -> None:
     rows["emission"] = 1.0
 
 
-def _in_colours(groups: list[Panels], rgba: Array) -> list[Panels]:
-    stops = np.cumsum([len(group.texts) for group in groups])
+def _as_drawn(groups: list[Panels], rgba: Array, visible: Bools) -> list[Panels]:
+    stops, each = np.cumsum([len(group.texts) for group in groups]), iter(visible.tolist())
     return [
-        replace(group, rgba=rgba[stop - len(group.texts) : stop])
+        replace(
+            group,
+            rgba=rgba[stop - len(group.texts) : stop],
+            texts=[[t if next(each) else b"" for t in lines] for lines in group.texts],
+        )
         for group, stop in zip(groups, stops, strict=True)
-    ]
-
-
-def _without(groups: list[Panels], covered: NDArray[np.bool_]) -> list[Panels]:
-    each = iter(covered.tolist())
-    return [
-        replace(group, texts=[[b"" if next(each) else t for t in lines] for lines in group.texts])
-        for group in groups
     ]
 
 
 def _covered(
     view: ImageView, starts: Array, lines: list[bytes], centres: Array, sizes: Array
 ) -> NDArray[np.bool_]:
-    """Returns which lines of text (k,), by their lower left pixels (k, 2), panels (m, 2) cover."""
     text = np.stack(
         [view.font.line_widths(lines), np.full(len(lines), float(view.font.height))], axis=1
     )
@@ -279,7 +269,6 @@ def _draw_tips(
     *,
     at_corner: bool = False,
 ) -> None:
-    """Draws triangles with a base at `starts` (k, 2), and their tips at `ends` (k, 2), pixels."""
     rows = buffer.take(len(starts), int(mujoco.mjtGeom.mjGEOM_TRIANGLE))
     if not len(rows):
         return
@@ -288,7 +277,7 @@ def _draw_tips(
     length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-3)
     along /= length[:, None]
     across = along[:, ::-1] * (1.0, -1.0)
-    # By their corners, since lenses bend what is straight in the world.
+    # Corners are projected one by one, since lenses bend straight lines.
     first = starts - across * (base / 2)
     tip = ends - across * (base / 2) if at_corner else ends
     pixels = np.concatenate((first, first + across * base, tip))

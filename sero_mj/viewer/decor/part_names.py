@@ -1,4 +1,4 @@
-"""`PartNames`: names of bodies, joints or geoms of the model, below their places."""
+"""`PartNames`: names of bodies, joints or geoms of the model, below their positions."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .geom_buffer import Kind
 from .panels import Panels, labels_below
 from .toggles import PART_NAMES
 
-_GROUPS = 3  # of geoms that are drawn
-_LOWER = 3  # lines that a label may be below its place
-_TOUCHING = 0.01  # pixels, by which labels may overlap
+_GROUPS = 3  # number of visible groups of geoms
+_LOWER = 3  # maximum distance of a label from its position, lines
+_TOUCHING = 0.01  # pixels by which labels may overlap
 
 
 class PartNames(Feature):
-    """Shows the names of the parts that `Toggles.part_names` chooses."""
+    """Shows the names of the parts selected by `Toggles.part_names`."""
 
     order = 61
 
@@ -34,30 +34,23 @@ class PartNames(Feature):
 
 
 def _apart(labels: Panels) -> Panels:
-    """Returns labels that cover no others: a few lines lower, or left out where that is crowded.
-
-    Farther away, a name would be taken for that of something else. `js/src/labels.js` does so, too.
-    """
-    centres, kept = labels.centres.copy(), list[int]()
+    # Labels move a few lines down, or are omitted: farther away, a name would seem to belong to
+    # another part. `js/src/labels.js` does the same.
+    centres, placed = labels.centres.copy(), list[int]()
     for k, (size, centre) in enumerate(zip(labels.sizes, labels.centres, strict=True)):
-        apart = (labels.sizes[kept] + size) / 2
+        apart = (labels.sizes[placed] + size) / 2
         for step in range(_LOWER + 1):
             centres[k] = centre - [0.0, step * size[1]]
-            if not (np.abs(centres[k] - centres[kept]) < apart - _TOUCHING).all(axis=1).any():
-                kept.append(k)
+            if not (np.abs(centres[k] - centres[placed]) < apart - _TOUCHING).all(axis=1).any():
+                placed.append(k)
                 break
-    return replace(
-        labels,
-        centres=centres[kept],
-        sizes=labels.sizes[kept],
-        texts=[labels.texts[k] for k in kept],
-    )
+    return replace(labels, centres=centres).only(np.isin(np.arange(len(centres)), placed))
 
 
 def named_parts(world: WorldView, data: Any, chosen: int) -> tuple[list[str], Array]:
-    """Returns names and places (k, 3), m, of parts of the model: of what is fixed there, too.
+    """Returns names and positions (k, 3), m, of parts of the model, including fixed ones.
 
-    Doubles, received frames and cameras are no parts of it, nor is what has no name.
+    Doubles, received frames, cameras and unnamed parts are omitted.
 
     Args:
         chosen: index in `PART_NAMES`.
@@ -66,11 +59,11 @@ def named_parts(world: WorldView, data: Any, chosen: int) -> tuple[list[str], Ar
     if what == "nothing":
         return [], np.zeros((0, 3))
     ids, bodies, at = _parts(model, what)
-    kept = _is_part(world)[bodies] & (data.xpos[bodies][:, 2] > OUT_OF_SIGHT[2] / 2)
+    shown = _is_part(world)[bodies] & (data.xpos[bodies][:, 2] > OUT_OF_SIGHT[2] / 2)
     kind = {"bodies": "body", "joints": "joint", "geoms": "geom"}[what]
     names = [getattr(model, kind)(i).name.removesuffix("/") for i in ids.tolist()]
-    kept &= np.array([bool(name) for name in names], bool)
-    index = kept.nonzero()[0]
+    shown &= np.array([bool(name) for name in names], bool)
+    index = shown.nonzero()[0]
     turned = np.einsum("kij,kj->ki", data.xmat[bodies[index]].reshape(-1, 3, 3), at[index])
     return [names[k] for k in index.tolist()], data.xpos[bodies[index]] + turned
 

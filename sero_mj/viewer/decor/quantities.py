@@ -1,12 +1,12 @@
-"""Per-joint values that decor shows: received values and those computed from them.
+"""Per-joint values that decor shows: received values and values computed from them.
 
 Proximity to a singularity was the first use of round arrows (the paper's reference 14). The measure
 is the inverse condition number c of the Jacobian with lengths in units of the robot's reach: 0 at a
-singularity, at most 1. Close to a singularity, every joint's arrow turns in the direction of motion
-that leads towards it, with a width in proportion to the joint's contribution.
+singularity, at most 1. Close to a singularity, every joint's arrow shows the direction of motion
+towards it, with a width in proportion to the joint's contribution.
 
 Source: inverse condition number as in Angeles, Fundamentals of Robotic Mechanical Systems, 4.9;
-the Jacobian's derivative as in Haviland and Corke, Manipulator Differential Kinematics, part 2.
+derivative of the Jacobian as in Haviland and Corke, Manipulator Differential Kinematics, part 2.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ QUANTITY_NAMES = {
     "torque_without_gravity": "torque without gravity",
     "torque_without_friction": "torque without friction",
 }
-# A value above this multiple of its limit is considered a fault of its source.
+# A value above this multiple of its limit is treated as an error of its source.
 IMPLAUSIBLE_FACTOR = 1e3
-DOUBTFUL_FACTOR = 10.0  # above it the arrow, which is striped, is not enough
+DOUBTFUL_FACTOR = 10.0  # larger values are reported in addition to a striped arrow
 
 
 def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
-    """Returns all received values of all joints, and those computed from them.
+    """Returns all received values of all joints, and the values computed from them.
 
-    Where the largest torque so far is the scale of a joint, these torques count from here on.
+    If the largest torque so far replaces a joint's limit, this updates it.
 
     Returns:
-        arrays (N,) by name: all per-joint inputs, `joint_angles`, and `torque_error`
-        (commanded - measured); NaN for no data.
+        arrays (N,) by name: all per-joint inputs, `joint_angles`, and `torque_error` (commanded
+        - measured); NaN for no data.
     """
     data = world.state(data)
     joints, userdata = world.joints, data.userdata
@@ -60,13 +60,13 @@ def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
 
 
 def torque_and_unit(world: WorldView, joint: int) -> tuple[str, TorqueUnit]:
-    """Returns how the torque of a joint is called, and its unit: a force where it slides."""
+    """Returns "torque", or "force" for a prismatic joint, and its unit."""
     what = "torque" if world.joints.revolute[joint] else "force"
     return what, world.joints.torque_units[joint]
 
 
 def torque_text(world: WorldView, joint: int, value: float) -> str:
-    """Returns a torque of a joint, Nm or N, with three digits and the joint's unit."""
+    """Returns a torque of a joint, in Nm or N, with three digits and the joint's unit."""
     factor, unit = world.joints.torque_units[joint]
     return f"{factor * value:.3g} {unit}"
 
@@ -76,7 +76,7 @@ def _limit_name(world: WorldView, joint: int) -> str:
 
 
 def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]:
-    """Returns messages for torques over `DOUBTFUL_FACTOR` times their limit."""
+    """Returns messages for torques above `DOUBTFUL_FACTOR` times their limit."""
     joints, torques = world.joints, values["torques"]
     share = np.abs(torques) / joints.torque_limit
     found = np.flatnonzero(share > DOUBTFUL_FACTOR)  # not NaN
@@ -94,7 +94,7 @@ def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]
 def arrow_values(
     world: WorldView, data: mujoco.MjData, values: dict[str, Array], quantity: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """Returns the value that every joint's arrow shows, and the value of full width.
+    """Returns the value that every joint's arrow shows, and the value at full width.
 
     Args:
         quantity: index in `ARROW_QUANTITIES`, (N,).
@@ -132,7 +132,7 @@ def arrow_values(
 
 
 def joint_name(world: WorldView, joint: int) -> str:
-    """Returns the name of a joint with its robot or double: `lwr/A4`."""
+    """Returns the name of a joint with its robot or double, such as `lwr/A4`."""
     owner = list(world.owners)[int(world.joints.owner[joint])]
     name = world.joints.names[joint]
     return name if name.startswith(f"{owner}/") else f"{owner}/{name}"
@@ -143,9 +143,6 @@ FAR = 0.15  # inverse condition number above which no arrow is shown
 
 def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
     """Returns the proximity to a singularity and the direction of every joint towards it.
-
-    Args:
-        part: the robot or double, n joints.
 
     Returns:
         (n,), -1 to 1: the sign is the direction of motion towards the singularity; the largest
@@ -165,11 +162,8 @@ def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> A
 def jacobian(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
     """Returns the geometric Jacobian (6, m) of the flange, lengths in units of the robot's reach.
 
-    It has a column for every joint that moves the flange, all n of a serial robot. It is computed
-    from the sites at the joints, because a double has no degrees of freedom in MuJoCo.
-
-    Args:
-        part: the robot or double, n joints.
+    It has a column for every joint that moves the flange. It is computed from the sites at the
+    joints, because a double has no degrees of freedom in MuJoCo.
     """
     chain = part.chain
     sites = world.joints.centre_site[part.joints][chain]
@@ -188,7 +182,7 @@ def inverse_condition(J: Array) -> tuple[float, Array]:
     """Returns the inverse condition number of a Jacobian and its gradient in the joint angles.
 
     Args:
-        J: (6, n), base frame; a prismatic joint's angular part is zero.
+        J: (6, n), base frame; the angular part of a prismatic joint is zero.
 
     Returns:
         smallest over largest singular value, and its gradient (n,), per rad or m.

@@ -1,7 +1,7 @@
-"""Ribbons: the shape of round arrows, and how they are drawn.
+"""Ribbons: the shape of round arrows.
 
-A ribbon is a row of thin boxes along an arc. Its heads are of triangles and taper in width and in
-thickness, so that they are recognizable both from the side and along the axis.
+A ribbon is a row of thin boxes along an arc. Its heads are made of triangles and taper in width and
+thickness, so that they are recognizable from the side and along the axis.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ _STRIPE_RGB = (0.08, 0.08, 0.09)
 
 _ARC = np.deg2rad(315.0)
 _HEAD_ARC = np.deg2rad(46.0)
-# How many heads there may be, and steps along the arc that each has, finest first. The last head is
-# at the tip; wherever the joint's link hides one, another is seen.
+# Number of heads, and of steps along the arc of each head, finest first. The last head is at the
+# tip. If the link hides one head, another is visible.
 _HEADS = ((3, 3), (3, 2), (2, 2), (2, 1), (1, 1))
-_FEWEST_BOXES = 8  # of the ribbon, if there is more than one head
-_MARK_SIZE = 0.7  # protrusion of the other heads, over that of the last one
-_NECK = 0.25  # width in front of these heads, of the ribbon's
-_THICKNESS = 0.05  # of the radius
-_HEAD_THICKNESS = 0.30  # of the radius, maximum thickness of the head
+_FEWEST_BOXES = 8  # minimum number of boxes if there is more than one head
+_MARK_SIZE = 0.7  # protrusion of the other heads, fraction of the protrusion of the last head
+_NECK = 0.25  # width in front of these heads, fraction of the ribbon's width
+_THICKNESS = 0.05  # fraction of the radius
+_HEAD_THICKNESS = 0.30  # maximum thickness of the head, fraction of the radius
 # Width of the head: factor of the ribbon's width, plus fraction of the radius.
 _HEAD_WIDER = (1.5, 0.28)
-# Ribbon width from which heads have full size (about 2 % of the limit), of the radius.
+# Ribbon width at which heads reach full size (about 2 % of the limit), fraction of the radius.
 _FULL_HEAD_WIDTH = 0.14
 
 
@@ -59,11 +59,7 @@ class Ribbons:
 
 
 def draw_ribbons(buffer: GeomBuffer, kind: Kind, ribbons: Ribbons, budget: int) -> None:
-    """Draws round arrows.
-
-    Args:
-        budget: number of geoms that each arrow may have.
-    """
+    """Draws round arrows with at most `budget` geoms each."""
     shape = ribbon_shape(budget)
     count, boxes = len(ribbons.items), len(shape.middle)
     box, triangle = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
@@ -113,7 +109,7 @@ def _place_heads(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> No
     width = widths * shape.own + wider * shape.flare
     thickness = radius * np.maximum(_HEAD_THICKNESS * grown * shape.flare, _THICKNESS)
     thickness *= shape.own > 0  # the tip is a point
-    # For the other direction an arrow is turned over, so that the outside of triangles stays there.
+    # An arrow in the opposite direction is flipped, so that its triangles still face outward.
     out = radius[..., None] + thickness[..., None] / 2 * (1.0, 1.0, -1.0, -1.0)
     aside = (ribbons.sign[:, None] * width)[..., None] / 2 * (1.0, -1.0, -1.0, 1.0)
     angles = _angles(ribbons, shape.rings)
@@ -128,17 +124,18 @@ def _place_heads(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> No
 
 @dataclass(frozen=True, eq=False)
 class RibbonShape:
-    """What all round arrows of the same number of geoms have in common.
+    """Shape shared by all round arrows with the same number of geoms.
 
     Attributes:
-        middle: angle of the centre of every box from the tail, (b,), rad.
+        middle: angle of the center of every box from the tail, (b,), rad.
         half_angle: half the angle of every box, (b,), rad.
-        rings: angle of every rectangle of the heads, from a head's barbs to its tip, (r,), rad.
-        own: factor of the ribbon's width there, (r,).
-        flare: factor of how far a full head protrudes there, (r,).
-        triangles: the three of the corners (4 r) that form each triangle, outside anticlockwise,
+        rings: angle of every rectangle of the heads, from the barbs of a head to its tip, (r,),
+            rad.
+        own: factor of the ribbon's width at the rectangles, (r,).
+        flare: factor of the protrusion of a full head at the rectangles, (r,).
+        triangles: three of the corners (4 r) for each triangle, counterclockwise from outside,
             (t, 3).
-        dark: which boxes and triangles are dark where an arrow is striped, (b + t,) bool.
+        dark: boxes and triangles that are dark in a striped arrow, (b + t,) bool.
     """
 
     middle: Array
@@ -151,7 +148,6 @@ class RibbonShape:
 
     @property
     def geoms(self) -> int:
-        """Number of geoms of an arrow."""
         return len(self.dark)
 
 
@@ -161,9 +157,9 @@ def _triangles_of(heads: int, steps: int) -> int:
 
 @cache
 def ribbon_shape(budget: int) -> RibbonShape:
-    """Returns the shape of round arrows of at most `budget` geoms, of which there are six at least.
+    """Returns the shape of round arrows with at most `budget` geoms, but at least six.
 
-    Heads come first: with little to spend, they are all that is drawn.
+    With a small budget, only the heads are drawn.
     """
     heads, steps = next(
         (heads, steps)
@@ -180,9 +176,9 @@ def ribbon_shape(budget: int) -> RibbonShape:
     taper = np.tile(np.linspace(1.0, 0.0, steps + 1), heads)
     is_last = np.arange(len(taper)) >= (heads - 1) * (steps + 1)
 
-    # Corners of a rectangle go round: outside on one side and on the other, inside on that one and
-    # on the first. From each side of it a side of the head goes on to the next rectangle, of which
-    # the last is a point.
+    # The corners of a rectangle are in this order: outside on the first and on the second side,
+    # inside on the second and on the first side. Each edge of a rectangle is connected to the next
+    # rectangle; the last one is a point.
     triangles, is_dark = [], []
     for head in range(heads):
         back = 4 * head * (steps + 1)
@@ -199,7 +195,7 @@ def ribbon_shape(budget: int) -> RibbonShape:
         middle=np.concatenate([(edge[:-1] + edge[1:]) / 2 for edge in edges]),
         half_angle=np.concatenate([np.diff(edge) / 2 for edge in edges]),
         rings=np.repeat(tips[1:], steps + 1) - _HEAD_ARC * taper,
-        # The last head ends in a point; those before it do not, so that the ribbon holds together.
+        # Only the last head ends in a point, so that the ribbon has no gaps.
         own=np.where(is_last, taper, _NECK + (1.0 - _NECK) * taper),
         flare=np.where(is_last, 1.0, _MARK_SIZE) * taper,
         triangles=np.array(triangles, np.intp),

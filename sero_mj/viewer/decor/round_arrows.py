@@ -1,14 +1,14 @@
-"""Round arrows: they turn about their joint and show a value by direction, colour and width.
+"""Round arrows: they rotate about their joint and show a value by direction, color and width.
 
-An arrow turns at constant speed, by the right-hand rule about the joint's z for a positive torque;
-the colour shows the sign as well. Arrows of doubles are transparent and slightly smaller.
+An arrow rotates at constant speed, by the right-hand rule about the joint's z axis for a positive
+torque. The color also shows the sign. Arrows of doubles are transparent and slightly smaller.
 
-Width: with a limit, `arrow_radius` (times `arrow_width_scale` / 0.01) at the limit and proportional
-to the square root of the value below it, so that 2 % of the limit has a seventh of the full width;
-zero in the dead band, from which it grows to that within another one. Without a limit,
-`arrow_width_scale` m per unit, or as wide as the radius at the joint's `arrow_load`. Beyond the
-limit the ribbon is striped. Source: the paper's section 2.2; square root, dead band and stripes are
-additions.
+If there is a limit, the width is proportional to the square root of the value: `arrow_radius`
+(times `arrow_width_scale` / 0.01) at the limit, and a seventh of the full width at 2 % of the
+limit. It is zero in the dead band and reaches this curve at twice the dead band. Without a limit,
+the width is `arrow_width_scale` m per unit, or equals the radius at the joint's `arrow_load`.
+Beyond the limit the ribbon is striped. Source: section 2.2 of the paper; square root, dead band and
+stripes are additions.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ POSITIVE_RGBA = (0.93, 0.45, 0.02, 1.0)
 NEGATIVE_RGBA = (0.02, 0.36, 0.78, 1.0)
 
 DEFAULT_WIDTH_SCALE = 0.01  # the default of `arrow_width_scale`
-INVISIBLE_WIDTH = 0.03  # of the radius; narrower arrows (0.1 % of a torque limit) are not drawn
-WIDEST = 1.5  # of the radius
+INVISIBLE_WIDTH = 0.03  # in radii; narrower arrows (0.1 % of a torque limit) are not drawn
+WIDEST = 1.5  # in radii
 
-STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic joint
-_Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # of the radius, and of the length
+STRAIGHT_LENGTH = 2.5  # length of the straight arrow of a prismatic joint, in radii
+_Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # in radii, and in lengths
 DARKER = 0.4  # brightness of a straight arrow beyond its limit
 ARROW_GEOMS, _FEWEST_ARROW_GEOMS = 92, 10  # bounds of the geoms of an arrow
-_MOST_GEOMS = 2048  # of a frame, of which these are for legend, status, names and smart arrows
-_GEOMS_FOR_THE_REST = 60
+# Maximum number of geoms of a frame, and those reserved for legend, status, names, smart arrows.
+_MAX_GEOMS, _RESERVED_GEOMS = 2048, 60
 
 
 def arrow_widths(
@@ -52,13 +52,13 @@ def arrow_widths(
         values: values of the arrows, (N,); the sign is ignored.
         limit: value at which an arrow has full width, (N,); inf for none.
         radius: `arrow_radius` (N,), m.
-        width_scale: `arrow_width_scale` (N,): m per unit of the value, and with a limit, of which
-            `DEFAULT_WIDTH_SCALE` gives full width, a factor.
+        width_scale: `arrow_width_scale` (N,), m per unit of the value. If there is a limit, it
+            is a factor, relative to `DEFAULT_WIDTH_SCALE`.
         dead_band: fraction of the limit below which the width is zero, (N,).
 
     Returns:
-        (N,), m; continuous and monotone in the value, 0 up to the dead band and for NaN, at most
-        `WIDEST` times the radius.
+        (N,), m; continuous and monotone in the value, 0 up to the dead band and for NaN, at
+        most `WIDEST` times the radius.
     """
     size = np.abs(values)
     size[~np.isfinite(size)] = 0.0
@@ -71,16 +71,14 @@ def arrow_widths(
 
 
 def drawn_widths(joints: JointTable, values: Array, limit: Array) -> NDArray[np.float64]:
-    """Returns the widths with which arrows are drawn, (N,), m; 0 for those that are not.
+    """Returns the widths of drawn arrows, (N,), m; 0 for arrows that are not drawn.
 
-    Args:
-        joints: of the world.
-        values: as for `arrow_widths`.
+    `values` and `limit` are those of `arrow_widths`.
     """
     by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
     widths = arrow_widths(values, limit, joints.arrow_radius, scale, joints.arrow_dead_band)
-    # Between close joints the full width is less, and so is what no arrow exceeds.
+    # Arrows of close joints have a smaller full width, and also a smaller maximum width.
     narrow = joints.arrow_width_scale / DEFAULT_WIDTH_SCALE
     widest = WIDEST * joints.arrow_radius * np.where(by_load, np.minimum(narrow, 1.0), 1.0)
     widths = np.minimum(widths, widest)
@@ -121,8 +119,8 @@ class RoundArrows(Feature):
         if len(turning):
             sites = joints.centre_site[turning]
             sign = np.sign(values[turning])
-            # The site turns with its link; subtracting q keeps the arrow's speed constant while its
-            # joint moves.
+            # The site rotates with its link. Subtracting q keeps the arrow's speed constant while
+            # its joint moves.
             phase = TURNING_SPEED * data.time - joints.angles(data)[turning] * sign
             ribbons = Ribbons(
                 items=turning,
@@ -162,10 +160,7 @@ class RoundArrows(Feature):
         index: NDArray[np.intp],
         look: tuple[Array, Array, NDArray[np.bool_], Array],
     ) -> None:
-        """Draws the force of prismatic joints: straight arrows along the axis, beside the link.
-
-        An arrow is one geom and cannot be striped; beyond the limit it is dark.
-        """
+        # Straight arrows beside the link. One geom cannot be striped; beyond the limit it is dark.
         forces, widths, over, rgba = (of_all[index] for of_all in look)
         joints = self.world.joints
         rows = buffer.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.ARROW, index)
@@ -185,8 +180,7 @@ class RoundArrows(Feature):
 
 
 def _budget(frame: Frame) -> int:
-    of_cards = sum(2 + len(lines) for cards in frame.billboards for lines in cards.texts)
-    others = 3 * int(np.count_nonzero(frame.shown.axes)) + of_cards
-    room = _MOST_GEOMS - _GEOMS_FOR_THE_REST - others
+    texts = sum(2 + len(lines) for group in frame.billboards for lines in group.texts)
+    room = _MAX_GEOMS - _RESERVED_GEOMS - 3 * int(np.count_nonzero(frame.shown.axes)) - texts
     budget = room // max(int(np.count_nonzero(frame.shown.arrows)), 1)
     return min(max(budget, _FEWEST_ARROW_GEOMS), frame.arrow_geoms)

@@ -1,8 +1,8 @@
 """Smart arrows: Cartesian forces, torques and velocities at their point of action (section 2.4).
 
-The magnitude is the length of a straight arrow, or the width of a round arrow that turns about its
-direction by the right-hand rule. The legend states the scale. Magnitudes above `longest` are drawn
-at that length and dark, or at that width and striped.
+The magnitude is the length of a straight arrow, or the width of a round arrow that rotates about
+its direction by the right-hand rule. The legend states the scale. Magnitudes above `longest` are
+drawn at that length and dark, or at that width and striped.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from .ribbons import Ribbons, draw_ribbons
 from .round_arrows import DARKER, TURNING_SPEED
 
 SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
-# Reference direction of `frames_along`: not close to an axis, since forces often lie along one.
+# Reference direction of `frames_along`, not close to an axis, since forces are often along an axis.
 _FROM = np.array([0.36, 0.48, 0.80])
 _START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])  # its z is _FROM
 _HALF_TURN = 2.0 * np.outer(_START[:, 0], _START[:, 0]) - np.eye(3)
 _HALF_WIDTH_OF_LENGTH = 0.045
 _HALF_WIDTHS = (0.004, 0.012)  # m
-_CLOSE = 0.02  # m, from a link, within which an arrow keeps the end that is at its point
-_GROUPS_SEEN = 2  # groups of geoms that are visible: 0 to this
+_CLOSE = 0.02  # m; an arrow whose tip is this close to a link does not change its direction
+_MAX_GROUP = 2  # last visible group of geoms
 
 
 class SmartArrows(Feature):
-    """The smart arrows of one world, and the cards with their values."""
+    """The smart arrows of one world, and the billboards with their values."""
 
     order = 20
 
     def __init__(self, world: WorldView) -> None:
         super().__init__(world)
-        self._cards = _VectorCards(world)
+        self._billboards = _VectorBillboards(world)
         self._links = _Links(world)
         self._ends_there = np.zeros(len(world.arrows.names), bool)
 
@@ -55,11 +55,11 @@ class SmartArrows(Feature):
         draw_smart_arrows(frame, world, vectors, stale, self._ends_there)
         ages = [frame.stale.get(name, "") for name in names]
         reach = drawn_sizes(world, vectors)
-        cards = self._cards.cards(
+        group = self._billboards.lay_out(
             frame.data, frame.shown.cards, frame.view, components, reach, ages
         )
-        if cards is not None:
-            frame.billboards.append(cards)
+        if group is not None:
+            frame.billboards.append(group)
 
     def _choose_ends(self, data: mujoco.MjData, vectors: Array) -> None:
         table = self.world.arrows
@@ -78,7 +78,7 @@ class _Links:
         model = world.model
         bodies = [body for part in world.robots.values() for body in part.bodies]
         is_link = np.isin(model.geom_bodyid, bodies) & (model.geom_rgba[:, 3] > 0)
-        geoms = (is_link & (model.geom_group <= _GROUPS_SEEN)).nonzero()[0]
+        geoms = (is_link & (model.geom_group <= _MAX_GROUP)).nonzero()[0]
         self._bodies = model.geom_bodyid[geoms]
         self._rotation = np.empty((len(geoms), 3, 3))
         for geom, rotation in zip(geoms, self._rotation, strict=True):
@@ -100,12 +100,12 @@ def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
     """Returns the vectors of all smart arrows.
 
     Returns:
-        components as received (K, 3), and in world coordinates (K, 3), SI units; NaN for no data
-        and for values above `IMPLAUSIBLE_FACTOR` times that of the longest arrow.
+        components as received (K, 3), and in world coordinates (K, 3), SI units; NaN for no
+        data and for values above `IMPLAUSIBLE_FACTOR` times the value of the longest arrow.
     """
     table = world.arrows
     components = data.userdata[table.slots]
-    with np.errstate(invalid="ignore"):  # considered a fault of its source, as with joint torques
+    with np.errstate(invalid="ignore"):  # treated as errors of the source, as with joint torques
         believable = (
             np.abs(components) <= IMPLAUSIBLE_FACTOR * (table.longest / table.scale)[:, None]
         )
@@ -122,9 +122,10 @@ def draw_smart_arrows(
     """Draws every smart arrow that is shown, has data and is not too short.
 
     Args:
-        vectors: in world coordinates, (K, 3), SI units, NaN for no data.
-        stale: which arrows have no fresh data and are drawn grey, (K,) bool.
-        ends_there: which straight arrows end at their point instead of beginning there, (K,) bool.
+        vectors: world coordinates, (K, 3), SI units, NaN for no data.
+        stale: arrows without fresh data, which are drawn gray, (K,) bool.
+        ends_there: straight arrows that end at their point instead of starting there, (K,)
+            bool.
     """
     table, buffer, data = world.arrows, frame.buffer, frame.data
     magnitude = np.linalg.norm(vectors, axis=1)
@@ -176,7 +177,7 @@ def drawn_sizes(world: WorldView, vectors: Array) -> Array:
 
 
 def frames_along(directions: Array) -> Array:
-    """Returns rotations (k, 3, 3) whose z are unit vectors (k, 3).
+    """Returns rotations (k, 3, 3) whose z axes are unit vectors (k, 3).
 
     They are continuous except at -`_FROM`, so that noise does not make an arrow jump.
     """
@@ -192,13 +193,13 @@ def frames_along(directions: Array) -> Array:
     return np.asarray(rotation @ _START)
 
 
-class _VectorCards:
+class _VectorBillboards:
     def __init__(self, world: WorldView) -> None:
         self._world = world
         heights = world.state(world.make_data()).site_xpos[world.arrows.site, 2]
         self._rank = heights_in_order(heights)
 
-    def cards(
+    def lay_out(
         self,
         data: mujoco.MjData,
         shown: Bools,
@@ -207,7 +208,6 @@ class _VectorCards:
         reach: Array,
         stale: list[str],
     ) -> BillboardGroup | None:
-        """Returns the cards that are shown and whose arrow is in the picture."""
         index = shown.nonzero()[0]
         if not len(index):
             return None

@@ -1,4 +1,4 @@
-"""Marks items without fresh data: they are grey, and a label states the age of the data."""
+"""Marks items without fresh data: they are gray, and a label shows the age of the data."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class _Routed:
 
     Attributes:
         ages: indices in `userdata` of the ages of its inputs' sources, (k,).
-        flags: indices there of who has set these inputs last, (k,).
+        flags: indices in `userdata` of who last set these inputs, (k,).
         stale_after: age from which data is stale, s.
         base: body at whose origin the label is shown; -1 for arrows and frames.
         geoms: its geoms in the model, (ngeom,) bool.
@@ -45,11 +45,11 @@ class _Routed:
     geoms: NDArray[np.bool_] | None
 
 
-_Labelled = tuple[int, list[str]]  # the body at whose origin a group's label is, and its robots
+_Labelled = tuple[int, list[str]]  # body at whose origin a group's label is, and names of its items
 
 
 class Staleness:
-    """Finds items without fresh data, makes them grey and labels them."""
+    """Finds items without fresh data, grays and labels them."""
 
     def __init__(self, world: WorldView) -> None:
         scene = world.scene
@@ -66,7 +66,7 @@ class Staleness:
                 for target in targets
                 for source in sorted(scene.sources_of(target))
             ]
-            if pairs:  # items without routes are as declared and never stale
+            if pairs:  # items without routes are never stale
                 self._routed.append(_routed_item(world, name, *np.array(pairs, np.intp).T))
         self._groups = _groups_with_data(world, {item.name for item in self._routed})
         self._owner, self._owners = world.joints.owner, list(world.owners)
@@ -74,7 +74,7 @@ class Staleness:
         self._all = np.array(sorted({int(i) for item in self._routed for i in item.ages}), np.intp)
 
     def find(self, data: mujoco.MjData) -> dict[str, str]:
-        """Returns a message by name, for all items without fresh data."""
+        """Returns messages for all items without fresh data, by name."""
         ages = data.userdata[self._all]
         if not len(ages) or (ages.min() >= 0 and ages.max() <= self._soonest):
             return {}
@@ -88,20 +88,16 @@ class Staleness:
                 stale[item.name] = f"{NO_DATA_YET}{reason}"
             elif ages.max(initial=0.0) > item.stale_after:
                 faults = data.userdata[indices + _FAULT_AGE - _AGE]
-                good = "good " if ((faults >= 0) & (faults < ages)).any() else ""
-                stale[item.name] = f"no {good}data for {_duration(float(ages.max()))}{reason}"
+                valid = "valid " if ((faults >= 0) & (faults < ages)).any() else ""
+                stale[item.name] = f"no {valid}data for {_duration(float(ages.max()))}{reason}"
         return stale
 
     def joints(self, stale: dict[str, str]) -> NDArray[np.bool_]:
-        """Returns which joints belong to robots and doubles without fresh data, (N,) bool."""
+        """Returns the joints of robots and doubles without fresh data, (N,) bool."""
         return stale_mask(self._owners, stale)[self._owner]
 
     def time_without_data(self, data: mujoco.MjData, stale: dict[str, str]) -> NDArray[np.float64]:
-        """Returns the time without data of every joint, (N,), s.
-
-        Returns:
-            0 for joints with fresh data, inf before the first data.
-        """
+        """Returns the time without data of every joint, (N,), s; inf before the first data."""
         of_owner = dict.fromkeys(self._owners, 0.0)
         for item in self._routed:
             if item.name in stale and item.name in of_owner:
@@ -112,22 +108,22 @@ class Staleness:
     def panels(
         self, buffer: GeomBuffer, data: mujoco.MjData, view: ImageView, stale: dict[str, str]
     ) -> list[Panels]:
-        """Makes stale robots and doubles grey and returns their labels."""
+        """Grays stale robots and doubles, and returns their labels."""
         buffer.grey = None
-        texts: dict[int, list[bytes]] = {}  # labels of a robot and its doubles below each other
+        texts: dict[int, list[bytes]] = {}  # lines by base: of a robot and its doubles
         labels = [(item.name, item.base) for item in self._routed if item.geoms is not None]
-        said = dict(stale)
+        messages = dict(stale)
         for group, (base, names) in self._groups.items():
             if names[0] in stale and len({stale.get(name) for name in names}) == 1:
                 labels = [label for label in labels if label[0] not in names]
-                labels.append((group, base))  # one label says it of all
-                said[group] = stale[names[0]]
+                labels.append((group, base))  # one label for all members
+                messages[group] = stale[names[0]]
         for item in self._routed:
             if item.name in stale and item.geoms is not None:
                 buffer.grey = item.geoms if buffer.grey is None else buffer.grey | item.geoms
         for name, base in labels:
-            if name in said:
-                text = line_of(f"{name}: {said[name]}")
+            if name in messages:
+                text = line_of(f"{name}: {messages[name]}")
                 texts.setdefault(base, []).append(text)
         if not texts:
             return []
@@ -142,11 +138,8 @@ class Staleness:
 
 
 def _awaited(item: _Routed, data: mujoco.MjData) -> NDArray[np.intp]:
-    """Returns the indices of the ages that count.
-
-    What a program has set awaits no packet; and where it has set anything of an item, sources that
-    have never sent are not awaited for the rest.
-    """
+    # Inputs set by a program need no packets. If a program sets some inputs of an item, sources
+    # that have never sent anything are not awaited for the others.
     is_programs = data.userdata[item.flags] == SET_BY_PROGRAM
     if not is_programs.any():
         return item.ages
@@ -162,11 +155,8 @@ def stale_mask(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
 
 
 def _groups_with_data(world: WorldView, routed: Collection[str]) -> dict[str, _Labelled]:
-    """Returns groups with the body for their label and their routed robots or doubles.
-
-    They are those in no other group. The label stands at a robot that no other one carries, if
-    there is one, and that of doubles below that of their robots.
-    """
+    # Of groups in no other group: the label is at a robot that no other robot carries, if any, and
+    # the label of doubles is below that of their robots.
     found: dict[str, _Labelled] = {}
     for group, robots in world.scene.membership.members.items():
         names = [name for name in robots if name in world.robots]

@@ -1,4 +1,4 @@
-"""What is awaited from sources, and their faults, in the upper left corner of the picture."""
+"""Errors of sources, and the packets expected from silent ones, in the upper left corner."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from .quantities import implausible_torques
 from .toggles import Toggles
 
 FAULT_RGBA = (0.32, 0.03, 0.03, 0.88)
-_MARGIN = 0.5  # of a line's height
+_MARGIN = 0.5  # fraction of a line's height
 
 
 SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
 _MAX_MORE = 3  # lines
 _MAX_AWAITED = 3  # sources
-_FEW_LINES = 20  # high is a picture in which only the first line of each of both is shown
+_FEW_LINES = 20  # image height in lines below which panels have only one line
 SHOWN_FOR = 5.0  # s for which a malformed or lost packet is shown
 
 
@@ -40,21 +40,21 @@ def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
     lines = []
     if state.is_failing:
         times = f" {state.failures:.0f} times" if state.failures > 1 else ""
-        lines.append(f"{name}: reception failed{times}, and is tried again")
+        lines.append(f"{name}: reception failed{times}; retrying")
     if state.malformed and state.fault_age < SHOWN_FOR:
         lines.append(f"{name}: {state.malformed:.0f} of {state.received:.0f} packets not applied")
         if state.wrong_size:
             bytes_ = f"{state.last_size:.0f} bytes"
-            unusable = f"a {message} that cannot be used, {bytes_}"
-            lines.append(f"  {unusable if message else f'{bytes_}, expected {state.size:.0f}'}")
+            expected = f"{bytes_}, expected {state.size:.0f}"
+            lines.append(f"  invalid {message}, {bytes_}" if message else f"  {expected}")
         if state.not_frames:
             lines.append("  a matrix that is not a frame")
         if state.wrong_constant:
-            lines.append("  another kind of packet: a constant is wrong")
+            lines.append("  wrong constant: another kind of packet")
         if state.wrong_checksum:
-            lines.append("  corrupted: the checksum is wrong")
+            lines.append("  wrong checksum: corrupted packet")
         if state.implausible:
-            lines.append("  a number that no robot can have")
+            lines.append("  implausible values")
         explained = state.wrong_size + state.not_frames + state.wrong_constant
         explained += state.wrong_checksum + state.implausible
         if state.malformed > explained:
@@ -65,7 +65,7 @@ def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
 def _link_faults(name: str, state: Any) -> list[str]:
     lines = []
     if 0 <= state.link_age < SHOWN_FOR:
-        # A malformed packet has no readable sequence number and may be one of the missing ones.
+        # A malformed packet has no readable sequence number and may count as lost.
         is_unread = state.wrong_size or state.wrong_constant or state.wrong_checksum
         unread = " or not applied" if is_unread else ""
         counts = {
@@ -84,7 +84,9 @@ def _link_faults(name: str, state: Any) -> list[str]:
     if state.foreign and 0 <= state.foreign_age < SHOWN_FOR:
         lines.append(f"{name}: {_packets(state.foreign)} from other senders")
     if state.senders > 1:
-        lines.append(f"{name}: {state.senders:.0f} concurrent senders; sender = ... chooses one")
+        lines.append(
+            f"{name}: {state.senders:.0f} concurrent senders; set sender = ... to choose one"
+        )
     return lines
 
 
@@ -93,7 +95,7 @@ def _packets(count: float) -> str:
 
 
 def _controller_faults(name: str, state: Any, source: Source | None) -> list[str]:
-    # Before the first packet the fields are 0, which would be a valid state here.
+    # Before the first packet the fields are 0, which is a valid state.
     if source is None or not state.received or state.link_quality < 0:
         return []
     first, *more = source.original.link_faults(state.robot_state, state.link_quality) or [""]
@@ -105,13 +107,13 @@ def _sources(world: WorldView) -> dict[str, Source]:
     for name, declared in world.scene.sources.items():
         with suppress(SeroError):
             source = make_source(name, declared)
-            _ = source.original  # while errors of its file are left out
+            _ = source.original  # raises errors of its file
             sources[name] = source
     return sources
 
 
 class Status(Feature):
-    """Shows the faults of the sources, and the packets expected from silent ones."""
+    """Shows each source's errors, and the packets expected from sources that have sent nothing."""
 
     order = 50
 
@@ -161,19 +163,19 @@ class Status(Feature):
             state: Any = SourceState(*data.userdata[slot])
             source = self._sources.get(name)
             if source is not None and source.is_live and not state.received:
-                lines += [f"nothing yet on {source.about}", f"  awaited: {source.awaited}"]
+                lines += [f"no packet yet on {source.about}", f"  expected: {source.awaited}"]
                 can_be_played |= source.can_be_played
         if not lines:
             return None
         lines = lines[: 2 * _MAX_AWAITED]
         if can_be_played:
-            lines.append(f"  to try: sero-mj send {self.world.scene.argument}")
+            lines.append(f"  test with: sero-mj send {self.world.scene.argument}")
         return _corner(lines, PANEL_RGBA, view)
 
     def panels(
         self, data: mujoco.MjData, toggles: Toggles, view: ImageView, more: Sequence[str] = ()
     ) -> Panels | None:
-        """Returns the panel in the upper left corner, or None if there are no faults."""
+        """Returns the panel in the upper left corner, or None if there are no errors."""
         lines = [*more[:_MAX_MORE]]
         for name, slot in self._slots:
             state, source = SourceState(*data.userdata[slot]), self._sources.get(name)

@@ -1,4 +1,4 @@
-"""`Toggles`: which features are shown, by robot, joint, frame and arrow."""
+"""`Toggles`: the features shown, by robot, joint, frame and arrow."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.inputs import SCENE, Input
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 
-# Of which parts of the model names are shown; `Toggles.part_names` is an index of these.
+# Parts of the model whose names can be shown; `Toggles.part_names` is an index of this tuple.
 PART_NAMES = ("nothing", "bodies", "joints", "geoms")
 
 
 @dataclass(frozen=True, eq=False)
 class ShownItems:
-    """Items to draw in one frame, as boolean arrays: they are switched on and have a pose."""
+    """Items to draw in one frame, as boolean arrays: switched on and with a pose."""
 
     joints: Bools
     arrows: Bools
@@ -34,12 +34,12 @@ class ShownItems:
 
 @dataclass(frozen=True, eq=False)
 class Handles:
-    """What is shown to drag a frame by, see `handles.py`.
+    """Handles to drag a frame, see `handles.py`.
 
     Attributes:
-        pose: T_world_frame (4, 4), m; None for a mark alone.
-        lit: the handle under the pointer, index in `handles.HANDLE_NAMES`; -1 for none.
-        mark: where the frame is wanted and where it is, (2, 3), m; None where that is one.
+        pose: T_world_frame (4, 4), m; None for a mark without handles.
+        lit: handle under the pointer, index in `handles.HANDLE_NAMES`; -1 for none.
+        mark: target and actual position of the frame, (2, 3), m; None if they coincide.
     """
 
     pose: Array | None = None
@@ -48,23 +48,23 @@ class Handles:
 
 
 class Toggles:
-    """Which features are switched on: initially as declared, changed by users and packets.
+    """Switches of features: initially as declared, then changed by users and packets.
 
     Attributes:
         arrow_quantity: quantity of the arrows, index in `ARROW_QUANTITIES`, (N,).
-        clicked: joints whose billboards are shown before others where not all are, (N,) bool.
-        contacts: points where the model's geoms touch, and the forces there if they are known.
-        inertias: boxes with the mass and the inertia of every link.
-        joint_axes: the model's joints, as MuJoCo draws them.
-        centres_of_mass: of everything that moves on its own.
+        clicked: joints whose billboards have priority if there is no room for all, (N,) bool.
+        contacts: contact points of the model's geoms, with forces if they are known.
+        inertias: boxes with the mass and inertia of every link.
+        joint_axes: joints of the model, drawn by MuJoCo.
+        centres_of_mass: centers of mass of everything that moves independently.
         part_names: names of parts of the model, index in `PART_NAMES`.
-        transparent: whether what moves is transparent.
+        transparent: whether moving parts are transparent.
         wireframe: whether surfaces are drawn as the edges of their triangles.
         hover: text beside the pointer, and the pointer's position (pixels); None for no text.
-        selected: the joint that a user has selected, which is lit; None for none.
-        handles: that are shown to drag a frame by; None for none.
-        modelled: joints whose torque is that of gravity by the model, (N,) bool; no toggle, so
-            `reset` leaves it.
+        selected: the highlighted joint that a user has selected; None for none.
+        handles: handles to drag a frame; None for none.
+        modelled: joints whose torque is the model's gravity torque, (N,) bool; not changed by
+            `reset`, because it is not a switch.
     """
 
     def __init__(self, world: WorldView) -> None:
@@ -124,10 +124,10 @@ class Toggles:
         vars(self).update(copy.deepcopy(snapshot))
 
     def apply_inputs(self, data: mujoco.MjData) -> None:
-        """Applies the toggles that packets have set.
+        """Applies toggles that packets have changed.
 
-        Only changes of an input act, so that a user can click in between. A value above 0.5 is
-        on; NaN is ignored.
+        Only changes of an input have an effect, so that users can click in between. A value above
+        0.5 is on; NaN is ignored.
         """
         userdata = data.userdata
         if not userdata[self._switch_flags].any():

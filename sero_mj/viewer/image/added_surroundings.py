@@ -1,10 +1,9 @@
-"""`AddedSurroundings`: a floor, sky and lights of our own around a model that has none.
+"""`AddedSurroundings`: a floor, sky and lights around a model that has none.
 
-MuJoCo's classic renderer draws what is in an `MjvScene` with the textures and meshes that are in
-an `MjrContext`, and both are made from one model. The surroundings are a model of their own, laid
-out by MuJoCo for the same camera: its lights and floor are copied into the scene, its textures
-become those of the context. Neither the user's model nor the user's data is involved. Filament has
-no such context, and takes the model of the surroundings beside the other one.
+MuJoCo's classic renderer draws an `MjvScene` with the textures and meshes of an `MjrContext`, both
+created from one model. The surroundings are a separate model, laid out by MuJoCo for the same
+camera: its lights and floor are copied into the scene, and its textures into the context. The
+user's model and data are not changed. Filament has no such context and renders both models.
 """
 
 from __future__ import annotations
@@ -18,13 +17,13 @@ from ...robots.assemble.world_view import WorldView
 
 _ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
-_MOST_GEOMS = 4  # of the surroundings; MuJoCo draws the floor as one
+_MAX_GEOMS = 4
 
 
 def added_surroundings(
     world: WorldView, context: mujoco.MjrContext | None
 ) -> AddedSurroundings | None:
-    """Returns the surroundings that a host adds to every frame; None if the world has its own."""
+    """Returns the surroundings to add to every frame, or None if the world has its own."""
     own = world.surroundings()
     return None if own is None else AddedSurroundings(own, world.model, context)
 
@@ -36,10 +35,10 @@ class AddedSurroundings:
         self, own: mujoco.MjModel, model: mujoco.MjModel, context: mujoco.MjrContext | None
     ) -> None:
         self.model = own
-        # The floor ends where the shown model is no longer drawn.
+        # The floor ends at the far plane of the shown model.
         own.stat.extent, own.vis.map.zfar = model.stat.extent, model.vis.map.zfar
         self._material = -1 if context is None else _lend_textures(own, model, context)
-        self._scene = mujoco.MjvScene(own, maxgeom=_MOST_GEOMS)
+        self._scene = mujoco.MjvScene(own, maxgeom=_MAX_GEOMS)
         data, option, camera = mujoco.MjData(own), mujoco.MjvOption(), mujoco.MjvCamera()
         mujoco.mj_forward(own, data)
         mujoco.mjv_updateScene(own, data, option, None, camera, _ALL, self._scene)
@@ -56,7 +55,7 @@ class AddedSurroundings:
         for geom in own.geoms[: min(own.ngeom, scene.maxgeom - scene.ngeom)]:
             floor = scene.geoms[scene.ngeom]
             _copy(geom, floor)
-            # Clicks must not take it for the shown model's geom of this number.
+            # Without this, clicks would find the geom of the shown model with this number.
             floor.objtype, floor.objid, floor.matid = _UNKNOWN, -1, self._material
             scene.ngeom += 1
 
@@ -87,9 +86,9 @@ def _lend_textures(own: mujoco.MjModel, model: mujoco.MjModel, context: mujoco.M
         context.mat_texrepeat[2 * at : 2 * at + 2] = lender.mat_texrepeat[:2]
         context.mat_texuniform[at] = lender.mat_texuniform[0]
     else:
-        at = -1  # a floor of one colour
+        at = -1  # a floor without texture
     if own.ngeom:
-        # A model that is given a floor has no planes, so that these lists are empty.
+        # The shown model has no planes, so these lists are empty.
         context.basePlane, context.rangePlane = lender.basePlane, lender.rangePlane
         lender.basePlane = lender.rangePlane = 0
     lender.free()

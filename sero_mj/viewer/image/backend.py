@@ -1,7 +1,7 @@
 """Selects the OpenGL backend for rendering without a window.
 
 MuJoCo reads the backend from `MUJOCO_GL` when it is imported. No graphics driver is loaded before
-the first picture: Mesa's loads its own LLVM, which ends a process in which torch loads another one.
+the first image: Mesa's driver loads LLVM, which ends the process if torch loads another LLVM.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PACKAGES = {
     "glfw": "libgl1 libgl1-mesa-dri, and a display (xvfb has one)",
 }
 _NEEDS = {
-    "egl": "needs EGL, OpenGL and a driver, of which some are not installed",
+    "egl": "needs EGL, OpenGL and a driver, but some of them are not installed",
     "osmesa": "needs libOSMesa, which is not installed",
 }
 _LAZY = ("egl", "osmesa")
@@ -38,10 +38,10 @@ _EGL_DRIVERS = (Path("/etc/glvnd/egl_vendor.d"), Path("/usr/share/glvnd/egl_vend
 
 
 def choose_backend() -> str | None:
-    """Sets `MUJOCO_GL` to a backend that should work here, unless the user has set it.
+    """Sets `MUJOCO_GL` to a backend that should work, unless the user has set it.
 
     Returns:
-        the backend; None to keep MuJoCo's default (macOS, Windows).
+        the backend, or None for MuJoCo's default (macOS, Windows).
     """
     backend = os.environ.get("MUJOCO_GL")
     if "mujoco" in sys.modules or sys.platform != "linux":
@@ -54,7 +54,7 @@ def choose_backend() -> str | None:
 
 
 def check_backend() -> None:
-    """Raises RenderError if `MUJOCO_GL` has a value with which MuJoCo cannot be imported."""
+    """Raises RenderError if MuJoCo cannot be imported with the value of `MUJOCO_GL`."""
     chosen = os.environ.get("MUJOCO_GL", "")
     known = ("", *BACKENDS, *_DISABLED, *_DEFAULT)
     if sys.platform == "linux" and chosen.lower().strip() not in known:
@@ -63,7 +63,7 @@ def check_backend() -> None:
 
 
 def backend_problem() -> str:
-    """Returns why the chosen backend cannot draw here, and what would work; empty if unknown."""
+    """Returns why the backend cannot render, and a remedy; empty if no reason is known."""
     chosen = os.environ.get("MUJOCO_GL", "")
     name = chosen.lower().strip()
     if sys.platform != "linux" or not name:  # unset: MuJoCo was imported first, see `adopt_backend`
@@ -81,15 +81,15 @@ def backend_problem() -> str:
 
 
 class _LazyBackend(types.ModuleType):
-    """Placeholder of `mujoco.egl` or `mujoco.osmesa` until a context is created.
+    """Placeholder for `mujoco.egl` or `mujoco.osmesa` until a context is created.
 
-    MuJoCo 4.0.0 imports that module with `mujoco` itself. `mujoco.egl` queries EGL's devices on
-    import, which loads the driver with Mesa 25 (Debian 13); `mujoco.osmesa` cannot be imported
-    without its library, and neither could MuJoCo by a command that draws nothing.
+    MuJoCo 4.0.0 imports that module together with `mujoco`. The import of `mujoco.egl` queries the
+    devices of EGL, which loads the driver with Mesa 25 (Debian 13). Without its library,
+    `mujoco.osmesa` cannot be imported, so commands that draw nothing would fail, too.
     """
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):  # requested by the import system; the placeholder has none
+        if name.startswith("__"):  # requested by the import system
             raise AttributeError(name)
         if name == "GLContext":
             return partial(_make_context, self.__name__)
@@ -97,12 +97,6 @@ class _LazyBackend(types.ModuleType):
 
 
 class _LazyFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Provides `_LazyBackend` for the first import of a module.
-
-    Args:
-        name: `mujoco.egl` or `mujoco.osmesa`.
-    """
-
     def __init__(self, name: str) -> None:
         self._name = name
 
@@ -136,24 +130,23 @@ def _real(name: str) -> Any:
 
 
 def _make_context(module: str, *size: int) -> Any:
-    """Creates a context, width and height in pixels; replaces `mujoco.GLContext`."""
     return _real(module).GLContext(*size)
 
 
 def adopt_backend() -> None:
-    """Changes MuJoCo's backend to one that needs no display, if there is none.
+    """Changes MuJoCo's backend to one that needs no display, if there is no display.
 
-    Call it before the first picture. A user who imports mujoco before sero_mj on a server gets
-    GLFW's backend, which cannot work there. A `MUJOCO_GL` set by the user is kept.
+    Call this before the first image. If mujoco is imported before sero_mj on a server, it uses the
+    GLFW backend, which cannot work there. A `MUJOCO_GL` set by the user is not changed.
 
-    Once that backend has been tried, MuJoCo 4.0.0 would end the process (134) at the next picture,
-    whichever way it is made: then every picture raises a RenderError.
+    After an attempt with that backend, MuJoCo 4.0.0 would end the process (status 134) at the next
+    image. In this case, every image raises a RenderError instead.
     """
     if os.environ.get("MUJOCO_GL") or has_display() or _headless_backend() != "egl":
         return
     from mujoco.rendering.classic import gl_context
 
-    # MuJoCo 4.0.0 has no public function for it; `Renderer` reads this name for every context.
+    # MuJoCo 4.0.0 has no public function for this; `Renderer` reads this name for every context.
     if gl_context.GLContext is not _refuse_context:
         make = partial(_make_context, "mujoco.egl")
         gl_context.GLContext = _refuse_context if _has_glfw_failed() else make
@@ -169,27 +162,27 @@ def _has_glfw_failed() -> bool:
 
 def _refuse_context(*_: int) -> None:
     raise RenderError(
-        "a mujoco.Renderer has failed in this process for want of a display, and MuJoCo would end "
-        "it now: import sero_mj before mujoco, or set MUJOCO_GL=egl"
+        "a mujoco.Renderer has failed in this process because there is no display, and MuJoCo "
+        "would end the process: import sero_mj before mujoco, or set MUJOCO_GL=egl"
     )
 
 
 def has_display() -> bool:
-    """Whether there is a display to open a window on."""
+    """Whether there is a display for windows."""
     if sys.platform != "linux":
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _headless_backend() -> str:
-    # The default if neither is installed: errors should refer to EGL.
+    # EGL is the default if neither is installed, so that errors refer to it.
     return "osmesa" if not has_egl() and has_osmesa() else "egl"
 
 
 def has_egl() -> bool:
     """Whether EGL, OpenGL and a driver are installed; `check` tests whether they work."""
     libraries = _libraries()
-    # In addition to EGL, PyOpenGL loads GL functions from one of these two.
+    # PyOpenGL loads GL functions from one of these two libraries.
     has_gl = "libOpenGL.so.0" in libraries or "libGL.so.1" in libraries
     named = os.environ.get("__EGL_VENDOR_LIBRARY_FILENAMES")
     has_driver = bool(named) or any(any(folder.glob("*.json")) for folder in _EGL_DRIVERS)
@@ -202,7 +195,7 @@ def has_osmesa() -> bool:
 
 
 def library_files(name: str) -> list[str]:
-    """Returns the paths of the loader's shared libraries whose file names begin with a name."""
+    """Returns the paths of installed shared libraries whose file names start with a name."""
     return sorted(path for file, path in _libraries().items() if file.startswith(name))
 
 
@@ -219,4 +212,4 @@ def _libraries() -> dict[str, str]:
     except OSError:
         return {}
     lines = [line.split() for line in listing.splitlines()[1:] if line.strip()]
-    return {words[0]: words[-1] for words in reversed(lines)}  # the first of a name is loaded
+    return {words[0]: words[-1] for words in reversed(lines)}  # the first entry of a name wins

@@ -1,4 +1,4 @@
-"""Cameras: named ones of the scene, free ones, ones that a user moves, ones that follow a robot."""
+"""Cameras: named cameras of the scene, free cameras, and cameras that follow a robot."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .framing import MARGIN, Framing, axes, bounding_sphere, declared_data
 
 _DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
 _STEEPEST_DEG = 89.0
-_PER_NOTCH = 0.9  # change of distance for one step of the wheel
+_PER_NOTCH = 0.9  # factor of the distance for one step of the wheel
 _NEAREST, _FARTHEST = 0.02, 500.0  # m
-_MOST = 1e6  # of the numbers of a camera
+_MAX_NUMBER = 1e6  # of the numbers of a camera
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 _EXPECTED = (
-    "a name or azimuth,elevation,distance (degrees, degrees, m above 0), e.g. 150,-15,2.2; with "
-    ",x,y,z of what it looks at (m)"
+    "a name or azimuth,elevation,distance (degrees, degrees, m above 0) and optionally the look-at "
+    "point ,x,y,z (m), for example 150,-15,2.2"
 )
 
 
@@ -31,12 +31,13 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
     """Returns a camera for rendering.
 
     Args:
-        wanted: a camera's name; `azimuth,elevation,distance` (degrees, degrees, m), and if it does
-            not look at the middle `,x,y,z` (m) of what it looks at; or None for the scene's
-            `view`. In a narrow picture it stands farther away, see `needed_aspect`.
+        wanted: name of a camera; `azimuth,elevation,distance` (degrees, degrees, m), optionally
+            with the look-at point `,x,y,z` (m); or None for the scene's `view`. For narrow
+            images, the camera is farther away, see `needed_aspect`.
 
     Raises:
-        UsageError: not a text, neither three nor six numbers, or the distance is not positive.
+        UsageError: `wanted` is not a string, does not have three or six numbers, or the
+            distance is not positive.
     """
     if wanted is not None and not isinstance(wanted, str):
         raise UsageError(Problem("camera", found=wanted, expected=_EXPECTED))
@@ -65,7 +66,7 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
 
 
 def list_cameras(world: WorldView) -> list[str]:
-    """Returns the names of the world's cameras, including those of MJCF pieces."""
+    """Returns the names of the world's cameras, including those of MJCF objects."""
     return [world.model.camera(i).name for i in range(world.model.ncam)]
 
 
@@ -76,21 +77,18 @@ def _numbers(text: str) -> list[float]:
         numbers = []
     if len(numbers) not in (3, 6) or not np.isfinite(numbers).all() or numbers[2] <= 0:
         raise UsageError(Problem("camera", found=text, expected=_EXPECTED))
-    if np.abs(numbers).max() >= _MOST:
-        raise UsageError(Problem("camera", found=text, expected=f"numbers below {_MOST:g}"))
+    if np.abs(numbers).max() >= _MAX_NUMBER:
+        raise UsageError(Problem("camera", found=text, expected=f"numbers below {_MAX_NUMBER:g}"))
     return numbers
 
 
 class Navigator:
     """A camera that the user moves.
 
-    Drags are in units of the window's height, so that they act the same at all sizes.
+    Drags are in units of the window's height, so that they have the same effect at all sizes.
 
     Attributes:
-        following: the robot, group or frame that it follows; None for none.
-
-    Raises:
-        UnknownName: no camera of that name.
+        following: robot, group or frame that the camera follows, or None.
     """
 
     def __init__(self, world: WorldView, wanted: str | None = None) -> None:
@@ -102,9 +100,9 @@ class Navigator:
         self._follow_as_declared()
 
     def hold(self, poses: Iterator[mujoco.MjData], size: tuple[int, int]) -> None:
-        """Moves the initial view so that robots are in it in all of some poses, if there are any.
+        """Moves the initial view so that robots are visible in all of some poses.
 
-        One that follows something stays; see `Framing.hold`.
+        Nothing happens if the camera follows something or there are no poses; see `Framing.hold`.
         """
         if self.following is not None or (first := next(poses, None)) is None:
             return
@@ -136,10 +134,9 @@ class Navigator:
         )
 
     def pan(self, right: float, down: float, tan_half_fovy: float, depth: float) -> None:
-        """Moves parallel to the picture, so that the look-at point follows the pointer.
+        """Moves parallel to the image, so that the look-at point follows the pointer.
 
-        Args:
-            tan_half_fovy: tangent of half the vertical field of view.
+        `tan_half_fovy` is the tangent of half the vertical field of view.
         """
         camera = self.camera
         _, to_right, to_up = axes(camera.azimuth, camera.elevation)
@@ -147,12 +144,12 @@ class Navigator:
         camera.lookat = camera.lookat + height * (down * to_up - right * to_right)
 
     def zoom(self, notches: float) -> None:
-        """Reduces the distance by steps of the wheel, or increases it."""
+        """Multiplies the distance by a factor for each step of the mouse wheel."""
         distance = self.camera.distance * _PER_NOTCH ** np.clip(notches, -100.0, 100.0)
         self.camera.distance = float(np.clip(distance, _NEAREST, _FARTHEST))
 
     def free(self, position: Array, forward: Array) -> None:
-        """Replaces a fixed camera of the scene by a free one with the same pose."""
+        """Replaces a fixed camera of the scene with a free camera in the same pose."""
         if self.camera.type == _FREE:
             return
         self.camera.type = _FREE
@@ -162,7 +159,7 @@ class Navigator:
         self.camera.lookat = position + self.camera.distance * forward
 
     def choose(self, number: int) -> str:
-        """Selects a camera by number, 1 for the first; 0 for the scene's own view."""
+        """Selects a camera by number, starting at 1; 0 is the view of the scene."""
         names = list_cameras(self._world)
         if number == 0:
             self.camera = find_camera(self._world, self._start)
@@ -182,10 +179,10 @@ class Navigator:
         return f"camera {names[number - 1]}"
 
     def follow(self, data: mujoco.MjData, frame: str | None) -> str:
-        """Starts following a robot, group or frame; stops for None, or the one that it follows.
+        """Starts following a robot, group or frame.
 
-        Raises:
-            UnknownName: nothing has this name.
+        Stops if `frame` is None or is already followed. Raises UnknownName if nothing has this
+        name.
         """
         if frame is None or frame == self.following:
             self.following = None
@@ -195,51 +192,51 @@ class Navigator:
         return f"follows {frame}"
 
     def advance(self, data: mujoco.MjData) -> None:
-        """Moves with what it follows, see `Follower`.
+        """Moves the camera with the robot, group or frame that it follows, see `Follower`.
 
-        As long as nobody has moved the camera, it moves back where robots are out of the picture.
+        Until the user moves the camera, it also moves back if robots leave the image.
         """
         if self.following is None or self._follower is None:
             self._framing.fit(self.camera, data)
             return
-        # In real time, so that it arrives also where a time line stands still.
+        # In real time, so that it also arrives while a timeline is paused.
         moved = self._follower.displacement(data, time.monotonic())
         if self.camera.type == _FREE:
             self.camera.lookat = self.camera.lookat + moved
 
 
 def followed(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None) -> str | None:
-    """Returns what a camera follows: what is wanted, else what the view of the scene does.
+    """Returns what a camera follows: `wanted`, else the setting of the scene's view.
 
-    A fixed camera does not follow what the view does.
+    A fixed camera ignores the setting of the view.
 
     Raises:
-        UsageError: a fixed camera is wanted to follow something.
+        UsageError: a fixed camera cannot follow anything.
     """
     if camera.type == _FREE:
         return world.scene.view.follow if wanted is None else wanted
     if wanted is not None:
         name = world.model.camera(camera.fixedcamid).name
-        reason = f"is for the free camera; camera '{name}' of the scene stands where it is"
+        reason = f"requires the free camera; camera '{name}' of the scene does not move"
         raise UsageError(Problem("follow", reason, found=wanted))
     return None
 
 
 def copy_camera(camera: mujoco.MjvCamera, to: mujoco.MjvCamera) -> None:
-    """Gives a camera the pose, or the frame, of another one."""
+    """Copies the type and pose of a camera to another one."""
     to.type, to.fixedcamid, to.trackbodyid = camera.type, camera.fixedcamid, camera.trackbodyid
     to.lookat[:], to.distance = camera.lookat, camera.distance
     to.azimuth, to.elevation = camera.azimuth, camera.elevation
 
 
-TIME_CONSTANT = 0.4  # s, by which the camera is late
-_JUMP = 1.0  # s; over a longer time, or back in time, it moves at once
+TIME_CONSTANT = 0.4  # s, of the low-pass filter
+_JUMP = 1.0  # s; after longer steps, or steps back in time, the camera moves at once
 
 
 def roots(world: WorldView, name: str) -> list[str]:
-    """Returns the robots whose bases move a robot or group: those placed in the world.
+    """Returns the robots of a robot name or group that no other robot of it carries.
 
-    Empty for a name of neither.
+    Returns an empty list for other names.
     """
     members = world.scene.members(name) or [name]
     robots = {each: world.robots[each].robot for each in members if each in world.robots}
@@ -247,12 +244,12 @@ def roots(world: WorldView, name: str) -> list[str]:
 
 
 class Follower:
-    """Computes how a camera moves with something, by a low-pass filter of first order.
+    """Computes the motion of a camera that follows something, with a first-order low-pass filter.
 
-    Where time stands still or jumps, the camera moves at once.
+    If time stands still or jumps, the camera moves at once.
 
     Args:
-        name: of a robot or group, whose base is followed, or of a frame (`lwr/flange`).
+        name: a robot or group, whose bases are followed, or a frame such as `lwr/flange`.
 
     Raises:
         UnknownName: nothing has this name.
@@ -267,7 +264,7 @@ class Follower:
             raise UnknownName("robot, group or frame", name, names)
         self._last = self._position(data)
         self._time: float | None = None
-        self._late = np.zeros(3)  # m, what the camera has still to move
+        self._remaining = np.zeros(3)  # displacement that the camera still has to make, m
 
     def _position(self, data: mujoco.MjData) -> Array:
         if not self._roots:
@@ -275,15 +272,15 @@ class Follower:
         return np.asarray(self._world.state(data).xpos[self._roots].mean(axis=0))
 
     def displacement(self, data: mujoco.MjData, now: float | None = None) -> Array:
-        """Returns by how much the camera moves since the last call, (3,), m."""
+        """Returns the motion of the camera since the last call, (3,), m."""
         position, now = self._position(data), float(data.time) if now is None else now
         if not np.isfinite(position).all():
             return np.zeros(3)
         moved, self._last = position - self._last, position
-        passed = 0.0 if self._time is None else now - self._time
+        elapsed = 0.0 if self._time is None else now - self._time
         self._time = now
-        if not 0.0 < passed <= _JUMP:
+        if not 0.0 < elapsed <= _JUMP:
             return moved
-        late = (self._late + moved) * np.exp(-passed / TIME_CONSTANT)
-        moved, self._late = self._late + moved - late, late
+        remaining = (self._remaining + moved) * np.exp(-elapsed / TIME_CONSTANT)
+        moved, self._remaining = self._remaining + moved - remaining, remaining
         return np.asarray(moved)

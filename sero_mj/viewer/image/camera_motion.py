@@ -1,4 +1,4 @@
-"""Cameras that move in films: turntables, and paths through key frames."""
+"""Cameras that move in videos: turntables, and paths through key frames."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from ...base.errors import DeclarationError, Problem, problems_of
 from ...base.frames import Array
 from ...base.toml_file import located, read_toml
 
-# Moves a free camera to where it is at a time of the film, s.
+# Moves a free camera to its pose at a time of the video, s.
 CameraMotion = Callable[[mujoco.MjvCamera, float], None]
 
 _EXPECTED = "tables [[keys]] with time and azimuth_deg, elevation_deg, distance or look_at"
-_MOST_KEYS = 10_000
+_MAX_KEYS = 10_000
 
 
 class CameraKey(Declaration):
-    """Where a camera is at a time of a film; what is not given is as of the keys around it.
+    """Pose of a camera at a time of a video; missing values are interpolated between other keys.
 
-    What no key gives stays as it is in the view.
+    Values that are in no key are those of the view.
 
     Attributes:
-        time: s since the film began.
-        azimuth_deg: viewing direction about the vertical, 90 looks along +y.
-        elevation_deg: negative looks down.
-        distance: m from the look-at point.
-        look_at: the point at the picture's centre, m.
+        time: time since the start of the video, s.
+        azimuth_deg: viewing direction about the vertical; 90 looks along +y.
+        elevation_deg: viewing direction above the horizontal; negative looks down.
+        distance: distance from the look-at point, m.
+        look_at: point at the center of the image, m.
     """
 
     time: float = Field(ge=0)
@@ -44,13 +44,10 @@ class CameraKey(Declaration):
 
 
 class CameraPath:
-    """A smooth way of a camera through keys; it begins and ends at rest.
+    """A smooth path of a camera through keys, which starts and ends at rest.
 
-    Before the first key it is at the first, behind the last one at the last. From key to key it
-    turns by at most 180 degrees, the shorter way.
-
-    Args:
-        keys: in the order of their times.
+    Before the first key the camera is at the first key, after the last key at the last one. Between
+    two keys it rotates by at most 180 degrees.
 
     Raises:
         DeclarationError: there is no key, or their times do not increase.
@@ -66,19 +63,19 @@ class CameraPath:
         ]
         if wrong:
             raise DeclarationError(wrong)
-        self._ways: dict[str, tuple[Array, Array]] = {}
+        self._fields: dict[str, tuple[Array, Array]] = {}  # times and values
         for field in ("azimuth_deg", "elevation_deg", "distance", "look_at"):
-            given = [key for key in keys if getattr(key, field) is not None]
-            if given:
-                values = np.array([getattr(key, field) for key in given], float)
+            own = [key for key in keys if getattr(key, field) is not None]
+            if own:
+                values = np.array([getattr(key, field) for key in own], float)
                 if field == "azimuth_deg":
                     values = np.unwrap(values, period=360.0)
-                self._ways[field] = np.array([key.time for key in given]), values
-        self.has_look_at = "look_at" in self._ways
+                self._fields[field] = np.array([key.time for key in own]), values
+        self.has_look_at = "look_at" in self._fields
 
     def __call__(self, camera: mujoco.MjvCamera, time: float) -> None:
-        """Moves a free camera to where it is at a time of the film, s."""
-        for field, (times, values) in self._ways.items():
+        """Moves a free camera to its pose at a time of the video, s."""
+        for field, (times, values) in self._fields.items():
             found = monotone_cubic(times, values, time)
             setattr(camera, field.removesuffix("_deg").replace("look_at", "lookat"), found)
 
@@ -98,8 +95,8 @@ def read_camera_path(path: Path) -> CameraPath:
         if not problems:
             problems.append(Problem("keys", "is required", expected=_EXPECTED))
         raise DeclarationError(located(problems, path))
-    if len(rows) > _MOST_KEYS:
-        found = Problem("keys", found=len(rows), of="keys", expected=f"at most {_MOST_KEYS}")
+    if len(rows) > _MAX_KEYS:
+        found = Problem("keys", found=len(rows), of="keys", expected=f"at most {_MAX_KEYS}")
         raise DeclarationError(located([found], path))
     keys = []
     for i, row in enumerate(rows):
@@ -116,11 +113,10 @@ def read_camera_path(path: Path) -> CameraPath:
 
 
 def orbit(camera: mujoco.MjvCamera, degrees: float, duration: float) -> CameraMotion:
-    """Returns a motion about the look-at point, at constant speed, from where a camera is now.
+    """Returns a rotation about the look-at point at constant speed, starting at the current pose.
 
     Args:
-        degrees: by which its azimuth increases; less than 0 for the other way round.
-        duration: s, after which it has turned by them.
+        degrees: increase of the azimuth after `duration`; negative for the opposite direction.
     """
     start = float(camera.azimuth)
 
@@ -131,10 +127,9 @@ def orbit(camera: mujoco.MjvCamera, degrees: float, duration: float) -> CameraMo
 
 
 def monotone_cubic(times: Array, values: Array, at: float) -> Array:
-    """Interpolates by cubic polynomials that do not overshoot, with slopes of 0 at both ends.
+    """Interpolates with cubic polynomials that do not overshoot, with slopes of 0 at both ends.
 
-    Args:
-        at: a time; before the first it is the first value, behind the last one the last.
+    Outside of `times`, returns the first or last value.
 
     Source: Fritsch and Butland, "A method for constructing local monotone piecewise cubic
     interpolants", SIAM J. Sci. Stat. Comput. 5(2), 1984.
@@ -148,10 +143,10 @@ def monotone_cubic(times: Array, values: Array, at: float) -> Array:
     slopes = np.zeros_like(values)
     before, after = rise[:-1], rise[1:]
     w_before, w_after = 2 * step[1:] + step[:-1], step[1:] + 2 * step[:-1]
-    goes_on = before * after > 0
+    is_monotone = before * after > 0
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = (w_before + w_after) / (w_before / before + w_after / after)
-    slopes[1:-1] = np.where(goes_on, mean, 0.0)
+    slopes[1:-1] = np.where(is_monotone, mean, 0.0)
     i = int(np.searchsorted(times, at, side="right")) - 1
     width = times[i + 1] - times[i]
     s = (at - times[i]) / width

@@ -1,7 +1,7 @@
-"""Effects of clicks, double clicks, clicks with Shift, and of the keys that switch features.
+"""Effects of clicks, double clicks, Shift+clicks, and of the keys that switch features.
 
-There is one table for windows, pages and images. `picking.pick` finds the item at a pixel. The
-help is generated from these tables.
+Windows, pages and images use the same tables, and the help is generated from them. `picking.pick`
+finds the item at a pixel.
 """
 
 from __future__ import annotations
@@ -94,16 +94,16 @@ def _do_nothing(world: WorldView, toggles: Toggles, picked: Picked) -> None: ...
 
 
 _BILLBOARD = ("billboards", "details")
-# Description and action by gesture and kind of item, for all hosts.
+# Description and action by gesture and kind of item.
 CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
-    ("click", "link"): ("billboard of its joint, or its limb, on or off", _flip_limb),
+    ("click", "link"): ("billboards of its joint or limb on or off", _flip_limb),
     ("shift", "link"): ("all billboards of the robot on or off", _flip("billboards", _joints)),
     ("double", "link"): ("all axes of the robot on or off", _flip("axes", _frames)),
     ("click", "billboard"): ("hides it", _hide(_BILLBOARD)),
     ("shift", "billboard"): ("hides all of the robot", _hide(_BILLBOARD, _joints)),
     ("click", "arrow"): ("its exact values on or off", _flip("details")),
     ("shift", "arrow"): ("exact values of the whole robot on or off", _flip("details", _joints)),
-    ("double", "arrow"): ("the robot's arrows show the next quantity", _next_quantity_here),
+    ("double", "arrow"): ("next quantity for all arrows of the robot", _next_quantity_here),
     ("click", "axes"): ("their name on or off", _flip("frame_names")),
     ("shift", "axes"): ("names of all axes of the robot on or off", _flip("frame_names", _frames)),
     ("double", "axes"): ("hides them", _hide(("axes", "frame_names"))),
@@ -113,12 +113,12 @@ CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
     ("shift", "vector"): ("values of all smart arrows on or off", _flip("cards", _everything)),
     ("click", "card"): ("hides it", _flip("cards")),
     ("shift", "card"): ("hides all of them", _flip("cards", _everything)),
-    ("click", "limb"): ("a card for each of its joints", _open_limb),
+    ("click", "limb"): ("one billboard for each joint", _open_limb),
     ("shift", "limb"): ("hides it", _hide(_BILLBOARD, _card_limb)),
     ("click", "check"): ("hides the comparison of flange frames", _hide_checks),
-    ("double", "object"): ("centres the view on it", _do_nothing),  # the host moves its camera
+    ("double", "object"): ("centers the view on it", _do_nothing),  # the window or page does it
 }
-# Clicks on transparent doubles act as on robots; doubles of a path have no features.
+# Clicks on transparent doubles have the same effect as clicks on robots.
 CLICKS |= {
     (gesture, "double"): entry for (gesture, kind), entry in CLICKS.items() if kind == "link"
 }
@@ -127,7 +127,7 @@ CLICKS |= {
 def click(
     world: WorldView, toggles: Toggles, picked: Picked | None, gesture: Gesture = "click"
 ) -> bool:
-    """Performs the action of a gesture on an item, see `CLICKS`.
+    """Performs the action of a gesture on an item, see `CLICKS`; returns whether there is one.
 
     A double click on the background resets the toggles to those of the scene.
     """
@@ -146,8 +146,8 @@ def click(
 
 
 def hover(toggles: Toggles, picked: Picked | None, pixel: Pixel) -> None:
-    """Shows the name of the item under the pointer beside it, from the next frame on."""
-    # A billboard shows its name already, and the label would hide its values.
+    """Shows the name of the item under the pointer in the following frames."""
+    # A billboard already shows its name, and the label would hide its values.
     name = "" if picked is None or picked.kind in ("billboard", "limb") else picked.own_name
     toggles.hover = (name, pixel) if name else None
 
@@ -177,7 +177,7 @@ SWITCHES: dict[str, tuple[str, str]] = {
     "v": ("vectors", "smart arrows"),
     "c": ("flange_checks", "comparison of flange frames"),
     "l": ("legend", "legend"),
-    "s": ("status", "faults of the sources"),
+    "s": ("status", "errors of the sources"),
 }
 KeyAction = tuple[str, Callable[[Toggles], None]]
 
@@ -186,28 +186,24 @@ def _toggle_keys(keys: str) -> dict[str, KeyAction]:
     return {key: (f"{SWITCHES[key][1]} on or off", _toggle(SWITCHES[key][0])) for key in keys}
 
 
-# Description and action by key, for all hosts.
+# Description and action by key.
 KEYS: dict[str, KeyAction] = {
     **_toggle_keys("abx"),
     "n": ("names of all axes on or off", _toggle("frame_names")),  # a click toggles a single one
-    "q": ("arrows show the next quantity", _next_quantity),
+    "q": ("next quantity for all arrows", _next_quantity),
     **_toggle_keys("dvcls"),
     "r": ("reset to what the scene declares", Toggles.reset),
 }
 
 
 def press_toggle(key: str, world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str:
-    """Performs the action of a key of `KEYS`.
-
-    Returns:
-        a message with the new state.
-    """
-    words, act = KEYS[key]
+    """Performs the action of a key of `KEYS`, and returns a message with the new state."""
+    description, act = KEYS[key]
     act(toggles)
     if key == "q" or (key == "a" and toggles.arrows.any()):
         return _arrows_text(world, data, toggles)
     if key not in SWITCHES:
-        return words
+        return description
     field, name = SWITCHES[key]
     shown = np.atleast_1d(getattr(toggles, field))
     if not len(shown):

@@ -1,4 +1,4 @@
-"""How far a camera has to stand for robots to be in its picture, of whatever shape that is."""
+"""Distance that a camera needs for robots to be in its image, depending on the aspect ratio."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ...robots.assemble.solids import geom_boxes, geom_corners
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 
-MARGIN = 1.12  # margin around the robots
-_WIDEST = 4 / 3  # width over height, at and above which no camera stands back for a sphere
-_DECLARED_FOR = 1.6  # width over height of the pictures that scenes declare their view for
+MARGIN = 1.12  # factor of the distance
+_WIDEST = 4 / 3  # aspect ratio from which cameras do not move back for a sphere
+_DECLARED_FOR = 1.6  # aspect ratio of the images that scenes declare their view for
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 
 
@@ -33,15 +33,15 @@ def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]
 
 
 def bounding_sphere(world: WorldView) -> tuple[Array, float]:
-    """Returns centre (3,), m, and radius, m, of a sphere about the scene without its floor.
+    """Returns center (3,), m, and radius, m, of a sphere about the scene without its floor.
 
-    Objects that a route attaches to a robot's flange count at the flange.
+    Objects that a route attaches to a robot's flange are taken at the flange.
     """
     return _sphere(*_boxes(world, declared_data(world)))
 
 
 def declared_data(world: WorldView) -> mujoco.MjData:
-    """Returns data of the declared pose, with what routes attach to robots in its place."""
+    """Returns data of the declared pose, with objects that routes attach to robots in place."""
     data = world.make_data()
     if world.scene.routes:
         # Invalid routes are reported elsewhere, when they are wired.
@@ -72,13 +72,13 @@ def _tan_half_fovy(world: WorldView) -> float:
 
 
 class Framing:
-    """Moves a camera back where data show robots outside of the picture of their declared pose.
+    """Moves a camera back if data shows robots outside of the image of their declared pose.
 
-    A robot that is mirrored stands anywhere. `fit` acts when a coordinate, or the position of a
-    base, first leaves its declared value, so that a picture does not move with a robot that is in
-    it; and only until the camera is moved, on one that neither the scene nor the user has placed.
-    `hold` is for poses that are known before the first picture; only a camera that the user has
-    placed stays where it is.
+    The data of a mirrored robot can place it anywhere. `fit` acts when a coordinate or base
+    position first differs from its declared value, so that the camera does not move with a robot
+    that is in the image. It stops as soon as the camera is moved, and never moves a camera placed
+    by scene or user. `hold` is for poses that are known before the first image. It does not move a
+    camera placed by the user.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Framing:
         self._moved = np.zeros(world.model.nq + len(self._bases), bool)
 
     def fit(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
-        """Moves the camera where a state needs it."""
+        """Moves the camera if a state requires it."""
         if not self._acts:
             return
         at = (each.mocap_pos[self._bases] for each in (data, self._declared))
@@ -110,11 +110,11 @@ class Framing:
             return
         lows, highs = _boxes(self._world, data)
         half_fovy = np.deg2rad(self._world.model.vis.global_.fovy) / 2
-        seen = camera.distance * np.sin(half_fovy)  # m, radius of the sphere in the picture
+        radius = camera.distance * np.sin(half_fovy)  # m, of the sphere that fits into the image
         farthest = np.abs((lows + highs) / 2 - camera.lookat) + (highs - lows) / 2
-        if not (np.linalg.norm(farthest, axis=1) > seen).any():
+        if not (np.linalg.norm(farthest, axis=1) > radius).any():
             return
-        if not bases_moved.any():  # where robots were declared nothing may be any more
+        if not bases_moved.any():  # else the declared poses do not matter
             declared = _boxes(self._world, self._declared)
             lows, highs = np.vstack((lows, declared[0])), np.vstack((highs, declared[1]))
         centre, radius = _sphere(lows, highs)
@@ -128,10 +128,10 @@ class Framing:
         size: tuple[int, int],
         turns: Sequence[float] = (0.0,),
     ) -> None:
-        """Moves the camera so that robots and doubles are in the picture in all of some poses.
+        """Moves the camera so that robots and doubles are in the image in all of some poses.
 
-        What the view of the declared pose leaves out may stay out. Nothing happens if all is in the
-        picture, or the camera has been placed by the user.
+        Parts that are outside of the view in the declared pose may stay outside. Nothing changes if
+        everything else is in the image, or if the user has placed the camera.
         """
         if self._is_wanted or camera.type != _FREE or _pose(camera) != self._placed:
             return
@@ -150,8 +150,8 @@ class Framing:
         if not len(points):
             return
         eyes = [_Eye(camera, turn) for turn in turns]
-        seen = (_is_inside(eye.look(points - camera.lookat), back, tangent, aspect) for eye in eyes)
-        if all(each.all() for each in seen):
+        at = camera.lookat
+        if all(_is_inside(eye.look(points - at), back, tangent, aspect).all() for eye in eyes):
             return
         centre = (points.min(axis=0) + points.max(axis=0)) / 2
         found = [eye.look(points - centre) for eye in eyes]
@@ -162,8 +162,6 @@ class Framing:
 
 
 class _Eye:
-    """Coordinates of a free camera: right, up and forward, about what it looks at."""
-
     def __init__(self, camera: mujoco.MjvCamera, turn_deg: float = 0.0) -> None:
         forward, right, up = axes(camera.azimuth + turn_deg, camera.elevation)
         self._axes = np.stack([right, up, forward], axis=1)
@@ -203,12 +201,12 @@ def _pose(camera: mujoco.MjvCamera) -> tuple[float, ...]:
 
 
 def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None) -> float:
-    """Returns the width of a picture over its height that a free camera needs.
+    """Returns the aspect ratio (width over height) that the image of a free camera needs.
 
-    It shows a sphere about the declared scene without its floor, or is 4/3 if that is less, since a
-    view may be of a part. Distances are those of pictures that are as wide; in narrower ones the
-    camera stands back. A scene's own view is for pictures of 1280x800, whose robots it shows in
-    narrower ones as well.
+    The image contains a sphere about the declared scene without its floor; the aspect ratio is at
+    most 4/3, since a view may show a part of the scene. In narrower images, the camera stands
+    farther back. A view declared by a scene is meant for images of 1280x800, so it also needs the
+    width of the robots visible there.
     """
     data, tangent = declared_data(world), _tan_half_fovy(world)
     centre, radius = _sphere(*_boxes(world, data))
@@ -226,14 +224,14 @@ def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None
 
 
 def standing_back(width: float, height: float, needed: float) -> float:
-    """Returns by how much farther away a free camera stands in a narrow picture; 1 in others."""
+    """Returns the factor by which a free camera is farther away in a narrow image; 1 in others."""
     return max(needed * height / max(width, 1.0), 1.0)
 
 
 def stand_back(
     scene: mujoco.MjvScene, camera: mujoco.MjvCamera, width: float, height: float, needed: float
 ) -> None:
-    """Moves the camera of a scene back for a narrow picture, see `standing_back`."""
+    """Moves the camera of a scene back for a narrow image, see `standing_back`."""
     back = (standing_back(width, height, needed) - 1.0) * camera.distance
     if back > 0.0 and camera.type == _FREE:
         for eye in scene.camera:

@@ -1,7 +1,7 @@
-"""`HeldTorques`: what joints hold against gravity, for robots without data.
+"""`HeldTorques`: gravity torques of the joints, for robots without data.
 
-Where neither joint angles nor torques of a robot are received or declared, its model tells which
-torques hold it in its pose, and the legend says so.
+If neither joint angles nor torques of a robot are received or declared, the model provides the
+torques that hold its pose, and the legend says so.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ class HeldTorques:
     """Writes gravity torques into a world's state while arrows or billboards are on.
 
     Attributes:
-        note: why no gravity torque is shown; empty if it is.
+        note: reason why no gravity torque is shown; empty if it is.
     """
 
     def __init__(self, mirror: LiveWorld, toggles: Toggles) -> None:
         self._world, self._toggles = mirror.world, toggles
         routed = {route.to.target for route in mirror.routes}
-        # What was written of every robot's torques: others may set them, too.
+        # Torques written for every robot, to detect if something else sets them.
         self._written: dict[str, Array | None] = {
             name: None
             for name in unrouted(mirror)
@@ -39,7 +39,7 @@ class HeldTorques:
         }
         self._model: GravityTorques | None = None
         self._compiling: threading.Thread | None = None
-        self._weighed: Array = np.zeros(0)  # the angles of the torques that are shown
+        self._angles: Array = np.zeros(0)  # angles of the written torques
         self.note = ""
 
     @property
@@ -50,28 +50,28 @@ class HeldTorques:
         return bool(data.userdata[self._world.flags[f"{name}.torques"]] > 0)
 
     def update(self, data: mujoco.MjData, *, wait: bool = True) -> None:
-        """Writes the torques of the pose, once somebody looks at torques.
+        """Writes the torques of the pose if arrows or billboards show them.
 
         Args:
-            wait: whether to wait until the model is compiled: of a robot with many meshes it takes
-                a second.
+            wait: whether to wait until the model is compiled, which takes a second for a robot
+                with many meshes.
         """
         world, toggles = self._world, self._toggles
         for name, written in [*self._written.items()]:
-            there = data.userdata[world.slots[f"{name}.torques"]]
+            current = data.userdata[world.slots[f"{name}.torques"]]
             if not self._has_torques(data, name):
-                self._written[name] = None  # a reset has taken them away
-            elif written is None or not np.array_equal(there, written, equal_nan=True):
-                del self._written[name]  # a program has set others
+                self._written[name] = None  # they were reset
+            elif written is None or not np.array_equal(current, written, equal_nan=True):
+                del self._written[name]  # a program has set them
                 toggles.modelled[world.robots[name].joints] = False
         if self._model is None and not self.note and self._is_seen():
             self._compile(wait)
         if self._model is None:
             return
         is_new = any(each is None for each in self._written.values())
-        if not is_new and np.array_equal(data.qpos, self._weighed):
+        if not is_new and np.array_equal(data.qpos, self._angles):
             return
-        self._weighed = data.qpos.copy()
+        self._angles = data.qpos.copy()
         angles = {name: data.qpos[part.qpos] for name, part in world.robots.items()}
         torques = self._model.of(angles)
         for name in self._written:
@@ -101,7 +101,7 @@ class HeldTorques:
 
 
 def unrouted(mirror: LiveWorld) -> list[str]:
-    """Names of the robots whose joint angles no route sets."""
+    """Returns the names of the robots whose joint angles are not set by a route."""
     routed = {route.to.target for route in mirror.routes}
     angles = {name: f"{name}.joint_angles" for name in mirror.world.robots}
     return [

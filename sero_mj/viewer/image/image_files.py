@@ -1,4 +1,4 @@
-"""Pictures and films on disk."""
+"""Images and videos on disk."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from PIL import Image
 from ...base.errors import Problem, RenderError, reason_of
 from .image_options import VIDEO_FORMATS
 
-if TYPE_CHECKING:  # importing it takes 0.1 s, and only films need it
+if TYPE_CHECKING:  # importing it takes 0.1 s, and only videos need it
     import av
 
 Pixels = NDArray[np.uint8]
 
 
 def check_writable(path: Path) -> None:
-    """Creates the file's folder and checks it, before anything is rendered.
+    """Creates the file's folder and checks that the file can be written, before rendering.
 
     Raises:
-        RenderError: the file cannot be written there.
+        RenderError: the file cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -39,7 +39,7 @@ def check_writable(path: Path) -> None:
 
 
 def save_image(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
-    """Writes a picture in the format of the file name extension."""
+    """Writes an image in the format of the file name extension."""
     check_writable(path)
     resolution: dict[str, Any] = {} if dpi is None else {"dpi": (dpi, dpi)}
     with writing_to(path):
@@ -48,7 +48,7 @@ def save_image(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
 
 @contextlib.contextmanager
 def writing_to(path: Path) -> Iterator[None]:
-    """Reports errors by the name of the final file, not of the temporary one."""
+    """Raises a RenderError with the name of the final file, not of the temporary one."""
     try:
         yield
     except (OSError, ValueError) as error:
@@ -56,7 +56,7 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 def check_video(path: Path | str) -> Path:
-    """Returns the path of a film; raises RenderError if its extension is not that of a film."""
+    """Returns the path of a video; raises RenderError for another file name extension."""
     path = Path(path)
     if path.suffix.lower() not in VIDEO_FORMATS:
         expected = f"a name that ends in {', '.join(VIDEO_FORMATS)}"
@@ -65,19 +65,19 @@ def check_video(path: Path | str) -> Path:
 
 
 def default_fps(path: Path | str) -> float:
-    """Returns the default frames per second of a film."""
+    """Returns the default frames per second of a video file."""
     return VIDEO_FORMATS[check_video(path).suffix.lower()].fps
 
 
 class VideoWriter:
-    """Writes an H.264, VP9 or GIF film, as a context manager.
+    """Writes an H.264, VP9 or GIF video, as a context manager.
 
-    The film is written to a temporary file and renamed when it is complete, so that an incomplete
-    film never has the final name. After an interrupt (KeyboardInterrupt) the film so far is kept.
+    The video is written to a temporary file, which is renamed when it is complete. After a
+    KeyboardInterrupt, the frames so far become the video.
 
     Raises:
-        RenderError: the file cannot be written, has another extension, the size is too small, or
-            there are too many frames per second.
+        RenderError: the file cannot be written, has another extension, the size is too small,
+            or there are too many frames per second.
     """
 
     def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
@@ -88,7 +88,7 @@ class VideoWriter:
         self._width, self._height = width - width % odd, height - height % odd
         if min(self._width, self._height) < 2:
             expected = "at least 2 pixels a side"
-            raise RenderError(Problem("film size", found=(width, height), expected=expected))
+            raise RenderError(Problem("video size", found=(width, height), expected=expected))
         if fps > kind.max_fps:
             problem = Problem(
                 file=str(path),
@@ -137,23 +137,20 @@ class VideoWriter:
         error: BaseException | None,
         tb: TracebackType | None,
     ) -> None:
-        keep = kind is None or (issubclass(kind, KeyboardInterrupt) and self.frames > 0)
-        if keep:
+        is_valid = kind is None or (issubclass(kind, KeyboardInterrupt) and self.frames > 0)
+        if is_valid:
             self._encode(None)
         self._container.close()
-        if keep:
+        if is_valid:
             self._part.replace(self._path)
         else:
-            with contextlib.suppress(OSError):  # it may never have been made
+            with contextlib.suppress(OSError):  # it may not exist
                 self._part.unlink()
 
 
+# Computes a palette of 256 colors for every frame of a GIF. A common palette would require all
+# frames before the first one is written.
 class _Palettes:
-    """Computes a palette of 256 colours for every frame of a GIF.
-
-    A common palette would require all frames before the first is written.
-    """
-
     def __init__(self, width: int, height: int, rate: Fraction) -> None:
         import av
 
@@ -188,34 +185,33 @@ class _Palettes:
 
 
 class ImageArray(np.ndarray):
-    """A picture (height, width, 3), uint8, top row first: an array with `save`.
+    """An image (height, width, 3), uint8, top row first: an array with `save`.
 
-    A notebook displays it as the result of a cell. A slice that is not a picture is displayed as
-    numbers.
+    Notebooks display it as an image. A slice that is not an image is displayed as numbers.
     """
 
     def save(self, path: Path | str) -> None:
-        """Writes the picture in the format of the file name extension: .png, .jpg, .webp.
+        """Writes the image in the format of the file name extension: .png, .jpg, .webp.
 
         Raises:
-            RenderError: the file cannot be written, the format is unknown, or this slice is not a
-                picture.
+            RenderError: the file cannot be written, the format is unknown, or this slice is not
+                an image.
         """
-        if not self._is_picture:
+        if not self._is_image:
             found = f"{' x '.join(map(str, self.shape))} numbers of type {self.dtype}"
             raise RenderError(
-                f"cannot write {path}: found {found}; expected a picture, height x width x 3"
+                f"cannot write {path}: found {found}; expected an image, height x width x 3"
             )
         save_image(Path(path), np.ascontiguousarray(self))
 
     @property
-    def _is_picture(self) -> bool:
+    def _is_image(self) -> bool:
         return (
             self.ndim == 3 and self.shape[2] in (3, 4) and self.dtype == np.uint8 and self.size > 0
         )
 
     def _repr_png_(self) -> bytes | None:
-        if not self._is_picture:
+        if not self._is_image:
             return None
         file = io.BytesIO()
         Image.fromarray(np.ascontiguousarray(self)).save(file, "png")

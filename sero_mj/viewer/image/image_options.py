@@ -1,4 +1,4 @@
-"""Options of images and videos, in Python and in commands; their file name extensions."""
+"""Options of images and videos, in Python and in commands, and their file name extensions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ...base.options import Duration, Option, Options, Positive, Size, Time
 Quality = Literal["draft", "normal", "fine"]
 Stereo = Literal["side-by-side", "anaglyph"]
 DEFAULT_SIZE = (1280, 800)
-EYE_DISTANCE = 0.065  # m, of people
+EYE_DISTANCE = 0.065  # m, average of adults
 _GESTURES = ("shift", "double", "hover")
 
 
@@ -35,7 +35,7 @@ def _switches(value: Any) -> Any:
     parts = [text.partition("=") for text in value]
     for text, (_, equals, digits) in zip(value, parts, strict=True):
         if not (equals and digits.isdecimal()):
-            raise ValueError(f"found '{text}'; expected NAME=0 or NAME=1, arrows=1 say")
+            raise ValueError(f"found '{text}'; expected NAME=0 or NAME=1, for example arrows=1")
     return {name: digits for name, _, digits in parts}
 
 
@@ -55,14 +55,14 @@ _GivenClick = Annotated[
 
 
 class SizeOptions(Options):
-    """Size and quality of pictures.
+    """Size and quality of images.
 
     Attributes:
         size: width and height, pixels.
-        quality: draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is
-            software; fine: for print, with 300 dots per inch; its films blur what moves.
-        renderer: classic: OpenGL; or one of an extension, of which `check` tells (default: one
-            with soft shadows for --quality fine where it runs, else classic).
+        quality: draft: without shadows and anti-aliasing, much faster with software OpenGL;
+            fine: for print, at 300 dots per inch, with motion blur in videos.
+        renderer: classic for OpenGL, or a renderer of an extension, see check (default: a
+            renderer with soft shadows for --quality fine if it is available, else classic).
     """
 
     size: Size = DEFAULT_SIZE
@@ -71,11 +71,11 @@ class SizeOptions(Options):
 
 
 class StereoOptions(Options):
-    """Pictures for two eyes.
+    """Images for two eyes.
 
     Attributes:
-        stereo: for two eyes: a half of the picture for each, or for red-cyan glasses.
-        eye_distance: between the eyes, m; more shows more depth.
+        stereo: side by side, half of the image for each eye, or for red-cyan glasses.
+        eye_distance: distance between the eyes, m; larger values exaggerate depth.
     """
 
     stereo: Stereo | None = None
@@ -83,11 +83,12 @@ class StereoOptions(Options):
 
 
 class CameraOptions(Options):
-    """The camera of pictures.
+    """The camera of images.
 
     Attributes:
         camera: name of a camera, or azimuth,elevation,distance in degrees and m.
-        follow: move the free camera with a robot or group by its base, or with a frame, lwr/flange.
+        follow: move the free camera with the base of a robot or group, or with a frame such as
+            lwr/flange.
     """
 
     camera: Annotated[str | None, Option("CAM")] = None
@@ -95,10 +96,11 @@ class CameraOptions(Options):
 
 
 class MotionOptions(Options):
-    """How the camera of a film moves.
+    """Motion of the camera in a video.
 
     Attributes:
-        orbit: turn the camera about what it looks at, by degrees over the whole film.
+        orbit: rotate the camera about its look-at point by this angle in degrees over the whole
+            video.
         camera_path: move the camera through the key frames of a TOML file: tables [[keys]] with
             time and azimuth_deg, elevation_deg, distance or look_at.
     """
@@ -108,17 +110,17 @@ class MotionOptions(Options):
 
 
 class ImageOptions(SizeOptions, StereoOptions, CameraOptions):
-    """Options of a picture of a scene; the fields are keywords of `render_image`.
+    """Options of an image of a scene; the fields are keyword arguments of `render_image`.
 
     Attributes:
         clicks: click on a pixel, counted from the upper left, before rendering; HOW is shift,
-            double, hover or touch (as with a finger); may be repeated.
-        shown: switch arrows, billboards, axes, legend, inertias, transparent, ... on or off: a
-            digit for all of them, or one for each joint, frame, ...; may be repeated.
-        render_pass: instead of the picture, which link or object every pixel shows, or how far
-            away it is; .png or .npy.
-        selected: light a joint, as one that was clicked on is.
-        wait: how long to wait for the first packet of every source, s.
+            double, hover or touch (with a finger); may be repeated.
+        shown: switch arrows, billboards, axes, legend, inertias, transparent, ... on or off,
+            with one digit for all or one for each joint, frame, ...; may be repeated.
+        render_pass: instead of the image, write the link or object at every pixel, or its
+            depth; .png or .npy.
+        selected: highlight a joint, as if it was clicked.
+        wait: maximum time to wait for the first packet of every source, s.
     """
 
     clicks: Annotated[list[_GivenClick], Option("X,Y[,HOW]", ("--click",))] = []
@@ -129,11 +131,11 @@ class ImageOptions(SizeOptions, StereoOptions, CameraOptions):
 
 
 class VideoOptions(ImageOptions, MotionOptions):
-    """Options of a film of a scene; the fields are keywords of `render_video`.
+    """Options of a video of a scene; the fields are keyword arguments of `render_video`.
 
     Attributes:
-        duration: length of a film, s.
-        fps: frames per second (default 30; of a GIF 20).
+        duration: length of a video, s.
+        fps: frames per second (default: 30, or 20 for a GIF).
     """
 
     duration: Duration = 5.0
@@ -142,14 +144,14 @@ class VideoOptions(ImageOptions, MotionOptions):
 
 @dataclass(frozen=True)
 class VideoFormat:
-    """Encoding of films with one file name extension.
+    """Encoding of videos with one file name extension.
 
     Attributes:
-        codec: of FFmpeg.
-        options: of the codec; chosen to be fast compared to rendering.
-        has_palette: whether frames are limited to 256 colours.
+        codec: codec of FFmpeg.
+        options: options of the codec, chosen to be fast compared to rendering.
+        has_palette: whether frames are limited to 256 colors.
         fps: default frames per second.
-        max_fps: maximum frames per second that programs can show.
+        max_fps: maximum frames per second that players support.
     """
 
     codec: str
@@ -166,4 +168,4 @@ VIDEO_FORMATS = {
     ".gif": VideoFormat("gif", {}, has_palette=True, fps=20.0, max_fps=50.0),
 }
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
-PASS_ENDINGS = (".png", ".npy")  # of segmentation and depth
+PASS_ENDINGS = (".png", ".npy")

@@ -1,6 +1,6 @@
-"""What sero-mj uses of MuJoCo that is not public: all of it stands here, each with its reason.
+"""Private parts of MuJoCo that sero-mj uses, each with its reason.
 
-Therefore `mujoco>=4.0,<4.1`. Where another version lacks a part, `RenderError` names it.
+They require `mujoco>=4.0,<4.1`. If another version lacks a part, `RenderError` names it.
 """
 
 from __future__ import annotations
@@ -14,35 +14,30 @@ from ...base.errors import RenderError
 _EXPECTED = "4.0"
 
 
-def _private(owner: Any, name: str, wanted_for: str) -> Any:
+def context_of(renderer: mujoco.Renderer) -> mujoco.MjrContext:
+    """The OpenGL context of a renderer, which `mujoco.Renderer` does not expose.
+
+    Textures of drafts are uploaded into it, and panels are laid out with the widths of its font.
+    """
     try:
-        return getattr(owner, name)
+        context: mujoco.MjrContext = renderer._mjr_context
     except AttributeError:
         raise RenderError(
-            f"MuJoCo {mujoco.__version__} has no {getattr(owner, '__name__', type(owner).__name__)}"
-            f".{name}, which is needed for {wanted_for}; expected MuJoCo {_EXPECTED}"
+            f"MuJoCo {mujoco.__version__} has no {type(renderer).__name__}._mjr_context, which is "
+            f"needed for images; expected MuJoCo {_EXPECTED}"
         ) from None
-
-
-def context_of(renderer: mujoco.Renderer) -> mujoco.MjrContext:
-    """The OpenGL context of a renderer.
-
-    `mujoco.Renderer` hands it out nowhere; textures of drafts are uploaded into it, and the widths
-    of its letters lay out panels.
-    """
-    context: mujoco.MjrContext = _private(renderer, "_mjr_context", "pictures")
     return context
 
 
 def filament() -> Any:
     """The module of MuJoCo's Filament renderer, with its materials registered.
 
-    `mujoco.mjrf` is used as it is, because the wrapper in `mujoco.rendering.filament` needs Python
-    3.12. Importing `mujoco.studio` is what registers where materials (`filament:pbr.filamat`) are
-    found; without it the first object ends the process.
+    The wrapper `mujoco.rendering.filament` needs Python 3.12, so this is `mujoco.mjrf`. Importing
+    `mujoco.studio` registers the location of materials (`filament:pbr.filamat`); without it, the
+    first object ends the process.
 
     Raises:
-        RenderError: this MuJoCo has none.
+        RenderError: this version of MuJoCo has no Filament renderer.
     """
     try:
         from mujoco import mjrf, studio  # noqa: F401

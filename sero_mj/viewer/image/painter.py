@@ -1,4 +1,4 @@
-"""`Painter`: base class of renderers of a world, with or without a photo behind it."""
+"""`Painter`: base class for rendering a world, with or without a photo as background."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ log = logging.getLogger(__name__)
 
 
 class Painter(ABC):
-    """Draws a world into pictures, and handles clicks on them; a context manager.
+    """Renders a world into images and handles clicks on them; a context manager.
 
     Attributes:
-        decor: of the last frame.
+        decor: decor of the last frame.
     """
 
     world: WorldView
@@ -44,7 +44,7 @@ class Painter(ABC):
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
     ) -> Picked | None:
-        """Returns the item at a pixel, counted from the upper left corner; None for no item."""
+        """Returns the item at a pixel, counted from the upper left corner, or None."""
         return self._lay_out(data).pick(data, self._pixel(x, y), tolerance)
 
     def click(
@@ -59,7 +59,7 @@ class Painter(ABC):
         return self._lay_out(data).click(data, self._pixel(x, y), gesture, tolerance)
 
     def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
-        """Moves the pointer to a pixel, see `pick`; the next frames name the item there."""
+        """Moves the pointer to a pixel, see `pick`; the next frames show the name of the item."""
         return self._lay_out(data).hover(data, self._pixel(x, y))
 
     def _pixel(self, x: float, y: float) -> Pixel:
@@ -86,12 +86,12 @@ class Painter(ABC):
 
 
 def perform_clicks(painter: Painter, data: mujoco.MjData, clicks: Sequence[Click]) -> None:
-    """Clicks on pixels in their order, and logs what was there."""
+    """Clicks on pixels in order, and logs the item at each."""
     for x, y, gesture, finger in clicks:
         if gesture == "hover":
             picked = painter.hover(data, x, y)
         else:
             tolerance = TOUCH_TOLERANCE if finger else 0.0
             picked = painter.click(data, x, y, gesture, tolerance)  # type: ignore[arg-type]
-        what = "nothing there" if picked is None else f"{picked.kind} {picked.name}"
+        what = "no item" if picked is None else f"{picked.kind} {picked.name}"
         log.info("%s at %g,%g: %s", gesture, x, y, what)

@@ -1,11 +1,11 @@
-"""Segmentation and depth: the part at every pixel, and its distance; decor is in neither.
+"""Segmentation and depth: the part at every pixel, and its distance; both without decor.
 
-They are drawn without multisampling: a pixel at an edge belongs to one part or the other.
+They are rendered without multisampling: a pixel at an edge belongs to one part or the other.
 
-- Segmentation as .png: a palette image whose index is the part's number, as in PASCAL VOC; with
-  more than 256 parts, 16 bits of grey. As .npy: int32. NAME.parts.json names the parts.
-- Depth as .png: 16 bits of grey, mm, 0 for nothing or more than 65.535 m, as ROS (REP 118) and
-  depth cameras have it. As .npy: float32, m, infinite for the sky.
+- Segmentation as .png: a palette image whose index is the number of the part, as in PASCAL VOC.
+  With more than 256 parts, 16-bit grayscale. As .npy: int32. NAME.parts.json names the parts.
+- Depth as .png: 16-bit grayscale, mm, 0 for the sky and above 65.535 m, as in ROS (REP 118) and
+  depth cameras. As .npy: float32, m, infinite for the sky.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _WIREFRAME = int(mujoco.mjtRndFlag.mjRND_WIREFRAME)
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
-# What has a surface besides geoms, and the field of a model that counts it.
+# Types of surfaces other than geoms, and the field of a model with their number.
 _SURFACES = {
     int(mujoco.mjtObj.mjOBJ_SKIN): "nskin",
     int(mujoco.mjtObj.mjOBJ_FLEX): "nflex",
     int(mujoco.mjtObj.mjOBJ_TENDON): "ntendon",
 }
-_AT_INFINITY = 1.0 - 1e-5  # of the distance of the far plane, beyond which nothing is drawn
+_AT_INFINITY = 1.0 - 1e-5  # fraction of the distance of the far plane
 
 
 class Parts:
-    """The parts that pictures of a world tell apart, by number.
+    """Numbers and names of the parts in segmentation images of a world.
 
     Attributes:
-        names: by number: `background` (the sky) is 0; then links (`lwr/link3`, or as the robot's
-            own file calls them), those of doubles (`goal/link3`), objects, `floor`. They are the
-            same in all pictures of a scene.
+        names: names by number: 0 is `background` (the sky), followed by links (`lwr/link3`, or
+            the name in the robot's file), links of doubles (`goal/link3`), objects, and
+            `floor`. They are the same in all images of a scene.
     """
 
     def __init__(self, world: WorldView) -> None:
@@ -75,7 +75,7 @@ class Parts:
         """Returns the part of a geom in a scene; None for decor."""
         if double is not None:
             return self._of_double.get((double, geom.objid))
-        if geom.type == _PLANE and geom.objtype == _UNKNOWN:  # of surroundings of our own
+        if geom.type == _PLANE and geom.objtype == _UNKNOWN:  # of `AddedSurroundings`
             return self._floor
         return self._of.get((geom.objtype, geom.objid))
 
@@ -91,7 +91,7 @@ def _geom_name(world: WorldView, geom: int) -> str:
 
 
 class PassRenderer:
-    """Renders the parts and the depths of a world."""
+    """Renders segmentation and depth images of a world."""
 
     def __init__(self, world: WorldView, renderer: mujoco.Renderer) -> None:
         self.parts = Parts(world)
@@ -105,7 +105,7 @@ class PassRenderer:
         self._mark(buffer)
         self._renderer.enable_segmentation_rendering()
         shown = self._renderer.render()[..., 0]
-        return np.asarray(np.maximum(shown, 0))  # it is -1 where there is nothing
+        return np.asarray(np.maximum(shown, 0))  # -1 is the background
 
     def depth(self, buffer: GeomBuffer) -> Array:
         self._mark(buffer)
@@ -131,29 +131,29 @@ class PassRenderer:
                 geom = scene.geoms[i]
                 part = self.parts.of(geom, double)
                 if part is None or geom.rgba[3] <= 0:
-                    geom.segid = -1  # is not drawn
+                    geom.segid = -1  # not drawn
                     continue
                 geom.segid, geom.objid = i, part
-                geom.rgba[3] = 1.0  # what is transparent leaves no depth
+                geom.rgba[3] = 1.0  # transparent geoms have no depth
             start = end
 
 
-_MOST_COLOURS = 256  # of a palette
-_MOST_MM = 65_535
+_MAX_COLOURS = 256  # of a palette
+_MAX_MM = 65_535
 
 
 def check_pass_file(path: Path) -> None:
-    """Raises RenderError if the extension is not that of a segmentation or depth picture."""
+    """Raises RenderError if the file name extension does not suit segmentation and depth."""
     if path.suffix.lower() not in PASS_ENDINGS:
-        expected = f"a name that ends in {', '.join(PASS_ENDINGS)}: others change numbers"
+        expected = f"a name that ends in {', '.join(PASS_ENDINGS)}, which are lossless"
         raise RenderError(Problem(file=str(path), found=path.suffix, expected=expected))
 
 
 def palette(count: int) -> Pixels:
-    """Returns colours that tell numbers apart, (count, 3); black for 0.
+    """Returns distinguishable colors for numbers, (count, 3); black for 0.
 
     Source: `VOClabelcolormap` of the development kit of the PASCAL Visual Object Classes Challenge
-    2012, which spreads the bits of a number over red, green and blue.
+    2012, which distributes the bits of a number over red, green and blue.
     """
     numbers = np.arange(count)
     colours = np.zeros((count, 3), np.uint8)
@@ -165,30 +165,25 @@ def palette(count: int) -> Pixels:
 
 
 def save_segmentation(path: Path, parts: Ints, names: Sequence[str]) -> Path:
-    """Writes which part every pixel shows, and NAME.parts.json beside it.
-
-    Args:
-        path: .png or .npy.
+    """Writes the part at every pixel to a .png or .npy file, and NAME.parts.json beside it.
 
     Returns:
-        the file with the names: `parts`, each with `id`, `name`, `colour` (as in the picture, red,
-        green, blue; null without a palette) and its count of `pixels`.
+        path of the JSON file: `parts`, each with `id`, `name`, `colour` (red, green, blue in
+        the image; null without a palette) and its number of `pixels`.
 
     Raises:
         RenderError: a file cannot be written, or has another extension.
     """
     check_pass_file(path)
-    has_palette = path.suffix.lower() == ".png" and len(names) <= _MOST_COLOURS
+    has_palette = path.suffix.lower() == ".png" and len(names) <= _MAX_COLOURS
     colours = palette(len(names))
     if path.suffix.lower() == ".npy":
         _save_array(path, parts.astype(np.int32))
-    elif has_palette:
-        picture = Image.fromarray(parts.astype(np.uint8))
-        picture.putpalette(colours.tobytes())
-        _save_png(path, picture, f"numbers of parts, named in {path.stem}.parts.json")
     else:
-        picture = Image.fromarray(parts.astype(np.uint16))
-        _save_png(path, picture, f"numbers of parts, named in {path.stem}.parts.json")
+        image = Image.fromarray(parts.astype(np.uint8 if has_palette else np.uint16))
+        if has_palette:
+            image.putpalette(colours.tobytes())
+        _save_png(path, image, f"numbers of parts, named in {path.stem}.parts.json")
     counts = np.bincount(parts.ravel(), minlength=len(names)).tolist()
     legend: list[dict[str, Any]] = [
         {"id": i, "name": name, "colour": colours[i].tolist() if has_palette else None,
@@ -205,10 +200,7 @@ def save_segmentation(path: Path, parts: Ints, names: Sequence[str]) -> Path:
 
 
 def save_depth(path: Path, depth: Array) -> None:
-    """Writes how far away every pixel is.
-
-    Args:
-        path: .png or .npy.
+    """Writes the depth of every pixel to a .png or .npy file.
 
     Raises:
         RenderError: the file cannot be written, or has another extension.
@@ -218,7 +210,7 @@ def save_depth(path: Path, depth: Array) -> None:
         _save_array(path, depth.astype(np.float32))
         return
     mm = np.round(1000.0 * np.where(np.isfinite(depth), depth, 0.0))
-    found = np.where(mm <= _MOST_MM, mm, 0.0).astype(np.uint16)
+    found = np.where(mm <= _MAX_MM, mm, 0.0).astype(np.uint16)
     _save_png(path, Image.fromarray(found), "depth, mm; 0 for none")
 
 
@@ -228,9 +220,9 @@ def _save_array(path: Path, array: np.ndarray) -> None:
         np.save(path, array, allow_pickle=False)
 
 
-def _save_png(path: Path, picture: Image.Image, description: str) -> None:
+def _save_png(path: Path, image: Image.Image, description: str) -> None:
     check_writable(path)
     about = PngInfo()
     about.add_text("Description", description)
     with writing_to(path):
-        picture.save(path, pnginfo=about)
+        image.save(path, pnginfo=about)

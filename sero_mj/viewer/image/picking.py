@@ -1,7 +1,7 @@
-"""Finds the item at a pixel, independent of the host.
+"""Finds the item at a pixel, in the same way for windows, pages and images.
 
 Robots, doubles and objects are found by `mj_ray`, decor by intersection with its boxes, triangles
-and arrows; the item closest to the camera is returned.
+and arrows. The item closest to the camera is returned.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ Pixel = tuple[float, float]  # x to the right and y up from the lower left corne
 TOUCH_TOLERANCE = 12.0  # tolerance for a touch screen, pixels
 # An arrow geom in MuJoCo's renderers (`mjGEOM_ARROW`): the cone is a third of its length.
 _SHAFT, _HEAD_WIDTH = 2 / 3, 1.75
-_SLICES = 5  # cylinders that stand for the cone
+_SLICES = 5  # cylinders that approximate the cone
 _TYPES = mujoco.mjtGeom
-# Arrays are compared with numbers a hundred times faster than with members of an enum.
+# Comparing arrays with numbers is a hundred times faster than with members of an enum.
 _BOX, _TRIANGLE, _ARROW = map(int, (_TYPES.mjGEOM_BOX, _TYPES.mjGEOM_TRIANGLE, _TYPES.mjGEOM_ARROW))
 _MAX_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
-_STEP = 1e-6  # m beyond the surface of one of them
+_STEP = 1e-6  # m, from the surface of a hidden geom to the next start of the ray
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,12 @@ class Picked:
     """The item at a pixel.
 
     Attributes:
-        name: e.g. `lwr/A4` for a joint's arrow or billboard, `lwr/link3`, `table`.
+        name: for example `lwr/A4` for a joint's arrow or billboard, `lwr/link3`, `table`.
         owner: the robot or double it belongs to; empty for other items.
-        index: joint of the world for links, doubles, arrows and billboards, frame for axes and
-            names, smart arrow for vectors and cards, robot for checks; -1 for objects and paths.
-        own_name: of a link, with its name in the robot's own file; as `name` else.
+        index: joint of the world for links, doubles, arrows and billboards; frame for axes and
+            names; smart arrow for vectors and cards; robot for checks; -1 for objects and
+            paths.
+        own_name: for a link, its name in the robot's file; otherwise the same as `name`.
     """
 
     kind: PickedKind
@@ -82,8 +83,8 @@ def pick(
     """Returns the item at a pixel, or None for the sky and the floor.
 
     Args:
-        buffer: the decor of the displayed frame.
-        pixel: x to the right and y up from the lower left corner of the picture.
+        buffer: decor of the displayed frame.
+        pixel: x to the right and y up from the lower left corner of the image.
         tolerance: maximum distance from decor if none is hit exactly, pixels; see
             `TOUCH_TOLERANCE`.
     """
@@ -121,7 +122,7 @@ def link_at(
 ) -> tuple[str, Array] | None:
     """Returns the frame of the robot's link at a pixel, and the world point there, (3,), m.
 
-    It looks through decor and doubles; None for anything else in front.
+    Decor and doubles are ignored. Returns None if anything else is in front.
     """
     direction = _through(view, pixel)
     model = world.model
@@ -138,7 +139,7 @@ def link_at(
 def handle_at(
     buffer: GeomBuffer, view: ImageView, pixel: Pixel, tolerance: float = 0.0
 ) -> int | None:
-    """Returns the handle at a pixel, see `viewer.decor.handles`; None for none."""
+    """Returns the handle at a pixel, see `viewer.decor.handles`, or None."""
     handles = buffer.kinds[: buffer.count] == Kind.HANDLE
     if not handles.any():
         return None
@@ -168,10 +169,7 @@ def _pick_decor(
 
 
 def picked_of(world: WorldView, kind: Kind, item: int, distance: float = 0.0) -> Picked:
-    """Returns what was clicked on, by the kind and index of an item of decor.
-
-    Args:
-        distance: from the camera, m.
+    """Returns an item of decor by its kind and index, at a distance from the camera in m.
 
     Raises:
         ValueError: there is no such item.
@@ -200,7 +198,6 @@ def _nearest_decor(
     direction: Array,
     tolerance: float,
 ) -> tuple[int, float] | None:
-    """Returns the row of the nearest box, triangle or arrow along a ray, and its distance, m."""
     rows = buffer.rows[: buffer.count]
     types = rows["type"]
     is_solid = (types == _BOX) | (types == _TRIANGLE) | (types == _ARROW)
@@ -240,7 +237,7 @@ def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
 
 
 def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: Array) -> Array:
-    """Returns the distance along a ray to boxes (k,), m, inf for a miss (slab method)."""
+    """Returns the distances along a ray to boxes (k,), m; inf for a miss (slab method)."""
     start = np.einsum("kij,ki->kj", mat, origin - centre)
     along = np.einsum("kij,i->kj", mat, direction)
     along = np.where(np.abs(along) < 1e-12, 1e-12, along)
@@ -254,17 +251,16 @@ def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: 
 def ray_triangles(
     origin: Array, direction: Array, corner: Array, edges: Array, margin: Array
 ) -> Array:
-    """Returns the distance along a ray to triangles (k,), m, inf for a miss.
+    """Returns the distances along a ray to triangles (k,), m; inf for a miss.
 
-    Both sides are hit. Source: Moeller and Trumbore, "Fast, minimum storage ray-triangle
-    intersection", Journal of Graphics Tools 2(1), 1997.
+    Both sides are hit. `margin` is the maximum distance of the ray from a triangle, (k,), m.
 
-    Args:
-        margin: how far the ray may pass beside them, (k,), m.
+    Source: Moeller and Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of
+    Graphics Tools 2(1), 1997.
     """
     u, v, start = edges[..., 0], edges[..., 1], origin - corner
     across, turned = np.cross(direction, v), np.cross(start, u)
-    with np.errstate(divide="ignore", invalid="ignore"):  # seen along its plane: no hit
+    with np.errstate(divide="ignore", invalid="ignore"):  # no hit if the ray is in the plane
         scale = 1.0 / np.einsum("ki,ki->k", u, across)
         along_u = scale * np.einsum("ki,ki->k", start, across)
         along_v = scale * (turned @ direction)
@@ -273,7 +269,7 @@ def ray_triangles(
     distance = np.where(hit, distance, np.inf)
     if not margin.any():
         return distance
-    # The point of every side that is closest to the ray, seen along it.
+    # The point of every side that is closest to the ray in the plane perpendicular to it.
     begin = np.stack([-start, -start, u - start])
     side = np.stack([u, v, v - u])
     depth, deeper = begin @ direction, side @ direction
@@ -289,11 +285,11 @@ def ray_triangles(
 def ray_arrow(
     origin: Array, direction: Array, start: Array, mat: Array, size: Array, margin: float = 0.0
 ) -> float:
-    """Returns the distance along a ray to an arrow geom, m, inf for a miss.
+    """Returns the distance along a ray to an arrow geom, m; inf for a miss.
 
     Args:
         size: as in `MjvGeom`: radii of the shaft, and length times `ARROW_SIZE_OF_LENGTH`, m.
-        margin: by which it is thicker and longer, m.
+        margin: increase of radius and length, m.
     """
     length = size[2] / ARROW_SIZE_OF_LENGTH
     cone = (np.arange(_SLICES) + 0.5) / _SLICES  # middle of every slice, from base to tip
@@ -325,7 +321,7 @@ def _pick_solid(
 
 
 def picked_geom(world: WorldView, geom: int, distance: float = 0.0) -> Picked:
-    """Returns what a geom of the model is part of: a link, a double's link, or an object."""
+    """Returns the link, link of a double, or object that a geom of the model belongs to."""
     model = world.model
     body = int(model.geom_bodyid[geom])
     for name, double in world.doubles.items():
@@ -348,7 +344,7 @@ def picked_geom(world: WorldView, geom: int, distance: float = 0.0) -> Picked:
 
 
 def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | None:
-    while body:  # children of a link belong to it
+    while body:  # bodies attached to a link belong to it
         found = (part.bodies == body).nonzero()[0]
         if len(found):
             link = int(found[0])
@@ -372,7 +368,7 @@ def _pick_drawn_double(
 
 
 def picked_drawn(world: WorldView, name: str, geom: int, distance: float = 0.0) -> Picked | None:
-    """Returns the link of a double that a geom is part of, see `picked_geom`; None for none."""
+    """Returns the link of a double that a geom belongs to, or None."""
     double = world.doubles[name]
     link = _link_of(world, double.of, int(world.model.geom_bodyid[geom]))
     if link is None:

@@ -1,8 +1,7 @@
-"""Renders pictures and films without a window, of a world or of a scene with its live sources.
+"""Renders images and videos without a window, of a world or of a scene with live sources.
 
-A film of a live robot must show real time, but software rendering may be slower than that. So a
-thread samples the state at exactly the film's rate, and frames are rendered from these samples at
-any speed.
+A video of a live robot has to show real time, even if software rendering is slower. Therefore a
+thread samples the state at the frame rate of the video, and frames are rendered from these samples.
 """
 
 from __future__ import annotations
@@ -55,14 +54,14 @@ from .video_frames import SUBFRAMES, Exposure, video_frames
 
 log = logging.getLogger(__name__)
 
-MAX_SIDE = 16384  # pixels; the limit of Mesa's software renderer
+MAX_SIDE = 16384  # pixels, limit of Mesa's software renderer
 QUALITIES: tuple[str, ...] = get_args(Quality)
-SUPERSAMPLING = 2  # a side, of the quality `fine`
+SUPERSAMPLING = 2  # per side, for quality `fine`
 PRINT_DPI = 300
 
 
 def check_size(what: str, width: int, height: int) -> None:
-    """Checks the size of a picture or window.
+    """Checks the size of an image or window.
 
     Raises:
         RenderError: the size is out of range.
@@ -82,12 +81,9 @@ def offscreen_size(
     samples: int | None = None,
     is_draft: bool = False,
 ) -> Iterator[None]:
-    """Sets the offscreen buffer of the OpenGL contexts that are created in this context.
+    """Sets the size of the offscreen buffer of OpenGL contexts created within this context.
 
-    MuJoCo reads it from the model. The model is restored afterwards, since it may be the user's.
-
-    Args:
-        model: changed temporarily.
+    MuJoCo reads it from the model, which is changed temporarily.
     """
     size, quality = model.vis.global_, model.vis.quality
     before = size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
@@ -103,7 +99,7 @@ def offscreen_size(
 
 
 class ClassicRenderer(mujoco.Renderer):  # type: ignore[misc]
-    """A `SceneRenderer` that is MuJoCo's renderer on OpenGL."""
+    """MuJoCo's OpenGL renderer as a `SceneRenderer`."""
 
     def follow(self, data: mujoco.MjData) -> None: ...
 
@@ -112,21 +108,22 @@ class HeadlessRenderer(Painter):
     """Renders a world into arrays.
 
     Args:
-        quality: `draft` is quick where OpenGL is software, `fine` is for print.
-        stereo: `side-by-side` for a half of the picture for each eye, the left one on the left;
+        quality: `draft` is fast with software OpenGL, `fine` is for print.
+        stereo: `side-by-side` for half of the image for each eye, the left eye on the left;
             `anaglyph` for red-cyan glasses.
-        eye_distance: between the eyes, m.
-        follow: the robot, group or frame that the free camera moves with; that of the scene's view
-            when None.
-        renderer: `classic` for OpenGL, or the name of a `Renderer` of an extension; None for one
-            that is meant for the quality `fine`, if asked for, else `classic`. Where it does not
-            run, the classic renderer draws, and a warning is logged that says why.
+        eye_distance: distance between the eyes, m.
+        follow: robot, group or frame that the free camera follows; None for the setting of the
+            scene's view.
+        renderer: `classic` for OpenGL, or the name of a `Renderer` of an extension. None
+            selects a renderer for quality `fine` if that is requested, else `classic`. If it is
+            not available, the classic renderer is used, and a warning states the reason.
+        frames: approximate number of frames to be rendered.
 
     Raises:
-        RenderError: no OpenGL, the size or the eyes' distance is out of range, or there is no such
-            quality, renderer or stereo.
-        UnknownName: no camera of that name, or nothing to follow.
-        UsageError: a fixed camera is to follow something.
+        RenderError: OpenGL is not available, the size or eye distance is out of range, or there
+            is no such quality, renderer or stereo mode.
+        UnknownName: there is no camera or nothing to follow with this name.
+        UsageError: a fixed camera cannot follow anything.
     """
 
     def __init__(
@@ -146,7 +143,7 @@ class HeadlessRenderer(Painter):
         if quality not in QUALITIES:
             raise RenderError(Problem("quality", found=quality, expected=", ".join(QUALITIES)))
         self._scale = SUPERSAMPLING if quality == "fine" else 1
-        check_size("picture", width * self._scale, height * self._scale)
+        check_size("image", width * self._scale, height * self._scale)
         self.world = world
         self.camera = find_camera(world, camera)
         self._framing = Framing(world, self.camera, camera)
@@ -156,31 +153,29 @@ class HeadlessRenderer(Painter):
             self._follower = Follower(world, follow, declared_data(world))
         self.size = (width, height)
         self._stereo, self._eye_distance = stereo, eye_distance
-        # What one eye sees.
+        # Size for one eye.
         self._half = (width // 2, height) if stereo == "side-by-side" else (width, height)
-        check_size("half of the picture", *self._half)
+        check_size("half of the image", *self._half)
         self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
         self.decor = SceneDecor(world, with_text=False)
-        drawn, tall = self._half[0] * self._scale, height * self._scale
-        is_draft = quality == "draft"
-        self.renderer = choose_renderer(renderer, quality, drawn, tall)
+        size = self._half[0] * self._scale, height * self._scale
+        self.renderer = choose_renderer(renderer, quality, *size)
         self._renderer: SceneRenderer
         if self.renderer == CLASSIC:
-            classic = self._renderer = make_renderer(world, drawn, tall, is_draft=is_draft)
-            # A new renderer's OpenGL context is the current one.
+            classic = self._renderer = make_renderer(world, *size, is_draft=quality == "draft")
+            # The OpenGL context of a new renderer is the current one.
             self._surroundings = added_surroundings(world, context_of(classic))
         else:
-            self._renderer, self._surroundings = renderers()[self.renderer].make(
-                world, drawn, tall, quality, frames=frames
-            )
-        if is_draft:
+            kind = renderers()[self.renderer]
+            self._renderer, self._surroundings = kind.make(world, *size, quality, frames=frames)
+        if quality == "draft":
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self._typesetter = Typesetter(line_height(world, *self._half))
         self._passes: PassRenderer | None = None
 
     @classmethod
     def of_scene(cls, mirror: Mirror, options: ImageOptions, frames: int = 1) -> Self:
-        """Returns a renderer for pictures of a mirrored scene as they were chosen."""
+        """Returns a renderer for images of a mirrored scene with these options."""
         return cls(
             mirror.world,
             *options.size,
@@ -194,11 +189,7 @@ class HeadlessRenderer(Painter):
         )
 
     def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
-        """Renders one frame.
-
-        Args:
-            out: output array, (height, width, 3), uint8; None for a new one.
-        """
+        """Renders one frame into `out`, (height, width, 3), uint8, or into a new array."""
         self.decor.draw(data, self._look(data), self._renderer.scene)
         self._renderer.follow(data)
         text = self._typesetter.place(self.decor.panels)
@@ -209,7 +200,7 @@ class HeadlessRenderer(Painter):
         pixels = np.zeros((*self.size[::-1], 3), np.uint8) if out is None else out
         if self._stereo == "anaglyph":
             pixels[:] = anaglyph(*self._eyes())
-            compose(pixels, text)  # it stands where both eyes see the same
+            compose(pixels, text)  # at the same pixels for both eyes
         elif self._stereo == "side-by-side":
             width = self._half[0]
             for k, half in enumerate(self._eyes()):
@@ -221,9 +212,9 @@ class HeadlessRenderer(Painter):
         return pixels if out is not None else pixels.view(ImageArray)
 
     def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None:
-        """Moves the camera so that robots are in the picture in all of some poses.
+        """Moves the camera so that robots are in the image in all of some poses.
 
-        One that follows something stays; see `Framing.hold`.
+        A camera that follows something does not move; see `Framing.hold`.
         """
         if self._follower is None:
             self._framing.hold(self.camera, poses, self._half, turns)
@@ -232,25 +223,26 @@ class HeadlessRenderer(Painter):
         self._follower = None
 
     def segmentation(self, data: mujoco.MjData) -> Ints:
-        """Renders which part every pixel shows, with neither decor nor stereo.
+        """Renders the part at every pixel, without decor and stereo.
 
         Returns:
-            numbers of parts (height, width), int32, top row first; `part_names` names them.
+            numbers of parts (height, width), int32, top row first, which are indices of
+            `part_names`.
         """
         return self._filled(data).segmentation(self.decor.buffer)
 
     def depth(self, data: mujoco.MjData) -> Array:
-        """Renders the depth of every pixel, with neither decor nor stereo.
+        """Renders the depth of every pixel, without decor and stereo.
 
         Returns:
-            distances from the camera along the viewing direction (height, width), float32, m, top
-            row first; infinite for the sky.
+            distances from the camera along the viewing direction (height, width), float32, m,
+            top row first; infinite for the sky.
         """
         return self._filled(data).depth(self.decor.buffer)
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """Names of parts by their numbers in `segmentation`, see `passes.Parts`."""
+        """Names of the parts by their numbers in `segmentation`, see `passes.Parts`."""
         return self._pass_renderer().parts.names
 
     def _pass_renderer(self) -> PassRenderer:
@@ -271,13 +263,15 @@ class HeadlessRenderer(Painter):
             self._passes.close()
         super().close()
 
-    def render_blurred(self, moments: Iterable[mujoco.MjData], out: Pixels | None = None) -> Pixels:
-        """Renders one frame as the mean of moments, as an open shutter sees what moves.
+    def render_blurred(
+        self, subframes: Iterable[mujoco.MjData], out: Pixels | None = None
+    ) -> Pixels:
+        """Renders one frame as the mean of subframes, which blurs motion.
 
-        Text is that of the first moment, and stays sharp. There is one eye.
+        Text is that of the first subframe and remains sharp. Stereo is not supported.
         """
         exposure, text, scene = Exposure(), None, self._renderer.scene
-        for data in moments:
+        for data in subframes:
             view = self._look(data)
             if not exposure.moves(view, geom_corners(self.world.model, data)):
                 exposure.add()
@@ -286,7 +280,7 @@ class HeadlessRenderer(Painter):
             text = self._typesetter.place(self.decor.panels) if text is None else text
             exposure.add(self._drawn())
         pixels = np.zeros((*self.size[::-1], 3), np.uint8) if out is None else out
-        pixels[:] = exposure.picture()
+        pixels[:] = exposure.image()
         if text is not None:
             compose(pixels, text)
         return pixels if out is not None else pixels.view(ImageArray)
@@ -324,10 +318,10 @@ class HeadlessRenderer(Painter):
 
 
 def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) -> Any:
-    """Returns MuJoCo's renderer with an OpenGL context for pictures of a size.
+    """Returns MuJoCo's renderer with an OpenGL context for images of a size.
 
     Raises:
-        RenderError: there is no OpenGL, or no picture so large.
+        RenderError: OpenGL is not available, or the size is too large.
     """
     model = world.model
     adopt_backend()
@@ -339,10 +333,10 @@ def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) 
                 renderer = ClassicRenderer(model, height, width)
         upload_textures(model, context_of(renderer), textures)
         return renderer
-    except Exception as error:  # every GL backend raises errors of its own
-        doctor = "`sero-mj check` lists what is missing"
-        why = backend_problem() or f"{error or type(error).__name__}; {doctor}"
-        raise RenderError(f"no picture of {width}x{height} can be made: {why}") from error
+    except Exception as error:  # every OpenGL backend has its own errors
+        remedy = "`sero-mj check` lists missing packages"
+        why = backend_problem() or f"{error or type(error).__name__}; {remedy}"
+        raise RenderError(f"cannot render an image of {width}x{height}: {why}") from error
 
 
 NEXT_WITHIN = 0.5  # s in which a live source should send its next packet
@@ -359,18 +353,21 @@ def render_image(
     painter: Callable[[Mirror, ImageOptions], Painter] = HeadlessRenderer.of_scene,
     **keywords: Any,
 ) -> list[str]:
-    """Renders a picture of the current state of a scene.
+    """Renders an image of the current state of a scene.
 
     Args:
         path: the file; .png, or another format of Pillow.
-        **keywords: of `ImageOptions`: `size` (width, height), `quality`, `camera`, `stereo`,
-            `eye_distance`, `follow`, `clicks`, `shown`, `selected`, `render_pass`, `wait`.
+        at: time of recordings and simulations, in seconds since their start.
+        painter: function that returns the renderer.
+        **keywords: fields of `ImageOptions`: `size` (width, height), `quality`, `camera`,
+            `stereo`, `eye_distance`, `follow`, `clicks`, `shown`, `selected`, `render_pass`,
+            `wait`.
 
     Returns:
         names of the sources without data; their robots have the declared pose.
 
     Raises:
-        SeroError: a problem of the scene, its sources, the camera, an option or the file.
+        SeroError: the scene, its sources, the camera, an option or the file is invalid.
     """
     path, options = Path(path), options or ImageOptions(**keywords)
     if options.render_pass != "colour":
@@ -397,7 +394,7 @@ def render_image(
 
 def _save_pass(path: Path, drawn: Painter, data: mujoco.MjData, which: Pass) -> None:
     if not isinstance(drawn, HeadlessRenderer):
-        raise UsageError(f"--pass {which} is for pictures of a scene, not over photos")
+        raise UsageError(f"--pass {which} cannot be combined with --over")
     if which == "segmentation":
         save_segmentation(path, drawn.segmentation(data), drawn.part_names)
     else:
@@ -412,27 +409,28 @@ def render_video(
     on_progress: OnProgress | None = None,
     **keywords: Any,
 ) -> list[str]:
-    """Renders a film of a scene, in real time when it has live sources.
+    """Renders a video of a scene, in real time if it has live sources.
 
     Args:
         path: the file; .mp4, .webm or .gif.
-        **keywords: of `VideoOptions`: `duration` (s), `fps`, `orbit` (degrees), `camera_path` (a
-            file), and all of `render_image`; clicks are performed before the first frame.
+        **keywords: fields of `VideoOptions`: `duration` (s), `fps`, `orbit` (degrees),
+            `camera_path` (a file), and all of `render_image`; clicks are performed before the
+            first frame.
 
     Returns:
         names of the sources without data.
 
     Raises:
-        SeroError: a problem of the scene, its sources, the camera, an option or the file.
+        SeroError: the scene, its sources, the camera, an option or the file is invalid.
     """
     path, options = Path(path), options or VideoOptions(**keywords)
     if options.render_pass != "colour":
-        expected = "a picture: films change colours, by which parts and depths are told"
+        expected = "an image: videos change the colors that encode parts and depths"
         raise RenderError(Problem(file=str(path), found=options.render_pass, expected=expected))
     fps = options.fps or default_fps(path)
     count = max(round(options.duration * fps), 1)
     if count > MAX_FRAMES:
-        raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")
+        raise RenderError(f"found a video of {count} frames; expected at most {MAX_FRAMES}")
     drawn = count * (SUBFRAMES if options.quality == "fine" else 1)
     with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options, drawn) as renderer:
         clicks = partial(perform_clicks, renderer, clicks=options.clicks)
@@ -455,11 +453,7 @@ def write_video(
     options: ImageOptions,
     on_progress: OnProgress | None,
 ) -> list[str]:
-    """Writes frames that a painter draws as a film.
-
-    Returns:
-        names of the sources without data.
-    """
+    """Writes rendered frames to a video; returns the names of the sources without data."""
     with VideoWriter(path, *painter.size, fps) as film:
         silent = mirror.wait(options.wait)
         apply_switches(mirror.world, painter.toggles, options.shown, options.selected)

@@ -1,7 +1,7 @@
-"""`Renderer`: what draws pictures besides MuJoCo's classic renderer, and which one draws.
+"""`Renderer`: renderers other than MuJoCo's classic renderer, and their selection.
 
-A package adds a renderer by an entry point in the group `sero_mj.renderers`. Its name is the value
-of `--renderer`.
+A package adds a renderer with an entry point in the group `sero_mj.renderers`. Its name is the
+value of `--renderer`.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ CLASSIC = "classic"
 
 
 class SceneRenderer(Protocol):
-    """Draws a scene of MuJoCo into arrays.
+    """Renders a scene of MuJoCo into arrays.
 
     Attributes:
-        scene: to be filled by `mujoco.mjv_updateScene` before a picture is drawn.
+        scene: to be filled by `mujoco.mjv_updateScene` before rendering.
     """
 
     scene: mujoco.MjvScene
 
     def follow(self, data: mujoco.MjData) -> None:
-        """Takes from a state what the geoms of a scene do not tell: shapes of skins and flexes."""
+        """Takes the shapes of skins and flexes from a state, which the geoms of a scene lack."""
 
     def render(self, out: Pixels | None = None) -> Pixels: ...
 
@@ -43,11 +43,11 @@ class SceneRenderer(Protocol):
 
 
 class Renderer(ABC):
-    """A kind of renderer. Objects are made without arguments.
+    """A kind of renderer, created without arguments.
 
     Attributes:
-        is_for_fine: whether pictures of the quality `fine` take it where none is asked for.
-        packages: of Debian and Ubuntu, which it needs.
+        is_for_fine: whether it is the default for images of quality `fine`.
+        packages: packages that it needs on Debian and Ubuntu.
     """
 
     title: ClassVar[str]
@@ -66,18 +66,18 @@ class Renderer(ABC):
 
 @cache
 def renderers() -> dict[str, Renderer]:
-    """Renderers besides the classic one, by name."""
+    """Returns the renderers of extensions by name."""
     return {name: kind() for name, kind in load_all(RENDERERS, Renderer).items()}
 
 
 def choose_renderer(wanted: str | None, quality: Quality, width: int, height: int) -> str:
-    """Returns the renderer of a picture; logs in a line where it is not the wanted one.
+    """Returns the name of the renderer for an image; logs a warning if it is not the wanted one.
 
     Raises:
         RenderError: there is no such renderer.
     """
     if wanted == CLASSIC or (wanted is None and quality != "fine"):
-        return CLASSIC  # without importing the others
+        return CLASSIC  # without importing extensions
     known = renderers()
     if wanted is None:
         wanted = next((name for name, each in known.items() if each.is_for_fine), CLASSIC)
@@ -88,13 +88,13 @@ def choose_renderer(wanted: str | None, quality: Quality, width: int, height: in
     problem = known[wanted].problem(width, height)
     if problem is None:
         return wanted
-    _tell(wanted, problem)
+    _warn(wanted, problem)
     return CLASSIC
 
 
-@cache  # once for all pictures of a process
-def _tell(name: str, problem: str) -> None:
+@cache  # once per process
+def _warn(name: str, problem: str) -> None:
     kind = renderers()[name]
     remedy = f"; Debian, Ubuntu: apt install {kind.packages}" if kind.packages else ""
-    log.warning("the classic renderer draws, as %s does not run here: %s%s",
+    log.warning("%s is not available, so the classic renderer is used: %s%s",
                 kind.title, problem, remedy)  # fmt: skip

@@ -1,4 +1,4 @@
-"""States of a mirror at a fixed rate, in real time where its sources are live."""
+"""States of a mirror at a fixed rate, in real time if its sources are live."""
 
 from __future__ import annotations
 
@@ -13,34 +13,33 @@ import numpy as np
 from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld, Mirror
 
-_POSES = 64  # by which a camera is placed
-_LONGEST = 120.0  # s of a recording that is read before it is shown
+_POSES = 64
+_MAX_DURATION = 120.0  # s, of a recording that is read in advance
 
 
 def recorded_poses(mirror: LiveWorld) -> Iterator[mujoco.MjData]:
-    """Yields states of recordings, as `known_poses`; none of live, simulated and long ones."""
+    """Yields states of recordings as `known_poses` does, unless they are too long."""
     sources = mirror.sources.values()
     ends = [source.end for source in sources if source.end is not None and source.step is None]
-    if not mirror.is_live and 0 < len(ends) == len(sources) and max(ends) <= _LONGEST:
+    if not mirror.is_live and 0 < len(ends) == len(sources) and max(ends) <= _MAX_DURATION:
         yield from known_poses(mirror, 0.0, max(ends))
 
 
 def known_poses(mirror: LiveWorld, begin: float, end: float) -> Iterator[mujoco.MjData]:
-    """Yields states over a time whose sources are not live, for a camera that holds them.
+    """Yields states over a time span, for a camera that has to show all of them.
 
-    Args:
-        mirror: open; it is at the begin afterwards.
+    The mirror must not be live; afterwards it is at `begin`.
     """
-    # Backwards: recordings jump back without reading what is between.
+    # Backward, because recordings jump back without reading the frames in between.
     for now in np.linspace(end, begin, _POSES if mirror.sources else 1).tolist():
         mirror.advance(now)
         yield mirror.data
 
 
 def sampled_states(mirror: Mirror, count: int, fps: float, begin: float = 0.0) -> Iterator[Array]:
-    """Yields the state at the time of every frame, sampled on a thread if sources are live.
+    """Yields the state at the time of every frame; a thread samples live sources.
 
-    What is done with them may take longer than the time between two.
+    The consumer may be slower than the frame rate.
     """
     if not mirror.is_live:
         for k in range(count):
@@ -61,7 +60,7 @@ def sampled_states(mirror: Mirror, count: int, fps: float, begin: float = 0.0) -
         except BaseException as error:  # raised again on the caller's thread
             taken.put(error)
 
-    sampler = threading.Thread(target=sample, name="film sampler", daemon=True)
+    sampler = threading.Thread(target=sample, name="video sampler", daemon=True)
     sampler.start()
     try:
         for _ in range(count):

@@ -1,4 +1,4 @@
-"""`SceneDecor`: lays out decor, adds it to an `MjvScene`, and takes clicks on it, for all hosts."""
+"""`SceneDecor`: lays out decor, adds it to an `MjvScene`, and handles clicks on it."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ log = logging.getLogger(__name__)
 
 
 class SceneDecor:
-    """The decor of a world in a host.
+    """The decor of a world in a window, page or image.
 
     Args:
-        toggles: what is shown; the scene's own when None.
-        with_text: whether scenes get panels and labels; otherwise the host sets `panels`.
+        toggles: shown features; None for those of the scene.
+        with_text: whether scenes contain panels and labels; otherwise the caller draws
+            `panels`.
 
     Attributes:
-        view: of the last frame; None before the first.
+        view: view of the last frame; None before the first frame.
         dropped: number of geoms of the last frame that exceeded the scene's capacity.
     """
 
@@ -63,7 +64,7 @@ class SceneDecor:
 
     @property
     def fixed(self) -> str:
-        """What to tell who wants to move the camera; empty where that can be moved."""
+        """Message if the camera cannot be moved; empty if it can."""
         return ""
 
     @property
@@ -78,7 +79,7 @@ class SceneDecor:
         self._decor.draw(data, self.toggles, view)
 
     def draw(self, data: mujoco.MjData, view: ImageView, scene: mujoco.MjvScene) -> int:
-        """Lays out one frame and adds it to a scene that MuJoCo has filled."""
+        """Lays out one frame and adds it to a scene filled by MuJoCo."""
         self.lay_out(data, view)
         if self._host is None or self._host[0] is not scene:
             self._host = (scene, SceneWriter(scene))
@@ -87,22 +88,21 @@ class SceneDecor:
         if self.dropped and not self._has_warned:
             self._has_warned = True
             log.warning(
-                "%d decor geoms are not shown: the scene's capacity is %d",
+                "%d decor geoms are not drawn: the scene's capacity is %d",
                 self.dropped,
                 scene.maxgeom,
             )
         return self.dropped
 
     def from_above(self, x: float, y: float) -> Pixel:
-        """Returns the centre of a pixel, y up, of a pixel counted from the upper left corner."""
+        """Returns the center of a pixel, y up, for a pixel counted from the upper left corner."""
         assert self.view is not None
         return x + 0.5, self.view.height - y - 0.5
 
     def pick(self, data: mujoco.MjData, pixel: Pixel, tolerance: float = 0.0) -> Picked | None:
-        """Returns the item at a pixel of the last frame; None for no item.
+        """Returns the item at a pixel of the last frame, or None.
 
-        Args:
-            pixel: x to the right and y up from the lower left corner.
+        The pixel is counted from the lower left corner, x to the right and y up.
         """
         if self.view is None:
             return None

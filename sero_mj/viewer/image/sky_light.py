@@ -1,8 +1,8 @@
-"""The light of the sky around a scene: radiance, what surfaces get of it, and reflections of it.
+"""The light of the sky around a scene: radiance, irradiance and reflections.
 
-It depends on the elevation only: the sky of the palette, a large lamp above, and light that comes
-back from the ground. So occlusion darkens where links meet, and no side is tinted. Filament and
-pages show surfaces in it.
+It depends only on the elevation: the sky of the palette, a large lamp above, and light reflected by
+the ground. Occlusion darkens the gaps between links, and no side is tinted. Filament and pages use
+it.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ import numpy as np
 from ...base.frames import Array
 from ...robots.declared.surroundings import Palette, Rgb
 
-LEVELS = 6  # of reflections, by the surface's roughness
+LEVELS = 6  # number of reflections with different roughness
 _SHARPEST, _BLUREST = 0.03, 0.9  # rad, standard deviation of the blur of the first and last level
-_LAMP = 0.12  # of the lamp above, 1 - sine of the elevation at which it fades
-_HORIZON = 0.02  # sine of the elevation over which the ground becomes the sky
+_LAMP = 0.12  # 1 - sine of the elevation at which the lamp fades
+_HORIZON = 0.02  # width of the transition from ground to sky, sine of the elevation
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of red, green and blue; ITU-R BT.709
 
 
 def linear(srgb: Array) -> Array:
-    """Returns linear light, 0 to 1, of colours as they are shown, 0 to 1.
+    """Returns linear light, 0 to 1, of displayed colors, 0 to 1.
 
     Source: IEC 61966-2-1 (sRGB).
     """
@@ -29,7 +29,7 @@ def linear(srgb: Array) -> Array:
 
 
 def shown(light: Array) -> Array:
-    """Returns colours as they are shown, the inverse of `linear`."""
+    """Returns displayed colors of linear light, the inverse of `linear`."""
     light = np.clip(light, 0.0, None)
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
 
@@ -39,11 +39,7 @@ def _grey(rgb: Rgb) -> float:
 
 
 class SkyLight:
-    """Light of a palette by the sine of the elevation, relative to white.
-
-    Args:
-        palette: colours, and how bright the sky, the ground and the lamp are.
-    """
+    """Light of a palette as a function of the sine of the elevation, relative to white."""
 
     def __init__(self, palette: Palette) -> None:
         light = palette.physical
@@ -52,7 +48,7 @@ class SkyLight:
         self._lamp = light.softbox
 
     def radiance(self, up: Array) -> Array:
-        """Returns radiance (...) for the sines (...)."""
+        """Returns radiance (...) for sines of the elevation (...)."""
         up = np.asarray(up, float)
         high = np.clip(up, 0.0, 1.0)
         sky = self._horizon + (self._zenith - self._horizon) * np.sqrt(high)
@@ -81,8 +77,8 @@ class SkyLight:
         """Returns radiance (...) that surfaces of a roughness reflect.
 
         Args:
-            up: sines of the elevation of the directions that mirrors would show, (...).
-            level: 0 for a mirror to `LEVELS` - 1 for the roughest.
+            up: sines of the elevation of the directions that a mirror would reflect, (...).
+            level: 0 for a mirror to `LEVELS` - 1 for the roughest surface.
         """
         spread = _SHARPEST + (_BLUREST - _SHARPEST) * (level / (LEVELS - 1)) ** 2
         angles = np.linspace(-np.pi / 2, np.pi / 2, 181)

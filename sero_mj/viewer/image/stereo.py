@@ -1,7 +1,7 @@
-"""Pictures for two eyes: side by side, or in one as a red-cyan anaglyph.
+"""Images for two eyes: side by side, or combined as a red-cyan anaglyph.
 
 Both eyes look in the same direction, with off-axis frustums: points at the distance of the look-at
-point are at the same pixel for both. All text is drawn at that distance.
+point are at the same pixel for both eyes. All text is drawn at that distance.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from ...base.errors import RenderError, shown
 from .image_options import Stereo
 
 STEREO: tuple[str, ...] = get_args(Stereo)
-_MOST_APART = 1.0  # m
-_LAID_OUT = 2.0  # times the near plane; see `viewer.decor.panels`
+_MAX_DISTANCE = 1.0  # m
+_LAID_OUT = 2.0  # maximum depth of leaders in units of the near plane; see `viewer.decor.panels`
 # Of red, green and blue for the left eye (red filter) and the right one (cyan), rows by column.
 # Source: Dubois, A projection method to generate anaglyph stereo images, ICASSP 2001, as
 # published for common filters and screens.
@@ -31,23 +31,24 @@ def check_stereo(stereo: str | None, eye_distance: float) -> None:
     """Raises RenderError for an unknown kind of stereo, or a distance out of range."""
     if stereo is not None and stereo not in STEREO:
         raise RenderError(f"found stereo {shown(stereo)}; expected {' or '.join(STEREO)}")
-    if not 0 < eye_distance <= _MOST_APART:
-        expected = f"expected a distance above 0, up to {_MOST_APART:g} m"
+    if not 0 < eye_distance <= _MAX_DISTANCE:
+        expected = f"expected a distance above 0, up to {_MAX_DISTANCE:g} m"
         raise RenderError(f"found {eye_distance:g} m between the eyes; {expected}")
 
 
 def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> Iterator[None]:
-    """Moves the camera of a scene to the left eye, then to the right one, and yields at each.
+    """Moves the camera of a scene to the left eye, then to the right eye, and yields at each.
 
     Args:
-        scene: that `mjv_updateScene` and decor have filled; afterwards it is as before.
-        distance: along the viewing direction, m, of points at the same pixel for both.
+        scene: filled by `mjv_updateScene` and decor; restored afterwards.
+        distance: distance along the viewing direction of points at the same pixel for both
+            eyes, m.
     """
     first = scene.camera[0]
     middle = (np.array(first.pos, np.float64) + np.array(scene.camera[1].pos)) / 2
     forward = np.array(first.forward, np.float64)
     to_right = np.cross(forward, np.array(first.up, np.float64))
-    # What is laid out in pixels, leaders of panels, is just behind the near plane.
+    # Leaders of panels, which are laid out in pixels, are just behind the near plane.
     laid_out = []
     for geom in scene.geoms[: scene.ngeom]:
         position = np.array(geom.pos, np.float64)
@@ -70,22 +71,21 @@ def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> It
 def looked_at(
     scene: mujoco.MjvScene, camera: mujoco.MjvCamera, centre: NDArray[np.float64]
 ) -> float:
-    """Returns the distance of what a camera looks at, m.
+    """Returns the distance of the look-at point of a camera, m.
 
-    Args:
-        centre: of the scene, (3,), m; used for a camera of the model.
+    For a camera of the model, this is the distance of `centre`, the scene's center (3,), m.
     """
     near = float(scene.camera[0].frustum_near)
     is_free = camera.type == mujoco.mjtCamera.mjCAMERA_FREE
     eyes = (np.array(scene.camera[0].pos) + np.array(scene.camera[1].pos)) / 2
     at = np.array(camera.lookat) if is_free else centre
-    ahead = float((at - eyes) @ np.array(scene.camera[0].forward, np.float64))
-    return max(ahead, (2.0 if is_free else 10.0) * near)
+    depth = float((at - eyes) @ np.array(scene.camera[0].forward, np.float64))
+    return max(depth, (2.0 if is_free else 10.0) * near)
 
 
 def anaglyph(left: Pixels, right: Pixels) -> Pixels:
-    """Mixes pictures (height, width, 3) of both eyes for red-cyan glasses, red on the left eye."""
-    # In linear light, where the filters of glasses work.
+    """Combines the images (height, width, 3) of both eyes for red-cyan glasses (red: left eye)."""
+    # In linear light, which the filters of glasses absorb.
     tables = (np.arange(256) / 255.0) ** 2.2
     mixed = tables[left] @ _LEFT.T + tables[right] @ _RIGHT.T
     return np.asarray((np.clip(mixed, 0.0, 1.0) ** (1 / 2.2) * 255.0).round(), np.uint8)

@@ -18,14 +18,14 @@ SWITCH_NAMES = (
     "doubles", "legend", "status", "flange_checks", "contacts", "inertias", "joint_axes",
     "centres_of_mass", "part_names", "transparent", "wireframe",
 )  # fmt: skip
-# Also accepted, but not settable: whether torques are those of the model, as the legend says.
+# Also accepted, but not a switch: joints whose torques are those of the model.
 MODELLED = "modelled"
-# The largest digit of switches that are not on or off.
-_MOST = {"arrow_quantity": len(ARROW_QUANTITIES) - 1, "part_names": len(PART_NAMES) - 1}
+# The largest digit of switches with several values.
+_MAX_DIGIT = {"arrow_quantity": len(ARROW_QUANTITIES) - 1, "part_names": len(PART_NAMES) - 1}
 
 
 def switches_text(world: WorldView, toggles: Toggles) -> dict[str, str]:
-    """Returns switches that differ from the declared ones: a digit per item, or one for all."""
+    """Returns switches that differ from the declared ones: one digit per item, or one for all."""
     declared = Toggles(world)
     found = {}
     for name in SWITCH_NAMES:
@@ -38,40 +38,39 @@ def switches_text(world: WorldView, toggles: Toggles) -> dict[str, str]:
 
 
 def apply_switches(
-    world: WorldView, toggles: Toggles, given: Mapping[str, str], selected: str | None = None
+    world: WorldView, toggles: Toggles, digits_of: Mapping[str, str], selected: str | None = None
 ) -> None:
-    """Sets switches.
+    """Sets switches, and the selected joint.
 
     Args:
-        given: by name, see `SWITCH_NAMES`: a digit for each item (joint, frame, ...), or one for
-            all; 1 is on, `arrow_quantity` counts the quantities from 0, and `part_names` is an
-            index of `PART_NAMES`.
+        digits_of: digits by the names in `SWITCH_NAMES`: one for each item (joint, frame, ...),
+            or one for all. 1 is on; `arrow_quantity` and `part_names` are indices.
 
     Raises:
-        UsageError: no such switch, other digits, or not as many as there are items.
-        UnknownName: no such joint.
+        UsageError: there is no such switch, or its digits are invalid.
+        UnknownName: there is no such joint.
     """
     if selected is not None:
         toggles.selected = find_joint(world, selected)
-    for name, digits in given.items():
+    for name, digits in digits_of.items():
         if name not in (*SWITCH_NAMES, MODELLED):
             raise UsageError(f"no switch '{name}'{did_you_mean(name, SWITCH_NAMES)}")
-        most = _MOST.get(name, 1)
-        if not digits or any(digit not in "0123456789"[: most + 1] for digit in digits):
-            raise UsageError(f"{name}: found '{digits}'; expected digits from 0 to {most}")
+        largest = _MAX_DIGIT.get(name, 1)
+        if not digits or any(digit not in "0123456789"[: largest + 1] for digit in digits):
+            raise UsageError(f"{name}: found '{digits}'; expected digits from 0 to {largest}")
         now = getattr(toggles, name)
         count = 1 if isinstance(now, int) else len(now)
         if len(digits) not in (1, count):
             many = f", or {count}: one for each" if count > 1 else ""
             raise UsageError(f"{name}: found {len(digits)} digits; expected one{many}")
-        if isinstance(now, int):  # a bool, too
+        if isinstance(now, int):  # also a bool
             setattr(toggles, name, type(now)(int(digits)))
             continue
         now[:] = [int(digit) for digit in digits] if len(digits) == len(now) else int(digits)
 
 
 def find_joint(world: WorldView, name: str) -> int:
-    """Returns the index of a joint, `lwr/A2`; raises UnknownName if there is none."""
+    """Returns the index of a joint such as `lwr/A2`; raises UnknownName if there is none."""
     names = [joint_name(world, i) for i in range(len(world.joints.names))]
     if name not in names:
         raise UnknownName("joint", name, names)

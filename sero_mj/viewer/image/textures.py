@@ -1,8 +1,8 @@
 """Computes the mipmaps of textures without OpenGL, for drafts.
 
-Mesa's software renderer generates mipmaps by shaders that it compiles for every context: 50 ms for
-the floor and 50 ms for the sky, longer than the whole picture of a small robot. Its mipmaps are
-rounded differently, by at most 3 of 255 in a picture.
+Mesa's software renderer generates mipmaps with shaders that it compiles for every context: 50 ms
+for the floor and 50 ms for the sky, more than the whole image of a small robot takes. Its mipmaps
+are rounded differently, which changes an image by at most 3 of 255.
 """
 
 from __future__ import annotations
@@ -22,14 +22,13 @@ _FACES = 6  # of a cube, one below the other
 
 @contextmanager
 def without_textures(model: mujoco.MjModel) -> Iterator[Ints]:
-    """Leaves textures out of the OpenGL contexts that are created in this context.
+    """Omits textures from the OpenGL contexts that are created in this context.
 
-    Args:
-        model: changed temporarily; one pixel of such a texture is uploaded, which has no mipmaps.
+    The model is changed temporarily: one pixel of each omitted texture is uploaded.
 
     Yields:
-        ids of the textures that `upload_textures` has to upload: those whose sides are powers of
-        two, of plain colours.
+        ids of the textures for `upload_textures`: plain colors with sides that are powers of
+        two.
     """
     wide, tall = model.tex_width.copy(), model.tex_height.copy()
     is_cube = tall == _FACES * wide

@@ -1,7 +1,7 @@
-"""`Typesetter`: sets panels of text in Inter, as pictures that hosts lay over their own.
+"""`Typesetter`: sets panels of text in Inter, as images to be laid over others.
 
-Headless pictures take them by `compose`, windows by OpenGL. Names, labels and units of a panel are
-set once; only its numbers are set in every frame, from an atlas of figures of equal width.
+Images use `compose`, windows OpenGL. Names, labels and units of a panel are set once. Only its
+numbers are set in every frame, from an atlas of digits of equal width.
 """
 
 from __future__ import annotations
@@ -23,25 +23,21 @@ Rgb = tuple[float, float, float]
 Rgba = tuple[float, float, float, float]
 Size = tuple[int, int]
 
-_EM = 0.74  # of a line's height
-_RADIUS = 0.28  # of the corners, of a line's height
+_EM = 0.74  # fraction of a line's height
+_RADIUS = 0.28  # of the corners, fraction of a line's height
 _EDGE = 0.10  # fraction of white in a panel's outline
 _FIGURES = "0123456789.-+e"
 _MINUS = "\N{MINUS SIGN}"
 _NUMBER: Rgb = (1.0, 1.0, 1.0)
 _NAME: Rgb = (0.90, 0.93, 0.96)
 _QUIET: Rgb = (0.68, 0.73, 0.79)  # labels and units
-# Kept for the next frames; a picture has some ten panels and a hundred texts.
-_PANELS_KEPT, _TEXTS_KEPT = 128, 512
+# Sizes of the caches; an image has about ten panels and a hundred texts.
+_CACHED_PANELS, _CACHED_TEXTS = 128, 512
 
 
 @dataclass(frozen=True)
 class PlacedText:
-    """A line of text in a panel.
-
-    Attributes:
-        text: characters that no font has are shown as question marks.
-    """
+    """A line of text in a panel; characters without a font become question marks."""
 
     x: float
     y: float
@@ -52,7 +48,7 @@ class PlacedText:
 
 @dataclass(frozen=True, eq=False)
 class PlacedPanel:
-    """A panel at its place in a picture.
+    """A panel at its position in an image.
 
     Attributes:
         pixels: (height, width, 4), premultiplied RGBA, top row first.
@@ -79,8 +75,8 @@ class Typesetter:
         cells = {c: round(widths[ord(c)] if c in ".e" else figure) for c in _FIGURES}
         for c, cell in cells.items():
             widths[ord(c)] = max(widths[ord(c)], cell)
-        self._coverage = lru_cache(_TEXTS_KEPT)(self._draw)
-        self.panel = lru_cache(_PANELS_KEPT)(self._set)
+        self._coverage = lru_cache(_CACHED_TEXTS)(self._draw)
+        self.panel = lru_cache(_CACHED_PANELS)(self._set)
         self._figures = {c: self._figure(c, cell) for c, cell in cells.items()}
         self.font = Font(line, widths, has_columns=True, other=self._width)
         self._last: dict[Hashable, Bytes] = {}  # panels of the last frame
@@ -98,13 +94,13 @@ class Typesetter:
             for face, characters in groupby(text, lambda c: self._face_of(c, is_strong))
         ]
         widths = [face.getlength(part) for face, part in runs]
-        picture = Image.new("L", (int(np.ceil(sum(widths))) + 1, self._line))
+        image = Image.new("L", (int(np.ceil(sum(widths))) + 1, self._line))
         left = 0.0
         for (face, part), width in zip(runs, widths, strict=True):
             at = (left, self._baseline)
-            ImageDraw.Draw(picture).text(at, part, 255, face, anchor="ls")
+            ImageDraw.Draw(image).text(at, part, 255, face, anchor="ls")
             left += width
-        return np.asarray(picture)
+        return np.asarray(image)
 
     def _face_of(self, character: str, is_strong: bool) -> ImageFont.FreeTypeFont:
         file = None if character.isascii() or character == _MINUS else font_with(character)
@@ -222,15 +218,15 @@ def _blend(out: Bytes, coverage: Bytes, left: int, top: int, rgb: Rgb) -> None:
     below[:] = (below * (255 - cover) + ink.astype(np.uint16) * cover + 127) // 255
 
 
-def compose(picture: Bytes, panels: Sequence[PlacedPanel]) -> None:
-    """Lays panels over a picture (height, width, 3), top row first, in place."""
-    height, width = picture.shape[:2]
+def compose(image: Bytes, panels: Sequence[PlacedPanel]) -> None:
+    """Lays panels over an image (height, width, 3), top row first, in place."""
+    height, width = image.shape[:2]
     for placed in panels:
         top, left = height - placed.bottom - placed.pixels.shape[0], placed.left
         y, x = max(top, 0), max(left, 0)
         over = placed.pixels[y - top :, x - left :][: max(height - y, 0), : max(width - x, 0)]
-        below = picture[y : y + over.shape[0], x : x + over.shape[1]]
-        # In steps that numpy does fast: half the time of one expression that broadcasts alpha.
+        below = image[y : y + over.shape[0], x : x + over.shape[1]]
+        # In steps that are fast in numpy: half the time of one expression that broadcasts alpha.
         through = np.repeat(256 - over[..., 3].astype(np.uint16), 3, axis=1)
         mixed = below.astype(np.uint16)
         mixed *= through.reshape(mixed.shape)

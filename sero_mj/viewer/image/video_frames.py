@@ -20,12 +20,12 @@ from .image_files import Pixels
 from .image_options import VideoOptions
 from .sampling import known_poses, sampled_states
 
-_TURNS = 24  # of a turntable, by which the camera is placed
+_TURNS = 24  # steps of a turntable that the camera has to show
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 SUBFRAMES = 8
-SHUTTER = 0.5  # open, of the time between two frames
-_LEAST_SHIFT = 0.5  # pixels; what moves less is not drawn again
-_LEVELS = 1 << 16  # of linear light, fine enough to distinguish the darkest two of 256 levels
+SHUTTER = 0.5  # exposure time, fraction of the time between two frames
+_MIN_SHIFT = 0.5  # pixels; smaller motion needs no new image
+_LEVELS = 1 << 16  # of linear light, which distinguish the darkest two of 256 levels
 # Source: IEC 61966-2-1 (sRGB).
 _CODES = np.arange(256) / 255
 _LINEAR = np.where(
@@ -38,11 +38,7 @@ OnState = Callable[[mujoco.MjData], None]
 
 
 class VideoRenderer(Protocol):
-    """What draws a film: a `HeadlessRenderer`.
-
-    Attributes:
-        camera: may be moved between frames.
-    """
+    """Renders a video: a `HeadlessRenderer`. Its camera may be moved between frames."""
 
     world: WorldView
     camera: mujoco.MjvCamera
@@ -55,7 +51,7 @@ class VideoRenderer(Protocol):
     def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels: ...
 
     def render_blurred(
-        self, moments: Iterable[mujoco.MjData], out: Pixels | None = None
+        self, subframes: Iterable[mujoco.MjData], out: Pixels | None = None
     ) -> Pixels: ...
 
 
@@ -68,13 +64,13 @@ def video_frames(
     on_first: OnState = lambda data: None,
     on_state: OnState = lambda data: None,
 ) -> Iterator[Pixels]:
-    """Draws the state at the time of every frame, always into the same array."""
+    """Renders the state at the time of every frame, always into the same array."""
     _check_motion(renderer, options)
     path = None if options.camera_path is None else read_camera_path(options.camera_path)
     if path is not None and path.has_look_at:
         if options.follow is not None:
-            reason = f"its look_at does not go with --follow {options.follow}"
-            raise UsageError(f"--camera-path {options.camera_path}: {reason}; leave one out")
+            reason = f"look_at cannot be combined with --follow {options.follow}; remove one"
+            raise UsageError(f"--camera-path {options.camera_path}: {reason}")
         renderer.follow_nothing()
     return _draw(mirror, renderer, count, fps, options, path, on_first, on_state)
 
@@ -95,13 +91,13 @@ def _draw(
         renderer.hold(known_poses(mirror, 0.0, count / fps), _turns(options))
     pixels = np.empty((*renderer.size[::-1], 3), np.uint8)
     is_blurred = options.quality == "fine" and options.stereo is None and not mirror.is_live
-    subframes = SUBFRAMES if is_blurred else 1
+    count_of_frame = SUBFRAMES if is_blurred else 1
 
     def move(time: float) -> None:
         if motion is not None:
             motion(renderer.camera, time)
 
-    for k, states in enumerate(_opened(mirror, count, fps, subframes)):
+    for k, states in enumerate(_states(mirror, count, fps, count_of_frame)):
         if k == 0:
             restore(world, data, states[0])
             if mirror.is_live and not is_placed:
@@ -111,15 +107,16 @@ def _draw(
             move(0.0)
             on_state(data)
             on_first(data)
-        times = (k + SHUTTER * np.arange(len(states)) / subframes) / fps
-        moments = _moments(world, data, zip(times.tolist(), states, strict=True), move, on_state)
+        times = (k + SHUTTER * np.arange(len(states)) / count_of_frame) / fps
+        timed = zip(times.tolist(), states, strict=True)
+        subframes = _subframes(world, data, timed, move, on_state)
         if is_blurred:
-            yield renderer.render_blurred(moments, out=pixels)
+            yield renderer.render_blurred(subframes, out=pixels)
         else:
-            yield renderer.render(next(moments), out=pixels)
+            yield renderer.render(next(subframes), out=pixels)
 
 
-def _moments(
+def _subframes(
     world: World,
     data: mujoco.MjData,
     states: Iterable[tuple[float, Array]],
@@ -133,7 +130,7 @@ def _moments(
         yield data
 
 
-def _opened(mirror: Mirror, count: int, fps: float, subframes: int) -> Iterator[list[Array]]:
+def _states(mirror: Mirror, count: int, fps: float, subframes: int) -> Iterator[list[Array]]:
     if subframes == 1:
         yield from ([state] for state in sampled_states(mirror, count, fps))
         return
@@ -156,7 +153,7 @@ def _check_motion(renderer: VideoRenderer, options: VideoOptions) -> None:
     names = ("orbit", "camera_path")
     moved = [options.spelled(name) for name in names if getattr(options, name) is not None]
     if len(moved) > 1:
-        raise UsageError(f"{' and '.join(moved)}: both move the camera; leave one of them out")
+        raise UsageError(f"{' and '.join(moved)}: both move the camera; remove one of them")
     if moved and renderer.camera.type != _FREE:
         name = renderer.world.model.camera(renderer.camera.fixedcamid).name
         expected = "the free camera, azimuth,elevation,distance or the scene's view"
@@ -164,37 +161,37 @@ def _check_motion(renderer: VideoRenderer, options: VideoOptions) -> None:
 
 
 class Exposure:
-    """Collects the pictures of a frame, of moments at equal intervals.
+    """Averages the images of a frame, which are rendered for subframes at equal intervals.
 
-    A moment in which nothing has moved since the last one needs no picture: that one counts again.
+    If nothing has moved since the last subframe, its image is used again.
     """
 
     def __init__(self) -> None:
-        self._seen: tuple[Array, Array] | None = None  # pixels and depths of points, when drawn
+        self._seen: tuple[Array, Array] | None = None  # pixels and depths in the last image
         self._last: NDArray[np.float32] | None = None
         self._sum: NDArray[np.float32] | None = None
         self._count = 0
 
     def moves(self, view: ImageView, points: Array) -> bool:
-        """Whether a moment needs a picture of its own, for `add`.
+        """Whether a subframe needs a new image, to be passed to `add`.
 
         Args:
-            view: of the camera at that moment.
-            points: of all that may move, (..., 3), m.
+            view: view of the camera in that subframe.
+            points: points on everything that may move, (..., 3), m.
         """
         pixels, depth = view.project(points)
         if self._seen is not None:
             before, depth_before = self._seen
-            seen = view.sees(pixels, depth) | view.sees(before, depth_before)
-            shift = np.abs(pixels - before)[seen]
-            if not len(shift) or shift.max() < _LEAST_SHIFT:
+            is_visible = view.sees(pixels, depth) | view.sees(before, depth_before)
+            shift = np.abs(pixels - before)[is_visible]
+            if not len(shift) or shift.max() < _MIN_SHIFT:
                 return False
         self._seen = pixels, depth
         return True
 
-    def add(self, picture: Pixels | None = None) -> None:
-        if picture is not None:
-            self._last = _LINEAR[picture]
+    def add(self, image: Pixels | None = None) -> None:
+        if image is not None:
+            self._last = _LINEAR[image]
         assert self._last is not None
         if self._sum is None:
             self._sum = self._last.copy()
@@ -202,7 +199,7 @@ class Exposure:
             self._sum += self._last
         self._count += 1
 
-    def picture(self) -> Pixels:
+    def image(self) -> Pixels:
         assert self._sum is not None
         mean = self._sum * ((_LEVELS - 1) / self._count) + 0.5
         return np.asarray(_SRGB[mean.astype(np.int32).clip(0, _LEVELS - 1)])

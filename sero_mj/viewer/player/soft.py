@@ -81,10 +81,7 @@ class SoftParts:
             self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + _MOST_PIECES)
         scene = self._scene
         mujoco.mjv_updateScene(model, data, self._option, None, self._camera, _ALL, scene)
-        rows = struct_view(scene)
-        if rows is None:
-            return np.zeros(0, GEOM)
-        rows = rows[: scene.ngeom]
+        rows = struct_view(scene)[: scene.ngeom]
         kept: np.ndarray = rows[(rows["objtype"] == _TENDON) & (rows["type"] == _CAPSULE)].copy()
         return kept
 

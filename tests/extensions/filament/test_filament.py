@@ -231,7 +231,7 @@ def test_without_a_driver_the_picture_is_classic_and_a_line_says_why(
     for name, value in NO_DRIVER.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(filament_probe, "_file", lambda: tmp_path / "filament.json")
-    renderer_choice._tell.cache_clear()
+    renderer_choice._warn.cache_clear()
     for quality in ("normal", "fine", "fine"):
         with HeadlessRenderer(world, 64, 48, quality=quality, renderer="filament") as renderer:  # type: ignore[arg-type]
             assert renderer.renderer == "classic"
@@ -243,8 +243,8 @@ def test_without_a_driver_the_picture_is_classic_and_a_line_says_why(
     # The answer is remembered: no process is started for it again.
     filament_probe._problem.cache_clear()
     monkeypatch.setattr(subprocess, "run", None)
-    assert "no driver of Vulkan" in (filament_problem() or "")
-    renderer_choice._tell.cache_clear()
+    assert "no Vulkan driver" in (filament_problem() or "")
+    renderer_choice._warn.cache_clear()
 
 
 def test_an_answer_that_cannot_be_kept_is_found_again(
@@ -270,10 +270,10 @@ def test_an_answer_that_cannot_be_kept_is_found_again(
     [
         ("libc++abi: terminating\nin createVkInstance:985\nreason: Unable to create Vulkan "
          "instance. error=-9\n", -6,
-         "no driver of Vulkan (Unable to create Vulkan instance. error=-9)"),
-        ("Traceback\n  File\nsero_mj.base.errors.RenderError: its picture is empty\n", 1,
-         "sero_mj.base.errors.RenderError: its picture is empty"),
-        ("", -11, "a process that tried it ended with -11"),
+         "no Vulkan driver (Unable to create Vulkan instance. error=-9)"),
+        ("Traceback\n  File\nsero_mj.base.errors.RenderError: the rendered image is empty\n", 1,
+         "sero_mj.base.errors.RenderError: the rendered image is empty"),
+        ("", -11, "the test process ended with status -11"),
     ],
 )  # fmt: skip
 def test_a_reason_is_a_line(stderr: str, status: int, reason: str) -> None:
@@ -304,8 +304,8 @@ def test_options_that_are_unknown_or_wrong_are_told_and_have_no_effect(
     )
     assert np.ptp(pixels) > 50
     assert [record.getMessage() for record in caplog.records] == [
-        "filament.cg.slope: found 1; expected finite numbers, 3",
-        "'filament.shine' is no option of MuJoCo's Filament renderer: it has no effect",
+        "filament.cg.slope: found 1; expected 3 finite numbers",
+        "unknown option 'filament.shine' of MuJoCo's Filament renderer is ignored",
     ]
 
 

@@ -54,8 +54,8 @@ of = "fr3"
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect follow each other quickly."""
-    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.002)
-    monkeypatch.setattr(receiving_thread, "LONGEST", 0.02)
+    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 0.002)
+    monkeypatch.setattr(receiving_thread, "MAX_PAUSE", 0.02)
 
 
 @pytest.fixture
@@ -179,7 +179,11 @@ def test_states_that_are_missing_are_lost(server: FrankaServer) -> None:
         (answer(1, version=2), " has version 2 of the server; 3 to 10 are known", 0),
         (answer(0, version=11), " has version 11 of the server; 3 to 10 are known", 0),
         (answer(1, version=10), " refuses version 10, and says that it has 10", 0),
-        (b"", ": it closed the connection without an answer; is another client connected?", 0),
+        (
+            b"",
+            ": the peer closed the connection without an answer; is another client connected?",
+            0,
+        ),
     ],
 )
 def test_a_peer_that_refuses_or_talks_nonsense_is_told_and_tried_again(
@@ -287,12 +291,12 @@ def test_a_robot_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture) -> 
         told = f"127.0.0.1:{port}: Connection refused; is FCI activated in Desk?"
         assert until(lambda: receiver.trouble == told)
         rows = {row[0]: row for row in describe(report(receiver))}
-        assert rows["state"][1:] == ("silent", f"no good packet yet: {told}")
+        assert rows["state"][1:] == ("silent", f"no valid packet yet: {told}")
         with FrankaServer(port=port) as server:
             assert server.started.wait(5.0)
             give(receiver, server, server.state())
     texts = [text for text in caplog.messages if "refused" in text]
-    assert texts == [f"source 'franka': {told}; it is tried again"]
+    assert texts == [f"source 'franka': {told}; trying again"]
 
 
 @settings(max_examples=examples(80))
@@ -388,8 +392,16 @@ def test_modes_and_errors_are_told_in_words() -> None:
     [
         ({}, "host", "is required"),
         ({"host": ""}, "host", "found ''; expected an address such as 192.168.0.3"),
-        ({"host": "a", "structure": "7F"}, "structure", "found '7F'; FCI fixes it: leave it out"),
-        ({"host": "a", "time_scale": 1.0}, "time_scale", "found 1; FCI fixes it: leave it out"),
+        (
+            {"host": "a", "structure": "7F"},
+            "structure",
+            "found '7F'; FCI determines this",
+        ),
+        (
+            {"host": "a", "time_scale": 1.0},
+            "time_scale",
+            "found 1; FCI determines this",
+        ),
         ({"host": "a", "port": 0}, "port", "found 0; expected"),
     ],
 )
@@ -411,7 +423,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             assert isinstance(source, FrankaReceiver)
             awaited = Status(mirror.world)._awaited(mirror.data, Toggles(mirror.world), view_at())
             assert awaited is not None
-            assert awaited.texts[0][1].decode() == "  awaited: states"
+            assert awaited.texts[0][1].decode() == "  expected: states"
             assert server.started.wait(5.0)
             target = [angle + 0.25 for angle in SEVEN]
             with record_sources(mirror.sources, recording, scene=scene):
@@ -424,7 +436,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             mirror.advance()
             assert corner_lines(mirror) == [
                 "fci: 1 of 3 packets not applied",
-                "  a state that cannot be used, 2365 bytes",
+                "  invalid state, 2365 bytes",
                 "fci: robot stopped by its user",
             ]
     scene.sources["fci"] = Replay(name="fci", file=recording)

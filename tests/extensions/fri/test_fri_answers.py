@@ -157,12 +157,12 @@ def test_a_stranger_gets_no_answer(controller: socket.socket) -> None:
             False,
             [
                 "fri: quality unacceptable, state monitor",
-                "  no answers are sent to it: answer = false",
+                "  no answers are sent: answer = false",
             ],
         ),
     ],
 )
-def test_a_state_that_is_not_good_is_in_the_corner(
+def test_an_unhealthy_state_is_shown_in_the_corner(
     controller: socket.socket, state: int, quality: int, answer: bool, lines: list[str]
 ) -> None:
     scene = load_scene("lwr_fri")
@@ -178,7 +178,7 @@ def test_a_state_that_is_not_good_is_in_the_corner(
         mirror.advance()
         assert corner_lines(mirror)[:2] == [
             "fri: 1 of 2 packets not applied",
-            "  another kind of packet: a constant is wrong",
+            "  wrong constant: another kind of packet",
         ]
 
 

@@ -21,9 +21,13 @@ from sero_mj.base.errors import SourceError, UsageError
 from sero_mj.cli import main
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.send.sender import UdpSink
-from sero_mj.extensions.fri.controller import AnswerStatistics, FriController, NetworkFaults
+from sero_mj.extensions.fri.controller import (
+    AnswerStatistics,
+    FriController,
+    FriSignals,
+    NetworkFaults,
+)
 from sero_mj.extensions.fri.receiver import FriLayout, FriReceiver, no_command
-from sero_mj.extensions.fri.signals import FriSignals
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.robot import SerialRobot
 
@@ -39,7 +43,7 @@ controller = FriController(SerialRobot.from_model("lwr"), faults=faults, **optio
 with UdpSink("127.0.0.1", int(sys.argv[1])) as sink:
     report = controller.run(sink, duration=float(sys.argv[3]))
 last = controller._layout.decode(controller.measure(0.0))
-print(json.dumps([report.packets, faults.withheld, faults.doubled, faults.swapped,
+print(json.dumps([report.packets, faults.lost, faults.duplicated, faults.swapped,
                   controller.answers, controller.command_flags,
                   last["answer_rate"][0], last["quality"][0], last["latency"][0]]))
 """
@@ -191,7 +195,7 @@ def test_a_quality_can_be_told_whatever_is_answered(lwr: SerialRobot, name: str)
 def test_the_network_fails_the_same_way_for_one_seed() -> None:
     def outcome(**shares: Any) -> list[bytes]:
         faults = NetworkFaults(**shares)
-        return [out for k in range(500) for out in faults.pass_on(b"%d" % k)]
+        return [out for k in range(500) for out in faults.transmit(b"%d" % k)]
 
     assert outcome() == [b"%d" % k for k in range(500)]
     some = outcome(loss=0.1, duplicates=0.1, swaps=0.1, seed=3)
@@ -207,18 +211,18 @@ def test_the_network_fails_the_same_way_for_one_seed() -> None:
 def test_a_client_in_another_process_counts_what_was_withheld() -> None:
     faults = {"loss": 0.1, "duplicates": 0.05, "swaps": 0.05, "seed": 5}
     with FriReceiver(udpport=0, only_latest_packet=False, buffer_size=4_000_000) as receiver:
-        made, withheld, doubled, swapped, answers, *_ = play(
+        made, lost, doubled, swapped, answers, *_ = play(
             receiver, 1.5, cycle=0.001, counter=65_000, faults=faults
         )
         assert made == 1500
-        assert 0.05 < withheld / made < 0.15
-        assert until(lambda: receiver.counters.received == made - withheld + doubled)
+        assert 0.05 < lost / made < 0.15
+        assert until(lambda: receiver.counters.received == made - lost + doubled)
         counters = receiver.counters
         packets = receiver.take()
         assert packets is not None
-        # What was withheld behind the last packet that came cannot be missed.
+        # What was lost behind the last packet that came cannot be missed.
         newest = int(((packets.values["send_counter"] - 65_000) % 65_536).max())
-        assert counters.lost == withheld - (made - 1 - newest)
+        assert counters.lost == lost - (made - 1 - newest)
         assert (counters.duplicates, counters.late) == (doubled, swapped)
         assert (counters.malformed, counters.restarts, answers) == (0, 0, 0)
 
@@ -278,10 +282,10 @@ def test_the_scene_shows_what_the_controller_tells(lwr: SerialRobot) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["lwr_fri", "--cycle", "0.5"], "FRI's cycle: found 0.5 ms; expected 1 to 100"),
-        (["lwr_fri", "--cycle", "101"], "FRI's cycle: found 101 ms"),
-        (["lwr_fri", "--rate", "1001"], "FRI's cycle: found 0.999001 ms"),
-        (["lwr_fri", "--cycle", "2", "--rate", "9"], "--cycle and --rate say the same; give one"),
+        (["lwr_fri", "--cycle", "0.5"], "FRI cycle: found 0.5 ms; expected 1 to 100"),
+        (["lwr_fri", "--cycle", "101"], "FRI cycle: found 101 ms"),
+        (["lwr_fri", "--rate", "1001"], "FRI cycle: found 0.999001 ms"),
+        (["lwr_fri", "--cycle", "2", "--rate", "9"], "--cycle and --rate both set the cycle"),
         (["lwr_fri", "--quality", "god"], "no quality 'god'; available: bad, invalid, ok, per"),
         (["lwr_fri", "--loss", "1.5"], "--loss: found '1.5'; expected a share from 0 to 1"),
         (["lwr_fri", "--seed", "-1"], "--seed: found '-1'; expected a whole number from 0"),
@@ -289,16 +293,16 @@ def test_the_scene_shows_what_the_controller_tells(lwr: SerialRobot) -> None:
         (["lwr_udp", "--loss", "0.1"], '--loss is for a scene whose source is of kind = "fri"'),
     ],
 )
-def test_what_cannot_be_played_is_told(capsys: Any, arguments: list[str], message: str) -> None:
+def test_send_rejects_arguments(capsys: Any, arguments: list[str], message: str) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["send", *arguments, "--duration", "0.1"])
     assert caught.value.code == 2
     assert message in capsys.readouterr().err
 
 
-def test_only_robots_of_seven_joints_have_fri() -> None:
+def test_fri_requires_seven_joints() -> None:
     two = SerialRobot(name="two", dh_convention="craig", dh_params=[[0.1, 0, 0, 0.2]] * 2)
-    with raises_with(UsageError, reason="FRI is for 7 joints; 'two' has 2"):
+    with raises_with(UsageError, reason="FRI requires 7 joints; 'two' has 2"):
         FriController(two)
     with pytest.raises(SourceError, match=r"^source 'no\.such\.host\.invalid:1': not an address"):
         UdpSink("no.such.host.invalid", 1)
@@ -313,7 +317,7 @@ def test_send_plays_a_controller(capsys: Any) -> None:
         assert caught.value.code == 0
         out = capsys.readouterr().out
         assert f"FRI 1.0 measurements (916 bytes) to UDP 127.0.0.1:{port} every 4 ms" in out
-        made, lost = map(int, re.findall(r"made (\d+) packets.* lost (\d+) on purpose", out)[0])
+        made, lost = map(int, re.findall(r"sent (\d+) packets.* dropped (\d+) on purpose", out)[0])
         assert made == 100
         assert until(lambda: receiver.counters.received == made - lost)
         packet = receiver.latest()

@@ -31,7 +31,7 @@ from sero_mj.extensions.fri.iiwa import (
     STATES,
     STRUCTURES,
     IiwaLayout,
-    Monitor,
+    MonitoringClient,
     no_command,
     pack,
     read_fields,
@@ -161,9 +161,9 @@ def test_a_framed_message_of_2_7_is_checked() -> None:
     receiver = FriReceiver(version="iiwa-2")
     got = receiver.decode(packet)
     assert got is not None and got["send_counter"] == 9
-    with pytest.raises(ValueError, match="its checksum is wrong"):
+    with pytest.raises(ValueError, match="the checksum is wrong"):
         pack(packet[:-1] + bytes([packet[-1] ^ 1]), "iiwa-2")
-    with pytest.raises(ValueError, match="choose version = 'iiwa-2'"):
+    with pytest.raises(ValueError, match="set version = 'iiwa-2'"):
         pack(packet, "iiwa-1")
 
 
@@ -171,23 +171,23 @@ def test_a_framed_message_of_2_7_is_checked() -> None:
     ("message", "fault"),
     [
         (b"", "it has no header"),
-        (monitoring()[:-1], "its field 5 has "),
-        (monitoring()[:200], "its field 3 has "),
-        (b"\x0b", "byte 0 begins no field"),
-        (b"\x0a\xff\xff\xff\xff\x0f", "its field 1 has 4294967295 bytes; 0 are left"),
-        (b"\x08" + b"\xff" * 11, "is cut off or too long"),
-        (b"\x08\x01", "field 1 is a number; expected a message"),
+        (monitoring()[:-1], "field 5 has "),
+        (monitoring()[:200], "field 3 has "),
+        (b"\x0b", "byte 0 is not the start of a field"),
+        (b"\x0a\xff\xff\xff\xff\x0f", "field 1 has 4294967295 bytes, but 0 are left"),
+        (b"\x08" + b"\xff" * 11, "is truncated or too long"),
+        (b"\x08\x01", "field 1 is an integer; expected a message"),
         (monitoring(robotInfo={"numberOfJoints": 6}), "found 6 joints; expected 7"),
         (monitoring(monitorData={"measuredTorque": values(1, 2)}), "found 2 numbers in field 2"),
-        (monitoring(connectionInfo={"sessionState": 300}), "field 1 is 300; expected at most 127"),
+        (monitoring(connectionInfo={"sessionState": 300}), "field 1 is 300; expected -1 to 127"),
     ],
 )
-def test_what_is_no_message_says_why(message: bytes, fault: str) -> None:
+def test_invalid_messages_are_explained(message: bytes, fault: str) -> None:
     with pytest.raises(ValueError) as caught:
         pack(message, "iiwa-1")
     assert fault in str(caught.value)
     told = IiwaLayout("iiwa-1").describe_wrong_size(message, len(message))
-    assert told == f"{len(message)} bytes that are no FRI message: {caught.value}"
+    assert told == f"{len(message)} bytes are not an FRI message: {caught.value}"
 
 
 @settings(max_examples=examples(300))
@@ -198,7 +198,7 @@ def test_random_bytes_are_a_packet_or_an_error(data: bytes, version: str) -> Non
             assert len(pack(packet, version)) == IiwaLayout(version).size
         except ValueError as error:
             assert str(error)
-        Monitor().answer(packet, 0)
+        MonitoringClient().answer(packet, 0)
 
 
 @settings(max_examples=examples(200))
@@ -230,7 +230,7 @@ def test_our_encoding_is_read_by_protocol_buffers(counter: int, reflected: int) 
 # ---- the source
 
 
-def test_what_is_left_out_is_as_fri_has_it() -> None:
+def test_omitted_fields_default_to_those_of_fri() -> None:
     source = make_source("arm", {"kind": "fri", "version": "iiwa-2"})
     assert isinstance(source, FriReceiver)
     assert source.place == ("127.0.0.1", 30200)
@@ -240,7 +240,7 @@ def test_what_is_left_out_is_as_fri_has_it() -> None:
     assert make_source("arm", {"kind": "fri", "version": "iiwa-1", "port": 5}).place[1] == 5
     with raises_with(key="version", found="3", expected="'1', 'iiwa-1' or 'iiwa-2'"):
         make_source("arm", {"kind": "fri", "version": "3"})
-    with raises_with(key="structure", reason="found '7F'; FRI fixes it: leave it out"):
+    with raises_with(key="structure", reason="found '7F'; FRI determines this field. Leave it out"):
         make_source("arm", {"kind": "fri", "version": "iiwa-1", "structure": "7F"})
     source.version = "iiwa-1"
     assert source.structure == STRUCTURES["iiwa-1"]
@@ -249,7 +249,7 @@ def test_what_is_left_out_is_as_fri_has_it() -> None:
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_what_comes_is_counted_by_its_cause(controller: socket.socket, version: str) -> None:
+def test_rejected_packets_are_counted_by_cause(controller: socket.socket, version: str) -> None:
     with iiwa(version, only_latest_packet=False) as receiver:
         wrong_id = {"messageIdentifier": 0x245143}
         give(
@@ -263,7 +263,7 @@ def test_what_comes_is_counted_by_its_cause(controller: socket.socket, version: 
         causes = (counters.wrong_size, counters.wrong_constant, counters.not_finite)
         assert causes == (4, 1, 1)
         give(receiver, controller, monitoring(8)[:30])
-        assert counters.last_fault.startswith("30 bytes that are no FRI message: its field ")
+        assert counters.last_fault.startswith("30 bytes are not an FRI message: field ")
 
 
 def test_what_the_controller_says_is_told_in_words(controller: socket.socket) -> None:
@@ -297,7 +297,7 @@ def test_an_iiwa_is_mirrored_recorded_and_replayed(
         said = Status(mirror.world)._awaited(mirror.data, Toggles(mirror.world), view_at())
         assert said is not None
         lines = [text.decode() for text in said.texts[0]]
-        assert lines[1:] == ["  awaited: FRI messages"]  # and nothing that `send` could play
+        assert lines[1:] == ["  expected: FRI messages"]  # and nothing that `send` could play
         with record_sources(mirror.sources, recording, scene=scene):
             give(source, controller, monitoring(1), monitoring(2)[:-9], framed(monitoring(3)))
         mirror.advance()
@@ -329,10 +329,10 @@ def test_an_iiwa_is_mirrored_recorded_and_replayed(
         (0, 3, True, ["fri: quality excellent, state idle"]),
         (1, 1, True, ["fri: quality fair, state monitoring wait"]),
         (1, 0, False, ["fri: quality poor, state monitoring wait",
-                       "  no answers are sent to it: answer = false"]),
+                       "  no answers are sent: answer = false"]),
     ],
 )  # fmt: skip
-def test_a_state_that_is_not_good_is_in_the_corner(
+def test_an_unhealthy_state_is_shown_in_the_corner(
     controller: socket.socket, tmp_path: Path, state: int, quality: int, answer: bool,
     lines: list[str],
 ) -> None:  # fmt: skip
@@ -348,7 +348,7 @@ def test_a_state_that_is_not_good_is_in_the_corner(
         mirror.advance()
         assert corner_lines(mirror)[:2] == [
             "fri: 1 of 2 packets not applied",
-            "  a FRI message that cannot be used, 5 bytes",
+            "  invalid FRI message, 5 bytes",
         ]
 
 
@@ -383,21 +383,21 @@ def test_answers_are_headers_while_it_monitors(controller: socket.socket, is_fra
 
 
 def test_every_receive_multiplier_is_answered_and_no_state_that_commands() -> None:
-    monitor, link = Monitor(), {"receiveMultiplier": 3}
+    monitor, link = MonitoringClient(), {"receiveMultiplier": 3}
     answers = [monitor.answer(monitoring(k, connectionInfo=link), 0) for k in range(7)]
     assert [k for k, answer in enumerate(answers) if answer] == [2, 5]
     for state in range(len(STATES)):
         asked = monitoring(connectionInfo={"sessionState": state})
-        assert (Monitor().answer(asked, 0) is not None) == (state in (1, 2)), STATES[state]
+        assert (MonitoringClient().answer(asked, 0) is not None) == (state in (1, 2)), STATES[state]
     other = monitoring(header={"messageIdentifier": 1})
     for packet in (b"", b"\xff" * 40, other, monitoring()[:50]):
-        assert Monitor().answer(packet, 0) is None
+        assert MonitoringClient().answer(packet, 0) is None
 
 
-def test_what_cannot_be_played_is_told(tmp_path: Path, capsys: Any) -> None:
+def test_send_rejects_arguments(tmp_path: Path, capsys: Any) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["send", str(scene_of(tmp_path, "iiwa-2")), "--duration", "0.1"])
     assert caught.value.code == 2
-    assert "FRI 2.x of an iiwa on UDP 127.0.0.1:0, listens only; played is FRI 1.0 of an LWR" in (
+    assert "FRI 2.x of an iiwa on UDP 127.0.0.1:0, listens only; expected FRI 1.0 of an LWR" in (
         capsys.readouterr().err
     )

@@ -167,7 +167,7 @@ def test_wrong_commands_end_the_command_state(
 def test_flags_without_effect_are_told(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     simulation = simulated(folder, "torque", duration=0.3, control="position")
     assert states(simulation)[-1] == 2
-    said = "flags 0x34 of commands have no effect in position"
+    said = "command flags 0x34 have no effect with control = 'position'"
     assert [record.message for record in caplog.records].count(f"lwr: {said}") == 1
 
 
@@ -190,7 +190,7 @@ def test_lost_answers_cost_quality(folder: Path) -> None:
 def test_what_is_no_command_is_counted(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     simulation = simulated(folder, "garbage", duration=0.3)
     assert states(simulation)[-1] == 2
-    assert any("packets were no commands" in record.message for record in caplog.records)
+    assert any("packets are not commands" in record.message for record in caplog.records)
 
 
 def test_the_end_of_a_client_is_told(folder: Path) -> None:
@@ -244,5 +244,5 @@ def test_wrong_declarations_name_their_key(
 
 def test_a_robot_of_six_joints_has_no_fri() -> None:
     model = RobotModel.of(SerialRobot.from_model("ur5e"))
-    with pytest.raises(DeclarationError, match=r"FRI is for 7 joints; ur5e has 6$"):
+    with pytest.raises(DeclarationError, match=r"FRI requires 7 joints; ur5e has 6$"):
         FriClient().make(model, 1e-3)

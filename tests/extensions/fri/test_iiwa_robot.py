@@ -175,7 +175,7 @@ def test_wrong_commands_end_the_overlay(
 def test_what_is_no_command_is_counted(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     simulation = simulated(folder, "garbage", duration=0.3)
     assert states(simulation)[-1] == 4
-    assert any("packets were no commands" in record.message for record in caplog.records)
+    assert any("packets are not commands" in record.message for record in caplog.records)
 
 
 def test_a_client_of_another_version_is_told(
@@ -183,7 +183,7 @@ def test_a_client_of_another_version_is_told(
 ) -> None:
     simulation = simulated(folder, "other version", duration=0.02, patience=0.01)
     assert states(simulation).max() == 1
-    said = "commands come with length and checksum; version = 'iiwa-2.7' has them so"
+    said = "commands arrive with length and checksum; set version = 'iiwa-2.7'"
     assert sum(said in message for message in caplog.messages) == 1
 
 
@@ -193,7 +193,7 @@ def test_messages_are_those_that_our_receiver_takes(folder: Path, version: str) 
     robot = simulation.controlled[0].controller.controller
     assert isinstance(robot, IiwaFri)
     sensed = simulation.controlled[0].sensed
-    log, message = simulation.log.signals, robot._packet(sensed)
+    log, message = simulation.log.signals, robot._encode(sensed)
     sent = read_monitoring(message).monitorData  # with KUKA's sign of measured and commanded ones
     assert list(sent.measuredTorque.value) == (-sensed.torques).tolist()
     assert list(sent.commandedTorque.value) == (-log["iiwa_commanded_torques"][-1]).tolist()

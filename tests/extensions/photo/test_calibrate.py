@@ -135,29 +135,31 @@ def test_what_cannot_be_found_is_told(points: Array) -> None:
             calibrate(names, of[index], seen[index], bare(by), find_focal=find_focal)
         return str(caught.value)
 
-    assert message([0, 4, 7]) == "found 3 points; where the camera is needs 4 or more"
+    assert message([0, 4, 7]) == "found 3 points; the camera pose needs 4 or more"
     assert message([0, 1, 4, 7, 8], find_focal=True) == (
-        "found 5 points; where the camera is and its focal length needs 6 or more; --camera-file "
-        "with its intrinsics needs 4"
+        "found 5 points; pose and focal length of the camera need 6 or more, or --camera-file "
+        "with intrinsics and 4 points"
     )
     upright = np.array([[0, 0, 0.1 * k] for k in range(12)])
-    assert "the points lie on a line" in message([0, 2, 4, 6, 8], of=upright)
+    assert "the points are on one line" in message([0, 2, 4, 6, 8], of=upright)
     # Far away and small, a plane is seen in the same way from two sides.
     flat = np.array([[0.02 * (k % 3), 0.02 * (k // 3), 0.4] for k in range(12)])
-    with pytest.raises(UsageError, match="the points lie in a plane, and two cameras see them so"):
+    with pytest.raises(UsageError, match="the points are in one plane, and two cameras fit"):
         near = by.project(flat)[0] + np.random.default_rng(0).normal(0, 1.0, (12, 2))
         calibrate(["p"] * 12, flat, near, bare(by), find_focal=False)
-    assert "lie in a plane, which does not say" in message([*range(9)], find_focal=True, of=flat)
+    assert "are in one plane, whose distance is unknown" in message(
+        [*range(9)], find_focal=True, of=flat
+    )
     rng = np.random.default_rng(0)
     mixed = pixels[rng.permutation(len(pixels))]
     random = rng.uniform(0, [1280, 800], pixels.shape)
     unseen = {
-        "reason": "no camera sees the points so",
-        "expected": "the pose that the photo shows, and names that are not mixed up",
+        "reason": "no camera fits the points",
+        "expected": "the robot's pose in the photo, and the correct names of points",
     }
     behind = {
         "reason": "base would be behind the camera",
-        "expected": "points that the photo shows, with their names not mixed up",
+        "expected": "points in the photo, with their correct names",
     }
     for wrong, told in (
         (mixed, unseen),
@@ -190,7 +192,7 @@ def test_points_are_read_from_tables_and_toml_and_what_is_wrong_is_told(
             "p.csv:4: found 'A3,a,b'; expected a name and pixels",
         ]),
         ("name,u,v\n", [
-            "p.csv:1: found columns name, u, v; expected point,x,y and perhaps dx,dy,dz",
+            "p.csv:1: found columns name, u, v; expected point,x,y and optionally dx,dy,dz",
         ]),
     ):  # fmt: skip
         (tmp_path / "p.csv").write_text(text)
@@ -235,7 +237,7 @@ def test_the_command_prints_every_point_and_writes_the_camera(
     line = ["calibrate", "p.png", *pose, "--points", "p.csv", "--camera-file", "lens.yaml"]
     status, out, _ = run([*line, "-o", "cell.toml"], capsys)
     assert status == 0
-    assert "0.00 pixels root mean square, of 11 points" in out
+    assert "root mean square error of 11 points: 0.00 pixels" in out
     (wrong,) = [row for row in out.splitlines() if "left out" in row]
     assert "lwr/A3" in wrong and "42.4" in wrong
     found = read_camera(Path("cell.toml"), (640, 400))
@@ -247,10 +249,12 @@ def test_the_command_prints_every_point_and_writes_the_camera(
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     status, _, err = run(["calibrate", "p.png", *pose], capsys)
-    assert status == 2 and "no display for a window in which points are clicked" in err
+    assert status == 2 and "no display for a window to click points" in err
     status, _, err = run(["calibrate", "p.png", "--robot", "justin", "--joint-angles", "1",
                           "--points", "p.csv"], capsys)  # fmt: skip
-    assert status == 2 and "--joint-angles is for one robot; 'justin' has justin_torso" in err
+    assert (
+        status == 2 and "--joint-angles is for a single robot, but 'justin' has justin_torso" in err
+    )
 
 
 @pytest.mark.thorough
@@ -283,6 +287,6 @@ def test_the_pose_can_be_that_of_a_recording(
     status, out, _ = run([*line, "--replay", "run.mcap", "--start", "1"], capsys)
     assert status == 0 and json.loads(out)["rms"] < 1e-2
     status, _, err = run([*line, "--replay", "run.mcap"], capsys)
-    assert status == 2 and "no camera sees the points so" in err
+    assert status == 2 and "no camera fits the points" in err
     status, _, err = run([*line, "--start", "1"], capsys)
     assert status == 2 and "--start is for recordings; give --replay REC.mcap as well" in err

@@ -96,7 +96,7 @@ def test_coefficients_that_fold_the_corners_are_told_and_nothing_is_drawn_there(
     matrix = np.array([[640.0, 0, 640], [0, 640, 360], [0, 0, 1]])
     write_camera(tmp_path / "c.toml", PhotoCamera(1280, 720, matrix, np.eye(4), wide))
     by = read_camera(tmp_path / "c.toml")
-    assert "the coefficients do not hold in 5.9 % of the picture, at its edges" in caplog.text
+    assert "the coefficients are not valid in 5.9 % of the image, at its edges" in caplog.text
     rays = by.undistort(np.array([[0.0, 0.0], [640, 360], [1279, 360], [640, 719]]))
     assert np.isnan(rays[0]).all() and np.isfinite(rays[1:]).all()
     # What is beyond the fold stays outside of what can be drawn.
@@ -113,10 +113,10 @@ def test_without_opencv_and_yaml_a_lens_without_distortion_in_toml_does(
     by = read_camera(tmp_path / "c.toml")
     assert by.project(np.array([[1.0, 3.0, 0.5]]))[1].shape == (1,)
     (tmp_path / "d.toml").write_text(TOML + "distortion_coefficients = [-0.2, 0.05, 0, 0]\n")
-    with pytest.raises(UsageError, match=r"needs OpenCV .*`pip install 'sero-mj\[camera\]'`"):
+    with pytest.raises(UsageError, match=r"OpenCV is required .*`pip install 'sero-mj\[camera\]'`"):
         read_camera(tmp_path / "d.toml")
     (tmp_path / "c.yaml").write_text(ROS + FRAME)
-    with pytest.raises(UsageError, match=r"reading YAML needs PyYAML .*, and a camera in TOML"):
+    with pytest.raises(UsageError, match=r"YAML needs PyYAML .*, or use TOML"):
         read_camera(tmp_path / "c.yaml")
 
 
@@ -136,30 +136,30 @@ def test_what_is_written_is_read_back(lens: str, name: str, tmp_path: Path) -> N
     ("name", "text", "problems"),
     [
         ("c.yaml", FRAME, [
-            "camera_matrix: is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels, as a calibration "
-            "finds them",
-            "image_width: is required: of the pictures, pixels",
-            "image_height: is required: of the pictures, pixels",
+            "camera_matrix: is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels, from a "
+            "calibration",
+            "image_width: is required: size of the images, pixels",
+            "image_height: is required: size of the images, pixels",
         ]),
         ("c.yaml", ROS, [
-            "frame: is required: where the camera stands in the world, 4 x 4 or { xyz = [...], "
-            "quat = [...] }, its x to the right, y down, z forward; `sero-mj calibrate` finds it",
+            "frame: is required: pose of the camera in the world, 4 x 4 or { xyz = [...], "
+            "quat = [...] }, x to the right, y down, z forward; `sero-mj calibrate` computes it",
         ]),
         ("c.yaml", ROS.replace("plumb_bob", "plum_bob") + FRAME,
          ["distortion_model: found 'plum_bob'; did you mean 'plumb_bob'?; there are plumb_bob, "
           "rational_polynomial, equidistant"]),
         ("c.yaml", ROS.replace("plumb_bob", "equidistant") + FRAME,
-         ["distortion_coefficients: found 5; expected 4 of the model equidistant"]),
+         ["distortion_coefficients: found 5; expected 4 coefficients of the model equidistant"]),
         ("c.yaml", ROS.replace("500.5", "0") + FRAME,
-         ["camera_matrix: found fx = 0, fy = 501, as of a camera that is not calibrated; expected "
+         ["camera_matrix: found fx = 0, fy = 501 (not calibrated); expected "
           "pixels above 0"]),
         ("c.yaml", ROS.replace("500.5, 0,", "500.5, 3,") + FRAME,
-         ["camera_matrix: found a skew of 3; expected 0, as OpenCV's cameras have none"]),
+         ["camera_matrix: found a skew of 3; expected 0, as in OpenCV"]),
         ("c.yaml", ROS.replace("0, 0, 1]\ndis", "0, 0]\ndis") + FRAME,
          ["camera_matrix: found 8 numbers; expected 3 x 3"]),
         ("c.yaml", ROS.replace("[-0.2", "[.nan") + FRAME, ["distortion_coefficients: found "]),
         ("c.yaml", ROS.replace("-0.2, 0.05", "-0.9, 0.0") + FRAME,
-         ["distortion_coefficients: fold "]),
+         ["distortion_coefficients: are not valid in "]),
         ("c.yaml", ROS + FRAME.replace("quat: [0.5,", "quat: ["),
          ["frame: 'quat' has 3 numbers; expected 4"]),
         ("c.yaml", ROS + "frame: [[1, 0, 0, 0]]\n", ["frame: found 4 numbers; expected 4 x 4"]),

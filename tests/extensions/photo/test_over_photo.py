@@ -280,24 +280,24 @@ def files(tmp_path: Path) -> Path:
         ("--camera-file c.toml", "--camera-file is for --over; give it as well"),
         ("--offset 3", "--offset is for --over; give it as well"),
         ("--over p.png --camera-file c.toml --offset 3",
-         "--offset is for videos; --start says when of a recording a photo is"),
+         "--offset is for videos; use --start for the time of a photo in a recording"),
         ("--over v.mp4 --camera-file c.toml --at 7",
-         "v.mp4: has no frame at 7.00 s; its frames are from 0 to 0.30 s"),
+         "v.mp4: has no frame at 7.00 s; the video ends at 0.30 s"),
         ("--over p.png --camera-file c.toml --camera 1,2,3",
          "--camera does not go with --over: the picture is as large as the photo or video, seen by "
          "its camera"),
-        ("--over none.png --camera-file c.toml", "none.png: is no photo that can be read"),
+        ("--over none.png --camera-file c.toml", "none.png: is not a readable photo"),
         ("--over gone.png --camera-file c.toml", "gone.png: no such file"),
         ("--over p.png --camera-file gone.toml", "gone.toml: no such file"),
         ("--over narrow.png --camera-file c.toml",
-         "c.toml: image_width: found 64x40; the picture is 60x40: expected a camera file of "
-         "pictures of that size (a part or another size of them has other intrinsics)"),
+         "c.toml: image_width: found 64x40, but the image is 60x40: expected a camera file for "
+         "images of that size (cropped or resized images have other intrinsics)"),
         ("-o o.mp4 --over p.png --camera-file c.toml",
-         "-o o.mp4: a photo gives a picture, .png say; found a film"),
+         "-o o.mp4: expected an image such as .png, because --over is a photo"),
         ("-o o.mp4 --over v.mp4 --camera-file c.toml --offset 3",
          "--offset is for recordings and scenarios; the scene has no sources"),
-        ("-o o.mp4 --over none.mp4 --camera-file c.toml", "none.mp4: is no video that can be read"),
-        ("-o o.mp4 --over c.toml --camera-file c.toml", "c.toml: is no video that can be read"),
+        ("-o o.mp4 --over none.mp4 --camera-file c.toml", "none.mp4: is not a readable video"),
+        ("-o o.mp4 --over c.toml --camera-file c.toml", "c.toml: is not a readable video"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_drawn_over_is_told(
@@ -314,7 +314,9 @@ def test_a_live_robot_does_not_go_with_a_video(
 ) -> None:
     monkeypatch.chdir(files)
     line = ["render", "lwr_udp", "-o", "o.mp4", "--over", "v.mp4", "--camera-file", "c.toml"]
-    assert "v.mp4: live sources do not go with a video; expected a recording" in told(line, capsys)
+    assert "v.mp4: live sources cannot be combined with a video; use a recording" in told(
+        line, capsys
+    )
 
 
 def test_a_video_that_is_cut_off_ends_where_it_does(tmp_path: Path) -> None:
@@ -327,7 +329,7 @@ def test_a_video_that_is_cut_off_ends_where_it_does(tmp_path: Path) -> None:
     with Video(whole) as video:
         assert 5 < len(list(video.frames())) < count == 30
     whole.write_bytes(whole.read_bytes()[:300])
-    with pytest.raises(RenderError, match=r"v\.webm: (is no video|not one frame)"):
+    with pytest.raises(RenderError, match=r"v\.webm: (is not a readable video|no frame)"):
         Video(whole)
 
 

@@ -153,10 +153,10 @@ def test_where_there_is_no_clear_offset_none_is_taken() -> None:
     with raises_with(
         UsageError,
         key="--offset auto",
-        reason="the motion in the video agrees to",
+        reason="video and recording do not match: found",
         found=pytest.approx(0.09, abs=0.015),
-        of="at most with that of the recording",
-        expected="0.15 or more: is it this camera and this recording? Else give --offset S",
+        of="correlation of their motion",
+        expected="0.15 or more; check camera and recording, or use --offset S",
     ):
         match(cells(0, 500), cells(9, 150), 25.0)
     periodic = cells(0, 500, period=50)
@@ -164,7 +164,7 @@ def test_where_there_is_no_clear_offset_none_is_taken() -> None:
         match(periodic, periodic[60:210], 25.0)
     told = caught.value.problem
     assert told.key == "--offset auto"
-    assert told.reason == ("offsets fit alike (1.00 and 1.00), as of a motion that repeats: found")
+    assert told.reason == "several offsets match (correlation 1.00 and 1.00): found"
     first, second = told.found  # s; which of the periods is a matter of rounding
     assert first != second
     assert [first % 2.0, second % 2.0] == pytest.approx([0.4, 0.4], abs=0.02)
@@ -173,13 +173,13 @@ def test_where_there_is_no_clear_offset_none_is_taken() -> None:
     with raises_with(
         UsageError,
         key="--offset auto",
-        reason="the robot does not move in the video, as the camera sees it; give --offset S",
+        reason="the camera sees no motion of the robot in the video; use --offset S",
     ):
         match(cells(0, 500), still, 25.0)
     with raises_with(
         UsageError,
         key="--offset auto",
-        reason=("the robot does not move in the recording, as the camera sees it; give --offset S"),
+        reason="the camera sees no motion of the robot in the recording; use --offset S",
     ):
         match(still, cells(0, 150), 25.0)
     with raises_with(

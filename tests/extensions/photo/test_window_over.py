@@ -72,7 +72,7 @@ def test_opencv_s_cameras_are_in_the_right_colours_and_tried_again_when_they_end
     # An address that OpenCV opens, of which frames come at once, and then no more.
     with CameraFeed(f"file://{tmp_path / 'v.mp4'}", tmp_path / "c.toml") as feed:
         assert np.abs(feed.latest()[1][90, 160].astype(int) - (200, 100, 30)).max() < 12
-        until(lambda: "sends nothing any more" in feed.piece[0] and feed.piece[1] == "bad")
+        until(lambda: "stopped sending images" in feed.piece[0] and feed.piece[1] == "bad")
         number, _ = feed.latest()
         until(lambda: feed.latest()[0] > number)
 
@@ -94,7 +94,7 @@ def test_a_video_is_read_at_the_time_that_is_shown_forward_and_back(tmp_path: Pa
         shows(3.0 + 30.5 / 20, 30)  # and back
         assert feed.piece == ("v.mp4: 1.5 s", "good")
         shows(1.0, 0)
-        assert feed.piece == ("v.mp4: begins in 2.0 s", "quiet")
+        assert feed.piece == ("v.mp4: starts in 2.0 s", "quiet")
         shows(9.0, 99)
         assert feed.piece == ("v.mp4: ended 1.0 s ago", "quiet")
         shows(3.2 + 1e-6, 4)
@@ -111,7 +111,7 @@ def test_a_video_goes_with_the_time_of_a_scenario_and_is_a_camera_for_what_is_li
     feed = open_feed(Mirror(read_scene("impedance_push")), options)
     assert isinstance(feed, VideoFeed)
     feed.latest(1.0)
-    assert feed.piece[0] == "v.mp4: begins in 0.5 s"
+    assert feed.piece[0] == "v.mp4: starts in 0.5 s"
     feed.close()
     for scene in ("lwr_udp", "lwr"):  # live, and without sources
         with pytest.raises(UsageError, match="--offset is for a video over a recording"):

@@ -30,19 +30,20 @@ from sero_mj.cli.arguments import replay_instead
 from sero_mj.cli.shared_options import is_recording
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.wiring import wire
-from sero_mj.data.receive.led_robot import LedJoint
+from sero_mj.data.receive.routed_joints import RoutedJoint
 from sero_mj.data.record.replay import Replay
-from sero_mj.data.record.table import read_csv
 from sero_mj.extensions.ros.bag import DESCRIPTION, Bag, open_recording
 from sero_mj.extensions.ros.described_scene import scenes_of_bag
+from sero_mj.extensions.tables.run import read_run_table
+from sero_mj.extensions.tables.table import read_csv
 from sero_mj.load import load_scene
-from sero_mj.simulate.runs.run_recording import read_run, read_run_table
+from sero_mj.simulate.runs.run_recording import read_run
 
 KINDS = ("mcap", "db3", "bag")
 COUNT, STEP = 400, 10**7  # messages, and ns between them
 ORDER = [3, 1, 7, 2, 4, 6, 5]  # of the joints in messages
 NAMES = [f"fr3_joint{i}" for i in ORDER]
-LED = [LedJoint(f"fr3_joint{i}") for i in range(1, 8)]
+LED = [RoutedJoint(f"fr3_joint{i}") for i in range(1, 8)]
 
 
 def angles(k: int) -> np.ndarray:
@@ -73,7 +74,7 @@ def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 def test_packets_are_those_of_the_messages_in_the_robot_s_order(bag: Path) -> None:
     replay = Replay(name="drive", file=bag)
-    replay.led_to(LED)
+    replay.set_joints(LED)
     assert replay.events["joint_angles"] == (7,)
     with open_recording(bag) as recording:
         assert isinstance(recording, Bag)
@@ -192,14 +193,14 @@ def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys
         "fr3_joint1, fr3_joint7 and 4 more)"
         for name in "ab"
     )
-    chosen = f'{several}; choose with source = "a_joint_states", say'
+    chosen = f'{several}; choose one with source = "a_joint_states"'
     with pytest.raises(DeclarationError, match=re.escape(chosen)):
         Replay(file=bag)
     status, _, told = run(capsys, "export", str(bag), str(tmp_path / "out.csv"))
-    assert status == 2 and f"{several}; choose with --source a_joint_states, say" in told
+    assert status == 2 and f"{several}; choose one with --source a_joint_states" in told
     picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
     status, _, told = run(capsys, "render", "fr3", "--replay", str(bag), *picture)
-    assert status == 2 and several in told and "choose with --source a_joint_states, say" in told
+    assert status == 2 and several in told and "choose one with --source a_joint_states" in told
     command = ["render", str(bag), *picture, "--source"]
     status, _, told = run(capsys, *command, "b_joint_stats")
     assert status == 2 and "; did you mean 'b_joint_states'?" in told
@@ -292,7 +293,7 @@ def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
     path.write_bytes(data)
     with open_recording(path) as recording:
         found = list(recording.packets("joint_states"))
-        assert "is damaged (its check sum differs) and left out" in recording.faults[0]
+        assert "is damaged (its checksum is wrong) and left out" in recording.faults[0]
     times = np.diff([time for time, _ in found])
     assert 20 * STEP < 1e9 * times.max() < 40 * STEP and len(found) > 120
 
@@ -529,7 +530,7 @@ def test_a_robot_is_led_by_the_topic_with_its_joints(tmp_path: Path, capsys: Any
             assert list(scene.sources) == [source]
     log = read_run(both, scene=load_scene("fr3"))
     assert log.signals["fr3_joint_angles"][9] == pytest.approx(angles(9))
-    with pytest.raises(UsageError, match="choose with --source "):
+    with pytest.raises(UsageError, match="choose one with --source "):
         read_run(both, scene=load_scene("ur5e"))
     assert run(capsys, "plot", str(both), "-o", str(tmp_path / "both.pdf"))[0] == 0
 
@@ -542,7 +543,7 @@ def test_meshes_that_a_described_robot_lacks_are_told_once(
     assert run(capsys, "render", str(path), *picture)[0] == 0
     (told,) = [each.getMessage() for each in caplog.records if "mesh" in each.getMessage()]
     assert told == (
-        "arm.urdf: 7 mesh files are not found and not shown; collision shapes are shown instead; "
+        "arm.urdf: 7 mesh files were not found; collision shapes are shown instead; "
         "--package arm=DIR says where it is: package://arm/l0.stl, package://arm/l1.stl, "
         "package://arm/l2.stl and 4 more"
     )

@@ -49,8 +49,8 @@ port = {port}
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect, and looks at topics, follow each other quickly."""
-    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.002)
-    monkeypatch.setattr(receiving_thread, "LONGEST", 0.02)
+    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 0.002)
+    monkeypatch.setattr(receiving_thread, "MAX_PAUSE", 0.02)
     monkeypatch.setattr(foxglove, "_LOOKS", 0.02)
 
 
@@ -230,7 +230,7 @@ def test_what_is_published_otherwise_is_told() -> None:
         assert peer.do(topic=TOPIC, wait=True) == "done"
         assert until(lambda: source.trouble == "its publisher is silent")
         state = {row[0]: row for row in describe(report(source))}["state"]
-        assert state[1:] == ("silent", f"no good packet yet: {source.trouble}")
+        assert state[1:] == ("silent", f"no valid packet yet: {source.trouble}")
         peer.do(topic=TOPIC, data=joint_state(NAMES, [1, 2, 3]))
         assert until(lambda: values(source) == [1.0, 2.0, 3.0])
         assert source.counters.received == 1
@@ -395,7 +395,7 @@ def test_a_server_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture) ->
             assert until(lambda: len(server.subscriptions) == 1)
             give(source, server, data(joint_state(NAMES, [1, 2, 3])))
     told = [said for said in caplog.messages if "refused" in said]
-    told_once = f"ws://127.0.0.1:{port}: Connection refused; it is tried again"
+    told_once = f"ws://127.0.0.1:{port}: Connection refused; trying again"
     assert told == [f"source 'foxglove': {told_once}"]
     with Foxglove(host="no.such.host.invalid", joints=NAMES) as source:
         assert until(lambda: source.trouble.startswith("ws://no.such.host.invalid:8765: "))

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ros_tools import JOINT_STATE, STORE, encoded, joint_state
 
-from sero_mj.data.receive.led_robot import LedJoint
+from sero_mj.data.receive.routed_joints import RoutedJoint
 from sero_mj.extensions.ros.dds import Ros2
 from sero_mj.extensions.ros.joined_packets import JOINT_STATES, JoinedPackets, prefix_before
 from sero_mj.extensions.ros.messages import MOST_BYTES, MalformedMessage, decode
@@ -19,7 +19,7 @@ from sero_mj.extensions.ros.network import robots_with
 from sero_mj.extensions.ros.ros_source import Listener
 
 ARM = ("shoulder", "elbow")
-JOINTS = [LedJoint("shoulder", 0.5, 50.0), LedJoint("elbow", -0.5, 20.0)]
+JOINTS = [RoutedJoint("shoulder", 0.5, 50.0), RoutedJoint("elbow", -0.5, 20.0)]
 GOOD = joint_state(ARM, (1, 2), (3, 4), (5, 6), stamp=10**9)
 
 
@@ -28,7 +28,7 @@ class Heard(Listener):
 
     def __init__(self, **fields: Any) -> None:
         self.source = Ros2(**{"name": "ros", "domain": 1, **fields})
-        self.source.led_to(JOINTS)
+        self.source.set_joints(JOINTS)
         self.source.reset()
         super().__init__(self.source)
         self.said: list[str] = []
@@ -113,7 +113,7 @@ def test_names_that_differ_are_told(names: tuple[str, ...], said: str) -> None:
 def test_joints_that_no_message_has_are_told_once_others_could_have_them() -> None:
     def said_by(messages: list[tuple[float, tuple[str, ...]]]) -> list[str]:
         said: list[str] = []
-        joined = JoinedPackets([LedJoint(name) for name in ARM], {}, tell=said.append)
+        joined = JoinedPackets([RoutedJoint(name) for name in ARM], {}, tell=said.append)
         for when, names in messages:
             joined.take(JOINT_STATES, joint_state(names, np.ones(len(names))), when)
         return said

@@ -14,7 +14,7 @@ from polling import until
 
 from sero_mj.base.errors import SourceError
 from sero_mj.cli.send import SinkOptions, make_sink
-from sero_mj.data.receive.led_robot import LedJoint
+from sero_mj.data.receive.routed_joints import RoutedJoint
 from sero_mj.extensions.ros.json_messages import joint_state_of
 from sero_mj.extensions.ros.json_udp import JsonUdp
 from sero_mj.extensions.ros.messages import MalformedMessage
@@ -25,7 +25,7 @@ NAMES = ["1", "left/j 2", "\N{CJK UNIFIED IDEOGRAPH-5173}"]
 @pytest.fixture
 def hand() -> Iterator[JsonUdp]:
     source = JsonUdp(port=0, debug_level=0)
-    source.led_to([LedJoint(name) for name in NAMES])
+    source.set_joints([RoutedJoint(name) for name in NAMES])
     with source:
         yield source
 

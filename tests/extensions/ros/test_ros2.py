@@ -24,8 +24,8 @@ from test_cli import run
 from sero_mj.base.errors import SourceError
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
-from sero_mj.data.receive.led_robot import LedJoint
 from sero_mj.data.receive.report import describe, report
+from sero_mj.data.receive.routed_joints import RoutedJoint
 from sero_mj.data.receive.source import make_source
 from sero_mj.data.record.replay import Replay
 from sero_mj.extensions.ros import dds
@@ -88,7 +88,7 @@ def peer() -> Iterator[Peer]:
 
 def source_of(joints: tuple[str, ...] = ARM, **fields: Any) -> Ros2:
     source = Ros2(**{"name": "ros", "domain": DOMAIN, **fields})
-    source.led_to([LedJoint(name, 0.5, 50.0) for name in joints])
+    source.set_joints([RoutedJoint(name, 0.5, 50.0) for name in joints])
     return source
 
 

@@ -45,8 +45,8 @@ domain = 0
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect, and looks at publishers, follow each other quickly."""
-    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.01)
-    monkeypatch.setattr(receiving_thread, "LONGEST", 0.04)
+    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 0.01)
+    monkeypatch.setattr(receiving_thread, "MAX_PAUSE", 0.04)
     monkeypatch.setattr(zenoh, "_LOOKS", 0.02)
     monkeypatch.setattr(zenoh, "_PATIENCE", 0.4)
 
@@ -163,7 +163,7 @@ def test_what_is_published_otherwise_is_told(peer: Peer) -> None:
         assert peer.do(topic=TOPIC, wait=True) == "done"
         assert until(lambda: source.trouble == "its publisher is silent")
         state = {row[0]: row for row in describe(report(source))}["state"]
-        assert state[1:] == ("silent", f"no good packet yet: {source.trouble}")
+        assert state[1:] == ("silent", f"no valid packet yet: {source.trouble}")
         give(source, peer, joint_state(NAMES, [1, 2, 3]))
         assert values(source) == [1.0, 2.0, 3.0]
         assert source.counters.received == 1
@@ -183,7 +183,7 @@ def test_a_router_that_comes_again_is_connected_to_again(
             assert until(lambda gone=gone: source.trouble == gone)
         assert source.counters.received == 3
     told = [said for said in caplog.messages if "is gone" in said]
-    assert told == [f"source 'zenoh': {gone}; it is tried again"]
+    assert told == [f"source 'zenoh': {gone}; trying again"]
 
 
 def test_a_router_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
@@ -196,7 +196,7 @@ def test_a_router_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture) ->
     told = [said for said in caplog.messages if "no router" in said]
     assert len(told) == 1
     assert told[0].startswith(f"source 'zenoh': no router of zenoh at 127.0.0.1:{port} (")
-    assert told[0].endswith("; it is tried again")
+    assert told[0].endswith("; trying again")
     assert " at /" not in told[0]
     with Zenoh(host="no.such.host.invalid", joints=NAMES) as source:
         assert until(lambda: source.trouble == "no router of zenoh at no.such.host.invalid:7447")

@@ -75,8 +75,8 @@ if len(sys.argv) > 1:
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect follow each other quickly."""
-    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.002)
-    monkeypatch.setattr(receiving_thread, "LONGEST", 0.02)
+    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 0.002)
+    monkeypatch.setattr(receiving_thread, "MAX_PAUSE", 0.02)
 
 
 @pytest.fixture
@@ -278,7 +278,7 @@ def test_a_peer_that_talks_nonsense_is_told_and_tried_again(
         assert receiver.counters.malformed == receiver.counters.received
         assert receiver.latest() is None
         told = {row[0]: row for row in describe(report(receiver))}
-        assert told["state"][1:] == ("silent", f"no good packet yet: {receiver.trouble}")
+        assert told["state"][1:] == ("silent", f"no valid packet yet: {receiver.trouble}")
         answers.clear()
         assert until(lambda: receiver.trouble == "")
         give(receiver, server, server.package(actual_q=SIX))
@@ -327,7 +327,7 @@ def test_a_peer_that_stalls_is_left(server: RtdeServer, monkeypatch: pytest.Monk
 def test_a_peer_that_closes_at_once_is_told(server: RtdeServer) -> None:
     server.answers["V"] = lambda _: server.drop() or b""
     with receiver_of(server) as receiver:
-        told = f"127.0.0.1:{server.port}: it closed the connection"
+        told = f"127.0.0.1:{server.port}: the peer closed the connection"
         assert until(lambda: receiver.trouble == told and server.connections > 2)
 
 
@@ -352,7 +352,7 @@ def test_a_controller_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture
             assert server.started.wait(5.0)
             give(receiver, server, server.package())
     texts = [text for text in caplog.messages if "refused" in text]
-    assert texts == [f"source 'rtde': 127.0.0.1:{port}: Connection refused; it is tried again"]
+    assert texts == [f"source 'rtde': 127.0.0.1:{port}: Connection refused; trying again"]
     with RtdeReceiver(host="no.such.host.invalid") as receiver:
         assert until(lambda: receiver.trouble.startswith("no.such.host.invalid:30004: "))
     with RtdeReceiver(host="a..b", debug_level=0) as receiver:
@@ -391,8 +391,16 @@ def test_random_bytes_end_a_connection_and_nothing_else(chunks: list[bytes]) -> 
         ({}, "host", "is required"),
         ({"host": ""}, "host", "found ''; expected an address such as 192.168.0.3"),
         ({"host": "a b"}, "host", "found 'a b'; expected an address such as 192.168.0.3"),
-        ({"host": "a", "structure": "7F"}, "structure", "found '7F'; RTDE fixes it: leave it out"),
-        ({"host": "a", "sequence": ""}, "sequence", "found ''; RTDE fixes it: leave it out"),
+        (
+            {"host": "a", "structure": "7F"},
+            "structure",
+            "found '7F'; RTDE determines this",
+        ),
+        (
+            {"host": "a", "sequence": ""},
+            "sequence",
+            "found ''; RTDE determines this",
+        ),
         ({"host": "a", "frequency": 501.0}, "frequency", "found 501; expected"),
         ({"host": "a", "port": 0}, "port", "found 0; expected"),
     ],
@@ -416,8 +424,8 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             awaited = Status(mirror.world)._awaited(mirror.data, Toggles(mirror.world), view_at())
             assert awaited is not None
             assert [text.decode() for text in awaited.texts[0]] == [
-                f"nothing yet on UR RTDE of 127.0.0.1:{server.port}",
-                "  awaited: data packages",
+                f"no packet yet on UR RTDE of 127.0.0.1:{server.port}",
+                "  expected: data packages",
             ]
             mirror.advance()  # while nothing is there
             assert until(lambda: server.connections == 2) and server.started.wait(5.0)
@@ -433,7 +441,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             mirror.advance()
             assert corner_lines(mirror) == [
                 "ur: 1 of 3 packets not applied",
-                f"  a data package that cannot be used, {len(good) - 4} bytes",
+                f"  invalid data package, {len(good) - 4} bytes",
                 "ur: robot idle, safety: protective stop",
             ]
     scene.sources["ur"] = Replay(name="ur", file=recording)

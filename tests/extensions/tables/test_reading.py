@@ -103,3 +103,11 @@ def test_what_is_no_table_is_told(tmp_path: Path) -> None:
     for rate in (0.0, -1.0, math.nan, math.inf):
         with raises_with(key="rate", found=rate, expected="rows per s, above 0"):
             read_csv(tmp_path / "b.csv", rate=rate)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs an endless file")
+def test_a_device_is_rejected(tmp_path: Path) -> None:
+    (tmp_path / "table.csv").symlink_to("/dev/zero")
+    reason = "cannot be read: is a device; expected a file"
+    with raises_with(CsvError, path=f"{tmp_path}/table.csv", reason=reason):
+        read_csv(tmp_path / "table.csv")

@@ -71,12 +71,12 @@ def close(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def test_fig_7_comes_back_from_toml_as_it_was(
+def test_fig_7_survives_conversion_to_toml(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     convert(FIG7, tmp_path / "scene.toml")
     text = (tmp_path / "scene.toml").read_text()
-    assert text.startswith("# fig7.x3d, as a scene of sero-mj.\n# Note: no geometry files base")
+    assert text.startswith("# Converted from fig7.x3d.\n# Note: missing geometry files base")
     assert tomllib.loads(text) == read_x3d(FIG7).tables
     convert(tmp_path / "scene.toml", tmp_path / "again.x3d")
     assert "left out" not in capsys.readouterr().err
@@ -87,7 +87,7 @@ def test_fig_7_comes_back_from_toml_as_it_was(
     )
 
 
-def test_a_whole_scene_comes_back_from_toml_as_it_was(
+def test_a_whole_scene_survives_conversion(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     x3d, folder = tmp_path / "cell.x3d", tmp_path / "meshes" / "of it"
@@ -106,7 +106,7 @@ def test_a_whole_scene_comes_back_from_toml_as_it_was(
     capsys.readouterr()
     convert(tmp_path / "scenes" / "cell.toml", tmp_path / "again.x3d")
     err = capsys.readouterr().err
-    assert err.split("no word for it: ")[1] == "sources.udp.host\n"
+    assert err.split("cannot express it: ")[1] == "sources.udp.host\n"
     again = read_x3d(tmp_path / "again.x3d").tables
     del tables["sources"]["udp"]["host"]
     assert again["robots"]["arm"].pop("directory") == "meshes/of it"
@@ -219,15 +219,15 @@ def test_a_standard_table_becomes_craigs_with_the_same_flange_and_centres(tmp_pa
 @pytest.mark.parametrize(
     ("scene", "lost"),
     [
-        ("slides.toml", ["robots.scara (joints that slide)"]),
+        ("slides.toml", ["robots.scara (prismatic joints)"]),
         ("lwr_contact", ["robots.lwr.torque_limits", "doubles", "arrows", "routes.force.vector"]),
         ("mirrored.toml", ["robots.left (mirrored)"]),
-        ("tree.toml", ["robots.tree (no DH table of one chain)"]),
+        ("tree.toml", ["robots.tree (no DH table)"]),
         ("expressions.toml", ["routes.lwr.joint_angles", "sources.fri (of kind 'fri')",
                               "objects.pill (capsule)", "robots.lwr.children.lamp (not on the"]),
     ],
 )  # fmt: skip
-def test_what_x3d_cannot_say_is_named(
+def test_what_x3d_cannot_express_is_listed(
     scene: str, lost: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     box = '[objects.box]\nshape = "box"\nsize = [1, 1, 1]\n'
@@ -258,7 +258,7 @@ size = [0.1, 0.2]
         path.write_text(files[scene])
     convert(path, tmp_path / "out.x3d")
     err = " ".join(capsys.readouterr().err.split())
-    assert err.startswith("sero-mj: left out, as X3D or its protos have no word for it: ")
+    assert err.startswith("sero-mj: left out, because X3D cannot express it: ")
     for each in lost:
         assert each in err
     load_scene(tmp_path / "out.x3d")
@@ -267,16 +267,16 @@ size = [0.1, 0.2]
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["fig7.x3d", "b.x3d"], "fig7.x3d and b.x3d: both are X3D; expected one of each"),
+        (["fig7.x3d", "b.x3d"], "fig7.x3d and b.x3d: both are X3D; expected one"),
         (["lwr_udp", "b.toml"], "lwr_udp and b.toml: both are TOML"),
         (["lwr_udp", "b.toml", "--fps", "3"], "--fps is not for b.toml"),
-        (["fig7.x3d", "there.toml"], "there.toml is there already; --overwrite writes over it"),
+        (["fig7.x3d", "there.toml"], "there.toml is there already; use --overwrite to replace it"),
         (["fig7.x3d", "no/b.toml"], "cannot write no/b.toml: No such file or directory"),
-        (["scara", "b.x3d"], "scara: nothing of it can be said in X3D; left out: robots."),
+        (["scara", "b.x3d"], "scara: X3D cannot express any part of it; left out: robots."),
         (["fig8.x3d", "b.toml"], "fig8.x3d: no such file; did you mean 'fig7.x3d'?"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_converted_is_told(
+def test_scenes_that_cannot_be_converted_are_reported(
     arguments: list[str],
     message: str,
     tmp_path: Path,

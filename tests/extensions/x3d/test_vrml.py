@@ -151,9 +151,9 @@ def test_every_type_is_read_in_either_form(kind: str, text: str, expected: objec
         ("SFVec3f", "[]", "found nothing; expected 3 numbers"),
         ("MFVec4f", "[1 2 3]", "found 3 numbers; expected 4 for each entry"),
         ("SFBool", "1", "found 1; expected TRUE or FALSE"),
-        ("SFString", "5", 'found 5; expected a text in quotes, "..."'),
-        ("SFString", '["a" "b"]', 'found 2 values; expected a text in quotes, "..."'),
-        ("MFString", '["a" 5 6]', 'found "a" 5 6; expected texts in quotes, "..."'),
+        ("SFString", "5", 'found 5; expected a quoted string, "..."'),
+        ("SFString", '["a" "b"]', 'found 2 values; expected a quoted string, "..."'),
+        ("MFString", '["a" 5 6]', 'found "a" 5 6; expected quoted strings, "..."'),
         ("SFNode", "Box {}", ""),
         ("SFNode", '"Box"', 'found "Box"; expected a node'),
         ("MFNode", "[Box {} 1]", "found Box 1; expected nodes"),
@@ -176,7 +176,7 @@ def test_a_value_of_another_type_is_told(kind: str, text: str, message: str) -> 
     [
         ("Box { size }", ["scene.x3d:1: Box.size: found '}'; expected its value"]),
         ("Box { size 1 1 1", ["scene.x3d:1: the { of Box is not closed"]),
-        ("Box size 1", ["scene.x3d:1: found 'size'; expected { behind Box"]),
+        ("Box size 1", ["scene.x3d:1: found 'size'; expected { after Box"]),
         ("\n}", ["scene.x3d:2: found '}'; expected a node, PROTO, EXTERNPROTO or ROUTE"]),
         (
             "DEF a Box { size 1.2.3 }\nBox { size “x” }",
@@ -187,12 +187,12 @@ def test_a_value_of_another_type_is_told(kind: str, text: str, message: str) -> 
         ),
         (
             'A { name "x }\n',
-            ["scene.x3d:1: A.name: found a \" that is not closed; expected its value"],
+            ["scene.x3d:1: A.name: found an unclosed \"; expected its value"],
         ),
         ("DEF lwr Box {}\nUSE lwt", [
-            "scene.x3d:2: USE lwt: no node has this name above here; did you mean 'lwr'?"]),
+            "scene.x3d:2: USE lwt: no preceding node has this name; did you mean 'lwr'?"]),
         ("DEF a Group { children USE a }", [
-            "scene.x3d:1: USE a: the node would be inside itself"]),
+            "scene.x3d:1: USE a: the node would contain itself"]),
         ("ROUTE a.b c.d", ["scene.x3d:1: found 'c'; expected ROUTE node.event TO node.event"]),
         ("ROUTE a TO c.d", ["scene.x3d:1: found 'TO'; expected ROUTE node.event TO node.event"]),
         ("PROTO P [ field SFFlot x 1 ] { Box {} }", [
@@ -204,18 +204,18 @@ def test_a_value_of_another_type_is_told(kind: str, text: str, message: str) -> 
             "scene.x3d:1: x: found TRUE; expected numbers"]),
         ("EXTERNPROTO P []", [
             "scene.x3d:1: EXTERNPROTO P: found the end of the file; expected its value"]),
-        ("Box { size 1 1 1 size 2 2 2 }", ["scene.x3d:1: Box.size: stands there twice"]),
+        ("Box { size 1 1 1 size 2 2 2 }", ["scene.x3d:1: Box.size: is set twice"]),
         ("Group { children [ Box {} ", [
-            "scene.x3d:1: Group.children: found the end of the file; expected ] behind the values",
+            "scene.x3d:1: Group.children: found the end of the file; expected ] after the values",
             "scene.x3d:1: the { of Group is not closed"]),
         ("DEF a Group {\n children [\n DEF Transform { children [] } ] }\nSphere { radius }", [
             "scene.x3d:3: found '{'; expected the type of a node",
             "scene.x3d:4: Sphere.radius: found '}'; expected its value"]),
         ("Group { children " * 300, [
-            "scene.x3d:1: nodes inside nodes are deeper than 120; nothing as deep is read"]),
+            "scene.x3d:1: nodes are nested more than 120 levels deep; expected fewer levels"]),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_told_with_its_line(text: str, messages: list[str]) -> None:
+def test_errors_are_reported_with_lines(text: str, messages: list[str]) -> None:
     assert wrong(text) == messages
 
 
@@ -232,12 +232,12 @@ def test_everything_that_is_wrong_is_told_at_once_and_not_twice() -> None:
     [
         (b"", "is empty; expected a first line #X3D V3.0 utf8 or #VRML V2.0 utf8"),
         (b'<?xml version="1.0"?>\n<X3D/>', "is X3D in the XML encoding; expected a first line"),
-        (b"#VRML V1.0 ascii\nSeparator {}\n", "is VRML V1.0, which is older than VRML97"),
+        (b"#VRML V1.0 ascii\nSeparator {}\n", "is VRML V1.0, which precedes VRML97"),
         (b"solid cube\n", "begins with 'solid cube'; expected a first line #X3D V3.0 utf8"),
-        (b"\x1f\x8bxx", "is packed by gzip, and damaged"),
-        (gzip.compress(b"#VRML V2.0 utf8\n")[:-9], "is packed by gzip, and ends too soon"),
+        (b"\x1f\x8bxx", "is a damaged gzip file"),
+        (gzip.compress(b"#VRML V2.0 utf8\n")[:-9], "is a truncated gzip file"),
         (gzip.compress(b"#VRML V2.0 utf8\n" + b" " * 60_000_000),
-         "is packed by gzip, and longer than it may be: expected at most 50 MB"),
+         "is a gzip file with too large contents; expected at most 50 MB"),
     ],
     # Workers of pytest-xdist compare names of tests, and what gzip packs has the time in it.
     ids=["empty", "xml", "vrml1", "stl", "damaged", "cut", "long"],

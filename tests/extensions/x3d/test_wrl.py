@@ -236,11 +236,11 @@ def test_groups_protos_switches_and_files_beside_lead_to_their_shapes(tmp_path: 
         ("Shape {\n geometry DEF part IndexedFaceSet { coord Coordinate { point [0 0 0] }\n"
          "coordIndex [0 1 2 -1] } }", ":3: part: coordIndex: found 2; expected 0 to 0"),
         ("Shape { geometry IndexedFaceSet { coordIndex [0 1 2] } }",
-         ":2: IndexedFaceSet: coordIndex: found 2; expected no index, since there are no points"),
+         ":2: IndexedFaceSet: coordIndex: found 2; expected no index, because there are no points"),
         ("Shape { geometry IndexedFaceSet { coord Coordinate { point [0 0] } } }",
          ":2: Coordinate.point: found 2 numbers; expected 3 for each entry"),
         ("Inline { url 5 }",
-         ":2: Inline.url: found 5; expected texts in quotes, \"...\""),
+         ":2: Inline.url: found 5; expected quoted strings, \"...\""),
         ("Transform { rotation 0 0 0 1 children Shape { geometry Box {} } }",
          ":2: Transform: found a rotation about 0 0 0 by 1; expected an axis"),
         ("Shape { appearance Appearance { material Material { diffuseColor 1 1 } } "
@@ -248,7 +248,7 @@ def test_groups_protos_switches_and_files_beside_lead_to_their_shapes(tmp_path: 
          ":2: Material.diffuseColor: found 2 numbers; expected 3 numbers"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_told_with_its_line(text: str, message: str, tmp_path: Path) -> None:
+def test_errors_are_reported_with_lines(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(DeclarationError) as caught:
         read(text, tmp_path)
     assert str(caught.value) == f"{tmp_path / 'a.wrl'}{message}"

@@ -65,8 +65,8 @@ def test_fig_7_is_read_as_it_is_printed() -> None:
     }  # fmt: skip
     files = ", ".join(["base.wrl", *(f"link{k}.wrl" for k in range(1, 8))])
     assert described.warnings == [
-        f"no geometry files {files} in 3dModels/robots/lwr/wrl; these links of lwr are drawn after "
-        "its DH table"
+        f"missing geometry files {files} in 3dModels/robots/lwr/wrl; these links of lwr are "
+        "generated from the DH table"
     ]
     assert described.lines["robots.lwr.dh_params"] == 10
     assert described.lines["routes.lwr.torques"] == 22
@@ -206,7 +206,7 @@ def test_what_stands_around_becomes_objects_cameras_and_lights(tmp_path: Path) -
     described = read(SURROUNDINGS, tmp_path)
     tables = described.tables
     assert described.warnings == [
-        "y is up in it; it is turned so that z is",
+        "y is up in this scene; it is rotated so that z is up",
         "nodes that are not shown: Background (line 4), PointLight (line 9), TimeSensor (line 20)",
     ]
     assert tables["description"] == "A cell" and tables["view"] == {"camera": "front"}
@@ -251,10 +251,10 @@ def test_z_stays_up_where_a_robot_stands_on_it_and_nothing_says_otherwise(tmp_pa
     assert np.allclose(camera["look_at"], [0, 0, 1], atol=1e-3)
     rolled = view.replace("2.0944", "2.6")
     (warning,) = read(f"{rolled} {ARM % ''}", tmp_path).warnings
-    assert warning.startswith("Viewpoint 'view' (line 2) is rolled by ")
+    assert warning.startswith("Viewpoint 'view' (line 2) has a roll of ")
 
 
-def test_links_without_their_file_are_drawn_after_the_table_and_others_by_theirs(
+def test_only_links_without_a_file_are_generated_from_the_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     red = "appearance Appearance { material Material { diffuseColor 1 0 0 } }"
@@ -266,9 +266,10 @@ def test_links_without_their_file_are_drawn_after_the_table_and_others_by_theirs
     (tmp_path / "link2.wrl").write_text(f"{head}Shape {{\n geometry Box {{ size 1 1 }} }}")
     described = read(ARM % 'filenames [ "base.wrl" "link1.wrl" "link2.wrl" ]', tmp_path)
     assert described.warnings == [
-        f"link2.wrl of arm is drawn after its DH table: {tmp_path / 'link2.wrl'}:3: Box.size: "
+        "link2.wrl of arm is replaced by a link generated from the DH table: "
+        f"{tmp_path / 'link2.wrl'}:3: Box.size: "
         "found 2 numbers; expected 3 numbers",
-        "no geometry files base.wrl; these links of arm are drawn after its DH table",
+        "missing geometry files base.wrl; these links of arm are generated from the DH table",
     ]
     assert described.tables["robots"]["arm"]["filenames"] == [
         {"shape": "generated"}, "link1.wrl", {"shape": "generated"},
@@ -310,12 +311,12 @@ def test_a_tool_is_at_the_flange_in_every_way_that_the_paper_names(
     World(load_scene(tmp_path / "scene.x3d"))
 
 
-def test_matrices_with_their_translation_in_the_fourth_column_are_told(tmp_path: Path) -> None:
+def test_matrices_with_the_translation_in_the_fourth_column_are_reported(tmp_path: Path) -> None:
     described = read(ARM % "baseFrame 0 -1 0 5  1 0 0 6  0 0 1 7  0 0 0 1", tmp_path)
     (warning,) = described.warnings
     assert warning == (
-        "arm.baseFrame (line 2) has its translation in the fourth column, and is read so; X3D has "
-        "it in the fourth row"
+        "arm.baseFrame (line 2) has the translation in the fourth column instead of the "
+        "fourth row, and is transposed"
     )
     expected = [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]]
     assert described.tables["robots"]["arm"]["base_frame"] == expected
@@ -329,9 +330,9 @@ def test_matrices_with_their_translation_in_the_fourth_column_are_told(tmp_path:
         (ARM % "jointAngles [1 2 3]",
          ["2: robots.arm.joint_angles: found 3 entries; expected 2, one per row"]),
         (ARM % "torques [1 2]",
-         ["2: arm.torques: is an event, which has no value; expected a ROUTE TO arm.torques"]),
+         ["2: arm.torques: is an event without a value; expected a ROUTE TO arm.torques"]),
         (ARM % "baseFrame 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1",
-         ["2: arm.baseFrame: found 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1; expected a rotation, and a "
+         ["2: arm.baseFrame: found 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1; expected a rotation, and the "
           "translation and 1 in the fourth row"]),
         (f"{ARM % ''}\nROUTE udp.values0 TO arm.jointAngles",
          ["3: ROUTE udp.values0 TO arm.jointAngles: no DEF 'udp'; available: arm"]),
@@ -345,17 +346,15 @@ def test_matrices_with_their_translation_in_the_fourth_column_are_told(tmp_path:
         ("DEF udp UdpReceiver {\n structure \"7Z\"\n}",
          ["3: sources.udp.structure: structure '7Z', character 2: found 'Z', expected"]),
         (f"{ARM % ''} USE arm",
-         ["2: arm: stands there twice; expected a robot of its own instead of USE"]),
+         ["2: arm: is used twice; expected a separate robot instead of USE"]),
         (f"Transform {{ scale 2 2 2 children {ARM % ''} }}",
-         ["2: arm.baseFrame: stands in a Transform with a scale; expected none around robots"]),
+         ["2: arm.baseFrame: is in a Transform with a scale; robots cannot be scaled"]),
         (ARM % "directory \"http://x.org/lwr\" filenames [ \"a.wrl\" ]",
          ["2: arm.directory: found 'http://x.org/lwr'; expected a folder"]),
         ("DEF shm ShmReader { structure \"2F\" }", ["2: sources.shm.block: is required"]),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_told_with_its_line(
-    text: str, messages: list[str], tmp_path: Path
-) -> None:
+def test_errors_are_reported_with_lines(text: str, messages: list[str], tmp_path: Path) -> None:
     found = wrong(text, tmp_path)
     assert len(found) == len(messages)
     for line, message in zip(found, messages, strict=True):
