@@ -165,8 +165,8 @@ def _check_scene(options: CheckOptions) -> int:
     _print_decor(scene)
     for target, text in scene.routes.items():
         for event, names in parts_of_origin(text):
-            joints = "" if names is None else f": {', '.join(names)}"
-            print(fill(f"  route   {event} -> {target}{joints}", 100, subsequent_indent=" " * 10))
+            listed = "" if names is None else f": {', '.join(names)}"
+            print(fill(f"  route   {event} -> {target}{listed}", 100, subsequent_indent=" " * 10))
     for item in scene.objects:
         mass = "" if item.mass is None else f": {item.mass:g} kg, free in simulation"
         print(f"  object  {item.name}{mass}")

@@ -58,11 +58,10 @@ class RenderOptions(SceneArgument, VideoOptions, EyeOptions, ShownOptions, OverO
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
-        if not self.is_video and (
-            options := self.set_among("duration", "fps", "orbit", "camera_path")
-        ):
+        of_video = self.set_among("duration", "fps", "orbit", "camera_path")
+        if of_video and not self.is_video:
             expected = f"expected a video ({', '.join(VIDEO_FORMATS)})"
-            raise ValueError(f"-o {self.output}: {expected} with {options[0]}")
+            raise ValueError(f"-o {self.output}: {expected} with {of_video[0]}")
         self._check_pass()
         if self.is_video and self.at is not None:
             raise ValueError(f"-o {self.output}: --at needs an image")
