@@ -218,7 +218,7 @@ def test_the_command_writes_a_recording_to_shared_memory(tmp_path: Path, listene
         (["--speed", "2"], "--speed needs --play FILE"),
         (["--loop"], "--loop needs --play FILE"),
         (["--play", "REC", "--rate", "5"], "--rate cannot be combined with a recording"),
-        (["--play", "REC", "--amplitude", "0"], "--amplitude is for a motion"),
+        (["--play", "REC", "--amplitude", "0"], "--amplitude cannot be combined with --play"),
         (["--play", "none.csv"], "none.csv"),
         (["--play", "none.mcap"], "none.mcap"),
         (["--play", "REC", "--recorded", "amr"], "no source 'amr' in"),

@@ -229,8 +229,8 @@ def _wrong_drives(found: TorqueResiduals, min_duration: float) -> list[Explanati
     explanations = []
     link = found.link
     left = np.where(np.isfinite(found.motor), found.motor, found.lag)
-    # While a joint reverses, its inertia is not subtracted. At rest, an end stop may hold it, unless
-    # the link torques are known.
+    # While a joint reverses, its inertia is not subtracted. At rest, an end stop may hold it if the
+    # link torques are unknown.
     has_links = np.isfinite(link).any()
     is_judged = np.isfinite(found.motor) | np.isnan(link) & (found.motion.slow | has_links)
     for joint, name in enumerate(found.robot.names):

@@ -135,7 +135,7 @@ def test_what_is_no_camera_is_told(
     monkeypatch.setenv("DISPLAY", ":99999")
     for options, message in (
         (["--over", "0"], "--over needs --camera-file"),
-        (["--over", "0", "--camera-file", "c.toml", "--web"], "--over needs a window; found a page"),
+        (["--over", "0", "--camera-file", "c.toml", "--web"], "--over needs a window"),
         (["--over", "0", "--camera-file", "c.toml", "--camera", "1,2,3"],
          "--camera cannot be combined with --over"),
     ):  # fmt: skip

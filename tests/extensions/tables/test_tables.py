@@ -335,7 +335,7 @@ def test_commands_say_how_a_table_is_shown(
     assert "which does not describe its robot. Name the robot" in capsys.readouterr().err
     scene_of(tmp_path)
     assert run("check", tmp_path / "two.toml", "--columns", "torques=x*") == 2
-    assert "--columns is for tables" in capsys.readouterr().err
+    assert "--columns needs a table" in capsys.readouterr().err
     assert run("check", tmp_path / "two.toml", "--replay", path, "--columns", "torques=x*") == 2
     assert "no column is called like 'x*'" in capsys.readouterr().err
     arguments = ("--replay", path, "--columns", "torques=target_moment_*")
