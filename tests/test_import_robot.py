@@ -160,7 +160,7 @@ def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
         (["tree.urdf", "--package", "x=no"], "--package: found 'no', which is not a folder"),
     ],
 )
-def test_what_cannot_be_imported_is_told(folder: Path, capsys, arguments, message) -> None:
+def test_unreadable_imports_are_reported(folder: Path, capsys, arguments, message) -> None:
     (folder / "mjcf.xml").write_text("<!-- <robot> -->\n<mujoco/>")
     (folder / "sdf.xml").write_text("<?xml version='1.0'?><sdf/>")
     (folder / "text.xml").write_text("no XML")
@@ -172,7 +172,7 @@ def test_what_cannot_be_imported_is_told(folder: Path, capsys, arguments, messag
     assert not (folder / "tree").exists()
 
 
-def test_a_urdf_that_ends_in_xml_is_one(folder: Path, capsys) -> None:
+def test_a_urdf_file_can_end_in_xml(folder: Path, capsys) -> None:
     (folder / "arm").mkdir()
     (folder / "tree.urdf").rename(folder / "arm" / "robot.xml")
     option = f"arm_meshes={folder / 'far' / 'away'}"

@@ -252,7 +252,7 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
         ("viewer.session.clock", "from ..window.host import Window", "imports viewer.window"),
         ("study.figure", "from ..extensions.fmu import fmu", "imports extensions.fmu"),
         ("cli.view", "from ..extensions.photo import over", "imports extensions.photo"),
-        ("extensions.rtde.client", "from ..fmu import fmu", "imports the extension extensions.fmu"),
+        ("extensions.rtde.robot", "from ..fmu import fmu", "imports the extension extensions.fmu"),
         ("base.errors", "from ..robots.kinematics import dh", "imports robots.kinematics.dh"),
         ("base.paths", "def f():\n    from ..cli import main", "imports cli"),
         ("robots.assemble", "from ...viewer import decor", "imports viewer.decor"),

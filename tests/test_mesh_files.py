@@ -137,7 +137,7 @@ def test_collada_has_units_nodes_and_colours(tmp_path: Path) -> None:
         ("<transparency><float>0</float></transparency>", 1.0, "'red' would be invisible"),
     ],
 )  # fmt: skip
-def test_transparency_of_collada_is_that_of_its_specification_with_a_warning(
+def test_collada_transparency_follows_the_specification(
     tmp_path: Path, caplog, transparency: str, alpha: float, warning: str
 ) -> None:
     path = tmp_path / "two.dae"
@@ -183,7 +183,7 @@ def test_transparency_of_obj_materials(
         ("m.mtl", ".\\m.mtl", "utf-16", "\n"),
     ],
 )
-def test_materials_of_obj_are_found_however_they_are_written(
+def test_obj_materials_are_found_in_any_notation(
     tmp_path: Path, file: str, named: str, encoding: str, end: str
 ) -> None:
     text = "\tnewmtl\tdark  red \n\tKd 0.8 0.1 0.1\n\nNEWMTL light blue\nkd 0.1 0.2 0.8\n"
@@ -198,7 +198,7 @@ def test_materials_of_obj_are_found_however_they_are_written(
     ("mode", "factor", "alpha"),
     [("OPAQUE", 80, 1.0), ("BLEND", 80, 80 / 255), ("MASK", 140, 1.0), ("MASK", 80, 0.0)],
 )
-def test_transparency_of_gltf_is_what_its_mode_says(
+def test_gltf_transparency_follows_its_mode(
     tmp_path: Path, mode: str, factor: int, alpha: float
 ) -> None:
     look = trimesh.visual.material.PBRMaterial(baseColorFactor=[25, 50, 200, factor],
@@ -209,7 +209,7 @@ def test_transparency_of_gltf_is_what_its_mode_says(
     assert piece.rgba == pytest.approx((25 / 255, 50 / 255, 200 / 255, alpha), abs=1e-3)
 
 
-def test_the_alpha_of_vertices_is_kept(tmp_path: Path) -> None:
+def test_vertex_alpha_is_preserved(tmp_path: Path) -> None:
     box = trimesh.Trimesh(BOX.vertices, BOX.faces, vertex_colors=[[25, 50, 200, 80]] * 8)
     box.export(tmp_path / "a.ply")
     (piece,) = read_mesh(tmp_path / "a.ply")
@@ -217,7 +217,7 @@ def test_the_alpha_of_vertices_is_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("has_own", "expected"), [(True, 0.4 * 80 / 255), (False, 0.4)])
-def test_the_opacity_of_a_urdf_material_holds_for_meshes(
+def test_urdf_material_opacity_applies_to_meshes(
     tmp_path: Path, has_own: bool, expected: float
 ) -> None:
     colors = [[25, 50, 200, 80]] * 8 if has_own else None
@@ -252,7 +252,7 @@ def test_mirrored_nodes_keep_their_faces_outside(tmp_path: Path) -> None:
     assert volume.sum() == pytest.approx(2 * 0.1 * 0.2 * 0.3 / 6)
 
 
-def test_a_material_that_cannot_be_read_costs_the_colour_only(tmp_path: Path) -> None:
+def test_an_unreadable_material_loses_only_the_color(tmp_path: Path) -> None:
     path = tmp_path / "two.dae"
     text = COLLADA.format(picture="none.png", second="pic").replace(
         '<image id="i">', '<image id="j">'
@@ -263,7 +263,7 @@ def test_a_material_that_cannot_be_read_costs_the_colour_only(tmp_path: Path) ->
 
 
 @pytest.mark.extensions
-def test_vrml_has_the_colours_of_its_materials(tmp_path: Path) -> None:
+def test_vrml_has_material_colors(tmp_path: Path) -> None:
     path = tmp_path / "two.wrl"
     path.write_text(
         "#VRML V2.0 utf8\nTransform { translation 1 0 0 children Shape {\n"
@@ -280,7 +280,7 @@ def test_vrml_has_the_colours_of_its_materials(tmp_path: Path) -> None:
     assert refused(path) == "two.wrl:2: the { of Transform is not closed"
 
 
-def test_obj_files_have_the_colours_of_their_materials(tmp_path: Path) -> None:
+def test_obj_files_have_material_colors(tmp_path: Path) -> None:
     (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\nnewmtl b\nKd 0 0 1\n", encoding="utf-8")
     points = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
     path = tmp_path / "one.obj"
@@ -348,7 +348,7 @@ def test_invalid_meshes_are_rejected(
     assert refused(tmp_path / name).startswith(expected)
 
 
-def test_a_mesh_that_is_missing_is_told_with_the_line_that_names_it(tmp_path: Path) -> None:
+def test_a_missing_mesh_is_reported_with_its_line(tmp_path: Path) -> None:
     """Of a robot by itself, without a scene's file."""
     file = tmp_path / "crane" / "robot.toml"
     file.parent.mkdir()
@@ -375,7 +375,7 @@ def corrupted(contents: bytes, data: st.DataObject) -> bytes:
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", ["stl", "obj", "ply", "glb", "dae", "wrl"])
 @given(data=st.data())
-def test_damaged_files_raise_nothing_but_declaration_errors(
+def test_damaged_files_raise_only_declaration_errors(
     tmp_path_factory: pytest.TempPathFactory, ending: str, data: st.DataObject
 ) -> None:
     path = tmp_path_factory.getbasetemp() / f"damaged.{ending}"
@@ -394,9 +394,7 @@ def test_damaged_files_raise_nothing_but_declaration_errors(
         assert all(len(piece.points) >= 3 for piece in pieces)
 
 
-def test_a_file_that_is_too_large_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_large_files_are_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mesh_files, "MAX_MESH_BYTES", 100)
     monkeypatch.setattr(mesh_files, "MAX_CONVERTED_BYTES", 50)
     for name, size, most in (("a.stl", 200, "0.0001"), ("a.dae", 80, "5e-05")):
@@ -407,7 +405,7 @@ def test_a_file_that_is_too_large_is_refused(
     assert "of STL that MuJoCo cannot read without conversion" in refused(tmp_path / "b.stl")
 
 
-def test_what_was_read_is_kept_until_the_file_changes(tmp_path: Path) -> None:
+def test_meshes_are_cached_until_the_file_changes(tmp_path: Path) -> None:
     path = tmp_path / "box.ply"
     BOX.export(path)
     first = read_mesh(path)
@@ -425,7 +423,7 @@ def test_a_truncated_stl_reports_how_many_triangles_it_has(tmp_path: Path, head:
     assert "box.stl: is truncated: found 3 of 12 triangles" in refused(path)
 
 
-def test_only_what_touches_or_weighs_gets_a_hull(tmp_path: Path) -> None:
+def test_only_geoms_with_mass_or_contacts_get_a_hull(tmp_path: Path) -> None:
     BOX.export(tmp_path / "box.stl")
     robot = SerialRobot(
         dh_convention="craig",
@@ -475,7 +473,7 @@ def test_meshes_are_found_above_the_file(package: Path, name: str) -> None:
     assert found is not None and found.name == "box.stl" and package in found.parents
 
 
-def test_capital_letters_count_where_they_tell_files_apart(package: Path) -> None:
+def test_case_matters_only_for_otherwise_equal_names(package: Path) -> None:
     meshes = package / "meshes"
     for name in ("BOX.stl", "bOX.stl"):
         (meshes / name).write_bytes((meshes / "box.stl").read_bytes())
@@ -485,7 +483,7 @@ def test_capital_letters_count_where_they_tell_files_apart(package: Path) -> Non
     assert package_of("file://$(find odd)/meshes/box.stl") == "odd"
 
 
-def test_packages_are_found_where_the_environment_and_the_user_say(
+def test_packages_are_found_by_environment_and_option(
     package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     far = tmp_path / "elsewhere" / "arm.urdf"
@@ -514,7 +512,7 @@ def test_packages_are_found_where_the_environment_and_the_user_say(
     assert find_file("package://my_arm/\0", far) is None
 
 
-def test_missing_meshes_cost_themselves_and_are_named_once(package: Path) -> None:
+def test_missing_meshes_are_left_out_and_listed_once(package: Path) -> None:
     (package / "meshes" / "bad.dae").write_text("<COLLADA")
     visuals = "".join(
         f'<visual><geometry><mesh filename="{name}" scale="{scale}"/></geometry>\n'

@@ -111,7 +111,7 @@ def robot(path):
     return SerialRobot.from_mjcf(path, name="legs")
 
 
-def test_its_joints_limits_and_couplings_are_those_of_the_file(robot, caplog):
+def test_joints_limits_and_couplings_match_the_file(robot, caplog):
     inf = np.inf
     assert robot.names == NAMES and robot.types[5] == "prismatic"
     assert robot.parents == ["base", *NAMES[:3], "base", *NAMES[4:6]]
@@ -146,7 +146,7 @@ def test_warnings_name_what_is_left_out(path, caplog):
     ]
 
 
-def test_its_kinematics_and_dynamics_are_those_of_the_file(robot):
+def test_kinematics_and_dynamics_match_the_file(robot):
     tree = tree_of(robot.mjcf, Path(robot.directory))
     model, data = tree.model, mujoco.MjData(tree.model)
     world = World(Scene(robots=[robot]), dynamic=True)
@@ -187,7 +187,7 @@ def seen_geoms(world, name="legs"):
     ]  # fmt: skip
 
 
-def test_its_geoms_are_where_they_were_with_their_meshes_and_materials(robot, path):
+def test_geoms_keep_poses_meshes_and_materials(robot, path):
     world = World(Scene(robots=[robot], floor=False))
     alone = mujoco.MjModel.from_xml_path(str(path))
     data, own = mujoco.MjData(alone), world.make_data()
@@ -250,7 +250,7 @@ def test_a_mesh_with_several_normals_at_a_vertex_keeps_them(tmp_path):
         )
 
 
-def test_in_simulation_its_collision_geoms_touch_with_their_friction(robot):
+def test_collision_geoms_touch_with_their_friction(robot):
     world = World(Scene(robots=[robot]), dynamic=True)
     model = world.model
     touching = [g for g in range(model.ngeom) if model.geom_group[g] == 4]
@@ -295,7 +295,7 @@ of = "one"
     assert np.unique(model.geom_rgba[doubled], axis=0).shape == (1, 4)
 
 
-def test_alone_it_stands_on_the_floor_and_falls_no_further(path):
+def test_a_single_robot_stands_on_the_floor(path):
     world = World(load_scene(path), dynamic=True)
     model, data = world.model, world.make_data()
     floor = data.geom("floor").xpos[2]
@@ -325,7 +325,7 @@ def test_alone_it_stands_on_the_floor_and_falls_no_further(path):
         ),
     ],
 )  # fmt: skip
-def test_what_is_no_robot_is_told(tmp_path, text, message):
+def test_files_without_robot_are_reported(tmp_path, text, message):
     (tmp_path / "bad.xml").write_text(text)
     with pytest.raises(DeclarationError) as caught:
         SerialRobot.from_model(str(tmp_path / "bad.xml"))
@@ -340,7 +340,7 @@ def test_ball_joints_are_fixed_with_a_warning(caplog):
     assert "ball joints are fixed, because they have no single axis: wrist" in caplog.text
 
 
-def test_objects_with_mjcf_in_python_are_robots_too():
+def test_mjcf_objects_in_python_can_be_robots():
     spec = mujoco.MjSpec.from_string(ARM)
     one, other = SerialRobot.from_mjcf(spec, name="a"), SerialRobot.from_mjcf(ARM, name="b")
     assert one.names == other.names
@@ -349,7 +349,7 @@ def test_objects_with_mjcf_in_python_are_robots_too():
     assert world.model.njnt == 4
 
 
-def test_another_number_of_joints_than_the_file_has_is_refused(path):
+def test_a_different_number_of_joints_is_rejected(path):
     robot = SerialRobot(
         joint_frames=[np.eye(4)], mjcf=path.name, directory=str(path.parent), name="legs"
     )
@@ -358,7 +358,7 @@ def test_another_number_of_joints_than_the_file_has_is_refused(path):
     assert "mjcf: found 7 joints in it; expected 1, as the robot has" in str(caught.value)
 
 
-def test_geoms_that_touch_are_not_drawn_over_those_that_are_to_be_seen():
+def test_collision_geoms_are_not_drawn_over_visual_ones():
     looks = '<geom type="box" size=".1 .1 .1" group="1" contype="0" conaffinity="0"/>'
     text = ARM.replace('<geom size="0.1"/>', f'{looks}<geom size="0.1" group="0"/>')
     world = World(Scene(robots=[SerialRobot.from_mjcf(text, name="arm")]))
@@ -498,7 +498,7 @@ def test_couplings_are_the_linear_constraints_of_joints_and_tendons(caplog):
         assert f"the constraint of {who} is left out: {reason}" in caplog.text
 
 
-def test_the_hand_of_fingers_carries_the_flange():
+def test_the_palm_of_a_gripper_carries_the_flange():
     finger = '<body><joint name="{0}" type="slide" axis="0 1 0"/><geom size="0.01"/></body>'
     robot = SerialRobot.from_mjcf(
         f"""<mujoco><worldbody><body><joint name="j1"/><geom size="0.1"/>
@@ -511,13 +511,13 @@ def test_the_hand_of_fingers_carries_the_flange():
     np.testing.assert_allclose(robot.fwd_kin_base_to_flange()[:3, 3], [0, 0, 0.3], atol=1e-12)
 
 
-def test_a_key_frame_is_the_initial_pose_of_a_chain_of_couplings():
+def test_a_keyframe_is_the_initial_pose_of_coupled_joints():
     key = '<keyframe><key name="home" qpos="0.5 9 1 9 2 9 9 9"/></keyframe></mujoco>'
     robot = SerialRobot.from_mjcf(COUPLED.replace("</mujoco>", key), name="arm")
     np.testing.assert_allclose(robot.home, robot.coupled.positions(np.array([0.5, 1.0, 2.0])))
 
 
-def test_frames_are_called_by_joints_and_by_links_of_the_file(path, tmp_path):
+def test_frames_have_names_of_joints_and_links(path, tmp_path):
     (tmp_path / "s.toml").write_text("""
 [robots.legs]
 model = "two-legs.xml"
@@ -578,7 +578,7 @@ force = [0, 0, 1]
     assert (scene.frames[arrow.at].relative_to, arrow.expressed_in) == ("legs/link4", "legs/base")
 
 
-def test_a_frame_that_is_no_frame_is_told_with_those_there_are(path, tmp_path):
+def test_an_unknown_frame_is_reported_with_known_frames(path, tmp_path):
     (tmp_path / "s.toml").write_text("""
 [robots.legs]
 model = "two-legs.xml"
@@ -596,7 +596,7 @@ at = "legs/nothing at all"
     )
 
 
-def test_independent_joints_alone_say_where_the_flange_is(robot):
+def test_only_independent_joints_determine_the_flange(robot):
     q = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.05])
     whole = [*q, robot.couplings["right follower"].offset - 0.5 * q[4]]
     np.testing.assert_allclose(
@@ -610,7 +610,7 @@ FILES = ["acrobot", "cheetah", "fish", "hopper", "humanoid", "quadruped", "swimm
 @pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
-def test_robots_of_dm_control_are_those_of_plain_mujoco(name):
+def test_robots_of_dm_control_match_plain_mujoco(name):
     pytest.importorskip("dm_control", reason="dm-control is not installed")
     folder = Path(find_spec("dm_control").submodule_search_locations[0]) / "suite"
     robot = SerialRobot.from_mjcf(folder / f"{name}.xml", name="robot")
@@ -651,7 +651,7 @@ def test_implausible_values_are_clipped_or_ignored(tmp_path):
         ('<key qpos="0.4"/><key name="home" qpos="0.3"/>', [0.3]),
     ],
 )
-def test_the_only_key_frame_is_the_initial_pose_also_without_a_name(tmp_path, keys, expected):
+def test_a_single_unnamed_keyframe_is_the_initial_pose(tmp_path, keys, expected):
     text = ALONE.format('<joint/><geom size="0.1"/>')
     keyed = text.replace("</mujoco>", f"<keyframe>{keys}</keyframe></mujoco>")
     (tmp_path / "arm.xml").write_text(keyed)
@@ -675,7 +675,7 @@ WORDS = ["0", "-1", "nan", "1e400", "", "a", "free", "ball", "mesh", "left knee"
 
 
 @given(st.data())
-def test_mutated_files_raise_nothing_but_sero_errors(
+def test_mutated_files_raise_only_sero_errors(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "mutated.xml"
@@ -725,9 +725,7 @@ IDIOM = (
          (False, "free_base", [0, 0, 1])),
     ],
 )  # fmt: skip
-def test_a_passive_platform_is_a_free_base_where_its_key_frame_has_it(
-    joints, actuator, key, expected
-):
+def test_a_passive_platform_is_a_free_base_at_its_keyframe(joints, actuator, key, expected):
     text = MOBILE.format(joints, actuator, key)
     robot = SerialRobot.from_mjcf(text, name="mobile")
     assert (robot.free_base, robot.base_joint, robot.base_normal.tolist()) == expected

@@ -39,7 +39,7 @@ def test_every_tree_with_a_hinge_or_slide_is_a_robot() -> None:
     ) == ["a", "slide", "deep"]
 
 
-def test_names_are_fit_for_routes_and_differ() -> None:
+def test_names_are_valid_in_routes_and_unique() -> None:
     found = names(*map(body, ("left arm", "left.arm", "2nd", "world1", "toggles", "toggles2")))
     assert found == ["left_arm", "left_arm2", "_2nd", "world1", "toggles2", "toggles22"]
     nameless = '<body><joint/><geom size=".1"/></body>'
@@ -241,7 +241,7 @@ def test_movable_things_beside_a_robot_are_in_the_view_and_surroundings_are_not(
     assert [model.body(body).name for body in model.geom_bodyid[shown]] == ["arm", "ball"]
 
 
-def test_a_robot_has_drives_where_any_has() -> None:
+def test_only_actuated_trees_are_robots() -> None:
     door, arm_ = limb("door", "1 0 1"), limb("arm", "0 0 1")
     assert set(robots_of(door + arm_, "arm")) == {"arm"}
     assert set(robots_of(door + arm_, "")) == {"door", "arm"}
@@ -251,7 +251,7 @@ def test_a_robot_has_drives_where_any_has() -> None:
     assert list(sero_mj.overlay(model, data, robots={"door": {}}).robots) == ["door", "arm"]
 
 
-def test_drives_may_pull_at_tendons_and_sites() -> None:
+def test_actuators_can_drive_tendons_and_sites() -> None:
     bodies = """<body name="{0}" pos="{1} 0 1"><joint name="{0}"/><geom size=".1"/>
       <site name="{0}" pos=".1 .1 0"/></body>"""
     world = "".join(
@@ -279,7 +279,7 @@ def test_drives_may_pull_at_tendons_and_sites() -> None:
         ("upper_arm", "lab", "upper_arm"),
     ],
 )
-def test_a_root_that_is_called_by_its_part_gives_way_to_the_model(
+def test_a_root_with_a_part_name_gets_the_model_name(
     root: str, model_name: str, expected: str
 ) -> None:
     assert list(robots_of(body(root, "<joint name='j'/>"), "j", model_name)) == [expected]

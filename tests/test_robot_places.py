@@ -50,7 +50,7 @@ def menagerie(tmp_path: Path) -> Path:
         ("franka_research_3", "franka_fr3"),
     ],
 )
-def test_a_model_of_a_checkout_is_found_by_its_name(
+def test_a_menagerie_model_is_found_by_name(
     menagerie: Path, monkeypatch: pytest.MonkeyPatch, name: str, folder: str
 ) -> None:
     monkeypatch.setenv("MENAGERIE_PATH", str(menagerie))
@@ -60,7 +60,7 @@ def test_a_model_of_a_checkout_is_found_by_its_name(
     assert scene.name == folder
 
 
-def test_a_checkout_in_the_working_folder_is_found_as_well(
+def test_a_clone_in_the_working_folder_is_found(
     menagerie: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("MENAGERIE_PATH", raising=False)
@@ -109,7 +109,7 @@ def cached(cache: Path, repository: str, files: Mapping[str, str]) -> dict[str, 
     return {**known, "ROBOT_DESCRIPTIONS_CACHE": str(cache), "ROBOT_DESCRIPTION_COMMIT": commit}
 
 
-def test_a_description_is_taken_from_the_cache_without_a_network(tmp_path: Path) -> None:
+def test_a_cached_description_needs_no_network(tmp_path: Path) -> None:
     urdf = URDF.format(name="panda", joint="panda_joint1")
     files = {"robots/panda_description/urdf/panda.urdf": urdf}
     environment = cached(tmp_path / "cache", "example-robot-data", files)
@@ -121,7 +121,7 @@ def test_a_description_is_taken_from_the_cache_without_a_network(tmp_path: Path)
     assert status == 0 and "robot   one: 1 joints" in said
 
 
-def test_a_description_of_xacro_has_its_arguments(tmp_path: Path) -> None:
+def test_a_xacro_description_has_its_arguments(tmp_path: Path) -> None:
     top = (
         '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="$(arg name)">'
         '<xacro:arg name="ur_type" default="ur3"/><xacro:arg name="name" default="none"/>'
@@ -139,7 +139,7 @@ def test_a_description_of_xacro_has_its_arguments(tmp_path: Path) -> None:
     assert "ur5e_description: no errors" in said and "shoulder_pan_joint moves" in said
 
 
-def test_what_cannot_be_fetched_is_told(tmp_path: Path) -> None:
+def test_failed_downloads_are_reported(tmp_path: Path) -> None:
     environment = cached(tmp_path / "cache", "example-robot-data", {"README": "empty"})
     (folder,) = (tmp_path / "cache").iterdir()
     other = "0" * 40
@@ -165,7 +165,7 @@ def test_a_file_of_the_name_of_a_description_fetches_nothing(
 def test_names_are_listed_and_suggested(tmp_path: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if key not in UNSET}
     status, said = run_command(["list", "--known"], tmp_path, environment)
-    assert status == 0 and "MuJoCo Menagerie: no checkout" in said
+    assert status == 0 and "MuJoCo Menagerie: no clone" in said
     lines = said.splitlines()
     assert "  ur5e_description" in lines  # one a line where this is no terminal
     names = lines[lines.index("robot_descriptions") + 1 :]
@@ -199,7 +199,7 @@ def test_names_are_in_columns_as_wide_as_the_terminal(tmp_path: Path) -> None:
     ("name", "shipped"),
     [("franka_fr3", "fr3"), ("UR5e", "ur5e"), ("lbr_iiwa14_r820", "iiwa14"), ("LWR", "lwr")],
 )
-def test_makers_spellings_mean_what_is_shipped(name: str, shipped: str) -> None:
+def test_manufacturer_spellings_find_shipped_robots(name: str, shipped: str) -> None:
     assert paths.find_model(name) == paths.models_dir() / shipped / "robot.toml"
 
 

@@ -159,7 +159,7 @@ def poses_in_tables(tables: dict[str, Any], q: Array) -> Array:
 
 
 @pytest.mark.parametrize("text", [GRIPPER, CHAIN])
-def test_links_are_where_the_file_has_them(tmp_path: Path, text: str) -> None:
+def test_links_have_the_poses_of_the_file(tmp_path: Path, text: str) -> None:
     file = UrdfFile(write(tmp_path, text))
     tables = file.described.tables
     assert ("dh_params" in tables) == (text == CHAIN)
@@ -475,14 +475,14 @@ def test_slightly_invalid_xml_is_checked_like_valid_xml(tmp_path: Path, start: s
     assert f"robot.urdf:{line}: is not valid XML: Opening and ending tag" in mismatch
 
 
-def test_a_declaration_that_is_not_at_the_start_says_the_encoding(tmp_path: Path) -> None:
+def test_a_misplaced_declaration_sets_the_encoding(tmp_path: Path) -> None:
     text = '\n<?xml version="1.0" encoding="ISO-8859-1"?>' + GRIPPER.partition("?>")[2]
     path = tmp_path / "robot.urdf"
     path.write_bytes(text.replace('"lower"', '"nächster"').encode("latin-1"))
     assert "nächster" in read_urdf(path).tables["link_names"]
 
 
-def test_encodings_have_the_names_that_python_knows(tmp_path: Path) -> None:
+def test_encodings_can_have_python_names(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     for start in ("", "\n"):
         text = f'{start}<?xml version="1.0" encoding="latin-1"?>' + GRIPPER.partition("?>")[2]
@@ -508,7 +508,7 @@ def test_unambiguous_misspelled_numbers_are_read(tmp_path: Path) -> None:
         assert f"found xyz = '{wrong}'; expected 3 numbers" in found
 
 
-def test_plain_files_take_values_from_the_environment(
+def test_plain_files_use_environment_variables(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = described(tmp_path, GRIPPER)
@@ -552,7 +552,7 @@ def test_implausible_numbers_are_ignored_separately(tmp_path: Path) -> None:
     ]
 
 
-def test_a_tensor_that_is_flat_but_for_rounding_is_raised(tmp_path: Path) -> None:
+def test_a_nearly_flat_tensor_is_raised(tmp_path: Path) -> None:
     flat = '<inertia ixx="0.2125" ixy="-0.005" ixz="0.0225" iyy="0.205" iyz="0.045" izz="0.0125"/>'
     own = '<inertia ixx="0.01" iyy="0.012" izz="0.005" ixy="0" ixz="0.001" iyz="0"/>'
     path = write(tmp_path, CHAIN.replace(own, flat))
@@ -566,7 +566,7 @@ SLIDE = """<robot name="slide"><link name="a"/><link name="b"/><link name="c"/>
 <origin xyz="0.2 0 0.1"/><limit lower="-{0}" upper="{0}"/></joint></robot>"""
 
 
-def test_the_mass_of_a_slide_does_not_grow_with_its_travel(tmp_path: Path) -> None:
+def test_mass_does_not_grow_with_prismatic_travel(tmp_path: Path) -> None:
     found = {}
     for travel in (0.1, 1, 100, 999_999):
         robot = load_scene(write(tmp_path, SLIDE.format(travel))).robots["robot"]
@@ -632,7 +632,7 @@ XACRO = """<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro">
 </robot>"""
 
 
-def test_xacro_is_expanded_where_it_is_installed(tmp_path: Path) -> None:
+def test_xacro_is_expanded_if_installed(tmp_path: Path) -> None:
     pytest.importorskip("xacro")
     tables = described(tmp_path, XACRO).tables
     assert np.array(tables["flange_frame"])[:3, 3].tolist() == [0, 0, 0.5]
@@ -645,7 +645,7 @@ def test_xacro_is_expanded_where_it_is_installed(tmp_path: Path) -> None:
     )
 
 
-def test_elements_of_xacro_in_another_namespace_are_noted(tmp_path: Path) -> None:
+def test_xacro_elements_in_another_namespace_are_reported(tmp_path: Path) -> None:
     text = XACRO.replace("http://www.ros.org/wiki/xacro", "http://other")
     path = tmp_path / "x.urdf"
     path.write_text(text.replace("${2 * length}", "0.5"))
@@ -657,7 +657,7 @@ def test_elements_of_xacro_in_another_namespace_are_noted(tmp_path: Path) -> Non
     )
 
 
-def test_threads_expand_xacro_with_packages_of_their_own(tmp_path: Path) -> None:
+def test_threads_expand_xacro_with_separate_packages(tmp_path: Path) -> None:
     substitution = pytest.importorskip("xacro.substitution_args")
     find = substitution._eval_find
     include = '<xacro:include filename="$(find parts)/length.xacro"/><link'
@@ -706,7 +706,7 @@ WORDS = ["0", "1", "-1", "nan", "1e400", "", "a", "revolute", "fixed", "upper", 
 
 
 @given(st.data())
-def test_mutated_files_raise_nothing_but_declaration_errors(
+def test_mutated_files_raise_only_declaration_errors(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "mutated.urdf"

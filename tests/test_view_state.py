@@ -113,7 +113,7 @@ def test_wrong_switches_and_cameras_are_refused(world: World) -> None:
     with raises_with(UnknownName, kind="joint", name="lwr/A7", near="lwr/A6"):
         apply_switches(world, toggles, {}, "lwr/A7")
     for wrong in ("1,2", "1,2,3,4", "1,2,0,0,0,0", "1,2,3,4,5,nan"):
-        with pytest.raises(UsageError, match="with ,x,y,z of what it looks at"):
+        with pytest.raises(UsageError, match="the look-at point ,x,y,z"):
             find_camera(world, wrong)
 
 

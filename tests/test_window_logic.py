@@ -318,7 +318,7 @@ def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
     clock.on_moment = bookmarks.watch
     mirror.goes_on(clock, 1.0)
     assert bookmarks.all() == []
-    assert bookmarks.go(1) == "nothing was found or marked after this"
+    assert bookmarks.go(1) == "no marks or faults after this time"
     world.set_input(mirror.data, "lwr.torques", [0, 1.1 * robot.torque_limits[1], 0, 0, 0, 0, 0])
     mirror.goes_on(clock, 1.0)  # beyond its limit all along: found once
     world.set_input(mirror.data, "lwr.torques", np.zeros(7))

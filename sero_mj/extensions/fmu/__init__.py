@@ -1,5 +1,5 @@
 """Controllers as Functional Mock-up Units, as Simulink, Dymola and OpenModelica export them.
 
-In: a file .fmu. Out: the controller kind `fmu`.
+In: an FMU file. Out: the controller kind `fmu`.
 Open first: `fmu.py`.
 """

@@ -1,4 +1,4 @@
-"""`kind = "franka"`: a client of libfranka holds a simulated robot, which answers as its FCI."""
+"""`kind = "franka"`: a client of libfranka controls a simulated robot through its FCI."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from ...base.errors import (
-    Problem,
-    mismatch,
-)
+from ...base.errors import Problem, mismatch
 from ...simulate.control.controller import PerJoint, Ratio, within
 from ...simulate.control.joint_control import MAX_STIFFNESS
 from ...simulate.control.robot_model import RobotModel
@@ -21,23 +18,26 @@ from .robot import FrankaRobot
 
 
 class FrankaClient(Reachable):
-    """A client of Franka's FCI; the simulated robot is an FR3 or a Panda, or another of 7 joints.
+    """A client of Franka's FCI. The simulated robot is an FR3, a Panda, or another 7-joint robot.
 
     Attributes:
-        host: address that the robot has; those of the machine itself are 127.0.0.1 to
-            127.255.255.254, so that each of several robots can have one.
-        port: its port; libfranka's clients know 1337 alone. 0 with `{port}` in `command`: a free
-            one.
-        command: starts the program, as for `udp`; a run goes on after one that ends with status 0.
-        clock: `real_time`: a state each millisecond; `lockstep`: time waits for each command of a
+        host: address of the robot. Several robots can use different addresses of this machine,
+            127.0.0.1 to 127.255.255.254.
+        port: port of the robot; clients of libfranka always use 1337. 0 with `{port}` in `command`
+            for a free port.
+        command: command that starts the program, as for `udp`. If it exits with status 0, the run
+            continues.
+        clock: `real_time` sends a state every millisecond; `lockstep` waits for each command of a
             motion, and between motions for the next one.
-        patience: s to wait in lockstep for a command, and between two motions.
-        first_patience: s to wait for the first client, and for the first command of a motion.
-        version: of the robot's server, which libfranka has to fit: 5 for 0.9, 6 for 0.10 to 0.13,
-            7 for 0.13.6, 8 for 0.14, 9 for 0.15 to 0.17, 10 from 0.18 on and for pylibfranka.
-        stiffness: Nm/rad per joint, of the robot's own control, until the client sets another one.
-            Default: that of libfranka's examples.
-        damping: ratio per joint, likewise.
+        patience: time in s to wait in lockstep for a command, and between two motions.
+        first_patience: time in s to wait for the first client, and for the first command of a
+            motion.
+        version: server version of the robot, which must match libfranka: 5 for libfranka 0.9, 6 for
+            0.10 to 0.13, 7 for 0.13.6, 8 for 0.14, 9 for 0.15 to 0.17, 10 from 0.18 on and for
+            pylibfranka.
+        stiffness: stiffness of the robot's own control, Nm/rad per joint, until the client sets
+            another one (default: that of libfranka's examples).
+        damping: damping ratio of the robot's own control per joint.
     """
 
     logged: ClassVar[tuple[str, ...]] = (
@@ -48,6 +48,7 @@ class FrankaClient(Reachable):
     )
     title: ClassVar[str] = "client of libfranka"
     order: ClassVar[int] = 80
+    protocol_joints: ClassVar[int] = JOINTS
 
     kind: Literal["franka"] = "franka"
     port: int = Field(PORT, ge=0, le=65535)
@@ -59,12 +60,12 @@ class FrankaClient(Reachable):
 
     def make(self, model: RobotModel, timestep: float) -> FrankaRobot:
         if model.n != JOINTS:
-            reason = f"FCI is for {JOINTS} joints; {model.name} has {model.n}"
+            reason = f"FCI requires {JOINTS} joints; {model.name} has {model.n}"
             raise Problem("kind", reason).error()
         steps = round(CYCLE / timestep)
         if steps < 1 or abs(steps * timestep - CYCLE) > 1e-9:
-            reason = "FCI has cycles of 1 ms; the time step is"
-            expected = "1 ms divided by a whole number"
+            reason = "FCI cycles last 1 ms, but the time step is"
+            expected = "1 ms divided by an integer"
             raise mismatch(1e3 * timestep, expected, reason, key="kind", of="ms")
         gains = [self.per_joint(key, JOINTS) for key in ("stiffness", "damping")]
         return FrankaRobot(self, model, timestep, steps, self.version, *gains)

@@ -1,4 +1,4 @@
-"""`FciLink`: the sockets of a robot's FCI: requests by TCP, states and commands by UDP."""
+"""`FciLink`: the sockets of a robot's FCI: requests over TCP, states and commands over UDP."""
 
 from __future__ import annotations
 
@@ -19,47 +19,48 @@ from ...simulate.external_control.program_controller import (
     Link,
     Reachable,
 )
-from .messages import HEAD, INCOMPATIBLE, MOST_BYTES, SUCCESS, Messages
+from .messages import HEAD, INCOMPATIBLE, MAX_BYTES, SUCCESS, Messages
 
 log = logging.getLogger(__name__)
 
-_SLICE = 0.02  # s, in which the end of the program is seen
-_MOST_AT_ONCE = 256  # datagrams, so that a flood of strays does not keep the simulation
-_KEEPALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}  # as libfranka has them
-_MUTE = 1.0  # s, after which a connection that asks for nothing gives way to another
+_SLICE = 0.02  # s between checks for the end of the program
+_MAX_DATAGRAMS = 256  # received at once, so that a flood does not stop the simulation
+_KEEPALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}  # as in libfranka
+_CONNECT_TIMEOUT = 1.0  # s after which a connection without a request is replaced by another one
 
 
-class Host(Protocol):
-    """What a link tells of: the robot."""
+class Robot(Protocol):
+    """What a link needs of a robot."""
 
     def request(self, name: str, number: int, values: tuple[Any, ...]) -> None:
-        """A connected client asks for something, see `franka_messages.REQUESTS`."""
+        """Called with a request of a connected client, see `messages.REQUESTS`."""
 
     def connected(self) -> None:
-        """A client has connected."""
+        """Called when a client has connected."""
 
     def lost(self, why: str) -> None:
-        """The client is gone."""
+        """Called when the client has disconnected."""
 
 
 class FciLink(Link):
-    """Serves one client at a time, as the robot does.
+    """Serves one client at a time, like the robot.
 
     Attributes:
-        clients: number of those that have connected so far.
+        clients: number of clients that have connected so far.
+        unexpected: number of datagrams from unexpected senders.
     """
 
-    def __init__(self, declared: Reachable, robot: str, messages: Messages, host: Host) -> None:
+    def __init__(self, declared: Reachable, robot: str, messages: Messages, owner: Robot) -> None:
         super().__init__(declared, robot, messages.command.size)
-        self._messages, self._host = messages, weakref.proxy(host)
+        self._messages, self._owner = messages, weakref.proxy(owner)
         self._listener: socket.socket | None = None
         self._client: socket.socket | None = None
-        self._since = 0.0  # when it has come
-        self._peer: tuple[str, int] | None = None  # where states go to
+        self._since = 0.0  # time of its connection
+        self._peer: tuple[str, int] | None = None  # receiver of the states
         self._received = bytearray()
         self._is_new = Once()
         self.port = declared.port
-        self.clients = self.foreign = 0
+        self.clients = self.unexpected = 0
 
     @property
     def name(self) -> str:
@@ -69,19 +70,16 @@ class FciLink(Link):
     def is_connected(self) -> bool:
         return self._peer is not None
 
-    def tell(self, text: str) -> None:
+    def warn_once(self, text: str) -> None:
         if self._is_new(text):
             log.warning("%s: %s", self._robot, text)
 
     def open(self, time: float) -> None:
-        """Listens, and starts the program, if it is to be.
-
-        Args:
-            time: s since the start.
+        """Listens, and starts the program if one is declared.
 
         Raises:
             DeclarationError: the program cannot be started.
-            SimulationError: the address cannot be listened at.
+            SimulationError: the address is not available.
         """
         declared = self._declared
         try:
@@ -89,9 +87,9 @@ class FciLink(Link):
             self._socket = socket.socket(type=socket.SOCK_DGRAM)
             self._socket.bind((declared.host, 0))
         except OSError as error:
-            more = "; a robot each has an address of its own, host = '127.0.0.2' say"
-            taken = more if declared.port and self._listener is None else ""
-            what = f"{self.name} cannot be listened at: {error.strerror or error}{taken}"
+            hint = "; use a different address for each robot, for example host = '127.0.0.2'"
+            hint = hint if declared.port and self._listener is None else ""
+            what = f"cannot listen on {self.name}: {error.strerror or error}{hint}"
             raise self.error(time, what) from error
         for opened in (self._listener, self._socket):
             weakref.finalize(self, opened.close)
@@ -105,20 +103,16 @@ class FciLink(Link):
         self._began = clock.monotonic() - time
 
     def wait_for_client(self, time: float) -> bool:
-        """Waits for the first client, and lets time begin then; whether one has come.
-
-        Args:
-            time: s since the start.
+        """Waits for the first client, starts the clock, and returns whether a client connected.
 
         Raises:
-            SimulationError: the program has ended before.
+            SimulationError: the program ended before.
         """
         while not self.clients and clock.monotonic() < self._given_up:
             self.serve(_SLICE)
             if not self.clients and self._program is not None and self._program.has_ended:
-                raise self.error(
-                    time, f"{self._program.why()}; it has not connected to {self.name}"
-                )
+                what = f"{self._program.why()}; it has not connected to {self.name}"
+                raise self.error(time, what)
         self._began = clock.monotonic() - time
         return self.clients > 0
 
@@ -140,14 +134,14 @@ class FciLink(Link):
             return False
         try:
             self._socket.sendto(packet, self._peer)
-        except OSError:  # its network is gone, or takes no more
+        except OSError:  # the network is down or overloaded
             return False
         return True
 
     def receive(self, take: Callable[[int], object]) -> None:
         if self._socket is None:
             return
-        for _ in range(_MOST_AT_ONCE):
+        for _ in range(_MAX_DATAGRAMS):
             try:
                 size, address = self._socket.recvfrom_into(self.buffer, 0, DONT_WAIT)
             except ConnectionError:  # on Windows: a client's port is closed
@@ -157,7 +151,7 @@ class FciLink(Link):
             if address == self._peer:
                 take(size)
             else:
-                self.foreign += 1
+                self.unexpected += 1
 
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
         due = self._due(time, step)
@@ -169,13 +163,13 @@ class FciLink(Link):
             self.receive(take)
 
     def share_core(self) -> None:
-        """Has a program that was started run on this core, where that is declared."""
+        """Moves a started program to the core of the simulation, if that is declared."""
         self._share_core()
 
     # ---- requests
 
     def serve(self, seconds: float) -> None:
-        """Waits until something has come, at most so long, s, and handles requests."""
+        """Waits up to some seconds for input, and handles requests."""
         sockets = [s for s in (self._client, self._listener, self._socket) if s is not None]
         if not sockets:
             return
@@ -191,21 +185,23 @@ class FciLink(Link):
         try:
             self._client.sendall(self._messages.answer(request, number, status, more))
         except OSError as error:
-            self._drop(f"takes no answer: {error.strerror or error}")
+            self._disconnect(f"accepts no answer: {error.strerror or error}")
 
     def _accept(self) -> None:
         assert self._listener is not None
         try:
             client, address = self._listener.accept()
-        except OSError:  # it is gone again
+        except OSError:  # the client has disconnected
             return
         if self._client is not None:
-            is_mute = self._peer is None and clock.monotonic() > self._since + _MUTE
-            if not is_mute:
+            has_timed_out = (
+                self._peer is None and clock.monotonic() > self._since + _CONNECT_TIMEOUT
+            )
+            if not has_timed_out:
                 client.close()
-                self.tell(f"another client of {self.name} is refused: there is one already")
+                self.warn_once(f"another client of {self.name} is rejected: only one is allowed")
                 return
-            self._drop("has not asked to connect")
+            self._disconnect("has not sent a connection request")
         self._client, self._since = client, clock.monotonic()
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -222,22 +218,22 @@ class FciLink(Link):
         except BlockingIOError:
             return
         except OSError as error:
-            self._drop(f"is lost: {error.strerror or error}")
+            self._disconnect(f"lost its connection: {error.strerror or error}")
             return
         if not more:
-            self._drop(f"has left{' within a message' if self._received else ''}")
+            self._disconnect(f"disconnected{' within a message' if self._received else ''}")
             return
         self._received += more
         while self._client is not None and len(self._received) >= HEAD.size:
             command, number, size = HEAD.unpack_from(self._received)
             known = self._messages.requests.get(command)
-            if known is None or not HEAD.size <= size <= MOST_BYTES:
-                self._drop(f"says what is no request: {bytes(self._received[:16]).hex(' ')}")
+            if known is None or not HEAD.size <= size <= MAX_BYTES:
+                self._disconnect(f"sends no valid request: {bytes(self._received[:16]).hex(' ')}")
                 return
             name, structure = known
             if size != HEAD.size + structure.size:
                 expected = HEAD.size + structure.size
-                self._drop(f"sends {name} of {size} bytes; expected {expected}")
+                self._disconnect(f"sends {name} of {size} bytes; expected {expected}")
                 return
             if len(self._received) < size:
                 return
@@ -248,30 +244,30 @@ class FciLink(Link):
     def _handle(self, name: str, number: int, values: tuple[Any, ...]) -> None:
         if name != "Connect":
             if self._peer is None:
-                self._drop(f"asks for {name} before it has connected")
+                self._disconnect(f"sends {name} before it has connected")
             else:
-                self._host.request(name, number, values)
+                self._owner.request(name, number, values)
             return
         version, port = values
         own = self._messages.version
         if version != own or not port:
             self.answer(name, number, INCOMPATIBLE, struct.pack("<H", own))
             expected = f"version = {version}" if version != own else "a UDP port"
-            self.tell(f"a client speaks version {version}, this is {own}; expected {expected}")
+            self.warn_once(f"a client uses version {version}, the robot {own}; expected {expected}")
             return
         self.answer(name, number, SUCCESS, struct.pack("<H", own))
         if self._client is not None:
             self.clients += 1
             self._peer = self._address, port
-            self._host.connected()
+            self._owner.connected()
 
-    def _drop(self, why: str) -> None:
+    def _disconnect(self, why: str) -> None:
         if self._client is not None:
             self._client.close()
         was_connected = self._peer is not None
         self._client = self._peer = None
         self._received.clear()
         if was_connected:
-            self._host.lost(why)
+            self._owner.lost(why)
         else:
-            self.tell(f"a client of {self.name} {why}")
+            self.warn_once(f"a client of {self.name} {why}")

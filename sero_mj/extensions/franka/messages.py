@@ -1,8 +1,8 @@
-"""Messages between a Franka arm and its clients, in the server versions of `FrankaReceiver`.
+"""Messages between a Franka arm and its clients, for the server versions of `FrankaReceiver`.
 
-Facts of libfranka-common's `research_interface/robot/service_types.h` and `rbk_types.h`, at the
+Taken from libfranka-common's `research_interface/robot/service_types.h` and `rbk_types.h`, at the
 commits that libfranka 0.9 (server 5), 0.10 (6), 0.13.6 (7), 0.14 (8), 0.15 (9) and 0.18 (10) use;
-for 3 and 4 at the last commits that have these numbers. All is little-endian and packed.
+for 3 and 4 at the last commits with these versions. All messages are little-endian and packed.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 
 from ...base.frames import Array
 
-HEAD = struct.Struct("<III")  # number of the request, its id, bytes of all
-MOST_BYTES = 4096  # of a request; the longest has 428
-SUCCESS, NOT_POSSIBLE, INVALID = 0, 1, 2  # status of answers, but for that to Move
+HEAD = struct.Struct("<III")  # command, id of the request, number of bytes
+MAX_BYTES = 4096  # of a request; the longest one has 428
+SUCCESS, NOT_POSSIBLE, INVALID = 0, 1, 2  # status of answers, except for Move
 INCOMPATIBLE = 1  # status of the answer to Connect
 IDLE, MOVE, REFLEX = 1, 2, 4  # robot_mode
-# Of a request to move. In states, generators are one more, and 0 is none at work.
+# In requests to move. In states, generator numbers are one higher, and 0 is none.
 JOINT_POSITION, JOINT_VELOCITY, NO_GENERATOR = 0, 1, 4
 JOINT_IMPEDANCE, CARTESIAN_IMPEDANCE, EXTERNAL = 0, 1, 2
-OTHER_CONTROLLER = 3  # in states, where nothing moves
+OTHER_CONTROLLER = 3  # in states without a motion
 
-# Of each request: structure of what follows its head.
+# Structure of each request after its head.
 REQUESTS = {
     "Connect": "HH",
     "Move": "II6d",
@@ -45,27 +45,21 @@ REQUESTS = {
 }
 _UNTIL = {"GetCartesianLimit": 5, "SetFilters": 5, "LoadModelLibrary": 9}
 _SINCE = {"GetRobotModel": 8}
-_ASYNC_SINCE, _ASYNC = 10, "?7d"  # of Move: whether it is, and velocities, rad/s
+_ASYNC_SINCE, _ASYNC = 10, "?7d"  # of Move: whether it is asynchronous, and velocities, rad/s
 _NO_GENERATOR_SINCE = 7
-# Status of answers to Move; from version 6 on two of safety functions stand after the third.
+# Status of answers to Move; since version 6, two of safety functions follow the third one.
 _MOVE_STATUS = (
     "success", "started", "preempted", "not_possible", "singular", "invalid", "reflex",
     "emergency", "input_error", "aborted",
 )  # fmt: skip
 _SAFETY_SINCE = 6
 _COMMAND = "<Q7d7d16d6d2d??7d"  # id, q_c, dq_c, O_T_EE_c, O_dP_EE_c, elbow_c, flags, tau_J_d
-_FINISHED_SINCE = 7  # a flag that ends torque control, at the end
+_FINISHED_SINCE = 7  # a flag at the end that finishes torque control
 
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """What a client commands in one cycle.
-
-    Attributes:
-        angles: (7,), rad.
-        velocities: (7,), rad/s.
-        torques: (7,), Nm, without gravity.
-    """
+    """Command of a client for one cycle; `torques` are without gravity."""
 
     message_id: int
     angles: Array
@@ -76,17 +70,13 @@ class RobotCommand:
 
 @dataclass(frozen=True)
 class Messages:
-    """The messages of one version of the server.
-
-    Attributes:
-        version: 3 to 10.
-    """
+    """The messages of one server version, 3 to 10."""
 
     version: int
 
     @cached_property
     def requests(self) -> dict[int, tuple[str, struct.Struct]]:
-        """Number of a request to its name, and the structure of what follows the head."""
+        """Request number to name, and the structure of what follows the head."""
         names = [
             name
             for name in REQUESTS
@@ -100,7 +90,7 @@ class Messages:
 
     @cached_property
     def numbers(self) -> dict[str, int]:
-        """Name of a request to its number."""
+        """Request name to number."""
         return {name: number for number, (name, _) in self.requests.items()}
 
     def answer(self, request: str, number: int, status: int, more: bytes = b"") -> bytes:
@@ -108,7 +98,7 @@ class Messages:
         return HEAD.pack(self.numbers[request], number, size) + bytes([status]) + more
 
     def move_status(self, name: str) -> int:
-        """Status of an answer to Move, of `_MOVE_STATUS`."""
+        """Returns the status number of an answer to Move."""
         found = _MOVE_STATUS.index(name)
         return found + 2 * (found > 2 and self.version >= _SAFETY_SINCE)
 

@@ -1,4 +1,4 @@
-"""A robot's model as URDF, which clients of FCI ask for (`GetRobotModel`, servers from 8 on)."""
+"""A robot's model as URDF, which clients of FCI request (`GetRobotModel`, server 8 and later)."""
 
 from __future__ import annotations
 
@@ -10,19 +10,18 @@ import numpy as np
 from ...base.frames import Array, frame, inverse, rotation_from_quat, rpy_from_rotation
 from ...simulate.control.robot_model import RobotModel
 
-# libfranka looks for the last link by this name, and takes robots named `tmr...` for mobile ones.
+# libfranka searches the last link by this name, and treats robots named `tmr...` as mobile.
 _ROBOT, _LINK, _JOINT = "fr3", "link{}", "joint{}"
-# How fast a joint may be near its limit, which libfranka insists on: deceleration, rad/s2, and
-# offset, rad/s, of each joint of an FR3 (libfranka, test/fr3.urdf).
+# Velocity limits near position limits, which libfranka requires: deceleration in rad/s2 and
+# velocity offset in rad/s of each joint of an FR3 (libfranka, test/fr3.urdf).
 _NEAR_LIMITS = ((6.0, 0.3), (2.585, 0.2), (3.5, 0.2), (4.0, 0.3), (17.0, 0.35), (5.5, 0.35),
                 (17.0, 0.35))  # fmt: skip
 
 
 def urdf_of(model: RobotModel) -> str:
-    """Kinematics and masses of a robot's links as URDF, with libfranka's names.
+    """Returns the kinematics and masses of a robot's links as URDF, with libfranka's names.
 
-    The base is that of the robot. Shapes, and the inertia of motors, are not there, as in Franka's
-    own model.
+    As in Franka's own model, shapes and motor inertias are omitted.
     """
     skeleton = model.skeleton
     robot = ElementTree.Element("robot", name=_ROBOT)
@@ -33,14 +32,14 @@ def urdf_of(model: RobotModel) -> str:
     for number, body in enumerate(bodies, 1):
         _add_link(robot, _LINK.format(number), skeleton, body)
         at = frame(rotation_from_quat(skeleton.body_quat[body]), skeleton.body_pos[body])
-        if number == 1:  # the base of a fixed robot is one with the world
+        if number == 1:  # the skeleton of a fixed robot includes the base pose
             at = back @ at
         low, high = model.position_limits[number - 1]
         joint = _add_joint(robot, _JOINT.format(number), "revolute", number - 1, at)
         axis = skeleton.jnt_axis[number - 1]
         ElementTree.SubElement(joint, "axis", xyz=_text(axis))
-        most = model.velocity_limits[number - 1]
-        limits = {"lower": low, "upper": high, "velocity": most, "effort": 1e3}
+        max_velocity = model.velocity_limits[number - 1]
+        limits = {"lower": low, "upper": high, "velocity": max_velocity, "effort": 1e3}
         ElementTree.SubElement(
             joint, "limit", {key: f"{np.nan_to_num(value):.17g}" for key, value in limits.items()}
         )

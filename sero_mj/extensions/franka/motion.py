@@ -1,6 +1,6 @@
-"""Motions that a client of FCI commands: what the robot is to do, and the limits of commands.
+"""Motions that a client of FCI commands, and the limits that its commands must satisfy.
 
-The limits are those of a Franka Research 3, which the robot itself checks (libfranka's
+The limits are those of a Franka Research 3, which the robot checks itself (libfranka's
 `rate_limiting.h`, and the control parameters at frankarobotics.github.io/docs).
 """
 
@@ -18,23 +18,19 @@ from .messages import EXTERNAL, JOINT_POSITION, JOINT_VELOCITY, RobotCommand
 
 CYCLE = 1e-3  # s
 JOINTS = 7
-MOST_TORQUES: Array = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])  # Nm
-MOST_TORQUE_RATE = 1000.0  # Nm/s
-MOST_ACCELERATION = 10.0  # rad/s2
-MAX_LOST = 20  # commands in a row
-MOST_NUMBER = 1e9  # what is beyond can be no quantity of a robot, and overflows in what follows
-_WINDOW = 100  # commands, over which success is counted
-# Clients compute from states with float32: 4 um of an angle of 4 rad are 0.5 rad/s2 in a cycle.
+MAX_TORQUES: Array = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])  # Nm
+MAX_TORQUE_RATE = 1000.0  # Nm/s
+MAX_ACCELERATION = 10.0  # rad/s2
+MAX_LOST = 20  # consecutive commands
+MAX_NUMBER = 1e9  # larger values are not physical, and could overflow
+_WINDOW = 100  # commands that the success rate is averaged over
+# Clients compute with float32 states: 4 um of an angle of 4 rad are 0.5 rad/s2 in one cycle.
 _RATE_TOLERANCE, _ACCELERATION_TOLERANCE = 1.0, 1.0
 _START_TOLERANCE = 1e-3  # rad, of the first commanded angles; our choice
 
 
 class Violation(Exception):
-    """A command that the robot does not follow.
-
-    Args:
-        error: as `sero_mj.extensions.franka.receiver.ERRORS` names it.
-    """
+    """A command that the robot rejects; `error` is one of `receiver.ERRORS`."""
 
     def __init__(self, error: str, why: str, *, is_input: bool = False) -> None:
         super().__init__(why)
@@ -46,8 +42,9 @@ class Motion:
     """A motion in progress.
 
     Attributes:
-        since: s, when it began on the clock's time.
-        at: s, time of the last command that has.
+        since: start on the system clock, s.
+        at: simulation time of the last received command, s.
+        came: whether each of the last commands arrived in time.
     """
 
     number: int
@@ -66,18 +63,15 @@ class Motion:
 
     @property
     def success(self) -> float:
-        """Share of the last 100 commands that came in time."""
+        """Share of the last 100 commands that arrived in time."""
         return sum(self.came) / len(self.came) if self.came else 0.0
 
 
 class Desired:
-    """What is desired of the joints, and what commands may make of it.
+    """Desired joint motion, updated by commands.
 
     Attributes:
-        angles: (7,), rad.
-        velocities: (7,), rad/s.
-        accelerations: (7,), rad/s2.
-        torques: (7,), Nm, commanded by a client, without gravity.
+        torques: torques commanded by a client, without gravity, shape (7,), Nm.
     """
 
     def __init__(self, model: RobotModel) -> None:
@@ -85,23 +79,27 @@ class Desired:
         self.angles, self.velocities, self.accelerations, self.torques = np.zeros((4, JOINTS))
 
     def rest_at(self, angles: Array, velocities: Array) -> None:
-        """Begins where the robot is, (7,), rad, moving as it does, (7,), rad/s."""
+        """Starts from angles and velocities of the robot, shape (7,)."""
         self.angles[:], self.velocities[:] = angles, velocities
         self.accelerations[:] = self.torques[:] = 0.0
 
     def brake(self) -> None:
-        """Slows down for one cycle."""
-        most = MOST_ACCELERATION * CYCLE
-        self.velocities -= np.clip(self.velocities, -most, most)
+        """Decelerates for one cycle."""
+        max_change = MAX_ACCELERATION * CYCLE
+        self.velocities -= np.clip(self.velocities, -max_change, max_change)
         self.angles += self.velocities * CYCLE
 
     def extrapolate(self) -> None:
-        """Goes on for a cycle without a command, at the acceleration of the last one."""
+        """Continues for one cycle without a command, at the acceleration of the last one."""
         self.velocities += self.accelerations * CYCLE
         self.angles += self.velocities * CYCLE
 
     def command(self, motion: Motion, command: RobotCommand, gravity: Array) -> None:
-        """Takes a command; gravity, (7,), Nm, comes on top of its torques; raises Violation."""
+        """Applies a command; `gravity`, shape (7,), Nm, is added to its torques.
+
+        Raises:
+            Violation: the command violates a limit.
+        """
         generator = motion.generator
         if motion.is_external:
             self._check_torques(command.torques, gravity)
@@ -117,9 +115,9 @@ class Desired:
         name = "controller_torque_discontinuity"
         self._check_finite(torques, "torque", name)
         rates = np.abs(torques - self.torques) / CYCLE
-        self._check(rates, MOST_TORQUE_RATE, _RATE_TOLERANCE, name, "commanded torque changes by",
+        self._check(rates, MAX_TORQUE_RATE, _RATE_TOLERANCE, name, "commanded torque changes by",
                     "Nm/s")  # fmt: skip
-        self._check(np.abs(torques + gravity), MOST_TORQUES, 0.0, "tau_J_range_violation",
+        self._check(np.abs(torques + gravity), MAX_TORQUES, 0.0, "tau_J_range_violation",
                     "commanded torque with gravity is", "Nm")  # fmt: skip
 
     def _move(self, angles: Array, velocities: Array, motion: Motion) -> None:
@@ -134,7 +132,7 @@ class Desired:
                     f"{before}_velocity_limits_violation", "is commanded to move at",
                     "rad/s")  # fmt: skip
         accelerations = (velocities - self.velocities) / CYCLE
-        self._check(np.abs(accelerations), MOST_ACCELERATION, _ACCELERATION_TOLERANCE,
+        self._check(np.abs(accelerations), MAX_ACCELERATION, _ACCELERATION_TOLERANCE,
                     f"{before}_velocity_discontinuity", "is commanded to accelerate by",
                     "rad/s2")  # fmt: skip
         low, high = model.position_limits.T
@@ -145,15 +143,21 @@ class Desired:
         self.accelerations[:] = accelerations
 
     def _check(
-        self, found: Array, most: Array | float, tolerance: float, error: str, what: str, unit: str
+        self,
+        found: Array,
+        limits: Array | float,
+        tolerance: float,
+        error: str,
+        what: str,
+        unit: str,
     ) -> None:
-        over = found - most
+        over = found - limits
         joint = int(np.argmax(over))
         if over[joint] > tolerance:
-            limit = np.broadcast_to(most, found.shape)[joint]
+            limit = np.broadcast_to(limits, found.shape)[joint]
             expected = f"{what} {found[joint]:.4g} {unit}; expected up to {limit:.4g}"
             raise Violation(error, f"{self._model.joint_names[joint]}: {expected}")
 
     def _check_finite(self, numbers: Sequence[float] | Array, what: str, error: str) -> None:
-        if not (np.abs(numbers) < MOST_NUMBER).all():  # nor is NaN
-            raise Violation(error, f"a commanded {what} is not finite, or huge", is_input=True)
+        if not (np.abs(numbers) < MAX_NUMBER).all():  # also NaN
+            raise Violation(error, f"a commanded {what} is not finite, or too large", is_input=True)

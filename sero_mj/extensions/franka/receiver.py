@@ -1,9 +1,9 @@
-"""`FrankaReceiver`: a robot of Franka, by its Franka Control Interface (FCI) on TCP 1337.
+"""`FrankaReceiver`: the state of a Franka arm from its Franka Control Interface (FCI).
 
-A client asks by TCP for states on a UDP port of its own; the robot then sends one each millisecond.
-All messages are little-endian and packed. Nothing but this one question is ever sent, so nothing
-can be commanded. The protocol and names of fields are those of libfranka-common's
-`research_interface::robot`, server versions 3 (Panda) to 10 (Franka Research 3).
+A client connects to TCP port 1337 and requests states on a UDP port of its own. The robot then
+sends one state per millisecond. All messages are little-endian and packed. The receiver sends only
+this request, so it cannot command anything. The protocol and the names of fields are those of
+libfranka-common's `research_interface::robot`, server versions 3 (Panda) to 10 (Franka Research 3).
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from ...data.receive.udp_socket import (
 
 PORT = 1337
 CONNECT = 0  # the command
-_HEAD = struct.Struct("<III")  # command, number of the question, bytes of all
-_QUESTION = struct.Struct("<HH")  # version, UDP port
+_HEAD = struct.Struct("<III")  # command, id of the request, number of bytes
+_REQUEST = struct.Struct("<HH")  # version, UDP port
 _ANSWER = struct.Struct("<BH")  # status, version of the server
 _SUCCESS, _INCOMPATIBLE = 0, 1
-_MOST_BYTES = 1024  # of an answer; those of today have 15
+_MAX_BYTES = 1024  # of an answer; today's answers have 15
 OLDEST, NEWEST = 3, 10  # versions of servers
-_SINGLE_SINCE = 10  # numbers of a state are float32, before that float64
-_BOOLEANS = {3: 37, 4: 37}  # version to the number of errors; of all others 41
+_SINGLE_SINCE = 10  # values of a state are float32, before that float64
+_BOOLEANS = {3: 37, 4: 37}  # version to the number of errors; 41 in all others
 
-# All fields of `RobotState` in order, first version, and count of numbers, or struct's type.
+# All fields of `RobotState` in order: name, first version, and size or struct type.
 FIELDS: tuple[tuple[str, int, int | str], ...] = (
     ("message_id", 3, "Q"),
     ("O_T_EE", 3, 16), ("O_T_EE_d", 3, 16), ("F_T_EE", 3, 16), ("EE_T_K", 3, 16),
@@ -64,7 +64,7 @@ FIELDS: tuple[tuple[str, int, int | str], ...] = (
     ("errors", 3, "?"), ("reflex_reason", 3, "?"),
     ("robot_mode", 3, "B"), ("control_command_success_rate", 3, 1),
 )  # fmt: skip
-# Those that are events, in the same order, and how they are packed.
+# Fields that are events, in the same order, and their structure.
 EVENTS = {
     "message_id": "message_id:1Q",
     "tau_J": "torques:7d",
@@ -79,18 +79,18 @@ EVENTS = {
     "robot_mode": "robot_mode:1B",
 }
 STRUCTURE = " ".join(EVENTS.values())
-# External torques and forces are those that the robot exerts on its environment, so they have the
-# opposite sign of ours. Sources: libfranka include/franka/robot_state.h (O_F_ext_hat_K) and issue
-# 26, drake manipulation/README.md; docs/conventions.md.
+# External torques and forces are exerted by the robot on its environment, so their sign is opposite
+# to ours. Sources: libfranka include/franka/robot_state.h (O_F_ext_hat_K) and issue 26, drake
+# manipulation/README.md; docs/conventions.md.
 _EXTERNAL_SIGN = -1.0
-_PACKET = struct.Struct("<Q48d41s41sB")  # shorter strings are filled with zeros
+_PACKET = struct.Struct("<Q48d41s41sB")  # shorter strings are padded with zeros
 
 ROBOT_MODES = (
     "in another mode", "idle", "moving", "being guided", "stopped by a reflex",
     "stopped by its user", "recovering from an error",
 )  # fmt: skip
 _GOOD = (1, 2, 3)
-# Of `errors` and `reflex_reason`, as libfranka calls them.
+# Names of `errors` and `reflex_reason` in libfranka.
 ERRORS = (
     "joint_position_limits_violation", "cartesian_position_limits_violation",
     "self_collision_avoidance_violation", "joint_velocity_violation",
@@ -124,10 +124,7 @@ ERRORS = (
 
 
 def state_fields(version: int) -> dict[str, tuple[int, str]]:
-    """Fields of the state that a server of this version sends: their offsets, bytes, and types.
-
-    The types are those of `struct`, with a count.
-    """
+    """Fields of the state of a server version: name to offset in bytes and `struct` format."""
     number = "f" if version >= _SINGLE_SINCE else "d"
     fields, at = {}, 0
     for name, since, count in FIELDS:
@@ -143,7 +140,7 @@ def state_fields(version: int) -> dict[str, tuple[int, str]]:
 
 
 def state_size(version: int) -> int:
-    """Bytes of the state that a server of this version sends."""
+    """Size in bytes of the state that a server of this version sends."""
     return sum(struct.calcsize(f"<{kind}") for _, kind in state_fields(version).values())
 
 
@@ -155,24 +152,23 @@ def _picker(version: int) -> struct.Struct:
     return struct.Struct("<" + "".join(kinds))
 
 
-# Bytes of a state to what reads it: versions of one size have one layout.
+# Size of a state to the struct that reads it; versions with the same size have the same layout.
 _PICKERS = {state_size(version): _picker(version) for version in range(OLDEST, NEWEST + 1)}
 _LONGEST_STATE = max(_PICKERS)
 
 
 class FrankaReceiver(ConnectingSource):
-    """Receives the state of a robot of Franka, without commanding it.
+    """Receives the state of a Franka arm without commanding it.
 
-    It connects, and connects again when the connection is lost; the version of the robot's server
-    is found by asking. As a robot has one client at a time, nobody else can be connected meanwhile.
-    Events are in SI units. `torques` include gravity, `commanded_torques` do not. `tcp_force` and
-    `tcp_moment` act at the stiffness frame, in directions of the base; near a singularity they are
-    0. Like `external_torques` they are what the environment exerts on the robot.
+    The version of the robot's server is detected. A robot accepts one client at a time, so no other
+    client can connect. `torques` include gravity, `commanded_torques` do not. `external_torques`,
+    `tcp_force` and `tcp_moment` are exerted by the environment on the robot; the latter act at the
+    stiffness frame, in base directions, and are 0 near a singularity.
 
     Attributes:
         host: address of the robot's controller.
-        port: its port.
-        torque_sign: factor of measured and commanded torques: 1 or -1.
+        port: port of the robot's controller.
+        torque_sign: factor of measured and commanded torques, 1 or -1.
     """
 
     name: str = "franka"
@@ -186,17 +182,17 @@ class FrankaReceiver(ConnectingSource):
     _fixed_by: ClassVar[str] = "FCI"
     protocol: ClassVar[str] = "Franka FCI"
     if_refused: ClassVar[str] = "; is FCI activated in Desk?"
-    _version: int = PrivateAttr(NEWEST)  # that is asked for
+    _version: int = PrivateAttr(NEWEST)  # requested version
 
     @cached_property
     def layout(self) -> Structure:
         return FrankaLayout(self.torque_sign)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        said = [f"robot {_mode(float(values['robot_mode'][0]))}", *_errors(values["errors"])]
+        texts = [f"robot {_mode(float(values['robot_mode'][0]))}", *_errors(values["errors"])]
         if not values["errors"].any():
-            said += [f"last: {name}" for name in _errors(values["reflex_reasons"])]
-        return ", ".join(said)
+            texts += [f"last: {name}" for name in _errors(values["reflex_reasons"])]
+        return ", ".join(texts)
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
         errors = values["errors"] != 0
@@ -210,43 +206,42 @@ class FrankaReceiver(ConnectingSource):
         return [f"robot {_mode(state)}{error}"]
 
     def converse(self, wake: socket.socket) -> None:
-        asked = set[int]()
+        requested = set[int]()
         while True:
             with Connection(self.host, self.port, wake) as connection:
-                asked.add(self._version)
-                version = self._talk(connection)
-            # A server that does not know our version tells its own.
+                requested.add(self._version)
+                version = self._run_session(connection)
+            # A server that does not support our version sends its own.
             if not OLDEST <= version <= NEWEST:
-                known = f"{OLDEST} to {NEWEST} are known"
-                raise ProtocolError(f"has version {version} of the server; {known}")
-            if version in asked:
-                raise ProtocolError(
-                    f"refuses version {self._version}, and says that it has {version}"
-                )
+                supported = f"supported: {OLDEST} to {NEWEST}"
+                raise ProtocolError(f"has server version {version}; {supported}")
+            if version in requested:
+                raise ProtocolError(f"rejects version {self._version}, but has version {version}")
             self._version = version
 
-    def _talk(self, connection: Connection) -> int:
+    # Returns the server's version if it rejects ours, otherwise receives until an error.
+    def _run_session(self, connection: Connection) -> int:
         with socket.socket(connection.socket.family, socket.SOCK_DGRAM) as states:
-            with suppress(OSError):  # some systems refuse so much
+            with suppress(OSError):  # some systems reject large buffers
                 states.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, DEFAULT_BUFFER)
             here = connection.socket.getsockname()
             states.bind((here[0], 0, *here[2:]))
             port = int(states.getsockname()[1])
-            status, version = self._ask(connection, port)
+            status, version = self._request_states(connection, port)
             if status == _INCOMPATIBLE:
                 return version
             if status != _SUCCESS:
-                raise ProtocolError(f"refuses to connect, by status {status}")
+                raise ProtocolError(f"rejects the connection with status {status}")
             if not OLDEST <= version <= NEWEST:
                 return version
             peer = connection.socket.getpeername()[0]
             self._receive_states(connection, states, peer, version)
 
-    def _ask(self, connection: Connection, port: int) -> tuple[int, int]:
+    def _request_states(self, connection: Connection, port: int) -> tuple[int, int]:
         number = 1
-        size = _HEAD.size + _QUESTION.size
-        question = _HEAD.pack(CONNECT, number, size) + _QUESTION.pack(self._version, port)
-        connection.socket.sendall(question)
+        size = _HEAD.size + _REQUEST.size
+        request = _HEAD.pack(CONNECT, number, size) + _REQUEST.pack(self._version, port)
+        connection.socket.sendall(request)
         deadline = clock.monotonic() + connecting.PATIENCE
         hint = "is another client connected?"
         answer = b""
@@ -261,13 +256,13 @@ class FrankaReceiver(ConnectingSource):
             if len(answer) < _HEAD.size:
                 continue
             command, found, size = _HEAD.unpack_from(answer)
-            least = _HEAD.size + _ANSWER.size
-            if (command, found) != (CONNECT, number) or not least <= size <= _MOST_BYTES:
-                raise ProtocolError("answers by what is no message of FCI", answer)
+            min_size = _HEAD.size + _ANSWER.size
+            if (command, found) != (CONNECT, number) or not min_size <= size <= _MAX_BYTES:
+                raise ProtocolError("sends an invalid FCI message", answer)
             if len(answer) < size:
                 continue
             if len(answer) > size:
-                raise ProtocolError("says more than it was asked", answer)
+                raise ProtocolError("sends more than the answer", answer)
             status, version = _ANSWER.unpack_from(answer, _HEAD.size)
             return status, version
 
@@ -279,28 +274,28 @@ class FrankaReceiver(ConnectingSource):
         connection.watch(states)
         self.note_connected(f"version {version}")
         port = int(states.getsockname()[1])
-        silent = f"sends no states to UDP port {port}; is it closed by a firewall?"
+        silent = f"sends no states to UDP port {port}; is it blocked by a firewall?"
         deadline = clock.monotonic() + connecting.PATIENCE
         while True:
             ready = connection.wait(deadline, silent)
             if states in ready and (batch := datagrams.receive()) is not None:
                 if batch.dropped is not None:
                     self.counters.dropped = batch.dropped
-                if self._take_in(batch, expected):
+                if self._accept_batch(batch, expected):
                     silent = f"sends nothing for {connecting.PATIENCE:g} s"
                     deadline = clock.monotonic() + connecting.PATIENCE
-                elif clock.monotonic() > deadline:  # others keep the socket ready
+                elif clock.monotonic() > deadline:  # other senders keep the socket ready
                     raise TimeoutError(silent)
             if connection.socket in ready:
-                raise ProtocolError("says what it was not asked", connection.read())
+                raise ProtocolError("sends an unexpected message", connection.read())
 
-    def _take_in(self, batch: Batch, expected: bytes) -> bool:
+    def _accept_batch(self, batch: Batch, expected: bytes) -> bool:
         rows, lengths, arrivals = batch.rows, batch.lengths, batch.arrivals
         known = np.array([canonical_address(s.tobytes())[0] == expected for s in batch.senders])
         if not known.all():
-            foreign = int((~known).sum())
-            self.counters.foreign += foreign
-            self.counters.received += foreign
+            unexpected = int((~known).sum())
+            self.counters.foreign += unexpected
+            self.counters.received += unexpected
             rows, lengths, arrivals = rows[known], lengths[known], arrivals[known]
         if len(rows):
             self._accept(rows, lengths, arrivals)
@@ -308,7 +303,7 @@ class FrankaReceiver(ConnectingSource):
 
 
 class FrankaLayout(Structure):
-    """The packets of `FrankaReceiver`, made of states of all versions."""
+    """Packets of `FrankaReceiver`, extracted from states of all versions."""
 
     message = "state"
 
@@ -329,7 +324,7 @@ class FrankaLayout(Structure):
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
         sizes = ", ".join(map(str, sorted(_PICKERS)))
-        return f"{length} bytes; a {self.message} of the robot has {sizes}"
+        return f"{length} bytes; expected a {self.message} of {sizes} bytes"
 
 
 def _mode(state: float) -> str:

@@ -1,4 +1,4 @@
-"""`FrankaRobot`: a simulated robot's side of Franka's FCI, and its control below it."""
+"""`FrankaRobot`: a simulated robot's side of Franka's FCI, and its control."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .messages import (
     Messages,
 )
 from .model import urdf_of
-from .motion import CYCLE, JOINTS, MAX_LOST, MOST_NUMBER, Desired, Motion, Violation
+from .motion import CYCLE, JOINTS, MAX_LOST, MAX_NUMBER, Desired, Motion, Violation
 from .receiver import ERRORS
 from .state import FrankaState
 
@@ -39,28 +39,23 @@ log = logging.getLogger(__name__)
 
 _BANDWIDTH = 25.0  # 1/s, of the observer of external torques; our choice
 _LOST = "communication_constraints_violation"
-# s, after which a state is sent again in lockstep: libfranka does not answer the first
-# one of a motion, and may leave out others. A client that takes longer sees a state twice.
-_SOON, _REPEATED = 0.02, 0.1
-_STIFFEST = 5000.0  # Nm/rad, of the robot's own control
-_NO_MODEL = bytes(24 + 128 + 1)  # of the answer to GetCartesianLimit, which refuses
+# Time in s after which a state is sent again in lockstep. libfranka does not answer the first state
+# of a motion, and may skip others. A client that takes longer sees a state twice.
+_FIRST_REPEAT, _REPEAT = 0.02, 0.1
+_MAX_STIFFNESS = 5000.0  # Nm/rad, of the robot's own control
+_NO_LIMITS = bytes(24 + 128 + 1)  # payload of the answer that rejects GetCartesianLimit
 
 
 class FrankaRobot(Controller):
-    """Sends a state in each cycle, takes the command that answers it, and acts on it.
+    """Sends a state in each cycle of `steps` time steps, and applies the command that answers it.
 
-    Between motions, and for motions of joint positions and velocities, springs and dampers about
-    the desired angles hold the robot; commanded torques act on top of gravity.
-
-    Args:
-        timestep: s between two steps.
-        stiffness: (7,), Nm/rad, of its own control.
-        damping: (7,), ratio, likewise.
+    Between motions, and during motions of joint positions and velocities, a joint impedance about
+    the desired angles holds the robot. Commanded torques are added to gravity compensation.
 
     Attributes:
-        logged: (4,), mode as FCI numbers it, success rate of commands, age of the command in use
-            and how late this step began, s.
-        wrong: datagrams that were no commands, or commands to states that were not sent.
+        logged: mode as FCI numbers it, success rate of commands, age of the current command and
+            delay of this step in s.
+        wrong: number of datagrams that are not commands, or answer a state that was not sent.
     """
 
     def __init__(
@@ -80,22 +75,21 @@ class FrankaRobot(Controller):
         self._state = FrankaState(version, model, CYCLE)
         self._desired = Desired(model)
         self._observer = MomentumObserver(model, _BANDWIDTH, timestep)
-        self._own = Target(JOINTS)
-        self._own.has_torques = False
+        self._target = Target(JOINTS)
+        self._target.has_torques = False
         self._stiffness, self._damping = stiffness, damping
         self._make_springs()
         self.logged: Array = np.zeros(4)
         self.mode = IDLE
         self.wrong = self.late = self.missed = 0
         self._motion: Motion | None = None
-        self._number = self._first = 0  # id of the newest state, and of the first of this cycle
-        self._repeat = _REPEATED
-        self._rests_until, self._is_free = 0.0, False  # in lockstep, see `_keep_time`
+        self._number = self._first = 0  # ids of the newest state and of the first one of this cycle
+        self._repeat_interval = _REPEAT
+        self._idle_until, self._is_free = 0.0, False  # in lockstep, see `_run_in_lockstep`
         self._motor_state: Array = np.zeros((2, JOINTS))
         self._torques: Array = np.zeros(JOINTS)  # of the last step, without gravity
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (7,); raises SimulationError."""
         self._step += 1
         self._observer.update(sensed)
         if self._step == 1:
@@ -108,28 +102,27 @@ class FrankaRobot(Controller):
             np.add(desired.torques, self._model.gravity(), out)
             self._torques[:] = desired.torques
         else:
-            self._own.angles[:], self._own.velocities[:] = desired.angles, desired.velocities
-            self._springs.torques(sensed, self._own, out)
+            self._target.angles[:], self._target.velocities[:] = desired.angles, desired.velocities
+            self._springs.torques(sensed, self._target, out)
             np.subtract(out, self._model.gravity(), self._torques)
 
     def close(self) -> None:
-        """Ends the program and all connections; harmless when that is done."""
         link, name = self._link, self._model.name
         link.close()
         counts = {
-            "datagrams were no commands": self.wrong,
-            "commands came too late": self.late,
+            "datagrams are not commands": self.wrong,
+            "commands arrived too late": self.late,
             "cycles had no command": self.missed,
-            "datagrams came from others": link.foreign,
+            "datagrams came from other senders": link.unexpected,
         }
         for what, count in counts.items():
             if count:
                 log.warning("%s: %d %s", name, count, what)
-        self.wrong = self.late = self.missed = link.foreign = 0
+        self.wrong = self.late = self.missed = link.unexpected = 0
 
     @property
     def commanded_angles(self) -> Array:
-        """Desired angles, (7,), rad; those of the robot while torques are commanded."""
+        """Desired angles, shape (7,), rad; the measured ones while torques are commanded."""
         return self._desired.angles
 
     # ---- cycles
@@ -144,7 +137,7 @@ class FrankaRobot(Controller):
             if self._declared.clock == "lockstep":
                 what = f"no client connects to {self._link.name} {patience}"
                 raise self._link.error(sensed.time, what)
-            log.warning("%s: no client %s; the robot waits", self._model.name, patience)
+            log.warning("%s: no client connects %s; the robot waits", self._model.name, patience)
 
     def _cycle(self, sensed: Sensed) -> None:
         link, time, desired = self._link, sensed.time, self._desired
@@ -158,7 +151,7 @@ class FrankaRobot(Controller):
             desired.angles[:], desired.velocities[:] = sensed.angles, sensed.velocities
         if link.is_connected:
             self._state.measure(sensed, self._observer.external)
-            (self._keep_pace if is_paced else self._keep_time)(time)
+            (self._run_in_real_time if is_paced else self._run_in_lockstep)(time)
         link.check(time)
         motion = self._motion
         if motion is None or not (motion.is_commanded or motion.generator == NO_GENERATOR):
@@ -167,7 +160,7 @@ class FrankaRobot(Controller):
         self.logged[1] = motion.success if motion is not None else 0.0
         self.logged[2] = time - motion.at if motion is not None and motion.is_commanded else 0.0
 
-    def _keep_pace(self, time: float) -> None:
+    def _run_in_real_time(self, time: float) -> None:
         link = self._link
         self._send()
         self._first = self._number
@@ -177,7 +170,9 @@ class FrankaRobot(Controller):
         if self._motion is motion and link.answered != self._number:
             self._miss(motion)
 
-    def _keep_time(self, time: float) -> None:
+    # Time stops until a motion has its next command. Between motions, it stops for `patience`, so
+    # that the start of the next motion depends only on the client, not on the speed of the machine.
+    def _run_in_lockstep(self, time: float) -> None:
         link = self._link
         while link.is_connected:
             self._first = self._number + 1
@@ -192,31 +187,31 @@ class FrankaRobot(Controller):
                 self._send()
                 link.serve(CYCLE)
                 link.receive(self._take)
-                if clock.monotonic() > self._rests_until:
+                if clock.monotonic() > self._idle_until:
                     self._is_free = True
-                    log.info("%s: no motion at %.3f s; time goes on", self._model.name, time)
+                    log.info("%s: no motion at %.3f s; time continues", self._model.name, time)
             link.check(time)
 
     def _is_answered(self, motion: Motion, time: float) -> bool:
         link, declared = self._link, self._declared
         patience = declared.patience if motion.is_commanded else declared.first_patience
         now = clock.monotonic()
-        deadline, again = now + patience, now
-        pause = self._repeat if motion.is_commanded else _SOON
+        deadline, next_send = now + patience, now
+        interval = self._repeat_interval if motion.is_commanded else _FIRST_REPEAT
         if motion.is_commanded:
             link.share_core()
         while self._motion is motion and link.is_connected:
-            if now >= again:
+            if now >= next_send:
                 self._send()
-                again, pause = now + pause, self._repeat
+                next_send, interval = now + interval, self._repeat_interval
             if now > deadline:
                 self._reflex(_LOST, f"no command within {patience:g} s")
                 return False
-            link.serve(min(again, deadline) - now)
+            link.serve(min(next_send, deadline) - now)
             link.receive(self._take)
             if link.answered >= self._first:
-                if link.answered < self._number:  # it came to know the state, and takes long
-                    self._repeat = min(2.0 * self._repeat, declared.patience)
+                if link.answered < self._number:  # the client answers slowly
+                    self._repeat_interval = min(2.0 * self._repeat_interval, declared.patience)
                 return True
             link.check(time)
             now = clock.monotonic()
@@ -229,12 +224,12 @@ class FrankaRobot(Controller):
             return
         motion = self._motion
         if motion is None:
-            return  # on its way while the motion ended
+            return  # sent before the motion ended
         if command.message_id < self._first:
             self.late += motion.is_commanded
             return
         if self._link.answered >= self._first:
-            return  # a second one
+            return  # a second answer
         self._link.answered = command.message_id
         motion.at, motion.lost = self._time, 0
         motion.came.append(True)
@@ -250,7 +245,7 @@ class FrankaRobot(Controller):
             self._end("success", IDLE)
 
     def _miss(self, motion: Motion) -> None:
-        if not motion.is_commanded:  # libfranka reads states before it commands
+        if not motion.is_commanded:  # libfranka receives states before it commands
             if clock.monotonic() > motion.since + self._declared.first_patience:
                 self._reflex(_LOST, f"no command within {self._declared.first_patience:g} s")
             return
@@ -258,7 +253,7 @@ class FrankaRobot(Controller):
         motion.lost += 1
         motion.came.append(False)
         if motion.lost >= MAX_LOST:
-            self._reflex(_LOST, f"{MAX_LOST} commands in a row have not come")
+            self._reflex(_LOST, f"{MAX_LOST} consecutive commands are missing")
         elif motion.generator in (JOINT_POSITION, JOINT_VELOCITY):
             self._desired.extrapolate()
 
@@ -270,7 +265,7 @@ class FrankaRobot(Controller):
         if motion.is_external:
             self._desired.rest_at(*self._motor_state)
         self._motion, self.mode = None, mode
-        self._rest()
+        self._start_idle()
         self._link.answer("Move", motion.number, self._messages.move_status(status))
 
     def _reflex(self, error: str, why: str, status: str = "reflex") -> None:
@@ -282,9 +277,9 @@ class FrankaRobot(Controller):
                 self._state[field][number] = True
         self._end(status, REFLEX)
 
-    def _rest(self, patience: float | None = None) -> None:
+    def _start_idle(self, patience: float | None = None) -> None:
         patience = self._declared.patience if patience is None else patience
-        self._rests_until, self._is_free = clock.monotonic() + patience, False
+        self._idle_until, self._is_free = clock.monotonic() + patience, False
 
     def _make_springs(self) -> None:
         declared = JointImpedance(stiffness=self._stiffness, damping=self._damping)
@@ -294,19 +289,19 @@ class FrankaRobot(Controller):
 
     def connected(self) -> None:
         log.info("%s: a client has connected at %.3f s", self._model.name, self._time)
-        self._rest(self._declared.first_patience)
+        self._start_idle(self._declared.first_patience)
 
     def lost(self, why: str) -> None:
-        """The client is gone; in a motion, that is an error as on the robot."""
+        """Called when the client has disconnected; during a motion, this is an error."""
         if self._motion is not None:
             self._reflex(_LOST, f"the client {why}")
         else:
             log.info("%s: the client %s at %.3f s", self._model.name, why, self._time)
 
     def request(self, name: str, number: int, values: tuple[Any, ...]) -> None:
-        self._rests_until = max(self._rests_until, clock.monotonic() + self._declared.patience)
+        self._idle_until = max(self._idle_until, clock.monotonic() + self._declared.patience)
         if name == "Move":
-            self._begin_motion(number, values)
+            self._start_motion(number, values)
             return
         status, more = SUCCESS, b""
         if name == "StopMove":
@@ -321,12 +316,10 @@ class FrankaRobot(Controller):
             else:
                 status = NOT_POSSIBLE
         elif name == "GetCartesianLimit":
-            status, more = NOT_POSSIBLE, _NO_MODEL
+            status, more = NOT_POSSIBLE, _NO_LIMITS
         elif name == "LoadModelLibrary":
             status = NOT_POSSIBLE
-            self._link.tell(
-                "there is no library of the model; libfranka gets it from version 10 on"
-            )
+            self._link.warn_once("there is no model library; libfranka needs server version 10")
         elif name == "GetRobotModel":
             more = urdf_of(self._model).encode()
         elif _is_wrong(name, np.array(values, float)):
@@ -338,21 +331,21 @@ class FrankaRobot(Controller):
     def _set(self, name: str, values: Array) -> None:
         state = self._state
         if name == "SetJointImpedance":
-            self._stiffness = np.clip(values, 0.0, _STIFFEST)
+            self._stiffness = np.clip(values, 0.0, _MAX_STIFFNESS)
             self._make_springs()
         elif name in ("SetEEToK", "SetNEToEE"):
-            frames = ("EE_T_K",) if name == "SetEEToK" else ("NE_T_EE", "F_T_EE")  # F_T_NE is one
+            frames = ("EE_T_K",) if name == "SetEEToK" else ("NE_T_EE", "F_T_EE")  # F_T_NE = I
             for frame in frames:
                 state.set_frame(frame, values.reshape(4, 4).T)
             state.place(self._observer.external)
         elif name == "SetLoad":
             state["m_load"], state["F_x_Cload"], state["I_load"] = np.split(values, [1, 4])
             if values[0]:
-                self._link.tell("a load is reported to clients; its weight is not compensated")
+                self._link.warn_once("a load is reported to clients, but not compensated")
         else:  # SetCollisionBehavior, SetCartesianImpedance, SetGuidingMode, SetFilters
-            self._link.tell(f"{name} has no effect")
+            self._link.warn_once(f"{name} has no effect")
 
-    def _begin_motion(self, number: int, values: tuple[Any, ...]) -> None:
+    def _start_motion(self, number: int, values: tuple[Any, ...]) -> None:
         controller, generator = values[:2]
         messages, why = self._messages, ""
         has_torques = controller == EXTERNAL
@@ -361,23 +354,25 @@ class FrankaRobot(Controller):
         else:
             status = "not_possible"
             if self.mode == REFLEX:
-                why = "the robot is in an error; automaticErrorRecovery comes first"
+                why = "the robot is in an error state; call automaticErrorRecovery first"
             elif self._motion is not None:
-                why = "another one goes on"
+                why = "another motion is running"
             elif generator == NO_GENERATOR and not has_torques:
                 why = "nothing is commanded"
             elif generator not in (JOINT_POSITION, JOINT_VELOCITY, NO_GENERATOR):
-                why = "Cartesian motions are not there"
+                why = "Cartesian motions are not supported"
             elif any(values[8:9]):
-                why = "asynchronous motions are not there"
+                why = "asynchronous motions are not supported"
             else:
                 status = "started"
         if status != "started":
-            log.warning("%s: a motion is refused: %s", self._model.name, why or "unknown modes")
+            log.warning("%s: a motion is rejected: %s", self._model.name, why or "unknown modes")
             self._link.answer("Move", number, messages.move_status(status))
             return
         if controller == CARTESIAN_IMPEDANCE:
-            self._link.tell("Cartesian impedance is not there; joints hold the robot")
+            self._link.warn_once(
+                "Cartesian impedance is not supported; joint impedance holds the robot"
+            )
         self._motion = Motion(number, controller, generator, clock.monotonic())
         self.mode = MOVE
         self._state["reflex_reason"] = 0.0
@@ -405,16 +400,19 @@ class FrankaRobot(Controller):
         self._link.send(state.packet)
 
     def __getstate__(self) -> Any:
-        raise TypeError("a controller that talks to a program is of this process")
+        raise TypeError("a controller that communicates with a program cannot be pickled")
 
 
 def _is_wrong(name: str, values: Array) -> bool:
-    if not (np.abs(values) < MOST_NUMBER).all():  # nor is NaN
+    if not (np.abs(values) < MAX_NUMBER).all():  # also NaN
         return True
     if name in ("SetEEToK", "SetNEToEE"):
         pose = values.reshape(4, 4).T
-        turn = pose[:3, :3]
-        is_turn = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0.0
-        return not (is_turn and np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0]))
+        rotation = pose[:3, :3]
+        is_rotation = (
+            np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
+            and np.linalg.det(rotation) > 0.0
+        )
+        return not (is_rotation and np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0]))
     first = {"SetJointImpedance": 7, "SetCartesianImpedance": 6, "SetLoad": 1}.get(name, 0)
     return bool((values[:first] < 0.0).any())

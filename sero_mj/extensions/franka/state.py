@@ -1,4 +1,4 @@
-"""`FrankaState`: the state that a Franka arm sends, and what the frames of the arm say of it."""
+"""`FrankaState`: the state that a Franka arm sends."""
 
 from __future__ import annotations
 
@@ -13,18 +13,14 @@ from ...simulate.control.robot_model import RobotModel
 from .receiver import state_fields, state_size
 
 _FRAMES = ("F_T_EE", "EE_T_K", "F_T_NE", "NE_T_EE")
-_SINGULAR = 1e-8  # determinant of J J^T, below which no external force is known; our choice
+_SINGULAR = 1e-8  # determinant of J J^T below which no external force is computed; our choice
 
 
 class FrankaState:
-    """The packet of a state, written in place; columns of matrices stand one after the other.
-
-    Args:
-        cycle: s between two states.
+    """The packet of a state, written in place; matrices are column-major.
 
     Attributes:
-        packet: the bytes.
-        views: name of a field to its numbers in it, see `receiver.FIELDS`.
+        views: field name to a view of its values in `packet`, see `receiver.FIELDS`.
     """
 
     def __init__(self, version: int, model: RobotModel, cycle: float) -> None:
@@ -34,7 +30,7 @@ class FrankaState:
             for name, (at, kind) in state_fields(version).items()
         }
         self._model, self._cycle = model, cycle
-        self._before: Array = np.zeros(model.n)  # torques of the last cycle, Nm
+        self._before: Array = np.zeros(model.n)  # torques of the previous cycle, Nm
         self._frames: dict[str, Array] = {}
         for name in _FRAMES:
             self.set_frame(name, np.eye(4))
@@ -48,15 +44,14 @@ class FrankaState:
         return self.views[field]
 
     def set_frame(self, name: str, pose: Array) -> None:
-        """Sets one of the frames beyond the flange, (4, 4), m."""
+        """Sets the pose (4, 4), m, of a frame beyond the flange."""
         self._frames[name] = pose
         self[name] = pose.T.ravel()
 
     def measure(self, sensed: Sensed, external: Array) -> None:
-        """Writes what is measured, and what follows from it.
+        """Writes measured values and what follows from them.
 
-        Args:
-            external: (7,), Nm, torques by which the robot is pushed.
+        `external` are the torques that the environment exerts on the robot, shape (7,), Nm.
         """
         self._model.update(sensed.angles, sensed.velocities)
         self["q"], self["dq"], self["tau_J"] = sensed.angles, sensed.velocities, sensed.torques
@@ -69,10 +64,9 @@ class FrankaState:
         self.place(external)
 
     def place(self, external: Array) -> None:
-        """Writes the pose of the end effector, and the force that explains external torques.
+        """Writes the pose of the end effector, and the force that explains the external torques.
 
-        Args:
-            external: as of `measure`. Franka counts those with which the robot pushes.
+        Franka reports the torques that the robot exerts, with the opposite sign of `external`.
         """
         model = self._model
         self["tau_ext_hat_filtered"] = -external
@@ -81,7 +75,7 @@ class FrankaState:
         T_base_ee = T_base_flange @ self._frames["F_T_EE"]
         for name in ("O_T_EE", "O_T_EE_d", "O_T_EE_c"):
             self[name] = T_base_ee.T.ravel()
-        # Clients' models take gravity from it, which libfranka documents as {0, 0, -9.81}.
+        # The models of clients read gravity from it; libfranka documents it as {0, 0, -9.81}.
         self["O_ddP_O"] = T_base_world[:3, :3] @ model.skeleton.opt.gravity
         T_base_k = T_base_ee @ self._frames["EE_T_K"]
         jacobian, to_base = model.jacobian(), T_base_world[:3, :3]

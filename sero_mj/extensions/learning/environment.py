@@ -329,7 +329,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             # Copies, because the arrays were already returned once.
             before = {name: value.copy() for name, value in self._observation.items()}
             return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, before)
-        self.plant.rows.physics.look_ahead()  # updates `data` as `mj_step` does
+        self.plant.rows.physics.forward()  # updates `data` as `mj_step` does
         self._is_over = simulation.is_done
         self._observation = self._observe()
         end = dm_env.truncation if self._is_over else dm_env.transition

@@ -18,9 +18,9 @@ from ...base.frames import Array, Bools
 from ...robots.declared.mounts import base_frames, unmounted
 from ...simulate.control.make_controller import LimitedController, make_controller
 from ...simulate.control.robot_models import RobotModels
-from ...simulate.control.torque_loop import HangingLinks
+from ...simulate.control.torque_loop import StaticDeflection
 from ...simulate.drives import Drives
-from ...simulate.event_schedule import DueActions, FaultSchedule
+from ...simulate.event_schedule import FaultSchedule, TimedActions
 from ...simulate.plant import PlantRows
 from ...simulate.robot_control import RobotControl
 from ...simulate.runs.run_log import MEASURED
@@ -185,7 +185,7 @@ class Lane:
             self._drives = Drives(plant, environment.simulation.robots, scenario.run)
         self._gains: Array = np.ones((m, n))  # of the drives; faults change them
         self._drive: Array = np.zeros((m, 2, n))
-        self._faults = [DueActions(scenario.run.timestep) for _ in range(m)]
+        self._faults = [TimedActions(scenario.run.timestep) for _ in range(m)]
         self._k = np.zeros(m, np.intp)  # steps since the beginning of the episode
         self.action = environment.settings.make_action(environment.robot, scenario.run.timestep)
         robot, drives, simulation = environment.robot, self._drives, environment.simulation
@@ -199,7 +199,7 @@ class Lane:
         self._control.use(LimitedController.joined([one] * m, 1, models))
         if plant.joints.elastic and drives is not None and drives.loop is not None:
             stiffness, home = drives.gains[robot.name].stiffness, np.tile(robot.home, (m, 1))
-            self._control.hanging = HangingLinks(stiffness, None, models, home)
+            self._control.deflection = StaticDeflection(stiffness, None, models, home)
         if self._has_pushes:
             self._find_flange()
 
@@ -219,7 +219,7 @@ class Lane:
         plant.sensors.seed = seed
         self.plant.reset(k, angles)
         self._k[k], self._gains[k] = 0, 1.0
-        self._faults[k] = due = DueActions(self._environment.scenario.run.timestep)
+        self._faults[k] = due = TimedActions(self._environment.scenario.run.timestep)
         FaultSchedule(self._environment.scenario, plant, due, self._gains[k])
 
     def begin(self, which: Bools) -> None:
@@ -230,9 +230,9 @@ class Lane:
             self._drives.reset(which)
         self.action.begin(self._control.target, self.plant.actual[which, 0], which)
         self._control.controller.controller.begin(which)
-        if self._control.hanging is not None:
+        if self._control.deflection is not None:
             home = np.asarray(self._environment.robot.home)
-            self._control.hanging.begin(which, home, self.plant.motor_angles)
+            self._control.deflection.begin(which, home, self.plant.motor_angles)
 
     def simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
         """Simulates a control step of some of the robots, and returns which are unstable, (m,).

@@ -44,7 +44,7 @@ class AgentRobot:
 
     def base(self) -> Array:
         """Returns the current T_world_base, which varies for mounted and mobile robots."""
-        self.plant.rows.physics.look_ahead()
+        self.plant.rows.physics.forward()
         data, body = self.plant.data, self.plant.world.robots[self.name].bodies[0]
         return frame(data.xmat[body].reshape(3, 3), data.xpos[body])
 

@@ -1,7 +1,7 @@
-"""Robots that speak ROS 2, and their recordings, without ROS.
+"""Robots that use ROS 2, and their recordings, without an installation of ROS.
 
-In: messages of topics, over DDS, foxglove_bridge or zenoh, or from bags. Out: packets of one
-structure, as of any source.
-Open first: `joined_packets.py` for what becomes of messages, `ros_source.py` for a way by which
-they come.
+In: messages over DDS, foxglove_bridge, zenoh or JSON, or from bags. Out: sources and recordings
+with packets of one structure, and the controller kind `ros2`.
+Open first: `joined_packets.py`, which converts messages to packets; `ros_source.py` is the base of
+the sources.
 """

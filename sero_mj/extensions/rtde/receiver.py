@@ -1,9 +1,9 @@
-"""`RtdeReceiver`: a robot of Universal Robots, by its Real-Time Data Exchange (RTDE) on TCP 30004.
+"""`RtdeReceiver`: the state of a Universal Robots arm from its Real-Time Data Exchange (RTDE).
 
-A client asks for variables by name and starts them; the controller then sends a data package each
-cycle (2 ms, CB3: 8 ms). All messages are big-endian: a size of 2 bytes, a type of 1 byte, a
-payload. Nothing but questions is ever sent: no input is set up, so nothing can be commanded. The
-protocol and names of variables are those of UR's RTDE guide, protocol version 2.
+A client connects to TCP port 30004 and requests variables by name. The controller then sends a data
+package in each cycle (2 ms, CB3: 8 ms). All messages are big-endian: a size of 2 bytes, a type of 1
+byte, a payload. The receiver sets up no inputs, so it cannot command anything. The protocol and the
+names of variables are those of UR's RTDE guide, protocol version 2.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import socket
 import struct
 import time as clock
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property
 from typing import ClassVar
 
@@ -26,13 +26,13 @@ from ...data.receive.structure import Structure, TorqueSign
 
 PORT = 30004
 VERSION = 2  # of the protocol
-# Types of messages; the last two are those of clients that command.
+# Message types. Clients that command also use the last two.
 _TYPES = b"VvOSUM"
 ASK_VERSION, ASK_CONTROLLER, SET_UP, START, DATA, TEXT = _TYPES
 SET_UP_INPUTS, PAUSE = b"IP"
-HEAD = struct.Struct(">HB")  # size, and type
+HEAD = struct.Struct(">HB")  # size and type
 NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"  # instead of the type of a variable
-_MOST_BYTES = 4096  # of a message; those of a controller have up to 600
+MAX_BYTES = 4096  # of a message; those of a controller have up to 600
 
 # Variable, its type, and its events.
 VARIABLES = (
@@ -47,14 +47,14 @@ VARIABLES = (
     ("robot_mode", "INT32", "robot_mode:1i"),
     ("safety_mode", "INT32", "safety_mode:1i"),
 )
-# What is added to a data package: whether its torques are commanded ones, and its number, counted
-# by time stamps, of which those of packages that the controller left out are passed over.
+# Added to a data package: whether its torques are commanded ones, and a package number that is
+# counted by time stamps, so that it skips packages that the controller did not send.
 _ADDED = struct.Struct(">BI")
 STRUCTURE = " ".join(
     (">", *(events for *_, events in VARIABLES), "torques_are_commanded:1B package_number:1I")
 )
 MEASURED, COMMANDED = "actual_current_as_torque", "target_moment"
-UNKNOWN = -128  # of a mode that the controller does not tell
+UNKNOWN = -128  # a mode that the controller does not send
 _NAN = struct.pack(">d", math.nan)
 _ABSENT = {"DOUBLE": _NAN, "VECTOR6D": 6 * _NAN, "INT32": struct.pack(">i", UNKNOWN)}
 
@@ -70,24 +70,22 @@ SAFETY_MODES = {
 }  # fmt: skip
 _RUNNING, _SAFE = 7, (1, 2)
 
-_EARLY = 0.25  # of a period: so much less between stamps is still another package
+_TOLERANCE = 0.25  # of a period, for a package that is early
 
 
 class RtdeReceiver(ConnectingSource):
-    """Receives the state of a robot of Universal Robots, without commanding it.
+    """Receives the state of a Universal Robots arm without commanding it.
 
-    It connects, and connects again when the connection is lost. Events are in SI units; currents
-    in A. `torques` are those measured, `actual_current_as_torque`, which controllers have from
-    PolyScope 5.23 and 10.11 on; before that they are the commanded ones, which is told, and
-    `torques_are_commanded` is 1. `tcp_force` and `tcp_moment` are at the TCP, in directions of the
-    base, and are what the environment exerts on the robot. What the controller does not have is
-    NaN, a mode -128.
+    `torques` are the measured `actual_current_as_torque`, which controllers provide since PolyScope
+    5.23 and 10.11. With older controllers, they are the commanded torques, which is reported, and
+    `torques_are_commanded` is 1. Currents are in A. `tcp_force` and `tcp_moment` are exerted on the
+    robot at the TCP, in base directions. Missing values are NaN, a missing mode is -128.
 
     Attributes:
         host: address of the controller.
-        port: its port.
-        frequency: of data packages, Hz; 0 for the highest of the controller: 500, or 125 of a CB3.
-        torque_sign: factor of measured and commanded torques: 1 or -1.
+        port: port of the controller.
+        frequency: rate of data packages, Hz; 0 for the maximum: 500, or 125 for a CB3.
+        torque_sign: factor of measured and commanded torques, 1 or -1.
     """
 
     name: str = "rtde"
@@ -100,7 +98,7 @@ class RtdeReceiver(ConnectingSource):
 
     _fixed_by: ClassVar[str] = "RTDE"
     protocol: ClassVar[str] = "UR RTDE"
-    # As long as the routes are unknown, what older controllers lack may be missing.
+    # Until the routes are known, variables that older controllers lack may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(
         frozenset(("currents", "torques", "commanded_torques", "tcp_force", "tcp_moment"))
     )
@@ -110,10 +108,10 @@ class RtdeReceiver(ConnectingSource):
         return RtdeLayout(self.torque_sign)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        said = _modes(*self.link_state(values))
+        texts = _modes(*self.link_state(values))
         if values["torques_are_commanded"][0]:
-            said.append("torques are commanded, not measured")
-        return ", ".join(said)
+            texts.append("torques are commanded, not measured")
+        return ", ".join(texts)
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
         return float(values["robot_mode"][0]), max(float(values["safety_mode"][0]), -1.0)
@@ -123,42 +121,43 @@ class RtdeReceiver(ConnectingSource):
         return [] if good else [", ".join(_modes(state, quality))]
 
     def converse(self, wake: socket.socket) -> None:
-        left_out = frozenset[str]()
-        while True:  # once more without what the controller lacks, as UR's own client does it
+        omitted = frozenset[str]()
+        while True:  # again without the variables that the controller lacks, as UR's client does
             with _Connection(self.host, self.port, wake) as connection:
-                left_out |= self._talk(connection, left_out)
+                omitted |= self._run_session(connection, omitted)
 
-    def _talk(self, connection: _Connection, left_out: frozenset[str]) -> frozenset[str]:
-        if connection.ask(ASK_VERSION, struct.pack(">H", VERSION), self._hear) != b"\1":
+    # Returns immediately if the controller lacks variables, otherwise receives until an error.
+    def _run_session(self, connection: _Connection, omitted: frozenset[str]) -> frozenset[str]:
+        if connection.request(ASK_VERSION, struct.pack(">H", VERSION), self._on_text) != b"\1":
             raise ProtocolError("does not accept version 2 of RTDE")
-        answer = connection.ask(ASK_CONTROLLER, b"", self._hear)
+        answer = connection.request(ASK_CONTROLLER, b"", self._on_text)
         if len(answer) != 16:
-            raise ProtocolError("does not tell its version", answer)
+            raise ProtocolError("sends an invalid version", answer)
         version = struct.unpack(">4I", answer)
-        fastest = 500.0 if version[0] >= 5 else 125.0
-        rate = min(self.frequency or fastest, fastest)
-        recipe = [(name, kind) for name, kind, _ in VARIABLES if name not in left_out]
+        max_rate = 500.0 if version[0] >= 5 else 125.0
+        rate = min(self.frequency or max_rate, max_rate)
+        recipe = [(name, kind) for name, kind, _ in VARIABLES if name not in omitted]
         names = ",".join(name for name, _ in recipe).encode()
-        answer = connection.ask(SET_UP, struct.pack(">d", rate) + names, self._hear)
+        answer = connection.request(SET_UP, struct.pack(">d", rate) + names, self._on_text)
         found = answer[1:].decode("ascii", "replace").split(",")
         if len(found) != len(recipe):
-            raise ProtocolError(f"told {len(found)} types of {len(recipe)} variables", answer)
-        lacking = self._check_types(recipe, found)
-        if lacking:
-            if len(lacking) == len(recipe):
-                raise ProtocolError("has none of the variables that are needed")
-            return lacking
-        if connection.ask(START, b"", self._hear) != b"\1":
+            raise ProtocolError(f"sends {len(found)} types for {len(recipe)} variables", answer)
+        missing = self._check_types(recipe, found)
+        if missing:
+            if len(missing) == len(recipe):
+                raise ProtocolError("has none of the required variables")
+            return missing
+        if connection.request(START, b"", self._on_text) != b"\1":
             raise ProtocolError("does not start to send")
         self.note_connected(f"{rate:g} Hz")
-        if MEASURED in left_out and COMMANDED not in left_out:
+        if MEASURED in omitted and COMMANDED not in omitted:
             self._state += ", torques are commanded, not measured"
             self.log_once(
                 f"controller {'.'.join(map(str, version[:3]))} does not measure torques "
-                "(actual_current_as_torque, from PolyScope 5.23 and 10.11 on); those shown are "
-                "the commanded ones (target_moment)"
+                "(actual_current_as_torque requires PolyScope 5.23 or 10.11); the commanded "
+                "torques (target_moment) are shown instead"
             )
-        packages = _Packages(answer[0], left_out, rate, fastest)
+        packages = _Packages(answer[0], omitted, rate, max_rate)
         while True:
             bodies = [
                 payload for kind, payload in connection.receive() if self._is_data(kind, payload)
@@ -167,35 +166,35 @@ class RtdeReceiver(ConnectingSource):
                 self.accept([packages.packet(body, self.size) for body in bodies])
 
     def _check_types(self, recipe: list[tuple[str, str]], found: list[str]) -> frozenset[str]:
-        lacking = set()
+        missing = set()
         for (name, kind), other in zip(recipe, found, strict=True):
             if other == kind:
                 continue
-            lacking.add(name)
+            missing.add(name)
             if other == NOT_FOUND:
-                if name != MEASURED:  # which is told when it is known what stands in for it
+                if name != MEASURED:  # reported once it is known what replaces it
                     self.log_once(f"the controller has no {name}")
             elif other == IN_USE:
                 self.log_once(f"{name} is in use by another client")
             else:
                 self.log_once(f"{name} is of type {other[:40]}; expected {kind}")
-        return frozenset(lacking)
+        return frozenset(missing)
 
     def _is_data(self, kind: int, payload: bytes) -> bool:
         if kind == TEXT:
-            self._hear(payload)
+            self._on_text(payload)
         elif kind != DATA:
-            raise ProtocolError(f"sent message {chr(kind)} among data packages", payload)
+            raise ProtocolError(f"sends message {chr(kind)} between data packages", payload)
         return kind == DATA
 
-    def _hear(self, payload: bytes) -> None:
-        is_whole = bool(payload) and 1 + payload[0] <= len(payload)
-        text = payload[1 : 1 + payload[0]] if is_whole else payload
-        self.log_once(f"the controller says: {text.decode('utf-8', 'replace').strip()}")
+    def _on_text(self, payload: bytes) -> None:
+        is_complete = bool(payload) and 1 + payload[0] <= len(payload)
+        text = payload[1 : 1 + payload[0]] if is_complete else payload
+        self.log_once(f"message of the controller: {text.decode('utf-8', 'replace').strip()}")
 
 
 class RtdeLayout(Structure):
-    """The packets of `RtdeReceiver`, which are data packages with `_ADDED`."""
+    """Packets of `RtdeReceiver`: data packages followed by `_ADDED`."""
 
     message = "data package"
 
@@ -204,7 +203,21 @@ class RtdeLayout(Structure):
         super().__init__(STRUCTURE, signs=signs)
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        return f"{length} bytes that are no {self.message} as agreed"
+        return f"{length} bytes are not a {self.message} of the agreed recipe"
+
+
+def split_messages(received: bytes, kinds: Collection[int]) -> Iterator[tuple[int, bytes, int]]:
+    """Yields type, payload and end of each complete message; raises ProtocolError."""
+    at = 0
+    while len(received) - at >= HEAD.size:
+        size, kind = HEAD.unpack_from(received, at)
+        if not HEAD.size <= size <= MAX_BYTES or kind not in kinds:
+            text = f"sends an invalid RTDE message: {size} bytes of type {kind}"
+            raise ProtocolError(text, received[at:])
+        if len(received) - at < size:
+            return
+        yield kind, received[at + HEAD.size : at + size], at + size
+        at += size
 
 
 class _Connection(Connection):
@@ -213,22 +226,20 @@ class _Connection(Connection):
         self._received = b""
         self._messages: deque[tuple[int, bytes]] = deque()
 
-    def ask(self, kind: int, question: bytes, hear: Callable[[bytes], None]) -> bytes:
-        self.socket.sendall(HEAD.pack(HEAD.size + len(question), kind) + question)
+    def request(self, kind: int, payload: bytes, on_text: Callable[[bytes], None]) -> bytes:
+        self.socket.sendall(HEAD.pack(HEAD.size + len(payload), kind) + payload)
         deadline = clock.monotonic() + connecting.PATIENCE
         while True:
             while not self._messages:
-                self._read(deadline, f"does not answer question {chr(kind)}")
+                self._read(deadline, f"does not answer request {chr(kind)}")
             found, payload = self._messages.popleft()
             if found == kind:
                 return payload
             if found != TEXT:
-                raise ProtocolError(
-                    f"answers question {chr(kind)} by message {chr(found)}", payload
-                )
-            hear(payload)
+                raise ProtocolError(f"answers request {chr(kind)} with {chr(found)}", payload)
+            on_text(payload)
             if clock.monotonic() > deadline:
-                raise TimeoutError(f"does not answer question {chr(kind)}")
+                raise TimeoutError(f"does not answer request {chr(kind)}")
 
     def receive(self) -> list[tuple[int, bytes]]:
         deadline = clock.monotonic() + connecting.PATIENCE
@@ -238,27 +249,23 @@ class _Connection(Connection):
         self._messages.clear()
         return messages
 
-    def _read(self, deadline: float, else_what: str) -> None:
-        self.wait(deadline, else_what)
-        received, at = self._received + self.read(), 0
-        while len(received) - at >= HEAD.size:
-            size, kind = HEAD.unpack_from(received, at)
-            if not HEAD.size <= size <= _MOST_BYTES or kind not in _TYPES:
-                text = f"sends what is no message of RTDE: {size} bytes of type {kind}"
-                raise ProtocolError(text, received[at:])
-            if len(received) - at < size:
-                break
-            self._messages.append((kind, received[at + HEAD.size : at + size]))
-            at += size
-        self._received = received[at:]
+    def _read(self, deadline: float, timeout_text: str) -> None:
+        self.wait(deadline, timeout_text)
+        self._received += self.read()
+        at = 0
+        for kind, payload, end in split_messages(self._received, _TYPES):
+            self._messages.append((kind, payload))
+            at = end
+        self._received = self._received[at:]
 
 
+# Converts payloads of data packages to packets.
 class _Packages:
-    def __init__(self, recipe: int, left_out: frozenset[str], rate: float, fastest: float) -> None:
+    def __init__(self, recipe: int, omitted: frozenset[str], rate: float, max_rate: float) -> None:
         self._recipe = recipe
-        places, at = {}, 1  # behind the recipe's number
+        places, at = {}, 1  # after the recipe number
         for name, kind, _ in VARIABLES:
-            if name not in left_out:
+            if name not in omitted:
                 places[name] = slice(at, at + len(_ABSENT[kind]))
                 at = places[name].stop
         self._length = at
@@ -267,8 +274,8 @@ class _Packages:
             places[MEASURED] = places[COMMANDED]
         self._pieces = [(places.get(name), _ABSENT[kind]) for name, kind, _ in VARIABLES]
         self._has_time = "timestamp" in places
-        # The longest time between packages: whole cycles, of which a rate may not be a divisor.
-        self._period = math.ceil(fastest / rate - 1e-6) / fastest
+        # Maximum time between packages: whole cycles, even if the rate is not a divisor.
+        self._period = math.ceil(max_rate / rate - 1e-6) / max_rate
         self._number, self._stamp = 0, math.nan
 
     def packet(self, payload: bytes, size: int) -> bytes:
@@ -278,8 +285,8 @@ class _Packages:
         if self._has_time:
             (stamp,) = struct.unpack_from(">d", payload, 1)
             passed = (stamp - self._stamp) / self._period
-            # A simulated controller may stamp by a clock that is not that of its cycles.
-            step = max(math.floor(passed + _EARLY), 1) if 0.0 < passed < 2.0**31 else 1
+            # A simulated controller may not stamp by the clock of its cycles.
+            step = max(math.floor(passed + _TOLERANCE), 1) if 0.0 < passed < 2.0**31 else 1
             self._stamp = stamp
         self._number = (self._number + step) & 0xFFFFFFFF
         data = b"".join(
@@ -289,9 +296,9 @@ class _Packages:
 
 
 def _modes(state: float, quality: float) -> list[str]:
-    said = []
+    texts = []
     if state != UNKNOWN:
-        said.append(f"robot {ROBOT_MODES.get(int(state), f'in mode {state:.0f}')}")
+        texts.append(f"robot {ROBOT_MODES.get(int(state), f'in mode {state:.0f}')}")
     if quality >= 0:
-        said.append(f"safety: {SAFETY_MODES.get(int(quality), f'mode {quality:.0f}')}")
-    return said
+        texts.append(f"safety: {SAFETY_MODES.get(int(quality), f'mode {quality:.0f}')}")
+    return texts

@@ -1,10 +1,10 @@
-"""`RtdeRobot`: a simulated robot's side of RTDE: its clients' commands, and the control below them.
+"""`kind = "rtde"`: a client of Universal Robots' RTDE controls a simulated robot with six joints.
 
-With `interface = "ur_rtde"` the registers mean what they mean to the script that the library
+With `interface = "ur_rtde"`, registers have the same meaning as for the script that the library
 ur_rtde (SDU Robotics) uploads: input_int_register_0 is a command, input_double_register_0 and the
-following ones its numbers, and output_int_register_0 tells that the robot is ready (1) or done (2).
-Registers from 24 on are used where the client is told to use the upper range. The script itself is
-never run.
+following ones are its arguments, and output_int_register_0 reports whether the robot is ready (1)
+or done (2). If the client is configured for the upper range, registers from 24 on are used. The
+script is never run.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import logging
 import re
 import time as clock
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from ...base.errors import SimulationError
+from ...base.errors import Problem, SimulationError, mismatch
 from ...base.frames import Array
 from ...base.once import Once
 from ...simulate.control.controller import (
@@ -41,46 +41,54 @@ from ...simulate.external_control.commanded_motion import (
 )
 from ...simulate.external_control.program import PORT, Program
 from ...simulate.external_control.program_controller import Reachable
+from .receiver import PORT as RTDE_PORT
 from .server import RtdePeer, RtdeServer
 from .state import JOINTS, RtdeState
 from .variables import INPUT_DOUBLE, INPUT_INT, OUTPUT_INT, REGISTERS
 
 log = logging.getLogger(__name__)
 
-DASHBOARD, SCRIPT = 29999, 30003  # ports that ur_rtde connects to as well
-# States, as they are logged.
+DASHBOARD, SCRIPT = 29999, 30003  # ports that ur_rtde also connects to
+# Logged states.
 NOBODY, CONNECTED, STARTED, COMMANDED, SILENT = 0, 1, 2, 3, 4
-READY, DONE = 1, 2  # of ur_rtde's output register
+READY, DONE = 1, 2  # values of ur_rtde's output register
 _CLEAR, _STOP = 0, 255
 _MOVE_J, _SPEED_J, _SERVO_J, _TORQUE = 1, 9, 11, 66
 _ZERO_SENSOR, _TEACH, _END_TEACH = 8, 18, 19
 _STOPS = 15, 16, 34  # speedStop, servoStop, stopJ
 _OFFSETS = 0, 24  # of registers: the lower and the upper range
-_SLICE = 0.02  # s, in which an interrupt and the end of the program are seen
+_SLICE = 0.02  # s between checks for interrupts and the end of the program
 _DECELERATION = 4.0  # rad/s^2, of a robot whose client is silent
 _NUMBER = re.compile(r"[-+]?\d[\d.e:+-]*")
 
 
-class RtdeSession(Reachable):
-    """Base of the declaration of a client of RTDE: what its session is like.
+class RtdeClient(Reachable):
+    """A client of RTDE; the simulated robot listens like a Universal Robots controller.
 
     Attributes:
-        host: address that the robot listens on; 0.0.0.0 for all of this machine.
-        port: of RTDE.
-        interface: how the client commands: `ur_rtde`, by the registers that this library and the
-            script that it uploads exchange; `position` or `torque`, by six input registers.
-        first_register: of `position` and `torque`, k: input_double_register_k to k + 5 are joint
-            angles, rad, or torques on top of gravity's, Nm.
-        dashboard_port: of a dashboard server, which `ur_rtde` connects to; 0 for none.
-        script_port: that URScript is sent to, and which throws it away; 0 for none.
-        cycle: s, shortest time between packages; 0.002 as an e-Series has it, or 0.008 of a CB3.
-        stiffness: Nm/rad per joint, of the robot's position control.
-        damping: ratio per joint, likewise.
-        torque_constants: Nm/A per joint, by which torques are told as currents; without them
-            currents are 0.
-        patience: s; a client that has not commanded for longer is silent, and the robot holds.
+        host: address that the robot listens on; 0.0.0.0 for all addresses of this machine.
+        port: port of RTDE.
+        interface: how the client commands: `ur_rtde` through the registers that this library and
+            its script exchange; `position` or `torque` through six input registers.
+        first_register: first register k of `position` and `torque`. input_double_register_k to k+5
+            contain joint angles in rad, or torques in addition to gravity compensation in Nm.
+        dashboard_port: port of the dashboard server, which `ur_rtde` connects to; 0 for none.
+        script_port: port of a server that accepts and discards URScript; 0 for none.
+        cycle: minimum time between packages in s: 0.002 for an e-Series, 0.008 for a CB3.
+        stiffness: stiffness of the robot's position control, Nm/rad per joint.
+        damping: damping ratio of the robot's position control per joint.
+        torque_constants: torque per ampere in Nm/A per joint, to convert torques to currents;
+            without them, currents are 0.
+        patience: time in s without a command after which a client is silent and the robot holds.
     """
 
+    logged: ClassVar[tuple[str, ...]] = ("rtde_state", "command_age", "step_lateness")
+    title: ClassVar[str] = "client of RTDE"
+    order: ClassVar[int] = 77
+    protocol_joints: ClassVar[int] = JOINTS
+
+    kind: Literal["rtde"] = "rtde"
+    port: int = Field(RTDE_PORT, ge=0, le=65535)
     clock: Literal["lockstep", "real_time"] = "real_time"
     interface: Literal["ur_rtde", "position", "torque"] = "ur_rtde"
     first_register: int = Field(0, ge=0, le=REGISTERS - JOINTS)
@@ -91,20 +99,34 @@ class RtdeSession(Reachable):
     damping: Ratio = np.ones(1)
     torque_constants: MaybePerJoint = None
 
+    @model_validator(mode="after")
+    def _fields_fit_each_other(self) -> Self:
+        if self.interface == "ur_rtde" and "first_register" in self.model_fields_set:
+            reason = "is for interface = 'position' or 'torque'; leave it out"
+            raise Problem("first_register", reason).error()
+        constants = self.torque_constants
+        if constants is not None and not (constants > 0.0).all():
+            lowest = float(constants.min())
+            raise mismatch(lowest, "positive numbers, Nm/A", key="torque_constants")
+        return self
+
+    def make(self, model: RobotModel, timestep: float) -> RtdeRobot:
+        if model.n != JOINTS:
+            reason = f"RTDE requires {JOINTS} joints; {model.name} has {model.n}"
+            raise Problem("kind", reason).error()
+        return RtdeRobot(self, model, timestep, self.steps_per_cycle(self.cycle, timestep))
+
 
 class RtdeRobot(Controller):
-    """Serves clients in each cycle, takes their commands, and acts on them.
-
-    Args:
-        timestep: s between two steps.
+    """Serves clients in each cycle of `steps` time steps and applies their commands.
 
     Attributes:
-        logged: (3,), the state (`NOBODY` to `SILENT`), the age of the last command, s, and how late
-            this step began, s.
+        logged: state (`NOBODY` to `SILENT`), age of the last command in s, and delay of this step
+            in s.
     """
 
     def __init__(
-        self, declared: RtdeSession, model: RobotModel, timestep: float, steps: int
+        self, declared: RtdeClient, model: RobotModel, timestep: float, steps: int
     ) -> None:
         self._declared, self._model, self._timestep = declared, model, timestep
         self._steps, self._step, self._time = steps, 0, 0.0
@@ -123,24 +145,23 @@ class RtdeRobot(Controller):
         self._program: Program | None = None
         gains = {key: declared.per_joint(key, JOINTS) for key in ("stiffness", "damping")}
         self._holder = JointPosition(**gains).make(model, timestep)
-        self._own = Target(JOINTS)
+        self._target = Target(JOINTS)
         first = declared.first_register
-        self._plain = [f"{INPUT_DOUBLE}{first + k}" for k in range(JOINTS)]
-        self._given: set[str] = set()  # of these, by the client that commands
+        self._registers = [f"{INPUT_DOUBLE}{first + k}" for k in range(JOINTS)]
+        self._received_inputs: set[str] = set()  # of these, from the client that commands
         self.logged: Array = np.zeros(3)
         self.wrong = self.silent = 0
         self._is_new = Once()
-        self._commander: RtdePeer | None = None  # whose command was taken last
+        self._commander: RtdePeer | None = None  # client that sent the last accepted command
         self._commanded_at = 0.0
         self._is_silent = self._has_answered = False
-        self._told_when_still = ""  # register that tells that a motion is done
+        self._done_register = ""  # register that reports the end of a motion
         self._began = self._given_up = 0.0
         self._out: Array = np.zeros(JOINTS)
         has_script = declared.interface == "ur_rtde" and declared.script_port
         self._state.is_running = not has_script
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,); raises SimulationError."""
         self._step += 1
         self._time = sensed.time
         if self._step == 1:
@@ -154,19 +175,18 @@ class RtdeRobot(Controller):
         if (self._step - 1) % self._steps == 0:
             self._exchange(sensed)
         self._motion.step(sensed.time, self._timestep)
-        if self._told_when_still and self._motion.mode == HOLDS:
-            self._state.registers[self._told_when_still] = DONE
-            self._told_when_still = ""
+        if self._done_register and self._motion.mode == HOLDS:
+            self._state.registers[self._done_register] = DONE
+            self._done_register = ""
         self.logged[1] = sensed.time - self._commanded_at
-        self._act(sensed, out)
+        self._control(sensed, out)
         self._out[:] = out
 
     def close(self) -> None:
-        """Ends connections and the program; harmless when that is done."""
         skipped = sum(peer.skipped for peer in self._server.peers)
         if self.wrong or self.silent or skipped:
             log.warning(
-                "%s: %d messages or commands were not taken, %d cycles had no command, "
+                "%s: %d messages or commands were rejected, %d cycles had no command, "
                 "%d packages were not read",
                 self._model.name, self.wrong, self.silent, skipped,
             )  # fmt: skip
@@ -178,57 +198,51 @@ class RtdeRobot(Controller):
 
     @property
     def commanded_angles(self) -> Array:
-        """Where the robot is commanded to, (n,), rad."""
         return self._motion.angles
 
-    # ---- the desk of the server
+    # ---- what the server needs
 
     @property
     def is_running(self) -> bool:
         return self._state.is_running
 
     def value(self, name: str) -> Any:
-        """The value of an output now: a number, or those of a vector."""
         return self._state.value(name)
 
-    def count_wrong(self, why: str) -> None:
-        """Counts what was not taken, and tells it, but for its numbers once."""
+    def reject(self, reason: str) -> None:
         self.wrong += 1
-        kind = _NUMBER.sub("#", why)
-        if self._is_new(kind):
-            log.warning("%s: not taken at %.3f s: %s", self._model.name, self._time, why)
+        if self._is_new(_NUMBER.sub("#", reason)):
+            log.warning("%s: rejected at %.3f s: %s", self._model.name, self._time, reason)
 
     def take_script(self, text: bytes) -> None:
-        """Gets a script, which is not run; that of ur_rtde is what this robot does anyway."""
         if b"rtde_control" in text:
             self._state.is_running = True
             for offset in _OFFSETS:
                 self._state.registers[f"{OUTPUT_INT}{offset}"] = READY
         else:
-            self._server.tell(f"a script of {len(text)} bytes is not run: there is no URScript")
+            self._server.warn_once(f"a script of {len(text)} bytes is not run (no URScript)")
 
     def stop_program(self) -> None:
-        """Ends what stands for the robot's program; the robot comes to rest."""
         if self._declared.script_port:
             self._state.is_running = False
         self._commander = None
         self._come_to_rest()
 
     def take(self, peer: RtdePeer, values: dict[str, Any]) -> bool:
-        """Takes inputs; whether they answer the last package."""
         self._state.take(values)
         if values.get("speed_slider_mask"):
-            self._server.tell("the speed slider has no effect")
+            self._server.warn_once("the speed slider has no effect")
         if self._declared.interface == "ur_rtde":
             return self._take_command(peer, values)
         if not self._commands(peer):
             return False
-        self._given |= values.keys()
-        if not values.keys().isdisjoint(self._plain) and self._given.issuperset(self._plain):
-            numbers = np.array([self._state.registers[name] for name in self._plain])
+        self._received_inputs |= values.keys()
+        is_complete = self._received_inputs.issuperset(self._registers)
+        if is_complete and not values.keys().isdisjoint(self._registers):
+            numbers = np.array([self._state.registers[name] for name in self._registers])
             if self._declared.interface == "torque":
                 self._motion.act(numbers)
-                self._note(peer)
+                self._note_command(peer)
             else:
                 self._servo(peer, numbers)
         return True
@@ -236,7 +250,7 @@ class RtdeRobot(Controller):
     def _commands(self, peer: RtdePeer) -> bool:
         if self._declared.interface == "ur_rtde":
             return any(f"{INPUT_INT}{offset}" in peer.claimed for offset in _OFFSETS)
-        return not peer.claimed.isdisjoint(self._plain)
+        return not peer.claimed.isdisjoint(self._registers)
 
     def _take_command(self, peer: RtdePeer, values: dict[str, Any]) -> bool:
         offset = next((k for k in _OFFSETS if f"{INPUT_INT}{k}" in values), None)
@@ -251,7 +265,7 @@ class RtdeRobot(Controller):
             self.stop_program()
             return True
         if not self._state.is_running:
-            self.count_wrong(f"command {command} while no program runs")
+            self.reject(f"command {command} while no program is running")
             return True
         registers = self._state.registers
 
@@ -262,16 +276,17 @@ class RtdeRobot(Controller):
         if command == _SERVO_J:
             self._servo(peer, numbers(0, JOINTS))
         elif command == _SPEED_J:
-            speed = self._motion.speed(numbers(0, JOINTS), float(numbers(JOINTS, 1)[0]))
-            self._obey(peer, speed)
+            problem = self._motion.speed(numbers(0, JOINTS), float(numbers(JOINTS, 1)[0]))
+            self._apply(peer, problem)
         elif command == _TORQUE:
             self._motion.act(numbers(0, JOINTS))
-            self._note(peer)
+            self._note_command(peer)
         else:
-            self._do_and_tell(peer, command, state, numbers, values.get(f"{INPUT_INT}{offset + 1}"))
+            flag = values.get(f"{INPUT_INT}{offset + 1}")
+            self._do_blocking_command(peer, command, state, numbers, flag)
         return True
 
-    def _do_and_tell(
+    def _do_blocking_command(
         self,
         peer: RtdePeer,
         command: int,
@@ -283,38 +298,38 @@ class RtdeRobot(Controller):
         self._state.registers[state] = DONE
         if command == _MOVE_J:
             speed, acceleration = numbers(JOINTS, 2).tolist()
-            why = motion.move(numbers(0, JOINTS), speed, acceleration, self._time)
-            self._obey(peer, why)
-            if not why and not flag:  # else it is asynchronous
+            problem = motion.move(numbers(0, JOINTS), speed, acceleration, self._time)
+            self._apply(peer, problem)
+            if not problem and not flag:  # otherwise it is asynchronous
                 self._state.registers[state] = 0
-                self._told_when_still = state
+                self._done_register = state
         elif command in _STOPS:
             motion.stop(float(numbers(0, 1)[0]))
             self._commander = None
             self._state.registers[state] = 0
-            self._told_when_still = state
+            self._done_register = state
         elif command == _TEACH:
             motion.act(np.zeros(JOINTS))
         elif command == _END_TEACH:
             self._come_to_rest()
         elif command != _ZERO_SENSOR:
-            # ur_rtde sees that no program runs, and returns false.
-            what = f"command {command} of ur_rtde is not there; its program ends"
+            # ur_rtde notices that no program is running and returns false.
+            what = f"command {command} of ur_rtde is not supported; its program ends"
             self._state.registers[state] = 0
-            self.count_wrong(what)
-            peer.say(what)
+            self.reject(what)
+            peer.send_text(what)
             self.stop_program()
 
     def _servo(self, peer: RtdePeer, angles: Array) -> None:
-        self._obey(peer, self._motion.servo(angles, self._time, self._cycle))
+        self._apply(peer, self._motion.servo(angles, self._time, self._cycle))
 
-    def _obey(self, peer: RtdePeer, why_not: str) -> None:
-        if why_not:
-            self.count_wrong(why_not)
+    def _apply(self, peer: RtdePeer, problem: str) -> None:
+        if problem:
+            self.reject(problem)
         else:
-            self._note(peer)
+            self._note_command(peer)
 
-    def _note(self, peer: RtdePeer) -> None:
+    def _note_command(self, peer: RtdePeer) -> None:
         self._commander, self._commanded_at = peer, self._time
 
     # ---- cycles
@@ -358,32 +373,32 @@ class RtdeRobot(Controller):
         if self._declared.clock == "lockstep":
             self._wait_for_answers(cycle, time)
         self._check(time)
-        self._mind_silence(sensed)
+        self._check_silence(sensed)
         self.logged[0] = self._state_number()
 
     def _wait_for_answers(self, cycle: int, time: float) -> None:
         server, declared = self._server, self._declared
         if self._program is not None and self._has_answered and declared.same_core:
             self._program.come_beside()
-        asked = {peer for peer in server.peers if peer.is_ready}
+        sent_to = {peer for peer in server.peers if peer.is_ready}
         patience = _SLICE if self._is_silent else declared.patience
         deadline = clock.monotonic() + patience
         while True:
             commanding = [peer for peer in server.peers if peer.is_started and self._commands(peer)]
             for peer in commanding:
-                if peer not in asked and peer.is_ready:  # it has come while this was waiting
-                    asked.add(peer)
+                if peer not in sent_to and peer.is_ready:  # connected while waiting
+                    sent_to.add(peer)
                     if peer.is_due(cycle):
                         server.send_to(peer)
-            if commanding and all(peer in asked and not peer.is_awaited for peer in commanding):
+            if commanding and all(peer in sent_to and not peer.is_awaited for peer in commanding):
                 self._has_answered = True
                 if self._is_silent:
                     log.warning("%s: a client answers again at %.3f s", self._model.name, time)
                 self._is_silent = False
                 return
-            is_alone = self._program is None and bool(declared.command)
+            has_ended = self._program is None and bool(declared.command)
             until = deadline if self._has_answered else self._given_up
-            if self._has_answered and is_alone and not server.peers:  # nobody will come
+            if self._has_answered and has_ended and not server.peers:
                 return
             if clock.monotonic() > until:
                 break
@@ -393,23 +408,23 @@ class RtdeRobot(Controller):
             name = f"{declared.host}:{server.port}"
             what = f"no client answers at {name} within {declared.first_patience:g} s"
             if any(map(self._commands, server.peers)):
-                what += "; one that does not answer each package needs clock = 'real_time'"
+                what += "; a client that does not answer each package needs clock = 'real_time'"
             raise self._error(time, what)
         self.silent += 1
         if not self._is_silent:
-            log.warning("%s: no answer to the package of %.3f s", self._model.name, time)
+            log.warning("%s: no answer to the package at %.3f s", self._model.name, time)
         self._is_silent = True
 
-    def _mind_silence(self, sensed: Sensed) -> None:
+    def _check_silence(self, sensed: Sensed) -> None:
         commander, time = self._commander, sensed.time
         if commander is None:
             return
         name = self._model.name
         if commander not in self._server.peers:
-            log.warning("%s: nobody commands at %.3f s; it holds", name, time)
+            log.warning("%s: the commanding client left at %.3f s; the robot holds", name, time)
             self._commander = None
             self._is_silent = False
-            self._given.clear()
+            self._received_inputs.clear()
             self._come_to_rest()
             return
         motion = self._motion
@@ -420,16 +435,16 @@ class RtdeRobot(Controller):
             is_silent = age > self._declared.patience and motion.mode in (SERVOS, SPEEDS, TORQUES)
             self.silent += is_silent
             if is_silent and not self._is_silent:
-                log.warning("%s: no command for %.3f s at %.3f s; it holds", name, age, time)
+                log.warning("%s: no command for %.3f s at %.3f s; the robot holds", name, age, time)
             elif self._is_silent and not is_silent:
-                log.warning("%s: commands come again at %.3f s", name, time)
+                log.warning("%s: commands resume at %.3f s", name, time)
             self._is_silent = is_silent
         if is_silent and motion.mode in (SPEEDS, TORQUES):
             self._come_to_rest()
 
     def _come_to_rest(self) -> None:
         if self._motion.mode == TORQUES:
-            self._motion.hold()  # they are carried along
+            self._motion.hold()
         elif self._motion.mode != HOLDS:
             self._motion.stop(_DECELERATION)
 
@@ -459,17 +474,17 @@ class RtdeRobot(Controller):
 
     # ---- control
 
-    def _act(self, sensed: Sensed, out: Array) -> None:
+    def _control(self, sensed: Sensed, out: Array) -> None:
         motion = self._motion
         if motion.mode == TORQUES:
             motion.angles[:] = sensed.motor_angles
             self._model.gravity(out)
             out += motion.torques
             return
-        own = self._own
+        own = self._target
         own.angles[:], own.velocities[:] = motion.angles, motion.velocities
         own.accelerations[:] = motion.accelerations
         self._holder.torques(sensed, own, out)
 
     def __getstate__(self) -> Any:
-        raise TypeError("a controller that talks to a program is of this process")
+        raise TypeError("a controller that communicates with a program cannot be pickled")

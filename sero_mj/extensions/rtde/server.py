@@ -1,8 +1,8 @@
-"""`RtdeServer`: the sockets of a simulated controller of Universal Robots, and what is said there.
+"""`RtdeServer`: the sockets of a simulated Universal Robots controller.
 
-One thread, that of the simulation, serves all clients; no socket is ever waited for longer than is
-asked. RTDE is on TCP 30004. Where they are wanted, there are a dashboard server (29999), which
-answers what clients ask when they connect, and one that takes URScript (30003) and throws it away.
+The thread of the simulation serves all clients. RTDE listens on TCP 30004. Optionally, there are a
+dashboard server (29999), which answers the requests that clients send when they connect, and a
+server for URScript (30003), which does not run scripts.
 """
 
 from __future__ import annotations
@@ -26,52 +26,52 @@ from .receiver import (
     ASK_VERSION,
     DATA,
     HEAD,
+    MAX_BYTES,
     PAUSE,
     SET_UP,
     SET_UP_INPUTS,
     START,
     TEXT,
     VERSION,
+    split_messages,
 )
 from .variables import INPUTS, OUTPUTS, Recipe
 
 log = logging.getLogger(__name__)
 
-CONTROLLER_VERSION = 5, 23, 0, 0  # the first that has actual_current_as_torque
+CONTROLLER_VERSION = 5, 23, 0, 0  # the first one with actual_current_as_torque
 _KINDS = {ASK_VERSION, ASK_CONTROLLER, SET_UP, SET_UP_INPUTS, START, PAUSE, DATA, TEXT}
-# Bytes of a message from a client. UR takes 2048 of names.
-_MOST_BYTES = 4096
-_MOST_PEERS, _MOST_RECIPES = 16, 255
-_MOST_UNSENT = 1 << 18  # bytes, that a client may leave unread
-# s, from the start to the first package. UR's own client does not see one that comes together with
-# the answer to its start before another one comes, which in lockstep there is not.
-_LATER = 0.02
-_STUCK = 10.0  # s, in which a client may read nothing; another one could not have its inputs
+_MAX_PEERS, _MAX_RECIPES = 16, 255
+_MAX_UNSENT = 1 << 18  # bytes that a client may leave unread
+# Time in s from the start to the first package. If the package arrives together with the answer to
+# the start, UR's own client does not notice it before the next one, which lockstep never sends.
+_START_DELAY = 0.02
+_MAX_UNREAD_TIME = 10.0  # s in which a client may read nothing; it blocks its inputs for others
 _WARNING = 2  # level of a text message
 _SOURCE = b"sero-mj"
 
 
-class Desk(Protocol):
-    """What clients get and give; see `RtdeRobot`."""
-
-    def value(self, name: str) -> Any:
-        """The value of an output now: a number, or those of a vector."""
-
-    def take(self, peer: RtdePeer, values: dict[str, Any]) -> bool:
-        """Takes inputs; whether they answer the last package."""
-
-    def count_wrong(self, why: str) -> None:
-        """Counts what was not taken, and tells why once."""
-
-    def take_script(self, text: bytes) -> None:
-        """Gets a script, which is not run."""
-
-    def stop_program(self) -> None:
-        """The dashboard server was told so."""
+class Robot(Protocol):
+    """What a server needs of a robot."""
 
     @property
     def is_running(self) -> bool:
-        """Whether the robot's program is."""
+        """Whether the robot's program is running."""
+
+    def value(self, name: str) -> Any:
+        """Returns the current value of an output: a number, or those of a vector."""
+
+    def take(self, peer: RtdePeer, values: dict[str, Any]) -> bool:
+        """Takes inputs and returns whether they answer the last package."""
+
+    def reject(self, reason: str) -> None:
+        """Counts a rejected message or command, and logs each reason once."""
+
+    def take_script(self, text: bytes) -> None:
+        """Called with a script, which is not run."""
+
+    def stop_program(self) -> None:
+        """Called when the dashboard server stops the robot's program."""
 
 
 class Peer(ABC):
@@ -84,21 +84,21 @@ class Peer(ABC):
         self._received = b""
 
     @abstractmethod
-    def hear(self, received: bytes) -> bytes:
-        """Acts on what has come, and returns what is incomplete; raises ProtocolError."""
+    def handle(self, received: bytes) -> bytes:
+        """Handles received bytes and returns the incomplete rest; raises ProtocolError."""
 
     def read(self) -> None:
-        """Takes what has come; raises OSError or ProtocolError."""
+        """Receives; raises OSError or ProtocolError."""
         more = self.socket.recv(65536)
         if not more:
             raise ConnectionError("it closed the connection")
-        self._received = self.hear(self._received + more)
+        self._received = self.handle(self._received + more)
 
     def send(self, message: bytes) -> None:
-        """Sends, at once or as soon as there is room; raises OSError."""
+        """Sends now or as soon as the client reads; raises OSError."""
         self._unsent += message
-        if len(self._unsent) > _MOST_UNSENT:
-            raise ConnectionError("it does not read")
+        if len(self._unsent) > _MAX_UNSENT:
+            raise ConnectionError("the client does not read")
         self.flush()
 
     def flush(self) -> bool:
@@ -112,7 +112,7 @@ class RtdePeer(Peer):
     """A client of RTDE.
 
     Attributes:
-        inputs: recipes, of which the first has number 1.
+        inputs: input recipes; the first one has number 1.
     """
 
     def __init__(self, server: RtdeServer, connection: socket.socket, name: str) -> None:
@@ -126,21 +126,17 @@ class RtdePeer(Peer):
         self._last_sent = 0.0  # on the clock's time
         self._has_version = False
 
-    def hear(self, received: bytes) -> bytes:
+    def handle(self, received: bytes) -> bytes:
         at = 0
-        while len(received) - at >= HEAD.size:
-            size, kind = HEAD.unpack_from(received, at)
-            if not HEAD.size <= size <= _MOST_BYTES or kind not in _KINDS:
-                raise ProtocolError(f"sent what is no message of RTDE: {size} bytes of type {kind}")
-            if len(received) - at < size:
-                break
-            self._obey(kind, received[at + HEAD.size : at + size])
-            at += size
+        for kind, payload, end in split_messages(received, _KINDS):
+            self._handle_message(kind, payload)
+            at = end
         return received[at:]
 
-    def say(self, text: str) -> None:
-        said = text.encode()[:255]
-        payload = bytes([len(said)]) + said + bytes([len(_SOURCE)]) + _SOURCE + bytes([_WARNING])
+    def send_text(self, text: str) -> None:
+        encoded = text.encode()[:255]
+        payload = bytes([len(encoded)]) + encoded
+        payload += bytes([len(_SOURCE)]) + _SOURCE + bytes([_WARNING])
         self._answer(TEXT, payload)
 
     @property
@@ -148,36 +144,38 @@ class RtdePeer(Peer):
         return self.is_started and clock.monotonic() >= self._begins
 
     def is_due(self, cycle: int) -> bool:
-        """Whether it gets a package in a cycle."""
+        """Whether the client receives a package in this cycle."""
         return self.is_ready and cycle % self._every == 0
 
     def send_package(self) -> None:
-        """Sends the values of its recipe, unless it has not read those before."""
+        """Sends the values of the recipe, unless the client has not read the previous ones."""
         assert self._outputs is not None
         now = clock.monotonic()
         if self.flush():
             self._last_sent, self.is_awaited = now, True
-            values = self._outputs.pack(self.server.desk.value)
+            values = self._outputs.pack(self.server.robot.value)
             self._answer(DATA, b"\1" + values)
         else:
             self.skipped += 1
-            if now - self._last_sent > _STUCK:
-                raise ConnectionError(f"it has read nothing for {_STUCK:g} s")
+            if now - self._last_sent > _MAX_UNREAD_TIME:
+                raise ConnectionError(f"the client has read nothing for {_MAX_UNREAD_TIME:g} s")
 
     def _answer(self, kind: int, payload: bytes) -> None:
         self.send(HEAD.pack(HEAD.size + len(payload), kind) + payload)
 
-    def _obey(self, kind: int, payload: bytes) -> None:
+    def _handle_message(self, kind: int, payload: bytes) -> None:
         if kind == ASK_VERSION:
             self._has_version = payload == struct.pack(">H", VERSION)
             self._answer(kind, bytes([self._has_version]))
         elif kind == ASK_CONTROLLER:
             self._answer(kind, struct.pack(">4I", *CONTROLLER_VERSION))
         elif kind == TEXT:
-            said = payload[1 : 1 + payload[0]] if payload else b""
-            self.server.tell(f"client {self.name} says: {said.decode('utf-8', 'replace')}")
+            text = payload[1 : 1 + payload[0]] if payload else b""
+            self.server.warn_once(
+                f"message of client {self.name}: {text.decode('utf-8', 'replace')}"
+            )
         elif not self._has_version:
-            raise ProtocolError(f"sent {chr(kind)} before it asked for version {VERSION} of RTDE")
+            raise ProtocolError(f"sends {chr(kind)} before it requests RTDE version {VERSION}")
         elif kind == SET_UP:
             self._set_up_outputs(payload)
         elif kind == SET_UP_INPUTS:
@@ -185,8 +183,8 @@ class RtdePeer(Peer):
         elif kind == START:
             self.is_started = self._outputs is not None
             if not self.is_started:
-                self.say("no outputs are set up")
-            self._begins = clock.monotonic() + _LATER
+                self.send_text("no outputs are set up")
+            self._begins = clock.monotonic() + _START_DELAY
             self._answer(kind, bytes([self.is_started]))
         elif kind == PAUSE:
             self.is_started = self.is_awaited = False
@@ -196,19 +194,19 @@ class RtdePeer(Peer):
 
     def _set_up_outputs(self, payload: bytes) -> None:
         if len(payload) < 8:
-            raise ProtocolError(f"set up outputs in {len(payload)} bytes")
+            raise ProtocolError(f"sets up outputs in {len(payload)} bytes")
         (rate,) = struct.unpack_from(">d", payload)
         recipe = Recipe(payload[8:], OUTPUTS, frozenset())
         self.is_started = self.is_awaited = False
         self._outputs = recipe if recipe.is_valid else None
-        # A rate that is no divisor is that of whole cycles below it; nonsense is the highest.
+        # A rate that is not a divisor is rounded to whole cycles; an invalid rate is the maximum.
         cycles = 1.0 / (rate * self.server.cycle) if math.isfinite(rate) and rate > 0.0 else 1.0
         self._every = max(math.ceil(min(cycles, 1e6) - 1e-6), 1)
         self._answer(SET_UP, bytes([recipe.is_valid]) + ",".join(recipe.types).encode())
 
     def _set_up_inputs(self, payload: bytes) -> None:
         recipe = Recipe(payload, INPUTS, self.server.claimed_by_others(self))
-        is_taken = recipe.is_valid and len(self.inputs) < _MOST_RECIPES
+        is_taken = recipe.is_valid and len(self.inputs) < _MAX_RECIPES
         if is_taken:
             self.inputs.append(recipe)
             self.claimed |= set(recipe.names)
@@ -217,45 +215,45 @@ class RtdePeer(Peer):
 
     def _take(self, payload: bytes) -> None:
         number = payload[0] if payload else 0
-        desk = self.server.desk
+        robot = self.server.robot
         if not 1 <= number <= len(self.inputs):
-            desk.count_wrong(f"a data package of client {self.name} is of recipe {number}")
+            robot.reject(f"client {self.name} sends a data package of unknown recipe {number}")
             return
         recipe = self.inputs[number - 1]
         if len(payload) != 1 + recipe.size:
             what = f"found {len(payload) - 1} bytes; expected {recipe.size}"
-            desk.count_wrong(f"a data package of recipe {number} of client {self.name}: {what}")
+            robot.reject(f"data package of recipe {number} of client {self.name}: {what}")
             return
         try:
             values = recipe.unpack(payload[1:])
         except ValueError as error:
-            desk.count_wrong(f"a data package of recipe {number} of client {self.name}: {error}")
+            robot.reject(f"data package of recipe {number} of client {self.name}: {error}")
             return
-        if desk.take(self, values):
+        if robot.take(self, values):
             self.is_awaited = False
 
 
 class DashboardPeer(Peer):
-    """A client of the dashboard server, as far as clients of RTDE use it."""
+    """A client of the dashboard server, which supports the requests of clients of RTDE."""
 
     def greet(self) -> None:
         self.send(b"Connected: Universal Robots Dashboard Server\n")
 
-    def hear(self, received: bytes) -> bytes:
+    def handle(self, received: bytes) -> bytes:
         *lines, rest = received.split(b"\n")
-        if len(rest) > _MOST_BYTES:
-            raise ProtocolError("sent no line")
+        if len(rest) > MAX_BYTES:
+            raise ProtocolError("sends a line that does not end")
         for line in lines:
             self.send(self._answer_to(line.decode("utf-8", "replace").strip()).encode() + b"\n")
         return rest
 
     def _answer_to(self, line: str) -> str:
-        desk, said = self.server.desk, line.lower()
-        if said == "stop":
-            desk.stop_program()
+        robot, request = self.server.robot, line.lower()
+        if request == "stop":
+            robot.stop_program()
             return "Stopped"
-        if said == "running":
-            return f"Program running: {str(desk.is_running).lower()}"
+        if request == "running":
+            return f"Program running: {str(robot.is_running).lower()}"
         version = ".".join(map(str, CONTROLLER_VERSION))
         answers = {
             "polyscopeversion": f"URSoftware {version} (sero-mj)",
@@ -263,31 +261,31 @@ class DashboardPeer(Peer):
             "is in remote control": "true",
             "robotmode": "Robotmode: RUNNING",
             "safetystatus": "Safetystatus: NORMAL",
-            "programstate": "PLAYING" if desk.is_running else "STOPPED",
+            "programstate": "PLAYING" if robot.is_running else "STOPPED",
             "power on": "Powering on",
             "brake release": "Brake releasing",
             "quit": "Disconnected",
         }
-        if said not in answers:
-            self.server.tell(f"the dashboard server is asked for '{line[:40]}', which it has not")
-        return answers.get(said, f"could not understand: '{line[:40]}'")
+        if request not in answers:
+            self.server.warn_once(f"dashboard server: unknown request '{line[:40]}'")
+        return answers.get(request, f"could not understand: '{line[:40]}'")
 
 
 class ScriptPeer(Peer):
-    """A client that sends URScript, of which no more than the end is seen."""
+    """A client that sends URScript, which is only searched for its end."""
 
-    def hear(self, received: bytes) -> bytes:
-        if received.rstrip().endswith((b"\nend", b"\r\nend")):  # others in it are indented
-            self.server.desk.take_script(received)
+    def handle(self, received: bytes) -> bytes:
+        if received.rstrip().endswith((b"\nend", b"\r\nend")):  # inner ones are indented
+            self.server.robot.take_script(received)
             return b""
-        return received[-_MOST_UNSENT:]
+        return received[-_MAX_UNSENT:]
 
 
 class RtdeServer:
-    """Listens, and serves all clients. `cycle`: s between packages at most."""
+    """Listens and serves all clients; `cycle` is the minimum time between packages, s."""
 
-    def __init__(self, desk: Desk, cycle: float, name: str) -> None:
-        self.desk, self.cycle = desk, cycle
+    def __init__(self, robot: Robot, cycle: float, name: str) -> None:
+        self.robot, self.cycle = robot, cycle
         self.port = 0
         self._name = name
         self._selector: selectors.BaseSelector | None = None
@@ -300,12 +298,12 @@ class RtdeServer:
         return [peer for peer in self._peers.values() if isinstance(peer, RtdePeer)]
 
     def open(self, host: str, port: int, dashboard: int = 0, script: int = 0) -> None:
-        """Listens; raises OSError.
+        """Starts to listen; raises OSError.
 
         Args:
-            port: of RTDE; 0 for a free one.
+            port: port of RTDE; 0 for a free one.
             dashboard: port of the dashboard server; 0 for none.
-            script: port that takes URScript; 0 for none.
+            script: port of the server for URScript; 0 for none.
         """
         self._selector = selectors.DefaultSelector()
         for number, make in ((port, RtdePeer), (dashboard, DashboardPeer), (script, ScriptPeer)):
@@ -315,8 +313,8 @@ class RtdeServer:
                 listening = socket.create_server((host, number))
             except OSError as error:
                 self.close()
-                said = error.strerror or str(error)
-                raise OSError(error.errno, f"{host}:{number}: {said}") from error
+                reason = error.strerror or str(error)
+                raise OSError(error.errno, f"{host}:{number}: {reason}") from error
             listening.setblocking(False)
             weakref.finalize(self, listening.close)
             self._makes[listening] = self._maker(make)
@@ -328,7 +326,7 @@ class RtdeServer:
         return lambda connection, name: kind(self, connection, name)
 
     def close(self) -> None:
-        """Ends all connections; harmless when that is done."""
+        """Ends all connections; does nothing if they have ended."""
         for peer in [*self._peers.values()]:
             self._drop(peer, "")
         for listening in self._makes:
@@ -339,7 +337,7 @@ class RtdeServer:
         self._selector = None
 
     def serve(self, seconds: float = 0.0) -> bool:
-        """Takes what has come; whether anything had. `seconds`: to wait for something."""
+        """Handles what arrives within some seconds and returns whether anything arrived."""
         if self._selector is None:
             return False
         ready = self._selector.select(max(seconds, 0.0))
@@ -353,7 +351,7 @@ class RtdeServer:
         return bool(ready)
 
     def send(self, cycle: int) -> None:
-        """Sends packages to all that get one in a cycle."""
+        """Sends packages to all clients that receive one in this cycle."""
         for peer in self.peers:
             if peer.is_due(cycle):
                 self._do(peer, peer.send_package)
@@ -362,10 +360,10 @@ class RtdeServer:
         self._do(peer, peer.send_package)
 
     def claimed_by_others(self, but: RtdePeer) -> frozenset[str]:
-        """Names of inputs that other clients have."""
+        """Names of inputs that other clients have set up."""
         return frozenset().union(*(peer.claimed for peer in self.peers if peer is not but))
 
-    def tell(self, text: str) -> None:
+    def warn_once(self, text: str) -> None:
         if self._is_new(text):
             log.warning("%s: %s", self._name, text)
 
@@ -376,8 +374,8 @@ class RtdeServer:
         except OSError:
             return
         name = f"{address[0]}:{address[1]}"
-        if len(self._peers) >= _MOST_PEERS:
-            self.tell(f"more than {_MOST_PEERS} connections; others are closed")
+        if len(self._peers) >= _MAX_PEERS:
+            self.warn_once(f"more than {_MAX_PEERS} connections; additional ones are closed")
             connection.close()
             return
         connection.setblocking(False)
@@ -386,7 +384,7 @@ class RtdeServer:
         self._peers[connection] = peer
         self._selector.register(connection, selectors.EVENT_READ)
         if isinstance(peer, RtdePeer):
-            log.info("%s: client %s has connected", self._name, name)
+            log.info("%s: client %s connected", self._name, name)
         if isinstance(peer, DashboardPeer):
             self._do(peer, peer.greet)
 
@@ -396,12 +394,12 @@ class RtdeServer:
         except BlockingIOError:
             pass
         except ProtocolError as error:
-            self.desk.count_wrong(f"client {peer.name} {error}")
+            self.robot.reject(f"client {peer.name} {error}")
             self._drop(peer, "")
         except OSError as error:
-            is_told = isinstance(peer, RtdePeer)
+            is_reported = isinstance(peer, RtdePeer)
             why = str(error) if error.errno is None else error.strerror
-            self._drop(peer, f"client {peer.name} has gone: {why}" if is_told else "")
+            self._drop(peer, f"client {peer.name} disconnected: {why}" if is_reported else "")
 
     def _drop(self, peer: Peer, why: str) -> None:
         if self._peers.pop(peer.socket, None) is None:
@@ -414,11 +412,8 @@ class RtdeServer:
             log.warning("%s: %s", self._name, why)
 
     def wait_until(self, due: float) -> None:
-        """Serves until it is a time of `time.monotonic`, s, or a bit later."""
+        """Serves until `time.monotonic()` reaches a time in s."""
         while (left := due - clock.monotonic()) > 0.0:
             self.serve(left)
         while self.serve() and clock.monotonic() < due + self.cycle:
             pass
-
-    def __getstate__(self) -> Any:
-        raise TypeError("sockets are of this process")

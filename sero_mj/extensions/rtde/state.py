@@ -1,4 +1,4 @@
-"""`RtdeState`: what a simulated robot says of itself on RTDE."""
+"""`RtdeState`: the output values of a simulated robot on RTDE."""
 
 from __future__ import annotations
 
@@ -21,23 +21,19 @@ _NORMAL = 1  # safety mode, and of safety_status_bits
 _RUNNING = 7  # robot mode
 _STOPPED, _PLAYING = 1, 2  # runtime states
 _BANDWIDTH = 25.0  # 1/s, of the observer of external torques; our choice
-_SINGULAR = 1e-2  # of singular values to the largest: forces in these directions are not told
+_SINGULAR = 1e-2  # of the largest singular value: forces in smaller directions are not reported
 
 
 class RtdeState:
-    """The values of outputs, computed when they are asked for, once in a cycle.
+    """Output values, computed on demand and cached for one cycle.
 
-    Poses are of the flange in the robot's base, rotation vectors in rad; speeds and forces are in
-    the directions of the base. `actual_current_as_torque` is what the sensors measure, and
-    `actual_TCP_force` the force from outside that an observer of momentum finds.
+    Poses are those of the flange in the robot base, with rotation vectors in rad; velocities and
+    forces are in base directions. `actual_current_as_torque` is measured by the sensors;
+    `actual_TCP_force` is the external force estimated by a momentum observer.
 
     Args:
-        model: of the robot, shared with the control, which updates it before.
-        timestep: s.
-        constants: (n,), Nm/A; None where currents are 0.
-
-    Attributes:
-        is_running: whether the robot's program is.
+        model: the model of the robot, which its control has updated.
+        constants: torque constants, shape (n,), Nm/A; None for currents of 0.
     """
 
     def __init__(
@@ -88,13 +84,13 @@ class RtdeState:
         }
 
     def observe(self, sensed: Sensed, commanded: Array) -> None:
-        """Takes a step. `commanded`: (n,), Nm, torques of the last step."""
+        """Called in each step with the torques commanded in the last one, shape (n,), Nm."""
         self._observer.update(sensed)
         self._sensed = sensed
         self._commanded[:] = commanded
 
     def begin_cycle(self, cycle: float) -> None:
-        """Lets values be computed anew; `cycle` is s since this was last done."""
+        """Clears the cache; `cycle` is the time since the last call, s."""
         self._cache.clear()
         np.subtract(self._motion.angles, self._last, self._target_speeds)
         self._target_speeds /= cycle
@@ -106,7 +102,7 @@ class RtdeState:
             value = CONSTANT[name][1]
         if value is None and (value := self._cache.get(name)) is None:
             compute = self._values.get(name)
-            if compute is None:  # a register that nobody has set
+            if compute is None:  # a register that was never set
                 value = False if OUTPUTS[name] == "BOOL" else 0
             else:
                 value = compute()
@@ -150,7 +146,7 @@ class RtdeState:
         return self._jacobian() @ speeds
 
     def _wrench(self) -> Array:
-        # tau = J^T F; near a singularity the least one that explains the torques.
+        # tau = J^T F; near a singularity, the smallest force that explains the torques.
         external = self._observer.external
         found = np.linalg.lstsq(self._jacobian().T, external, rcond=_SINGULAR)[0]
         return np.asarray(found, np.float64)

@@ -1,6 +1,6 @@
-"""Variables of RTDE that the simulated robot has: their types, and recipes of them as bytes.
+"""Variables of RTDE that the simulated robot supports, and recipes that encode their values.
 
-Names and types are those of UR's RTDE guide, protocol version 2, as of PolyScope 5.23.
+Names and types are those of UR's RTDE guide, protocol version 2, for PolyScope 5.23.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from .receiver import IN_USE, NOT_FOUND, VARIABLES
 
-REGISTERS = 48  # of whole numbers, and of double ones
+REGISTERS = 48  # number of integer registers, and of double registers
 INPUT_INT, INPUT_DOUBLE = "input_int_register_", "input_double_register_"
 OUTPUT_INT, OUTPUT_DOUBLE = "output_int_register_", "output_double_register_"
 
@@ -31,7 +31,7 @@ def _registers(direction: str) -> dict[str, str]:
     return {**bits, **single, **ints, **doubles}
 
 
-# Those that come from the simulation; the first ones are what our own client asks for.
+# Variables that come from the simulation, beginning with those that our own client requests.
 SIMULATED = {
     **{name: kind for name, kind, _ in VARIABLES},
     **dict.fromkeys(
@@ -43,7 +43,7 @@ SIMULATED = {
     **dict.fromkeys(("target_speed_fraction", "tcp_force_scalar"), "DOUBLE"),
     "actual_digital_output_bits": "UINT64",
 }  # fmt: skip
-# Those that are always the same, and their values: what has no meaning here is 0.
+# Constant variables and their values; quantities without a meaning in simulation are 0.
 CONSTANT: dict[str, tuple[str, Any]] = {
     "joint_mode": ("VECTOR6INT32", [253] * 6),  # running
     "safety_status": ("INT32", 1),  # normal
@@ -79,7 +79,7 @@ INPUTS = {
     "speed_slider_mask": "UINT32",
     "external_force_torque": "VECTOR6D",
 }  # fmt: skip
-# Registers of inputs can be read back.
+# Input registers can be read back.
 OUTPUTS = {
     **SIMULATED,
     **{name: kind for name, (kind, _) in CONSTANT.items()},
@@ -89,10 +89,10 @@ OUTPUTS = {
 
 
 class Recipe:
-    """Names that a client has asked for, and the bytes of their values.
+    """Names that a client has requested, and the encoding of their values.
 
     Attributes:
-        size: bytes of all values.
+        size: number of bytes of all values.
     """
 
     def __init__(self, names: bytes, known: Mapping[str, str], in_use: frozenset[str]) -> None:
@@ -108,7 +108,7 @@ class Recipe:
         self.size = self._struct.size
 
     def pack(self, value_of: Callable[[str], Any]) -> bytes:
-        """The bytes of the values; `value_of` returns a number, or those of a vector."""
+        """Encodes the values that `value_of` returns: a number, or a vector of numbers."""
         numbers: list[Any] = []
         for name, count in zip(self.names, self._counts, strict=True):
             value = value_of(name)
@@ -119,7 +119,7 @@ class Recipe:
         return self._struct.pack(*numbers)
 
     def unpack(self, data: bytes) -> dict[str, Any]:
-        """Name to value of `size` bytes; raises ValueError if a number is not finite."""
+        """Decodes values by name; raises ValueError if a number is not finite."""
         numbers = self._struct.unpack(data)
         if not np.isfinite(numbers).all():
             raise ValueError("not finite")

@@ -168,17 +168,17 @@ def test_states_that_are_missing_are_lost(server: FrankaServer) -> None:
 @pytest.mark.parametrize(
     ("said", "trouble", "counted"),
     [
-        (b"HTTP/1.1 400 Bad Request\r\n", " answers by what is no message of FCI", 1),
-        (answer(command=1), " answers by what is no message of FCI", 1),
-        (answer(number=2), " answers by what is no message of FCI", 1),
-        (struct.pack("<III", 0, 1, 12), " answers by what is no message of FCI", 1),
-        (struct.pack("<III", 0, 1, 2**31), " answers by what is no message of FCI", 1),
-        (answer() + b"x", " says more than it was asked", 1),
-        (answer(status=2), " refuses to connect, by status 2", 0),
-        (answer(1, version=11), " has version 11 of the server; 3 to 10 are known", 0),
-        (answer(1, version=2), " has version 2 of the server; 3 to 10 are known", 0),
-        (answer(0, version=11), " has version 11 of the server; 3 to 10 are known", 0),
-        (answer(1, version=10), " refuses version 10, and says that it has 10", 0),
+        (b"HTTP/1.1 400 Bad Request\r\n", " sends an invalid FCI message", 1),
+        (answer(command=1), " sends an invalid FCI message", 1),
+        (answer(number=2), " sends an invalid FCI message", 1),
+        (struct.pack("<III", 0, 1, 12), " sends an invalid FCI message", 1),
+        (struct.pack("<III", 0, 1, 2**31), " sends an invalid FCI message", 1),
+        (answer() + b"x", " sends more than the answer", 1),
+        (answer(status=2), " rejects the connection with status 2", 0),
+        (answer(1, version=11), " has server version 11; supported: 3 to 10", 0),
+        (answer(1, version=2), " has server version 2; supported: 3 to 10", 0),
+        (answer(0, version=11), " has server version 11; supported: 3 to 10", 0),
+        (answer(1, version=10), " rejects version 10, but has version 10", 0),
         (
             b"",
             ": the peer closed the connection without an answer; is another client connected?",
@@ -186,9 +186,7 @@ def test_states_that_are_missing_are_lost(server: FrankaServer) -> None:
         ),
     ],
 )
-def test_a_peer_that_refuses_or_talks_nonsense_is_told_and_tried_again(
-    said: bytes, trouble: str, counted: int
-) -> None:
+def test_protocol_errors_are_reported_and_retried(said: bytes, trouble: str, counted: int) -> None:
     with FrankaServer(answers=[said] * 3) as server, receiver_of(server) as receiver:
         seen = set()
         assert until(lambda: seen.add(receiver.trouble) or server.started.is_set())
@@ -209,7 +207,7 @@ def test_two_versions_that_name_each_other_are_no_endless_loop() -> None:
         assert [question[12] for question in server.asked] == [10, 9, 9, 10]
 
 
-def test_what_is_no_state_is_counted_and_told(server: FrankaServer) -> None:
+def test_invalid_states_are_counted_and_reported(server: FrankaServer) -> None:
     with receiver_of(server) as receiver:
         assert server.started.wait(5.0)
         good = server.state(q=SEVEN)
@@ -217,7 +215,7 @@ def test_what_is_no_state_is_counted_and_told(server: FrankaServer) -> None:
         counters = receiver.counters
         assert (counters.wrong_size, receiver.receive_trigger) == (4, 2)
         assert counters.last_fault == (
-            "9000 bytes; a state of the robot has 1377, 2085, 2341, 2373"
+            "9000 bytes; expected a state of 1377, 2085, 2341, 2373 bytes"
         )
         give(receiver, server, server.state(q=[float("nan")] * 7))
         assert counters.not_finite == 1
@@ -256,7 +254,7 @@ def test_what_is_said_besides_states_ends_the_connection(server: FrankaServer) -
         assert receiver.counters.wrong_size == 1
 
 
-def test_a_robot_that_stalls_is_left(
+def test_a_stalled_robot_is_disconnected(
     server: FrankaServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(connecting, "PATIENCE", 0.05)
@@ -269,7 +267,7 @@ def test_a_robot_that_stalls_is_left(
         where = f"127.0.0.1:{server.port}: "
         assert until(lambda: is_told(f"{where}does not answer; is another client connected?"))
         assert until(lambda: is_told(f"{where}sends no states to UDP port "))
-        assert is_told("; is it closed by a firewall?")
+        assert is_told("; is it blocked by a firewall?")
         server.on_start = lambda: server.send(server.state())
         assert until(lambda: is_told(f"{where}sends nothing for 0.05 s"))
 

@@ -238,7 +238,7 @@ def test_the_command_prints_every_point_and_writes_the_camera(
     status, out, _ = run([*line, "-o", "cell.toml"], capsys)
     assert status == 0
     assert "root mean square error of 11 points: 0.00 pixels" in out
-    (wrong,) = [row for row in out.splitlines() if "left out" in row]
+    (wrong,) = [row for row in out.splitlines() if "ignored" in row]
     assert "lwr/A3" in wrong and "42.4" in wrong
     found = read_camera(Path("cell.toml"), (640, 400))
     assert np.abs(found.T_world_camera - by.T_world_camera).max() < 1e-4

@@ -58,7 +58,7 @@ def test_the_latest_picture_counts_and_a_video_is_played_over_and_over(tmp_path:
         (tmp_path / "away.mp4").rename(tmp_path / "v.mp4")
         until(lambda: feed.latest()[0] > lost)
         assert feed.latest()[0] > number
-    with pytest.raises(DeclarationError, match=r"found 320x180; the picture is 160x90"):
+    with pytest.raises(DeclarationError, match=r"found 320x180, but the image is 160x90"):
         CameraFeed(write_video(tmp_path / "w.mp4", [40], (160, 90)), tmp_path / "c.toml")
 
 
@@ -130,7 +130,7 @@ def test_what_is_no_camera_is_told(
     with pytest.raises(RenderError, match=r"gone\.mp4: no such file"):
         CameraFeed(str(tmp_path / "gone.mp4"), tmp_path / "c.toml")
     (tmp_path / "none.mp4").write_bytes(b"nothing" * 99)
-    with pytest.raises(RenderError, match=r"none\.mp4: is no video that can be read"):
+    with pytest.raises(RenderError, match=r"none\.mp4: is not a readable video"):
         CameraFeed(str(tmp_path / "none.mp4"), tmp_path / "c.toml")
     monkeypatch.setenv("DISPLAY", ":99999")
     for options, message in (

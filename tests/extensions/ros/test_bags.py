@@ -546,7 +546,7 @@ def test_meshes_that_a_described_robot_lacks_are_told_once(
     (told,) = [each.getMessage() for each in caplog.records if "mesh" in each.getMessage()]
     assert told == (
         "arm.urdf: 7 mesh files were not found; collision shapes are shown instead; "
-        "--package arm=DIR says where it is: package://arm/l0.stl, package://arm/l1.stl, "
+        "set its folder with --package arm=DIR: package://arm/l0.stl, package://arm/l1.stl, "
         "package://arm/l2.stl and 4 more"
     )
 

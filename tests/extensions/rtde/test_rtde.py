@@ -164,8 +164,9 @@ def test_a_controller_without_torques_shows_the_commanded_ones(
             assert until(lambda: not server.started.is_set())
     said = [text for text in caplog.messages if "actual_current_as_torque" in text]
     assert said == [
-        "source 'rtde': controller 5.11.6 does not measure torques (actual_current_as_torque, from "
-        "PolyScope 5.23 and 10.11 on); those shown are the commanded ones (target_moment)"
+        "source 'rtde': controller 5.11.6 does not measure torques "
+        "(actual_current_as_torque requires PolyScope 5.23 or 10.11); the commanded torques "
+        "(target_moment) are shown instead"
     ]
 
 
@@ -254,21 +255,22 @@ def test_ur_rtde_reads_the_same_from_the_same_controller() -> None:
     ("answers", "trouble", "counted"),
     [
         ({"V": b"HTTP/1.1 400 Bad Request\r\n"},
-         "sends what is no message of RTDE: 18516 bytes of type 84", 1),
-        ({"V": bytes(3)}, "sends what is no message of RTDE: 0 bytes of type 0", 1),
-        ({"V": b"\xff\xffU"}, "sends what is no message of RTDE: 65535 bytes of type 85", 1),
+         "sends an invalid RTDE message: 18516 bytes of type 84", 1),
+        ({"V": bytes(3)}, "sends an invalid RTDE message: 0 bytes of type 0", 1),
+        ({"V": b"\xff\xffU"}, "sends an invalid RTDE message: 65535 bytes of type 85", 1),
         ({"V": message("V", b"\0")}, "does not accept version 2 of RTDE", 0),
-        ({"V": message("v", bytes(16))}, "answers question V by message v", 1),
-        ({"v": message("v", bytes(3))}, "does not tell its version", 1),
-        ({"O": message("O", b"\1DOUBLE")}, "told 1 types of 10 variables", 1),
-        ({"O": message("O", b"")}, "told 1 types of 10 variables", 0),
+        ({"V": message("v", bytes(16))}, "answers request V with v", 1),
+        ({"v": message("v", bytes(3))}, "sends an invalid version", 1),
+        ({"O": message("O", b"\1DOUBLE")}, "sends 1 types for 10 variables", 1),
+        ({"O": message("O", b"")}, "sends 1 types for 10 variables", 0),
         ({"O": message("O", b"\0" + b",".join([b"NOT_FOUND"] * 10))},
-         "has none of the variables that are needed", 0),
+         "has none of the required variables", 0),
         ({"S": message("S", b"\0")}, "does not start to send", 0),
-        ({"S": message("S", b"\1") + message("S", b"\1")}, "sent message S among data packages", 1),
+        ({"S": message("S", b"\1") + message("S", b"\1")},
+         "sends message S between data packages", 1),
     ],
 )  # fmt: skip
-def test_a_peer_that_talks_nonsense_is_told_and_tried_again(
+def test_protocol_errors_are_reported_and_retried(
     answers: dict[str, bytes], trouble: str, counted: int
 ) -> None:
     with RtdeServer(answers=answers) as server, receiver_of(server) as receiver:
@@ -285,16 +287,14 @@ def test_a_peer_that_talks_nonsense_is_told_and_tried_again(
         assert receiver.latest() is not None
 
 
-def test_texts_are_told_once_wherever_they_come(
-    server: RtdeServer, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_texts_are_logged_once(server: RtdeServer, caplog: pytest.LogCaptureFixture) -> None:
     server.answers["hello"] = text_message("SafetySetup has not been confirmed yet")
     with receiver_of(server) as receiver:
         assert server.started.wait(5.0)
         server.send(text_message("later"), message("M"), message("M", b"\xffcut off"))
         server.send(text_message("later"))
         give(receiver, server, server.package())
-    said = [text.partition("says: ")[2] for text in caplog.messages]
+    said = [text.partition("controller: ")[2] for text in caplog.messages]
     assert [text.strip("\xff\ufffd") for text in said] == [
         "SafetySetup has not been confirmed yet", "later", "", "cut off",
     ]  # fmt: skip
@@ -308,17 +308,19 @@ def test_data_packages_that_were_not_agreed_are_counted(server: RtdeServer) -> N
         give(receiver, server, good, server.package(recipe=2), message("U", good[3:-8]),
              message("U", b"\1" + bytes(size - 1)), message("U"), good)  # fmt: skip
         assert (receiver.counters.wrong_size, receiver.receive_trigger) == (4, 2)
-        assert receiver.counters.last_fault == "0 bytes that are no data package as agreed"
+        assert receiver.counters.last_fault == "0 bytes are not a data package of the agreed recipe"
         nan = server.package(actual_q=[float("nan")] * 6)
         give(receiver, server, nan)
         assert receiver.counters.not_finite == 1
 
 
-def test_a_peer_that_stalls_is_left(server: RtdeServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stalled_peer_is_disconnected(
+    server: RtdeServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(connecting, "PATIENCE", 0.05)
     with receiver_of(server) as receiver:
         server.answers["v"] = b""
-        assert until(lambda: receiver.trouble.endswith(": does not answer question v"))
+        assert until(lambda: receiver.trouble.endswith(": does not answer request v"))
         del server.answers["v"]
         assert until(lambda: receiver.trouble.endswith(": sends nothing for 0.05 s"))
         assert receiver.counters.received == 0
@@ -474,10 +476,10 @@ def test_status_tells_what_the_controller_says(tmp_path: Path, capsys: Any) -> N
     assert ["controller", "robot", "idle,", "safety:", "normal"] in lines
 
 
-def test_nothing_but_questions_is_sent() -> None:
+def test_only_requests_are_sent() -> None:
     text = Path(rtde.__file__).read_text()
     assert text.count("sendall(") == 1
-    assert "connection.ask(" in text
+    assert "connection.request(" in text
     assert {kind for kind in "IUP" if f"ord('{kind}')" in text} == set()
 
 

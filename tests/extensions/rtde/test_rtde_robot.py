@@ -23,13 +23,13 @@ from scipy.spatial.transform import Rotation
 
 from sero_mj import SerialRobot
 from sero_mj.base.errors import DeclarationError, SimulationError
-from sero_mj.extensions.rtde.client import RtdeClient
 from sero_mj.extensions.rtde.receiver import RtdeReceiver
 from sero_mj.extensions.rtde.robot import (
     COMMANDED,
     NOBODY,
     SILENT,
     STARTED,
+    RtdeClient,
     RtdeRobot,
 )
 from sero_mj.extensions.rtde.server import RtdeServer
@@ -316,7 +316,7 @@ def test_wrong_commands_are_counted_told_once_and_leave_the_robot(
         wrong = max(robot.wrong, wrong)
     found = [record.getMessage() for record in caplog.records if said in record.getMessage()]
     assert len(found) == 1
-    counted = [m for m in caplog.messages if "messages or commands were not taken" in m]
+    counted = [m for m in caplog.messages if "messages or commands were rejected" in m]
     assert len(counted) == 1
     assert int(counted[0].split()[1]) >= (4 if mode == "garbage" else 170)
     assert np.abs(logged(simulation, "joint_angles") - HOME).max() < 1e-3
@@ -334,7 +334,7 @@ def test_a_client_that_sleeps_is_silent_until_it_answers_again(
         SILENT,
     }
     assert states[-1] == COMMANDED
-    assert "no answer to the package of 0.098 s" in caplog.text
+    assert "no answer to the package at 0.098 s" in caplog.text
     assert caplog.text.count("answers again") == 1
     assert np.abs(logged(simulation, "joint_angles") - HOME).max() < 1e-3
 
@@ -352,13 +352,13 @@ def test_in_real_time_a_silent_client_is_told(
     simulation = simulated(folder, "mute", 0.6, clock="real_time", patience=0.1)
     assert logged(simulation, "rtde_state").ravel()[-1] == SILENT
     assert logged(simulation, "command_age").ravel()[-1] > 0.1
-    assert caplog.text.count("it holds") == 1
+    assert caplog.text.count("the robot holds") == 1
     assert np.abs(logged(simulation, "joint_angles")[-1] - HOME).max() < 5e-3
 
 
 def test_a_client_may_connect_again(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     simulation = simulated(folder, "reconnect")
-    assert caplog.text.count("nobody commands at") == 1
+    assert caplog.text.count("the commanding client left at") == 1
     assert logged(simulation, "rtde_state").ravel()[-1] == COMMANDED
     angles = logged(simulation, "joint_angles")[:, 0]
     assert angles[-1] > angles[150] > 0.03
@@ -493,7 +493,7 @@ def test_wrong_declarations_name_their_key(
 
 def test_a_robot_of_seven_joints_has_no_rtde() -> None:
     model = RobotModel.of(SerialRobot.from_model("lwr"))
-    with pytest.raises(DeclarationError, match=r"RTDE is for 6 joints; lwr has 7$"):
+    with pytest.raises(DeclarationError, match=r"RTDE requires 6 joints; lwr has 7$"):
         RtdeClient().make(model, 1e-3)
 
 
@@ -530,7 +530,7 @@ def test_an_interrupt_ends_the_run_and_the_program(folder: Path) -> None:
         process.wait()
 
 
-class Desk:
+class FakeRobot:
     """What a server needs, and nothing behind it."""
 
     is_running = True
@@ -547,7 +547,7 @@ class Desk:
         self.taken.append(values)
         return True
 
-    def count_wrong(self, why: str) -> None:
+    def reject(self, why: str) -> None:
         self.wrong += 1
 
     def take_script(self, text: bytes) -> None:
@@ -580,8 +580,8 @@ def test_no_bytes_harm_the_server() -> None:
         message("M", b"\5hello\3you\2"),
         message("P"),
     ]
-    desk = Desk()
-    server = RtdeServer(desk, 0.002, "ur")
+    robot = FakeRobot()
+    server = RtdeServer(robot, 0.002, "ur")
     server.open("127.0.0.1", 0)
     try:
         for turn in range(300):
@@ -594,8 +594,8 @@ def test_no_bytes_harm_the_server() -> None:
                     server.serve(0.01)
                     server.send(cycle)
             assert until(lambda: not (server.serve() or server.peers))
-        assert desk.taken
-        assert desk.wrong > 30
+        assert robot.taken
+        assert robot.wrong > 30
         with socket.create_connection(("127.0.0.1", server.port)) as client:
             client.sendall(b"".join(good[:2]))
             answer = message("V", b"\1") + message("v", struct.pack(">4I", 5, 23, 0, 0))
@@ -605,7 +605,7 @@ def test_no_bytes_harm_the_server() -> None:
 
 
 def test_a_client_that_reads_nothing_gets_fewer_packages_and_harms_nobody() -> None:
-    server = RtdeServer(Desk(), 0.002, "ur")
+    server = RtdeServer(FakeRobot(), 0.002, "ur")
     server.open("127.0.0.1", 0)
     names = ",".join(name for name, kind in OUTPUTS.items() if kind == "VECTOR6D").encode()
     try:

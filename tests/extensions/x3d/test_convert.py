@@ -125,7 +125,7 @@ def test_a_whole_scene_survives_conversion(
     assert np.allclose(*vertices, atol=1e-6)
 
 
-def test_links_are_written_as_they_are_drawn(tmp_path: Path) -> None:
+def test_written_links_match_drawn_links(tmp_path: Path) -> None:
     toml = tmp_path / "own.toml"
     toml.write_text("""
 [robots.arm]
@@ -304,11 +304,11 @@ _VALUES = st.recursive(
 
 
 @given(tables=st.dictionaries(_KEYS, _VALUES, max_size=5))
-def test_toml_is_read_as_it_was_written(tables: dict[str, Any]) -> None:
+def test_written_toml_is_read_unchanged(tables: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(tables, ["a comment"])) == tables
 
 
-def test_toml_is_written_as_one_would() -> None:
+def test_toml_is_readable() -> None:
     tables = {
         "floor": True,
         "robots": {

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from sero_mj.base.errors import DeclarationError
 from sero_mj.extensions.x3d.reader import read_x3d
 from sero_mj.extensions.x3d.vrml import parse_document, read_document
-from sero_mj.extensions.x3d.vrml_nodes import FieldValue, Node, instance, read_field, walk
+from sero_mj.extensions.x3d.vrml_nodes import FieldValue, Node, instance, read_field
 from sero_mj.extensions.x3d.wrl import read_wrl
 
 FIG7 = ROOT / "tests" / "fig7.x3d"
@@ -56,6 +56,16 @@ def wrong(text: str) -> list[str]:
     return str(caught.value).splitlines()
 
 
+def nodes_of(node: Node) -> list[Node]:
+    """Returns a node and its descendants, each once."""
+    found = {id(node): node}
+    for value in node.fields.values():
+        for item in value.items:
+            if isinstance(item, Node):
+                found |= {id(each): each for each in nodes_of(item)}
+    return [*found.values()]
+
+
 def test_every_kind_of_statement_is_read() -> None:
     document = parse_document(WHOLE, HERE)
     assert set(document.names) == {"arm", "turn", "box", "udp"}
@@ -74,7 +84,7 @@ def test_every_kind_of_statement_is_read() -> None:
         [0, 0, 0, 0.31], [1.5, 0, 0, 0],
     ]  # fmt: skip
     assert read_field(arm.fields["jointAngles"], "MFFloat").tolist() == [0.1, 0.2]
-    used = [node for node in walk(document.nodes) if node.kind == "Box"]
+    used = [node for root in document.nodes for node in nodes_of(root) if node.kind == "Box"]
     assert used == [document.names["box"]]  # once, though it is used twice
 
 
@@ -85,8 +95,8 @@ def test_a_proto_makes_nodes_with_its_values_and_its_defaults() -> None:
     radii, tones = [], []
     for shape in made:
         assert shape is not None
-        (sphere,) = [node for node in walk([shape]) if node.kind == "Sphere"]
-        (material,) = [node for node in walk([shape]) if node.kind == "Material"]
+        (sphere,) = [node for node in nodes_of(shape) if node.kind == "Sphere"]
+        (material,) = [node for node in nodes_of(shape) if node.kind == "Material"]
         radii.append(read_field(sphere.fields["radius"], "SFFloat"))
         tones.append(read_field(material.fields["diffuseColor"], "SFColor").tolist())
     assert radii == [2.0, 0.5]
@@ -94,7 +104,7 @@ def test_a_proto_makes_nodes_with_its_values_and_its_defaults() -> None:
 
 
 @pytest.mark.parametrize("sign", ["←", "↩", "\\", "¬", "⏎", ""])
-def test_a_line_goes_on_behind_the_signs_that_papers_print(sign: str) -> None:
+def test_continuation_marks_of_papers_are_ignored(sign: str) -> None:
     node = parse(f'R {{ a [ 1 2, {sign}\n 3 4 ] b [ "x", {sign} \n "y" ] }}')
     assert read_field(node.fields["a"], "MFFloat").tolist() == [1, 2, 3, 4]
     assert read_field(node.fields["b"], "MFString") == ["x", "y"]
@@ -161,7 +171,7 @@ def test_every_type_is_read_in_either_form(kind: str, text: str, expected: objec
         ("SFFloat", "Box {}", "found Box; expected numbers"),
     ],
 )
-def test_a_value_of_another_type_is_told(kind: str, text: str, message: str) -> None:
+def test_a_value_of_another_type_is_reported(kind: str, text: str, message: str) -> None:
     value = parse(f"N {{ f {text} }}").fields["f"]
     if not message:
         assert isinstance(read_field(value, kind), Node)
@@ -219,7 +229,7 @@ def test_errors_are_reported_with_lines(text: str, messages: list[str]) -> None:
     assert wrong(text) == messages
 
 
-def test_everything_that_is_wrong_is_told_at_once_and_not_twice() -> None:
+def test_all_errors_are_reported_once() -> None:
     text = "Box { size ]\n }\nGroup { children [ Box { size 1 ]\n } ] }\nUSE x\nSphere { radius }\n"
     lines = [int(line.split(":")[1]) for line in wrong(text)]
     assert lines == [1, 3, 5, 6]
@@ -242,9 +252,7 @@ def test_everything_that_is_wrong_is_told_at_once_and_not_twice() -> None:
     # Workers of pytest-xdist compare names of tests, and what gzip packs has the time in it.
     ids=["empty", "xml", "vrml1", "stl", "damaged", "cut", "long"],
 )  # fmt: skip
-def test_other_files_are_told_by_what_they_are(
-    contents: bytes, message: str, tmp_path: Path
-) -> None:
+def test_other_file_formats_are_named(contents: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / "a.wrl"
     path.write_bytes(contents)
     with pytest.raises(DeclarationError) as caught:
@@ -259,7 +267,7 @@ def test_parts_without_a_header_are_read(tmp_path: Path) -> None:
         assert read_document(path).nodes[0].kind == "Box"
 
 
-def test_a_packed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+def test_a_compressed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.wrl"
     path.write_bytes(gzip.compress("\ufeff#VRML V2.0 utf8\nDEF größe Box {}".encode()))
     assert "größe" in read_document(path).names
@@ -271,7 +279,7 @@ def test_a_packed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
     ["[" * 700_000, "}" * 30_000, "[1 a " * 30_000, '"' * 30_001, "a " * 30_000,
      "Shape { x [" + "1 " * 50_000, "A { x [ 1 a " * 5_000, "PROTO P [" * 20_000],
 )  # fmt: skip
-def test_long_nonsense_takes_no_longer_than_its_length(text: str) -> None:
+def test_long_invalid_text_takes_linear_time(text: str) -> None:
     began = time.process_time()
     with pytest.raises(DeclarationError):
         parse_document(text, HERE)
@@ -279,7 +287,7 @@ def test_long_nonsense_takes_no_longer_than_its_length(text: str) -> None:
 
 
 @pytest.mark.thorough
-def test_uses_of_uses_and_protos_of_protos_end(tmp_path: Path) -> None:
+def test_nested_uses_and_protos_terminate(tmp_path: Path) -> None:
     uses = ["DEF a0 Group { children Shape { geometry Box {} } }"]
     uses += [f"DEF a{i} Group {{ children [ USE a{i - 1} USE a{i - 1} ] }}" for i in range(1, 40)]
     protos = ["PROTO P0 [] { Shape { geometry Box {} } }"]
@@ -329,7 +337,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @settings(max_examples=120, deadline=None)
 @given(text=mutated())
-def test_a_mutated_file_is_read_or_told_to_be_wrong(text: str, folder: Path) -> None:
+def test_a_mutated_file_is_read_or_reported(text: str, folder: Path) -> None:
     path = folder / "a.x3d"
     path.write_text("#X3D V3.0 utf8\n" + text, encoding="utf-8")
     for read in (read_x3d, read_wrl):

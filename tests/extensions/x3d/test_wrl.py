@@ -125,7 +125,7 @@ def _area(outline: Array) -> Array:
     return np.asarray(np.cross(outline, np.roll(outline, -1, axis=0)).sum(axis=0) / 2)
 
 
-def test_transforms_come_in_the_order_of_vrml97(tmp_path: Path) -> None:
+def test_transforms_are_composed_as_in_vrml97(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     t, c, s = rng.normal(size=3), rng.normal(size=3), rng.uniform(0.5, 2.0, 3)
     axis, other = rng.normal(size=3), rng.normal(size=3)
@@ -151,7 +151,7 @@ def _turn(axis: Array, angle: float, p: Array) -> Array:
     return np.asarray(turned)
 
 
-def test_what_is_mirrored_or_clockwise_still_points_outwards(tmp_path: Path) -> None:
+def test_mirrored_or_clockwise_faces_point_outward(tmp_path: Path) -> None:
     box = "Shape { geometry Box { size 1 1 1 } }"
     mirrored = read(f"Transform {{ scale -1 2 1 children {box} }}", tmp_path)
     assert volume(mirrored) == pytest.approx(2.0)
@@ -203,7 +203,7 @@ def test_colours_are_those_of_materials_and_of_faces(tmp_path: Path) -> None:
     assert found == {(0, 0, 1): 1, (0, 1, 0): 1}
 
 
-def test_an_open_surface_is_seen_from_both_sides_where_the_file_says_so(tmp_path: Path) -> None:
+def test_open_surfaces_can_be_two_sided(tmp_path: Path) -> None:
     square = "coord Coordinate { point [0 0 0, 1 0 0, 1 1 0, 0 1 0] } coordIndex [0 1 2 3]"
     for more, triangles in [("", 2), ("solid FALSE", 4)]:
         text = f"Shape {{ geometry IndexedFaceSet {{ {square} {more} }} }}"
@@ -212,7 +212,7 @@ def test_an_open_surface_is_seen_from_both_sides_where_the_file_says_so(tmp_path
     assert volume(read(prism(L_SHAPE, "solid FALSE"), tmp_path)) == pytest.approx(3.0)
 
 
-def test_groups_protos_switches_and_files_beside_lead_to_their_shapes(tmp_path: Path) -> None:
+def test_shapes_in_groups_protos_switches_and_inlines_are_read(tmp_path: Path) -> None:
     (tmp_path / "part.wrl").write_text("#VRML V2.0 utf8\nShape { geometry Box { size 1 1 1 } }")
     text = """
         PROTO Bar [ field SFVec3f size 1 1 1 ] { Shape { geometry Box { size IS size } } }
@@ -254,7 +254,7 @@ def test_errors_are_reported_with_lines(text: str, message: str, tmp_path: Path)
     assert str(caught.value) == f"{tmp_path / 'a.wrl'}{message}"
 
 
-def test_a_file_that_contains_itself_ends_and_what_is_not_known_is_named(
+def test_self_inclusion_ends_and_unknown_nodes_are_listed(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     text = 'Inline { url "a.wrl" }\nShape { geometry Text { string "x" } }\nPointSet {}\nBox {}\n'

@@ -47,7 +47,7 @@ def wrong(text: str, folder: Path) -> list[str]:
     return [line.removeprefix(f"{path}:") for line in str(caught.value).splitlines()]
 
 
-def test_fig_7_is_read_as_it_is_printed() -> None:
+def test_fig_7_is_read_as_printed() -> None:
     described = read_x3d(FIG7)
     assert described.tables == {
         "robots": {
@@ -202,7 +202,7 @@ TimeSensor {} TimeSensor {}
 """
 
 
-def test_what_stands_around_becomes_objects_cameras_and_lights(tmp_path: Path) -> None:
+def test_surroundings_become_objects_cameras_and_lights(tmp_path: Path) -> None:
     described = read(SURROUNDINGS, tmp_path)
     tables = described.tables
     assert described.warnings == [
@@ -240,7 +240,7 @@ def test_what_stands_around_becomes_objects_cameras_and_lights(tmp_path: Path) -
         assert world.model.body(f"{name}/").id > 0
 
 
-def test_z_stays_up_where_a_robot_stands_on_it_and_nothing_says_otherwise(tmp_path: Path) -> None:
+def test_z_is_up_if_robots_stand_along_z(tmp_path: Path) -> None:
     view = "Viewpoint { position 4 0 1 orientation 0.57735 0.57735 0.57735 2.0944 }"
     for text in (ARM % "", f"{view} {ARM % ''}"):
         described = read(text, tmp_path)
@@ -301,9 +301,7 @@ GRIPPER = "DEF gripper SerialRobot { dhParams [ 0 0 0 0.1 ] }"
         " ROUTE arm.fwdKinFromBaseToFlange TO tool.set_matrix",
     ],
 )
-def test_a_tool_is_at_the_flange_in_every_way_that_the_paper_names(
-    text: str, tmp_path: Path
-) -> None:
+def test_tools_of_all_kinds_in_the_paper_are_at_the_flange(text: str, tmp_path: Path) -> None:
     described = read(text, tmp_path)
     assert described.warnings == []
     assert described.tables["robots"]["gripper"]["mount"] == "arm/flange"
