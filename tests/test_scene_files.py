@@ -111,7 +111,7 @@ def test_a_recording_is_shown_by_its_name_alone(
         with pytest.raises(SystemExit) as end:
             main([*command, str(path), "--replay", str(path)])
         assert end.value.code == 2
-        assert capsys.readouterr().err == f"sero-mj: --replay: {path} is a recording already\n"
+        assert capsys.readouterr().err == f"sero-mj: --replay: {path} is already a recording\n"
     shutil.rmtree(tmp_path / "arm")
     (tmp_path / "cell.toml").unlink()
     with pytest.raises(SystemExit) as end:
