@@ -428,8 +428,8 @@ def test_the_links_of_a_target_are_dragged_where_it_is_apart_from_the_robot() ->
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (["--control", "joint"], "--control joint is for --simulate, which is not given"),
-        (["--simulate", "--replay", "x.mcap"], "--simulate and --replay: a recording is played"),
+        (["--control", "joint"], "--control joint needs --simulate"),
+        (["--simulate", "--replay", "x.mcap"], "--simulate cannot be combined with --replay"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(

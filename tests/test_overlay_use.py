@@ -242,7 +242,7 @@ def test_what_is_not_there_is_said(
 
 
 def test_joint_angles_are_those_of_the_users_data(overlay: Any) -> None:
-    message = r"^arm\.joint_angles: arm has the joint angles of your data; set data\.qpos$"
+    message = r"^arm\.joint_angles: the joint angles of arm come from your data; set data\.qpos$"
     with pytest.raises(ValueError, match=message):
         overlay.set("arm.joint_angles", [0] * 4)
 

@@ -195,8 +195,8 @@ def test_a_recording_is_shown_by_the_scene_of_its_sources(tmp_path: Path) -> Non
     with pytest.raises(UsageError) as told:
         view_of_file(recording, None)
     assert str(told.value) == (
-        "run.mcap: found no scene that shows it; sero-mj view SCENE --replay run.mcap shows it "
-        "by one"
+        "run.mcap: no scene found that has its sources. "
+        "Choose one: sero-mj view SCENE --replay run.mcap"
     )
     scene = tmp_path / "mine.toml"
     scene.write_text(ARM.format(port=0))

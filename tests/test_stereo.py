@@ -178,7 +178,7 @@ def test_what_is_no_stereo_is_told(capsys: pytest.CaptureFixture[str]) -> None:
         assert str(caught.value) == message
     with pytest.raises(SystemExit):
         main(["render", "lwr", "-o", "a.png", "--eye-distance", "0.1"])
-    assert "--eye-distance is for --stereo side-by-side or anaglyph" in capsys.readouterr().err
+    assert "--eye-distance needs --stereo side-by-side or anaglyph" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["view", "lwr", "--web", "--stereo", "anaglyph"])
-    assert "--stereo is for the window; a page has one eye" in capsys.readouterr().err
+    assert "--stereo needs a window; found a page" in capsys.readouterr().err

@@ -98,7 +98,7 @@ def test_commands_that_only_show_a_file_run_nothing(command: str, library, tmp_p
 def test_check_says_what_a_scenario_would_run(tmp_path, capsys):
     status, out, _ = run(capsys, "check", str(with_program(tmp_path)))
     assert status == 0
-    assert "would   run the program sh -c 'echo > ran; exit 9' x '{port}' (controllers.lwr)" in out
+    assert "asks to run the program sh -c 'echo > ran; exit 9' x '{port}' (controllers.lwr)" in out
 
 
 def test_check_finds_what_is_wrong_beside_what_it_does_not_run(tmp_path, capsys):

@@ -134,10 +134,10 @@ def test_what_is_no_camera_is_told(
         CameraFeed(str(tmp_path / "none.mp4"), tmp_path / "c.toml")
     monkeypatch.setenv("DISPLAY", ":99999")
     for options, message in (
-        (["--over", "0"], "--over needs the camera that took it"),
-        (["--over", "0", "--camera-file", "c.toml", "--web"], "--over is for the window; a page"),
+        (["--over", "0"], "--over needs --camera-file"),
+        (["--over", "0", "--camera-file", "c.toml", "--web"], "--over needs a window"),
         (["--over", "0", "--camera-file", "c.toml", "--camera", "1,2,3"],
-         "--camera does not go with --over: the view is the camera's"),
+         "--camera cannot be combined with --over"),
     ):  # fmt: skip
         with pytest.raises(SystemExit) as ended:
             main(["view", "lwr", *options])
