@@ -1,8 +1,7 @@
-"""Drives Rollin' Justin about, by UDP at 200 Hz: the packets of justin.toml.
+"""Sends UDP packets for justin.toml at 200 Hz that move Rollin' Justin with its platform.
 
-The platform goes along a figure of eight and turns on its way. Each wheel is steered to where the
-platform makes it go, and rolls as far as it goes there; arms, torso, head and fingers move as with
-`sero-mj send`.
+The platform moves along a figure of eight and rotates. Each wheel is steered along the velocity of
+its contact point and rolls without slip. Arms, torso, head and fingers move as with `sero-mj send`.
 """
 
 import argparse
@@ -15,22 +14,23 @@ from sero_mj.data.send.play import MotionPackets
 from sero_mj.data.send.sender import UdpSink, paced, send
 
 RATE = 200  # packets/s
-PERIOD = 24.0  # s, of the way
-LENGTH, WIDTH = 0.8, 0.5  # half of it, m
-WHEEL = 0.10  # radius, m
+PERIOD = 24.0  # s, duration of one figure of eight
+LENGTH, WIDTH = 0.8, 0.5  # half length and half width of the path, m
+WHEEL = 0.10  # m, radius
 
 
 def platform(t):
-    """Returns x, y (m) and yaw (rad) of the platform at time t, s."""
+    """Returns x, y (m) and yaw (rad) of the platform at time t (s)."""
     w = 2 * math.pi * t / PERIOD
     return np.array([LENGTH * math.sin(w), WIDTH * math.sin(2 * w), 0.5 * math.sin(w + 1.0)])
 
 
 class Platform:
-    """Follows the platform's way, and turns its wheels.
+    """Moves the platform along its path, and steers and drives its wheels.
 
     Args:
-        robots: of the scene, by name; the wheels stand on the torso's base, the platform.
+        robots: robots of the scene by name. The base frames of the wheels are relative to the
+            platform.
     """
 
     def __init__(self, robots):
@@ -42,15 +42,15 @@ class Platform:
         self.drive = np.zeros(len(wheels))
 
     def go(self, t, dt):
-        """Returns T_world_base (4, 4), and steer and drive of every wheel (n, 2), rad, after dt."""
+        """Returns T_world_base (4, 4) and wheel angles (n, 2: steer, drive), rad, after dt (s)."""
         x, y, yaw = platform(t)
         vx, vy, turning = (platform(t + 1e-4) - platform(t - 1e-4)) / 2e-4
         c, s = math.cos(yaw), math.sin(yaw)
-        # Of the wheels' places in the platform's frame: its velocity and what its turning adds.
+        # Velocity of each wheel in the platform frame, from translation and rotation.
         velocity = np.array([c * vx + s * vy, c * vy - s * vx])
         velocity = velocity + turning * np.stack([-self.at[:, 1], self.at[:, 0]], axis=1)
         wanted = np.arctan2(velocity[:, 1], velocity[:, 0]) - self.outwards
-        # A wheel goes backwards rather than turn by more than a quarter.
+        # A wheel rolls backwards instead of steering by more than 90 degrees.
         off = np.remainder(wanted - self.steer + math.pi / 2, math.pi) - math.pi / 2
         self.steer = self.steer + off
         heading = self.steer + self.outwards
@@ -61,7 +61,7 @@ class Platform:
 
 
 def packets(scene):
-    """Yields the packets, at RATE."""
+    """Yields the packets, RATE per second."""
     motion = MotionPackets(scene)
     way = Platform(scene.robots)
     k = 0
@@ -69,16 +69,20 @@ def packets(scene):
         values = motion.structure.decode(motion.at(k / RATE))
         base, wheels = way.go(k / RATE, 1 / RATE)
         angles = np.array(values["values0"])
-        angles[-wheels.size :] = wheels.ravel()  # they are the last members
+        angles[-wheels.size :] = wheels.ravel()  # the wheels are the last members
         yield motion.structure.encode({**values, "values0": angles, "matrices0": base[None]})
         k += 1
 
 
 def main():
-    """Sends packets until Ctrl-C, or for so many seconds."""
+    """Sends packets for the requested number of seconds, or until Ctrl+C."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("seconds", nargs="?", type=float, help="without an end when left out")
-    parser.add_argument("port", nargs="?", type=int, help="the scene's when left out")
+    parser.add_argument(
+        "seconds", nargs="?", type=float, help="duration in seconds (default: until Ctrl+C)"
+    )
+    parser.add_argument(
+        "port", nargs="?", type=int, help="UDP port (default: the port of the scene)"
+    )
     options = parser.parse_args()
     scene = load_scene("justin")
     port = options.port or scene.sources["udp"]["port"]

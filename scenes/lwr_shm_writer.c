@@ -1,4 +1,4 @@
-/* Writes an LWR's joint angles and torques to shared memory at 1 kHz, for lwr_shm.toml.
+/* Writes joint angles and torques of an LWR to shared memory at 1 kHz, for lwr_shm.toml.
  *
  *     cc -O2 -o writer lwr_shm_writer.c -lrt -lm  &&  ./writer [block [seconds]]
  */
@@ -13,7 +13,7 @@
 #include <unistd.h>
 
 struct packet { /* structure = "lock:1Q angles:7d torques:7d" */
-    _Atomic unsigned long long lock; /* odd while we write; the reader then waits */
+    _Atomic unsigned long long lock; /* odd during a write; readers then wait */
     double angles[7];                /* rad */
     double torques[7];               /* Nm */
 };
@@ -30,15 +30,15 @@ int main(int argc, char **argv) {
     clock_gettime(CLOCK_MONOTONIC, &next);
     for (long k = 0; k < seconds * 1000; k++) {
         const double t = k * 1e-3;
-        /* | 1: a writer before us may have ended in the middle of a packet. */
+        /* | 1: the lock is already odd if a previous writer ended during a write. */
         const unsigned long long odd = atomic_load_explicit(&p->lock, memory_order_relaxed) | 1;
         atomic_store_explicit(&p->lock, odd, memory_order_relaxed);
-        atomic_thread_fence(memory_order_release); /* the lock is odd before anything changes */
+        atomic_thread_fence(memory_order_release); /* the lock becomes odd before the data changes */
         for (int j = 0; j < 7; j++) {
             p->angles[j] = 0.6 * sin(t + j);
             p->torques[j] = 20.0 * cos(t + j);
         }
-        atomic_store_explicit(&p->lock, odd + 1, memory_order_release); /* even: it is whole */
+        atomic_store_explicit(&p->lock, odd + 1, memory_order_release); /* even: the packet is complete */
         if ((next.tv_nsec += 1000000) >= 1000000000) next.tv_nsec -= 1000000000, next.tv_sec++;
         clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &next, NULL);
     }

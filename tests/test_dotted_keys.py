@@ -113,7 +113,7 @@ def test_single_elements_of_a_scenarios_lists_are_set() -> None:
             "disturbances.load.mass",
             "there is no [disturbances.load], and for a new one kind: is",
         ),
-        ("expect.new.above", "there is no [expect.new], and for a new one found none of them; exp"),
+        ("expect.new.above", "there is no [expect.new], and for a new one found none; expected"),
         ("robots.lrw.show_axes", "there is no [robots.lrw]; did you mean 'lwr'?"),
         ("lwr.dynamics.joint.friction", "unknown key; available: centers_of_mass,"),
         ("view.look_art", "unknown key; did you mean 'look_at'?"),
@@ -155,7 +155,7 @@ WRONG = {
     "controllers.lwr.dampin": 1.0,
     "targets.lwr.speed": -1.0,
     "run.duratio": 3.0,
-    "expect.it_arrives.belo": 1.0,
+    "expect.final_position_error.belo": 1.0,
     "view.azimut": 3.0,
     "foo": 1,
 }

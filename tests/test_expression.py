@@ -250,7 +250,7 @@ def test_infinity_minus_infinity_is_quiet() -> None:
         ("[]", "character 2: found ']', expected an event such as"),
         ("1 $ 2", "character 3: found '$', expected +, -, * or / between spaces, or the end"),
         ("not not 1", "character 5: found 'not', expected an event such as udp.values0, a number, "
-         "( or [; 'not' only stands in front of all"),
+         "( or [; 'not' must be the first word"),
         ("1e999", "character 1: found '1e999', expected a smaller number"),
         ("1e308 * 1e308", "character 1: found '1e308 * 1e308', expected finite numbers"),
         ("(" * 41 + "1", "character 41: found '(', expected at most 40 brackets within each other"),
@@ -261,39 +261,39 @@ def test_infinity_minus_infinity_is_quiet() -> None:
         ("udp.vectors0[2]", "character 14: found '2', expected 0 to 1, or -1 to -2 from the end: "
          "udp.vectors0 has 2 rows"),
         ("udp.vectors0[0][3]", "character 17: found '3', expected 0 to 2, or"),
-        ("udp.values0[2:2]", "character 12: found '[', expected a slice with something in it"),
+        ("udp.values0[2:2]", "character 12: found '[', the slice is empty"),
         ("udp.values0[::0]", "character 15: found '0', expected a step other than 0"),
         ("udp.values0[]", "character 13: found ']', expected a whole number or a slice such as"),
         ("udp.values0[1.5]", "character 13: found '1.5', expected a whole number"),
         ("udp.values0[0;2]", "character 14: found ';', expected : , or ]"),
         ("udp.values0[0,x]", "character 15: found 'x', expected a whole number"),
-        ("udp.values0[0][0]", "character 15: found '[', expected none: udp.values0[0] is a single"),
-        ("udp.values0 + [1, 2]", "character 13: found '+', expected as many on both sides; there "
-         "are 4 values and 2 values"),
-        ("udp.values0 - udp.vectors0", "there are 4 values and 2 x 3 values"),
+        ("udp.values0[0][0]", "character 15: found '[', udp.values0[0] is a single number"),
+        ("udp.values0 + [1, 2]", "character 13: found '+', expected the same number on both "
+         "sides; found 4 values and 2 values"),
+        ("udp.values0 - udp.vectors0", "found 4 values and 2 x 3 values"),
         ("udp.values0 * my-udp.values0", "character 13: found '*', expected a constant on one "
-         "side: a route adds multiples of what is received"),
-        ("2 / udp.values0", "character 3: found '/', expected a constant behind it"),
-        ("udp.values0 / [1, 0, 1, 1]", "character 13: found '/', expected no 0 behind it"),
-        ("udp.values0 * deg + 3 * mm", "character 19: found '+', expected one unit on both sides; "
-         "there are an angle (rad) and a length (m)"),
-        ("[1 * deg, 2 * mm] - [1 * deg, 2 * N]", "there are a length (m) and a force (N)"),
-        ("udp.matrices0 + 2", "character 15: found '+', expected nothing but a number or a length "
-         "beside frames, as in frames * mm"),
-        ("udp.matrices0 * [1, 2]", "found '*', expected nothing but a number or a length beside"),
-        ("2 / udp.matrices0", "found '/', expected nothing but a number or a length beside"),
-        ("udp.matrices0 * udp.matrices0", "expected nothing but a number or a length beside"),
-        ("udp.values0 * udp.matrices0", "expected nothing but a number or a length beside"),
-        ("udp.matrices0 * deg", "character 15: found '*', expected a length beside frames; found "
-         "an angle (rad)"),
-        ("udp.matrices0 * mm * mm", "character 20: found '*', expected a length beside frames"),
-        ("udp.matrices0 / mm", "character 15: found '/', expected a length beside frames"),
-        ("-1 * udp.matrices0", "character 4: found '*', expected a number above 0 beside it; "
+         "side: routes can only add multiples of numbers"),
+        ("2 / udp.values0", "character 3: found '/', expected a constant after it"),
+        ("udp.values0 / [1, 0, 1, 1]", "character 13: found '/', expected a divisor other than 0"),
+        ("udp.values0 * deg + 3 * mm", "character 19: found '+', expected the same unit on both "
+         "sides; found an angle (rad) and a length (m)"),
+        ("[1 * deg, 2 * mm] - [1 * deg, 2 * N]", "found a length (m) and a force (N)"),
+        ("udp.matrices0 + 2", "character 15: found '+', frames can only be multiplied by a number "
+         "or a length, as in frames * mm"),
+        ("udp.matrices0 * [1, 2]", "found '*', frames can only be multiplied by a number"),
+        ("2 / udp.matrices0", "found '/', frames can only be multiplied by a number or a length"),
+        ("udp.matrices0 * udp.matrices0", "frames can only be multiplied by a number or a length"),
+        ("udp.values0 * udp.matrices0", "frames can only be multiplied by a number or a length"),
+        ("udp.matrices0 * deg", "character 15: found '*', expected a length as the factor of "
+         "frames; found an angle (rad)"),
+        ("udp.matrices0 * mm * mm", "character 20: found '*', expected a length as the factor"),
+        ("udp.matrices0 / mm", "character 15: found '/', expected a length as the factor"),
+        ("-1 * udp.matrices0", "character 4: found '*', expected a factor above 0; "
          "found -1"),
-        ("udp.matrices0 * 0", "expected a number above 0 beside it; found 0"),
-        ("-udp.matrices0", "character 1: found '-', expected no frames beside it"),
-        ("[udp.matrices0]", "character 1: found '[', expected no frames beside it"),
-        ("udp.matrices0[0][1]", "character 17: found '[', expected none: udp.matrices0[0] is a "
+        ("udp.matrices0 * 0", "expected a factor above 0; found 0"),
+        ("-udp.matrices0", "character 1: found '-', frames cannot be indexed or combined"),
+        ("[udp.matrices0]", "character 1: found '[', frames cannot be indexed or combined"),
+        ("udp.matrices0[0][1]", "character 17: found '[', udp.matrices0[0] is a "
          "frame, which cannot be indexed"),
     ],
 )  # fmt: skip

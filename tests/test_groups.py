@@ -119,7 +119,7 @@ def test_mistyped_inputs_and_groups_are_told_by_the_users_own_key() -> None:
 def test_two_routes_to_one_input_are_told() -> None:
     scene = justin({"justin.torques": "udp.values0", "left.torques": "udp.values1[0:3]"})
     assert told(scene) == [
-        "routes.left.torques: left.torques has a route already, justin.torques; remove one of them"
+        "routes.left.torques: left.torques already has the route justin.torques. Remove one of them"
     ]
 
 

@@ -174,23 +174,23 @@ def test_what_is_wrong_is_told_once_each() -> None:
     ]
     twice = {"fork.joint_angles": three | {"from": "udp.values2"}, "fork.l_leg.joint_angles": 0}
     assert problems_of(twice) == [
-        "routes.fork.l_leg.joint_angles: l_hip gets its joint_angles by fork.joint_angles already; "
-        "expected each joint once"
+        "routes.fork.l_leg.joint_angles: route fork.joint_angles already sets joint_angles of "
+        "l_hip; expected one route per joint"
     ]
     assert problems_of({"fork.torques": "udp.values1[0:5]", "fork.l_leg.torques": 0.0}) == [
-        "routes.fork.l_leg.torques: l_hip gets its torques by fork.torques already; expected each "
-        "joint once"
+        "routes.fork.l_leg.torques: route fork.torques already sets torques of l_hip; expected one "
+        "route per joint"
     ]
     again = {"from": "udp.values2", "joints": ["l_leg", "l_hip"]}
     assert problems_of({"fork.torques": again}) == [
-        "routes.fork.torques: l_hip is named twice; expected each joint once"
+        "routes.fork.torques: l_hip occurs twice; expected each joint once"
     ]
     assert problems_of({"fork.l_leg.joint_angles": "udp.values0 * Nm"}) == [
         "routes.fork.l_leg.joint_angles: udp.values0 * Nm is a torque (Nm); fork.joint_angles "
         "takes an angle (rad)"
     ]
     assert problems_of({"fork.l_leg.base_frame": "udp.values0"}) == [
-        "routes.fork.l_leg.base_frame: joints are for what has one value per joint; "
+        "routes.fork.l_leg.base_frame: joint names are only for inputs with a value per joint; "
         "fork.base_frame takes a 4 x 4 frame"
     ]
     assert problems_of({"fork.l_leg.torqes": "udp.values0"}) == [

@@ -149,7 +149,7 @@ def test_gains_that_the_step_cannot_hold_are_refused_with_the_largest() -> None:
 
     why = robot.change({"stiffness": np.full(finger.n, 5000.0)}, text)
     assert why.startswith("refused: joint ") and "with a time step of 1 ms" in why
-    assert why.endswith(f"At most {texts[-1]:.4g} Nm/rad holds here")
+    assert why.endswith(f" is {texts[-1]:.4g} Nm/rad")
     assert robot.controllers["joint_impedance"].stiffness.tolist() == before.tolist()
     share = (texts[-1] - before.max()) / (5000.0 - before.max())
     most = before + share * (5000.0 - before)
@@ -179,7 +179,7 @@ def test_gains_act_at_once() -> None:
 
 def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(endless_run, "KEPT", 0.6)
-    monkeypatch.setattr(endless_run, "_LONGEST", 0.9)
+    monkeypatch.setattr(endless_run, "_LOG_DURATION", 0.9)
     played = Played("joint")
     size = played.run.rows.nbytes
     assert played.source.end is None and played.source.about == "simulation of lwr"
@@ -196,7 +196,7 @@ def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> No
     assert np.diff(rows[:, 0]) == pytest.approx(1e-3)
     speeds = np.diff(played.signal("joint_angles"), axis=0) / 1e-3
     assert speeds == pytest.approx(played.signal("joint_velocities")[1:], abs=0.02)  # no seam
-    # The past can be seen, and not before what is kept; then it goes on from now.
+    # The past can be seen, and not before what is kept; then it continues from the newest state.
     then = begin + 0.2
     played.clock.seek(then)
     played.clock.is_paused = True
@@ -208,7 +208,7 @@ def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> No
     assert played.steering.is_past
     played.clock.seek(0.0)
     assert played.clock.time == pytest.approx(begin)
-    assert played.clock.go_live() == "goes on from now"
+    assert played.clock.go_live() == "continues from the newest state"
     played.go(0.1)
     assert played.clock.time > newest and not played.steering.is_past
 
@@ -217,7 +217,7 @@ def test_pushes_are_kept_where_the_log_is_cut(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(endless_run, "KEPT", 0.6)
-    monkeypatch.setattr(endless_run, "_LONGEST", 0.9)
+    monkeypatch.setattr(endless_run, "_LOG_DURATION", 0.9)
     played = Played("joint")
     hand = played.run.drag_force
     played.shown.folder = tmp_path
@@ -231,12 +231,12 @@ def test_pushes_are_kept_where_the_log_is_cut(
     assert pull.first + len(pull.forces) == len(rows) - 1
     assert np.array(pull.forces) == pytest.approx(logged[pull.first : -1])
     assert np.linalg.norm(logged[-1]) > 1
-    assert keep() == "kept: lwr.mcap; sero-mj plot lwr.mcap draws it"
+    assert keep() == "saved lwr.mcap; sero-mj plot lwr.mcap plots it"
     kept = read_run(tmp_path / "lwr.mcap")
     assert len(kept.times) == len(rows)
     assert kept.times[-1] - kept.times[0] == pytest.approx(rows[-1, 0] - rows[0, 0])
     said = keep()
-    assert said is not None and said.startswith("kept: lwr_2.mcap")
+    assert said is not None and said.startswith("saved lwr_2.mcap")
 
 
 def test_after_an_error_it_starts_again() -> None:
@@ -248,7 +248,7 @@ def test_after_an_error_it_starts_again() -> None:
     ui = ScriptedWidgets()
     panel.build(ui)
     assert any(t.startswith("stopped: ") and "it runs away" in t for t in ui.texts())
-    panel.build(ScriptedWidgets({"start again": True}))
+    panel.build(ScriptedWidgets({"restart": True}))
     assert said == ["from the declared pose"]
     played.go(0.5)
     assert played.source.error is None and played.clock.time == pytest.approx(0.5, abs=0.05)
@@ -259,7 +259,7 @@ def test_after_an_error_it_starts_again() -> None:
 
 def test_what_cannot_be_simulated_says_why() -> None:
     scene = lwr_scene(position_limits=[[-0.1, 0.1]] * 7)
-    with pytest.raises(DeclarationError, match=r"joint A1 begins at 11.46 deg"):
+    with pytest.raises(DeclarationError, match=r"joint A1 starts at 11.46 deg"):
         endless_scene(scene)
 
 
@@ -301,7 +301,7 @@ def test_the_panel_changes_controllers_and_gains_and_tells() -> None:
     panel.build(ui)
     (text,) = [each for each in ui.texts() if each.startswith("refused: ")]
     assert text.startswith("refused: found 9000")
-    assert "holds here" in text
+    assert "largest stable value" in text
     panel.build(ScriptedWidgets({"##control": "Cartesian impedance"}))
     assert said == ["lwr: Cartesian impedance"] and played.lwr.control == "cartesian_impedance"
     for label, value in (("stiffness", 800.0), ("of turning", 40.0), ("null space", 25.0)):
@@ -428,8 +428,8 @@ def test_the_links_of_a_target_are_dragged_where_it_is_apart_from_the_robot() ->
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (["--control", "joint"], "--control joint is for --simulate, which is not given"),
-        (["--simulate", "--replay", "x.mcap"], "--simulate and --replay: a recording is played"),
+        (["--control", "joint"], "--control joint needs --simulate"),
+        (["--simulate", "--replay", "x.mcap"], "--simulate cannot be combined with --replay"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(

@@ -330,7 +330,7 @@ def test_if_the_second_source_cannot_open_the_first_is_closed() -> None:
         }
         routes = {"arm.joint_angles": "first.values0", "arm.torques": "second.values0"}
         mirror = Mirror(Scene(robots=[arm()], sources=sources, routes=routes))
-        used = "in use by another program; close that, or choose another port"
+        used = "in use by another program. Close it, or choose another port"
         reason = f"UDP port {blocker.port} on 127.0.0.1 is {used}"
         with raises_with(SourceError, source="second", reason=reason):
             mirror.open()

@@ -151,14 +151,14 @@ dh_params = [[0.0, 0.0, 0.0, 0.1]]
         ),
         (
             '[routes]\n"arm.base_frame" = "lwr/flange"\n"lwr.base_frame" = "arm/link1"',
-            "s.toml:6: routes: frames that follow each other: arm -> lwr -> arm",
+            "s.toml:6: routes: frames that depend on each other: arm -> lwr -> arm",
         ),
         (
             '[routes]\n"arm.base_frame" = "lwr.fwd_kin"',
             "s.toml:7: routes.arm.base_frame: no output 'fwd_kin' of lwr; available: "
             "billboard_values, commanded_torques, friction_torques, fwd_kin_base_to_flange, "
             "gravity_torques, joint_accelerations, joint_angles, torques; "
-            "its frames are lwr/flange and so on",
+            "frames are written as lwr/flange",
         ),
         (
             '[arrows.f]\nat = "lwr/flang"',

@@ -137,16 +137,16 @@ def test_what_is_saved_repeats_the_run_to_the_last_bit(tmp_path: Path) -> None:
 
 def test_what_cannot_be_saved_or_grabbed_is_told(tmp_path: Path) -> None:
     simulation = pushed()
-    with raises_with(UsageError, reason="nothing was pushed yet: drag a link with Ctrl held"):
+    with raises_with(UsageError, reason="there are no pushes to save: drag a link with Ctrl held"):
         save_pushes(simulation, tmp_path)
     assert simulation.drag_force is not None
-    with raises_with(UsageError, reason="lwr/base cannot move: nothing to pull"):
+    with raises_with(UsageError, reason="lwr/base cannot be pulled: it has no degree of freedom"):
         simulation.drag_force.grab("lwr/base", np.zeros(3))
     pull(simulation, "lwr/link4", [0.0, 0.1, 0.0], 10)
     simulation.scenario.file = None
     with raises_with(
         UsageError,
-        reason="a scenario that was made in Python has no file that another could extend",
+        reason="the scenario was made in Python; only a scenario file can be extended",
     ):
         save_pushes(simulation, tmp_path)
     assert not [*tmp_path.iterdir()]
@@ -157,13 +157,13 @@ def test_what_cannot_be_saved_or_grabbed_is_told(tmp_path: Path) -> None:
     [
         ("extends = 3", "extends: found 3; expected the name or file of a scenario"),
         ('extends = "impedance_pusch"', "did you mean 'impedance_push'"),
-        ('extends = "own.toml"', "extends: found own.toml, which extends this file itself"),
+        ('extends = "own.toml"', "extends: found own.toml, which itself extends this file"),
         ('extends = "impedance_push"\nset = 3', "set: found 3; expected a table"),
         ('extends = "impedance_push"\n[robots.b]\nmodel = "lwr"',
-         "own.toml:2: robots: belongs to what is extended, impedance_push"),
+         "own.toml:2: robots: can only be changed in [set] of a scenario that extends "),
         ('extends = "impedance_push"\n[disturbances.a]\nkind = "force"\nat = "lwr/flansch"\n'
          "force = [0, 0, 1]", "own.toml:4: disturbances.a.at: no frame 'lwr/flansch'"),
-        ('[set]\n"run.seed" = 3\n[run]', "set: is for a scenario that extends another one"),
+        ('[set]\n"run.seed" = 3\n[run]', "set: requires `extends`"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_a_scenario_that_extends_another(
@@ -178,7 +178,7 @@ def test_what_is_wrong_in_a_scenario_that_extends_another(
 @pytest.mark.parametrize(
     ("fields", "expected"),
     [
-        ({"force": [0, 0, 1]}, "samples: say all of the force; leave force out"),
+        ({"force": [0, 0, 1]}, "samples: cannot be combined with force"),
         ({"end": None}, "end: is required"),
         ({"samples": [[0.1, 0, 0, 1]]}, "samples: found times [0.1]; expected 0 at first"),
         ({"samples": [[0.0, 0, 0], [1, 1, 1]]}, "found 2 x 3; expected n x 4 numbers"),
@@ -255,7 +255,7 @@ def test_what_is_under_the_pointer_is_grabbed_and_what_cannot_be_says_why() -> N
         assert not (pulling.is_on or toggles.cards[card])
         text, is_bad = pulling.grab(at)  # type: ignore[misc]
         assert is_bad
-        assert text == "the past cannot be pushed: go on from 0.20 s, where the run is"
+        assert text == "the past cannot be pushed: continue at 0.20 s, the current time"
 
 
 @pytest.mark.gl

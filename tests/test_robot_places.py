@@ -165,7 +165,7 @@ def test_a_file_of_the_name_of_a_description_fetches_nothing(
 def test_names_are_listed_and_suggested(tmp_path: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if key not in UNSET}
     status, said = run_command(["list", "--known"], tmp_path, environment)
-    assert status == 0 and "MuJoCo Menagerie: no checkout" in said
+    assert status == 0 and "MuJoCo Menagerie: no clone" in said
     lines = said.splitlines()
     assert "  ur5e_description" in lines  # one a line where this is no terminal
     names = lines[lines.index("robot_descriptions") + 1 :]

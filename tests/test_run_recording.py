@@ -183,7 +183,7 @@ def test_robots_and_routes_may_be_given(tmp_path: Path) -> None:
     with raises_with(
         RecordingError,
         path=f"{tmp_path}/bare.mcap",
-        reason="has no robot in it: found no files; expected a scene, give one",
+        reason="has no robot: found no files; pass a scene",
     ):
         read_run(path)
     file = tmp_path / "mine.toml"
@@ -202,12 +202,12 @@ def test_a_recorded_simulation_without_its_robot_asks_for_a_scene(tmp_path: Path
     with raises_with(
         RecordingError,
         path=f"{tmp_path}/alone.mcap",
-        reason="does not say what robot 'lwr' is; none is available; give a scene",
+        reason="does not describe robot 'lwr'; none is available; pass a scene",
     ):
         read_run(path)
     assert read_run(path, scene=simulated().scenario.scene).robots["lwr"].n == 7
     other = Scene(robots=[SerialRobot.from_model("scara", name="picker")], name="cell")
-    reason = "is of another robot than the scene 'cell' has: no robot 'lwr'; available: picker"
+    reason = "has a robot that is not in the scene 'cell': no robot 'lwr'; available: picker"
     with raises_with(RecordingError, path=f"{tmp_path}/alone.mcap", reason=reason):
         read_run(path, scene=other)
 
@@ -279,7 +279,8 @@ def test_a_recording_that_moves_no_robot_is_told(tmp_path: Path) -> None:
         RecordingError,
         path=f"{tmp_path}/still.mcap",
         reason=(
-            "no source in it moves a robot: found routes to lwr.torques; expected lwr.joint_angles"
+            "no recorded source moves a robot: found routes to lwr.torques; "
+            "expected lwr.joint_angles"
         ),
     ):
         read_run(path)
@@ -315,7 +316,9 @@ def test_a_robot_that_is_not_installed_is_taken_from_the_recording(
     assert run.robots["mine"].filenames == []  # the meshes are not here: links grow
     files.pop(model)
     path = record_packets(tmp_path / "gone.mcap", "1F", rows, np.arange(3.0), files)
-    with pytest.raises(RecordingError, match=r"robot 'mine' is not in it, nor installed.*scene"):
+    with pytest.raises(
+        RecordingError, match=r"robot 'mine' is neither recorded nor installed.*scene"
+    ):
         read_run(path)
 
 
@@ -461,7 +464,7 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
         CsvError,
         path=f"{tmp_path}/robot.csv",
         reason=(
-            "no source in it moves a robot: found routes to lwr.joint_angles, "
+            "no recorded source moves a robot: found routes to lwr.joint_angles, "
             "lwr.torques; expected lwr.joint_angles"
         ),
     ):
@@ -587,8 +590,8 @@ def test_groups_are_read_from_the_recording_itself(
     with pytest.raises(RecordingError) as caught:
         read_run(tmp_path / "old.mcap")
     assert caught.value.reason == (
-        "its groups cannot be read: groups.claw.model: no model of a group 'claw'; available: "
-        "biped, dlr_hand2, hit_hand2, justin, space_justin; give a scene"
+        "its groups are invalid: groups.claw.model: no model of a group 'claw'; available: "
+        "biped, dlr_hand2, hit_hand2, justin, space_justin; pass a scene"
     )
 
 

@@ -97,7 +97,7 @@ def test_run_jit_has_no_effect_any_more_and_that_is_told_once(
     extending = tmp_path / "other.toml"
     extending.write_text('extends = "mine.toml"\n[set]\n"run.jit" = true\n[run]\njit = true\n')
     assert read_scenario(extending).run.duration == 0.1
-    assert caplog.messages == ["run.jit: has no effect any more: leave it out"]
+    assert caplog.messages == ["run.jit has no effect any more; remove it"]
 
 
 def test_a_file_is_read_and_anything_can_be_set_over_it(tmp_path: Path) -> None:
@@ -169,9 +169,7 @@ def test_a_scenario_may_take_another_files_scene(tmp_path: Path) -> None:
         ),
         (
             "[expect.e]\nbelow=1\n",
-            Problem(
-                "expect.e", "found none of them; expected one of measure, finds, finds_nothing"
-            ),
+            Problem("expect.e", "found none; expected one of measure, finds, finds_nothing"),
         ),
         (
             "[expect.e]\nfinds='torque_error'\ncause='psh'\n",
@@ -259,7 +257,7 @@ def test_a_force_acts_by_its_profile() -> None:
     with raises_with(key="end", found=1.0):
         Force(**{**force, "begin": 2.0, "end": 1.0})
     with raises_with(
-        key="end", reason="is required", expected="the time (s) at which the ramp is over"
+        key="end", reason="is required", expected="the time in seconds at which the ramp ends"
     ):
         Force(at="x", force=[0, 0, 1.0], profile="ramp")
 
@@ -294,8 +292,8 @@ def test_a_recorded_motion_is_followed_again(tmp_path: Path) -> None:
         ("file='none.mcap'", "targets.lwr.file: "),
         ("file='none.csv'", "none.csv: cannot be read"),
         ("file='bad.csv'", "found 2 columns beside time"),
-        ("file='bad.csv'\nof='x'", "targets.lwr.of: is for recordings"),
-        ("file='bad.csv'\ntimes=[0,1]", "targets.lwr.times: is what the file says; leave it or"),
+        ("file='bad.csv'\nof='x'", "targets.lwr.of: is only for recordings"),
+        ("file='bad.csv'\ntimes=[0,1]", "targets.lwr.times: is read from the file; remove it or"),
         ("file=5", "targets.lwr.file: found 5; expected the name of a recording or a table"),
     ],
 )
@@ -319,12 +317,12 @@ def test_what_would_do_nothing_or_cannot_be_is_told(tmp_path: Path) -> None:
         (
             "[faults.x]\nkind='sensor'\nbegin=0\n",
             Problem(
-                "faults.x", "does nothing; expected one of bias, gain, noise, resolution, delay_ms"
+                "faults.x", "has no effect; expected one of bias, gain, noise, resolution, delay_ms"
             ),
         ),
         (
             "[faults.x]\nkind='friction'\n",
-            Problem("faults.x", "does nothing; expected viscous, coulomb or added_coulomb"),
+            Problem("faults.x", "has no effect; expected viscous, coulomb or added_coulomb"),
         ),
         (
             "[faults.x]\nkind='dead_sensor'\nbegin=17\n",
@@ -343,7 +341,7 @@ def test_what_would_do_nothing_or_cannot_be_is_told(tmp_path: Path) -> None:
         ),
         (
             "[expect.e]\nfinds='any'\nbelow=1\n",
-            Problem("expect.e", "below: is for a measure; found finds"),
+            Problem("expect.e", "below: requires measure; found finds"),
         ),
         (
             "[expect.e]\nmeasure='torque'\nbelow=1\nabove=2\n",
@@ -363,7 +361,7 @@ def test_what_would_do_nothing_or_cannot_be_is_told(tmp_path: Path) -> None:
         read(tmp_path, BASE.replace("model", "modl"))
     with pytest.raises(DeclarationError) as caught:
         read(tmp_path, BASE, {"robots.lwr.joint_angles": [3.0, 0, 0, 0, 0, 0, 0]})
-    assert "joint A1 begins at 171.9 deg" in str(caught.value)
+    assert "joint A1 starts at 171.9 deg" in str(caught.value)
 
 
 def test_contact_needs_something_to_touch() -> None:
@@ -371,7 +369,7 @@ def test_contact_needs_something_to_touch() -> None:
     assert ran(scenario(**touch)).outcomes()[0].holds  # the floor is there
     with raises_with(
         key="expect.e.measure",
-        reason="has nothing to touch; expected an object or another robot in the scene",
+        reason="there are no contacts; add an object or another robot to the scene",
     ):
         Scenario(Scene(robots=[lwr()], floor=False), **touch)
 
@@ -411,4 +409,7 @@ def test_a_run_that_ends_before_says_so() -> None:
     simulation.advance(100)
     (outcome,) = simulation.outcomes()
     assert not outcome.holds
-    assert outcome.text == "torque: the run ended at 0.1 s, before it counts; expected below 100"
+    assert (
+        outcome.text
+        == "torque: the run ended at 0.1 s, before the evaluated time; expected below 100"
+    )

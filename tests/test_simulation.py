@@ -226,11 +226,8 @@ def test_nan_of_a_users_controller_stops_it_with_joint_and_time() -> None:
     assert len(simulation.log.times) == simulation.step + 1
 
 
-GENTLER = "other gains or torques, or another run.runaway_speed (0 for none)"
-
-
 def runs_away(share: float) -> str:
-    return f"rad/s, more than {share:g} times its velocity limit, 1.963 rad/s: it runs away"
+    return f"rad/s, more than {share:g} times its velocity limit, 1.963 rad/s"
 
 
 @pytest.mark.parametrize(("share", "elastic"), [(3.0, False), (2.0, False), (3.0, True)])
@@ -252,7 +249,7 @@ def test_a_joint_that_runs_away_ends_the_run_with_joint_and_time(
     if not elastic:  # there it is the motor
         assert speeds[-1] > share * limit and (speeds[:-1] <= share * limit).all()
     told = caught.value.problem
-    assert (told.of, told.expected) == (runs_away(share), GENTLER)
+    assert told.of == runs_away(share)
     assert told.found > share * limit
     assert elastic or told.found == pytest.approx(speeds[-1], rel=1e-9)
 
@@ -268,7 +265,6 @@ def test_a_motor_that_runs_away_ends_the_run_while_its_link_does_not() -> None:
         joint="lwr/A6",
         found=pytest.approx(31.0, rel=0.1),
         of=runs_away(3.0),
-        expected=GENTLER,
     ):
         simulation.advance(100)
     assert np.abs(simulation.log.of("lwr", "actual_velocities")).max() < 3 * np.deg2rad(112.5)
@@ -287,9 +283,7 @@ def test_joints_without_a_limit_run_away_at_three_times_twenty_rad_per_second() 
         time=0.001,
         joint="lwr/A6",
         found=pytest.approx(64.0, rel=0.1),
-        of="rad/s, more than 3 times 20 rad/s, which stands for a velocity limit where none is "
-        "declared: it runs away",
-        expected=GENTLER,
+        of="rad/s, more than 3 times the default velocity limit, 20 rad/s",
     ):
         spun(64.0).advance(1)
     spun(64.0, runaway_speed=0.0).advance(1)

@@ -60,4 +60,4 @@ def test_a_number_of_the_packet_switches_the_haptic_device_between_its_modes(mod
         decor.draw(mirror.data, toggles, view_at())
     assert (toggles.arrows[:14] == mode).all() and (toggles.doubles != mode).all()
     notes = [text for panels in decor.panels for lines in panels.texts for text in lines]
-    assert b"places of the robots: approximate, not DLR data" in notes
+    assert b"base positions of the robots: approximate, not DLR data" in notes

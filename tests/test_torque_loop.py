@@ -241,7 +241,7 @@ def test_a_flange_as_stiff_as_the_joints_behind_it_is_refused() -> None:
 
 def test_damping_that_the_loop_cannot_hold_is_told_as_such() -> None:
     found = problems({**FREE, "damping": 500.0})
-    assert "controllers.lwr.damping: joint" in found and "% of all damping" in found
+    assert "controllers.lwr.damping: joint" in found and "% of each damping" in found
 
 
 @pytest.mark.parametrize(
@@ -420,9 +420,7 @@ def problems(*args: Any, **fields: Any) -> str:
 def test_a_loop_that_the_step_cannot_hold_is_refused_with_the_least_that_it_can() -> None:
     found = problems(SOFT, torque_control={"inertia_ratio": 0.02})
     key = "robots.lwr.torque_control.motor_inertias"
-    assert (
-        f"{key}: joint A2 is unstable at 0.061 with a loop of 3000 Hz; expected at least" in found
-    )
+    assert found.startswith(f"{key}: ") and "joint A2 unstable at 0.061; expected at lea" in found
     assert "or a shorter run.physics_timestep" in found
     least = float(found.partition("at least ")[2].partition(",")[0])
     motors = robot_dynamics(SerialRobot.from_model("lwr")).motor_inertias
@@ -482,15 +480,12 @@ def test_rates_that_do_not_fit_are_all_told_at_once() -> None:
     with pytest.raises(DeclarationError) as error:
         Run(physics_timestep=3e-4, observer_gain=2000.0)
     found = "\n".join(map(str, error.value.problems))
-    assert (
-        "physics_timestep: found 0.0003 s; expected a whole number of steps in run.timestep, "
-        "0.001 s: 0.000333333, for instance" in found
-    )
-    assert "observer_gain: found 2000 1/s; expected up to 1000 with a timestep of 0.001 s" in found
+    assert "physics_timestep: found 0.0003 s" in found and "0.000333333 s" in found
+    assert "observer_gain: found 2000 1/s; expected at most 1000" in found
     with raises_with(
         key="drive_delay",
         found=0.0004,
-        expected="a multiple of the physics' step, 0.00025 s: 0.0005, for instance",
+        expected="a multiple of the physics time step (0.00025 s), for example 0.0005 s",
     ):
         Run(drive_delay=4e-4, physics_timestep=2.5e-4)
     assert Run(torque_control=True).substeps == 3

@@ -132,7 +132,7 @@ def test_models_of_robots_are_signals() -> None:
     hits = trigger("lwr.friction_torques > 1.2", moved).find("udp", events)
     assert np.array_equal(hits.holds, (friction > 1.2).any(axis=1))
     assert hits.describe(int(np.argmax(hits.holds))).startswith("lwr/A")
-    reason = "nothing is routed to lwr.joint_velocities, which lwr.friction_torques needs"
+    reason = "lwr.friction_torques needs a route to lwr.joint_velocities"
     for text in ("lwr.friction_torques[0] > 1", "1 < lwr.billboard_values[0]"):
         still = scene(**{"lwr.billboard_values": "udp.values1 - lwr.friction_torques"})
         with raises_with(RouteError, reason=reason, position=4 if text[0] == "1" else 0):
@@ -169,14 +169,14 @@ def test_no_data_fulfils_nothing_and_other_sources_keep_their_last_values() -> N
         ("lwr.torques > ", "character 15: found the end, expected an event such as"),
         ("lwr.torques > 20 20", "character 18: found '20', expected"),
         ("lwr.torques = 20",
-         "character 13: found '=', expected +, -, * or / between spaces, or the end; equal is =="),
-        ("lwr.torques[9] > 1", "character 13: found '9', expected 0 to 6: there are 7"),
-        ("lwr.torques[0][0] > 1", "expected none: it is a single number"),
-        ("lwr.torques[1:3] > lwr.torques", "character 18: found '>', expected as many on both "
-         "sides; there are 2 values and 7 values"),
-        ("abs(lwr.torques > 2) > 1", "expected numbers; comparisons are joined by and, or"),
+         "character 13: found '=', expected +, -, * or / between spaces, or the end; write =="),
+        ("lwr.torques[9] > 1", "character 13: found '9', expected 0 to 6"),
+        ("lwr.torques[0][0] > 1", "is a single number, which has no index"),
+        ("lwr.torques[1:3] > lwr.torques", "character 18: found '>', expected the same number on "
+         "both sides; found 2 values and 7 values"),
+        ("abs(lwr.torques > 2) > 1", "expected numbers; use and, or to combine comparisons"),
         ("lwr.torques and lwr.torques > 1", "expected a comparison such as lwr.torques > 20"),
-        ("any(lwr.torques) > 1", "expected numbers; comparisons are joined by and, or"),
+        ("any(lwr.torques) > 1", "expected numbers; use and, or to combine comparisons"),
         ("any(lwr.torques)", "expected a comparison such as lwr.torques > 20"),
         ("lwr.torques % 2 > 1", "character 13: found '%', expected +, -, * or /"),
         ("", "character 1: found the end"),
@@ -193,7 +193,7 @@ def test_what_is_no_condition_is_told_with_its_place(text: str, message: str) ->
 def test_the_torque_error_needs_both_torques() -> None:
     of = scene()
     of.routes = {key: route for key, route in of.routes.items() if "commanded" not in key}
-    reason = "nothing is routed to lwr.commanded_torques, which it is made of"
+    reason = "it needs routes to lwr.commanded_torques"
     with raises_with(RouteError, position=0, reason=reason):
         trigger("lwr.torque_error > 1", of)
 
@@ -428,8 +428,8 @@ def test_events_are_found_in_a_recording_as_they_were_live(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["a.mcap", "--before", "3"], "--before is for --trigger CONDITION; give it as well"),
-        ([], "where to? expected OUT.mcap"),
+        (["a.mcap", "--before", "3"], "--before needs --trigger CONDITION"),
+        ([], "expected OUT.mcap"),
         (["a.mcap", "-o", "b.mcap"], "found OUT a.mcap and --out b.mcap"),
         (["a.txt", "--trigger", "lwr.torques > 1"],
          "a.txt: expected a folder, or a name that ends in .mcap"),

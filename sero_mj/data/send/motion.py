@@ -16,15 +16,12 @@ from ...robots.declared.mounts import carriers
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 
-LEAD = 0.5  # s by which the commanded position, for a double, leads the measured one
-_AMPLITUDE = 0.4  # of half the joint's range
-_AMPLITUDE_ABOUT_POSE = 0.2  # likewise, about a declared pose
-_BEND = 0.2  # of half the range: the arm swings about a bent pose, not about a stretched one
+LEAD = 0.5  # s by which the commanded position leads the measured position
+_AMPLITUDE = 0.4  # share of half the joint's range
+_AMPLITUDE_ABOUT_POSE = 0.2  # the same for motions about a declared pose
+_BEND = 0.2  # share of half the range, so that the arm is bent in the center pose
 _MAX_SWING = 1.1  # rad
-_REDUCTION, _REDUCTIONS = (
-    0.75,
-    10,
-)  # of swings with collisions, and how often
+_REDUCTION, _REDUCTIONS = 0.75, 10  # factor of amplitudes with collisions, and maximum number
 _SAMPLE_TIMES = 0.618034 * np.arange(500)  # s; poses of all phases of the joints' periods
 _PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more joints
 
@@ -32,10 +29,7 @@ _PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more
 class SineMotion:
     """Every joint oscillates with its own period; velocities stay below the limits.
 
-    A robot whose `joint_angles` are declared swings about these, else about a bent pose.
-
-    Args:
-        amplitude: scales the swing; 0 for none.
+    The center is the declared `joint_angles`, or a bent pose. `amplitude` is from 0 to 1.
     """
 
     def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
@@ -56,7 +50,7 @@ class SineMotion:
         self._coupled = robot.coupled if robot.couplings else None
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
-        """Joint positions, velocities and accelerations (n,) at time t (s)."""
+        """Returns joint positions, velocities and accelerations, (n,), at a time, s."""
         angle = self._omega * t + self._phase
         sin, cos = np.sin(angle), np.cos(angle)
         position = self._centre + self._swing * sin
@@ -72,10 +66,7 @@ class SineMotion:
 class InverseDynamics:
     """Joint torques of robots from their motion, by MuJoCo's inverse dynamics.
 
-    Robots that are mounted on others load these.
-
-    Masses are those of the robot's file; where it has none, they follow from the volume of the
-    links at the density of water, so the torques are then an estimate.
+    Without declared masses, the torques are an estimate for links with the density of water.
     """
 
     def __init__(self, *robots: SerialRobot) -> None:
@@ -87,16 +78,7 @@ class InverseDynamics:
         self.world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
     def torques(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """Joint torques required for the motion.
-
-        Args:
-            position: of the joints of all robots, one robot after the other, (n,), rad or m.
-            velocity: of the joints, (n,), rad/s or m/s.
-            acceleration: of the joints, (n,), rad/s2 or m/s2.
-
-        Returns:
-            torques, (n,), Nm or N.
-        """
+        """Returns the torques for a motion of the joints of all robots, in order, (n,)."""
         data, dofs = self.data, self._dofs
         data.qpos[self._qpos], data.qvel[dofs], data.qacc[dofs] = position, velocity, acceleration
         mujoco.mj_inverse(self.world.model, data)
@@ -104,13 +86,10 @@ class InverseDynamics:
 
 
 def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[str, float]:
-    """Returns amplitudes with which robots that move together stay clear of each other.
+    """Returns amplitudes by robot with which robots that move together do not collide.
 
-    What touches as declared, or whatever the amplitudes are, is left as it is. The others' swings,
-    and those of what carries them, are reduced where links meet in poses from all over the motion.
-
-    Returns:
-        by name.
+    Amplitudes of robots that collide in sampled poses, and of robots that carry them, are reduced.
+    Collisions in the declared pose are ignored.
     """
     by_name = {robot.name: robot for robot in robots}
     amplitudes = dict.fromkeys(by_name, amplitude)
@@ -148,11 +127,7 @@ def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[st
 
 
 class CommonMotion:
-    """The motion of robots together, with the torques that it takes; they stay clear of each other.
-
-    Args:
-        amplitude: of the motion, 0 stands still, to 1.
-    """
+    """The motion of several robots without collisions, with its torques; amplitude from 0 to 1."""
 
     def __init__(self, robots: Sequence[SerialRobot], amplitude: float) -> None:
         amplitudes = clear_amplitudes(robots, amplitude)
@@ -163,11 +138,10 @@ class CommonMotion:
         self._last: tuple[float, Array] | None = None
 
     def of(self, robot: str, t: float, lead: float) -> Array:
-        """Position, velocity, acceleration, torques and target position of a robot, (5, n).
+        """Returns position, velocity, acceleration, torques and target position, (5, n).
 
         Args:
-            t: s.
-            lead: s by which the target is ahead.
+            lead: time by which the target leads the position, s.
         """
         if self._last is None or self._last[0] != t:  # once for all robots of a packet
             states = np.concatenate([motion.at(t) for motion in self._motions], axis=1)
@@ -183,7 +157,7 @@ class RobotSignals:
         self._robot, self._motion = robot, motion
 
     def signals(self, t: float) -> Mapping[str, Array]:
-        """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
+        """Returns the values of inputs (`joint_angles`, `torques`, ...) at a time, s."""
         position, velocity, acceleration, torques, target = self._motion.of(
             self._robot.name, t, LEAD
         )
@@ -196,6 +170,6 @@ class RobotSignals:
             "joint_accelerations": acceleration,
             "billboard_values": velocity,
             "flange_check": self._robot.fwd_kin_base_to_flange(position),
-            # The robot's own inputs are unknown; temperatures in degrees, say.
+            # For inputs that the robot declares, such as temperatures.
             "further": 30.0 + 5.0 * np.sin(0.2 * t + np.arange(self._robot.n)),
         }

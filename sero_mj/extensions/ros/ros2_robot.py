@@ -87,7 +87,7 @@ class Ros2Node(Answering):
         return self
 
     @property
-    def _peer(self) -> str:
+    def peer(self) -> str:
         domain = "" if self.domain is None else f" {self.domain}"
         return f"the nodes of ROS 2 domain{domain}"
 

@@ -238,7 +238,7 @@ def test_the_command_prints_every_point_and_writes_the_camera(
     status, out, _ = run([*line, "-o", "cell.toml"], capsys)
     assert status == 0
     assert "root mean square error of 11 points: 0.00 pixels" in out
-    (wrong,) = [row for row in out.splitlines() if "left out" in row]
+    (wrong,) = [row for row in out.splitlines() if "ignored" in row]
     assert "lwr/A3" in wrong and "42.4" in wrong
     found = read_camera(Path("cell.toml"), (640, 400))
     assert np.abs(found.T_world_camera - by.T_world_camera).max() < 1e-4
@@ -289,4 +289,4 @@ def test_the_pose_can_be_that_of_a_recording(
     status, _, err = run([*line, "--replay", "run.mcap"], capsys)
     assert status == 2 and "no camera fits the points" in err
     status, _, err = run([*line, "--start", "1"], capsys)
-    assert status == 2 and "--start is for recordings; give --replay REC.mcap as well" in err
+    assert status == 2 and "--start needs a recording: add --replay REC.mcap" in err

@@ -109,7 +109,7 @@ def test_the_picture_shows_photo_marks_and_list_at_any_size() -> None:
     board, pixels = make_board()
     for k in range(6):
         board.click(*on_board(board, pixels[k]))
-    picture = board.picture().astype(int)
+    picture = board.image().astype(int)
     assert picture.shape == (SIZE[1], SIZE[0], 3)
     x, y = np.rint(on_board(board, pixels[2])).astype(int)
     around = picture[y - 12 : y + 13, x - 12 : x + 13]
@@ -118,9 +118,9 @@ def test_the_picture_shows_photo_marks_and_list_at_any_size() -> None:
     assert (picture[:, board.panel_width + 30 :] == 128).all(axis=2).mean() > 0.5
     for size in ((300, 200), (1, 1), (3000, 200)):
         board.resize(*size, 18)
-        assert board.picture().shape == (size[1], size[0], 3)
+        assert board.image().shape == (size[1], size[0], 3)
     board.zoom(30, 2000, 100)
-    board.picture()
+    board.image()
 
 
 @pytest.mark.gl

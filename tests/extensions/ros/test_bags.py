@@ -205,7 +205,7 @@ def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys
     status, _, told = run(capsys, *command, "b_joint_stats")
     assert status == 2 and "; did you mean 'b_joint_states'?" in told
     assert run(capsys, *command, "b_joint_states")[0] == 0
-    with pytest.raises(UsageError, match="scene 'lwr_udp' has sources of its own, udp, which are"):
+    with pytest.raises(UsageError, match=r"scene 'lwr_udp' has its own sources \(udp\)"):
         replay_instead(load_scene("lwr_udp"), bag, None, "b_joint_states")
     assert Replay(file=bag, source="b_joint_states").recorded.count == COUNT
     assert Replay(file=bag, topics={"joint_states": "/a/joint_states"}).recorded.name == "replay"
@@ -514,7 +514,9 @@ def test_commands_for_runs_find_the_robot_of_a_bag(tmp_path: Path, capsys: Any) 
     path = write_bag(tmp_path / "shipped", {"/joint_states": states()})
     status, said, told = run(capsys, "compare", str(path), str(path))
     assert status == 0 and "fr3_joint7" in said
-    chosen = f"note: {path} does not describe its robot; fr3 has the joints that it names"
+    chosen = (
+        f"note: {path} does not describe its robot; showing fr3, which has the same joint names"
+    )
     assert told.splitlines() == [chosen] * 2
     other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
     status, _, told = run(capsys, "plot", str(other), "-o", str(tmp_path / "other.pdf"))
@@ -548,7 +550,7 @@ def test_meshes_that_a_described_robot_lacks_are_told_once(
     (told,) = [each.getMessage() for each in caplog.records if "mesh" in each.getMessage()]
     assert told == (
         "arm.urdf: 7 mesh files were not found; collision shapes are shown instead; "
-        "--package arm=DIR says where it is: package://arm/l0.stl, package://arm/l1.stl, "
+        "set its folder with --package arm=DIR: package://arm/l0.stl, package://arm/l1.stl, "
         "package://arm/l2.stl and 4 more"
     )
 
@@ -568,7 +570,9 @@ def test_check_and_status_take_a_bag_as_view_does(kind: str, tmp_path: Path, cap
         assert status == 0 and "received" in out
     other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
     status, _, told = run(capsys, "check", str(other))
-    assert status == 2 and "found no scene that shows it" in told and "--replay other" in told
+    assert (
+        status == 2 and "no scene found that has its sources" in told and "--replay other" in told
+    )
 
 
 UR = [

@@ -277,7 +277,7 @@ def test_the_table_of_a_bag_without_joint_states_is_that_of_its_robot(
     path, table = write_bag(tmp_path / "drive", topics), tmp_path / "drive.csv"
     if kind == "tf" and not is_described:
         status, said, _ = run(capsys, "export", str(path), str(table))
-        assert status == 0 and said.endswith("of a robot; --scene names it\n")
+        assert status == 0 and said.endswith("if --scene names the robot\n")
     of_robot = () if is_described else ("--scene", str(robot))
     status, said, told = run(capsys, "export", str(path), str(table), "--overwrite", *of_robot)
     assert status == 0 and f"{COUNT} rows" in said, told

@@ -43,7 +43,7 @@ angles = { noise = 1e-5 }
 [targets.lwr]
 kind = "recorded"
 file = "MOTION"
-[expect.it_follows]
+[expect.position_error]
 measure = "position_error"
 below = 0.005
 """
@@ -295,12 +295,12 @@ def test_what_was_stopped_goes_on(file: Path, tmp_path: Path, how: str) -> None:
         assert time.monotonic() - begin < 20
         if how == "Ctrl+C":
             assert process.returncode == 130
-            assert "variants to go; the same with --resume goes on" in said
+            assert "variants are left; repeat the command with --resume to continue" in said
             wait_for(lambda: not list(tmp_path.rglob("follow.toml")))
             engine = ["--engine", "dask", "--scheduler", found.file]
         else:
             assert process.returncode == 2
-            assert "the scheduler is gone; what has come is kept" in said
+            assert "the scheduler is gone; results so far are saved" in said
             engine = ["--jobs", 2]
         known = there.read_bytes().count(b"\n")
         assert 1 < known < 97
@@ -377,8 +377,8 @@ def test_a_scheduler_that_is_not_there_is_told(work: Work, monkeypatch: pytest.M
     with raises_with(
         ClusterError,
         address=address,
-        reason="no scheduler answers within 0 s; expected that of a running `dask scheduler`, "
-        "which prints it",
+        reason="no scheduler answered within 0 s; expected the address that `dask scheduler` "
+        "prints",
     ):
         next(Cluster(address).run(work))
 

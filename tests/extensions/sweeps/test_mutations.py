@@ -100,7 +100,7 @@ def test_the_command_tells_what_nothing_notices(
     assert status == 1
     lines = [line.split() for line in told.splitlines()]
     assert lines[-2][:5] == ["half", "as", "stiff", "nothing;", "it_holds"]
-    assert lines[-1] == ["2", "noticed,", "1", "not"]
+    assert lines[-1] == ["2", "detected,", "1", "not", "detected"]
     assert [line.split(",")[1:3] for line in out.read_text().splitlines()] == [
         ["mutation", "held"], ["", "true"], ["undeclared load", "false"],
         ["half as stiff", "true"], ["too weak", "false"],
@@ -120,9 +120,9 @@ def test_the_command_tells_what_nothing_notices(
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("", {"reason": "has no mutation"}),
-        ("[load]", {"key": "load", "line": 1, "reason": "sets nothing"}),
-        ("\nload = 3", {"key": "load", "line": 2, "reason": "is no table"}),
+        ("", {"reason": "has no mutations"}),
+        ("[load]", {"key": "load", "line": 1, "reason": "is empty"}),
+        ("\nload = 3", {"key": "load", "line": 2, "reason": "is not a table"}),
         (
             '\n["soft"]\n"controllers.lwr.stifness" = 1',
             {"key": "soft.controllers.lwr.stifness", "line": 3, "near": "stiffness"},

@@ -140,7 +140,7 @@ def test_values_are_read(option: str, values: list[Any]) -> None:
         ("a.b=", "--vary a.b=: expected KEY=LOW:HIGH"),
         ("a.b=1:x", "--vary a.b=1:x: found '1:x'; expected KEY=LOW:HIGH"),
         ("a.b=1:2:3", "found '1:2:3'"),
-        ("a.b=2:1", "found 2 to 1; expected two numbers, the lower one first"),
+        ("a.b=2:1", "found 2 to 1; expected two numbers in ascending order"),
         ("a.b=nan:1", "found nan to 1; expected two numbers"),
         ("a.b=log:0:1", "found log from 0"),
         ("a.b=int:0.5:3", "found int:0.5:3; expected whole numbers"),
@@ -200,7 +200,7 @@ def test_a_key_that_no_variant_can_have_is_told_at_once(file: Path) -> None:
         reason="found 900 x 900 =",
         found=810000,
         of="variants",
-        expected="up to 200000: fewer --samples, or no --grid",
+        expected="at most 200000; reduce --samples, or omit --grid",
     ):
         sweep(file, f"{STIFFNESS}=1:2", "run.duration=1:2", samples=900, is_grid=True)
     with raises_with(
@@ -230,7 +230,7 @@ def test_results_do_not_depend_on_how_many_run_at_once(file: Path, tmp_path: Pat
     assert any(row["error"] for row in rows) and any(row["held"] == "true" for row in rows)
 
 
-KILLED = "its process was killed, or ran out of memory; expected an answer"
+KILLED = "the process was killed or ran out of memory"
 
 
 @pytest.mark.slow
@@ -312,7 +312,8 @@ def test_shards_joined_are_the_table_of_one_run(
     done("--shard", "2/2", "-o", parts[1])
     assert [row["variant"] for row in read(parts[1])] == ["1", "3"]
     assert done("--merge", parts[1], "-o", joined) == (
-        130, "sero-mj: stopped with 3 variants to go; the same with --resume goes on\n",
+        130, "sero-mj: stopped; 3 variants are left; repeat the command with --resume to "
+        "continue\n",
     )  # fmt: skip
     done("--shard", "1/2", "-o", parts[0])
     assert done("--merge", tmp_path / "part.*.csv", "-o", joined, "--resume")[0] == held
@@ -320,7 +321,7 @@ def test_shards_joined_are_the_table_of_one_run(
     head, first, second = parts[1].read_text().splitlines()
     parts[1].write_text(f"{head}\n{first.replace('1', '3', 1)}\n{second.replace('3', '1', 1)}\n")
     _, said = done("--merge", parts[1], "-o", joined, "--resume")
-    assert "has another result of variant" in said
+    assert "has a different result for variant" in said
     _, said = done("--merge", tmp_path / "no.*.csv", "-o", joined, "--resume")
     assert "--merge: no file" in said
 
@@ -369,15 +370,15 @@ def test_a_table_of_another_sweep_is_not_gone_on_with(file: Path, tmp_path: Path
         SweepTable(sweep(file, f"{STIFFNESS}=50:900"), path, resume=True)
     with raises_with(
         UsageError,
-        reason="is there already",
+        reason="exists already",
         file=f"{tmp_path}/out.csv",
-        expected="--resume to go on with it, or --overwrite",
+        expected="--resume to continue it, or --overwrite",
     ):
         SweepTable(sweep(file, f"{STIFFNESS}=50:900"), path)
     (tmp_path / "out.csv.json").unlink()
     with raises_with(
         UsageError,
-        reason="cannot be gone on with: out.csv.json with its settings is missing",
+        reason="cannot be continued: out.csv.json with its settings is missing",
         file=f"{tmp_path}/out.csv",
         expected="--overwrite",
     ):
@@ -441,7 +442,7 @@ def test_the_picture_has_units_and_a_legend_of_what_it_shows(
     }  # fmt: skip
     plot_sweep(drawn, rows, tmp_path / "out.svg")
     text = (tmp_path / "out.svg").read_text("utf-8")
-    for part in ("it holds, rad", "disturbances.push.begin, s", "held", "did not hold", "no value",
+    for part in ("it holds, rad", "disturbances.push.begin, s", "passed", "failed", "no value",
                  "expected bound"):  # fmt: skip
         assert f">{part}<" in text, part
 
@@ -461,7 +462,7 @@ def test_the_command_writes_table_and_picture_and_says_what_came_of_it(
     assert caught.value.code == 1
     assert "shove: 6 variants (6 in " in said
     assert "stopped stiffness 9000, elastic True: controllers.lwr.stiffness: found 9000" in said
-    assert "2 stopped with an error" in said
+    assert "2 stopped by errors" in said
     assert len(read(out)) == 6
     assert plot.read_bytes()[:4] == b"\x89PNG" and plot.stat().st_size > 5000
     with pytest.raises(SystemExit) as caught:
@@ -481,7 +482,7 @@ def test_the_command_writes_table_and_picture_and_says_what_came_of_it(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--resume"], "--resume: expected the file to go on with, -o OUT.csv"),
+        (["--resume"], "--resume: expected the file to continue, -o OUT.csv"),
         (["-o", "out.txt"], "--out: found 'out.txt'; expected a name that ends in .csv"),
         (["--plot", "out.csv"], "--plot: found 'out.csv'; expected a name that ends in .png"),
         (["--resume", "--overwrite", "-o", "a.csv"], "--resume and --overwrite: expected one"),
@@ -537,7 +538,7 @@ def test_the_command_goes_on_where_it_was_stopped(
     _, said = process.communicate(timeout=20)
     if how == signal.SIGINT:
         assert process.returncode == 130
-        assert "variants to go; the same with --resume goes on" in said
+        assert "variants are left; repeat the command with --resume to continue" in said
     else:
         assert process.returncode == -how
     wait_for(lambda: not any(is_alive(pid) for pid in workers))  # none is left behind
@@ -547,7 +548,7 @@ def test_the_command_goes_on_where_it_was_stopped(
         main([*command, "--jobs", "1", "--resume"])
     assert caught.value.code == 0
     said = capsys.readouterr().out
-    assert f"; {known} were there" in said or f"; {known - 1} were there" in said
+    assert f"; {known} from before" in said or f"; {known - 1} from before" in said
     assert out.read_bytes() == whole
 
 
@@ -589,5 +590,5 @@ def test_the_shipped_scenario_can_be_swept() -> None:
     ("left", "workers", "size"), [(64, 1, 32), (64, 2, 32), (70, 1, 35), (5, 8, 1), (300, 2, 50)]
 )
 def test_batches_of_all_workers_are_of_one_size(left: int, workers: int, size: int) -> None:
-    work = Work(Variants(Path("shove.toml"), {}), [], most=64)
-    assert work.size(left, workers) == size
+    work = Work(Variants(Path("shove.toml"), {}), [], max_batch=64)
+    assert work.batch_size(left, workers) == size

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from sero_mj.base.errors import DeclarationError
 from sero_mj.extensions.x3d.reader import read_x3d
 from sero_mj.extensions.x3d.vrml import parse_document, read_document
-from sero_mj.extensions.x3d.vrml_nodes import FieldValue, Node, instance, read_field, walk
+from sero_mj.extensions.x3d.vrml_nodes import FieldValue, Node, instance, read_field
 from sero_mj.extensions.x3d.wrl import read_wrl
 
 FIG7 = ROOT / "tests" / "fig7.x3d"
@@ -56,6 +56,16 @@ def wrong(text: str) -> list[str]:
     return str(caught.value).splitlines()
 
 
+def nodes_of(node: Node) -> list[Node]:
+    """Returns a node and its descendants, each once."""
+    found = {id(node): node}
+    for value in node.fields.values():
+        for item in value.items:
+            if isinstance(item, Node):
+                found |= {id(each): each for each in nodes_of(item)}
+    return [*found.values()]
+
+
 def test_every_kind_of_statement_is_read() -> None:
     document = parse_document(WHOLE, HERE)
     assert set(document.names) == {"arm", "turn", "box", "udp"}
@@ -74,7 +84,7 @@ def test_every_kind_of_statement_is_read() -> None:
         [0, 0, 0, 0.31], [1.5, 0, 0, 0],
     ]  # fmt: skip
     assert read_field(arm.fields["jointAngles"], "MFFloat").tolist() == [0.1, 0.2]
-    used = [node for node in walk(document.nodes) if node.kind == "Box"]
+    used = [node for root in document.nodes for node in nodes_of(root) if node.kind == "Box"]
     assert used == [document.names["box"]]  # once, though it is used twice
 
 
@@ -85,8 +95,8 @@ def test_a_proto_makes_nodes_with_its_values_and_its_defaults() -> None:
     radii, tones = [], []
     for shape in made:
         assert shape is not None
-        (sphere,) = [node for node in walk([shape]) if node.kind == "Sphere"]
-        (material,) = [node for node in walk([shape]) if node.kind == "Material"]
+        (sphere,) = [node for node in nodes_of(shape) if node.kind == "Sphere"]
+        (material,) = [node for node in nodes_of(shape) if node.kind == "Material"]
         radii.append(read_field(sphere.fields["radius"], "SFFloat"))
         tones.append(read_field(material.fields["diffuseColor"], "SFColor").tolist())
     assert radii == [2.0, 0.5]
