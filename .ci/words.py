@@ -68,9 +68,12 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def main(names: list[str]) -> int:
-    """Prints the words found in the named files, or in all; returns 1 if there are any."""
+    """Prints the words in the named files and folders, or in all; returns 1 if there are any."""
     allowed = (ROOT / ".ci" / "words.allow").read_text("utf-8").splitlines()
-    files = [Path(name) for name in names] or [
+    named = [Path(name).resolve() for name in names]
+    files = [
+        file for path in named for file in (sorted(path.rglob("*.py")) if path.is_dir() else [path])
+    ] or [
         path
         for pattern in (
             "*.md",

@@ -439,10 +439,10 @@ def test_check_reports_estimated_values(tmp_path, capsys):
         main(["check", str(tmp_path / "scene.toml")])
     assert done.value.code == 0
     told = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    assert [line for line in told if line.startswith(("weighs", "dynamics"))] == [
-        "weighs 15.95 kg, as declared",
+    assert [line for line in told if line.startswith(("mass", "dynamics"))] == [
+        "mass: 15.95 kg, as declared",
         "dynamics: as declared",
-        "weighs 0.005474 kg, estimated: none are declared, its shapes count with 840 kg/m3",
+        "mass: 0.005474 kg, estimated: none are declared, its shapes count with 840 kg/m3",
         "dynamics: estimated motor_inertias, viscous_friction, joint_stiffness, joint_damping",
     ]
 

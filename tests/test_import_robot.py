@@ -148,16 +148,16 @@ def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
         (["tree.urdf", "--arg", "ur5e"], "--arg: found 'ur5e'; expected NAME=VALUE"),
         (["no.xml"], "no.xml: no such file"),
         (["sdf.xml"], "sdf.xml: is an SDF file; expected URDF (<robot>) or MJCF (<mujoco>)"),
-        (["text.xml"], "text.xml: is no XML"),
+        (["text.xml"], "text.xml: is not XML"),
         (
             ["fig7.x3d"],
             "fig7.x3d: found a scene; expected a robot in URDF or MJCF. "
-            "`sero-mj convert fig7.x3d fig7.toml` writes it as a scene of ours",
+            "`sero-mj view fig7.x3d` shows the scene.",
         ),
-        (["tree.urdf", "--out", "far"], "far is there already; choose another with --out"),
+        (["tree.urdf", "--out", "far"], "far already exists; choose another with --out"),
         (["tree.urdf", "--out", "1st"], "--out: found '1st'; expected letters"),
         (["tree.urdf", "--package", "x"], "--package: found 'x'; expected NAME=DIR"),
-        (["tree.urdf", "--package", "x=no"], "--package: found 'no', which is no folder"),
+        (["tree.urdf", "--package", "x=no"], "--package: found 'no', which is not a folder"),
     ],
 )
 def test_unreadable_imports_are_reported(folder: Path, capsys, arguments, message) -> None:

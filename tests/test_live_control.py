@@ -196,7 +196,7 @@ def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> No
     assert np.diff(rows[:, 0]) == pytest.approx(1e-3)
     speeds = np.diff(played.signal("joint_angles"), axis=0) / 1e-3
     assert speeds == pytest.approx(played.signal("joint_velocities")[1:], abs=0.02)  # no seam
-    # The past can be seen, and not before what is kept; then it goes on from now.
+    # The past can be seen, and not before what is kept; then it continues from the newest state.
     then = begin + 0.2
     played.clock.seek(then)
     played.clock.is_paused = True
@@ -208,7 +208,7 @@ def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> No
     assert played.steering.is_past
     played.clock.seek(0.0)
     assert played.clock.time == pytest.approx(begin)
-    assert played.clock.go_live() == "goes on from now"
+    assert played.clock.go_live() == "continues from the newest state"
     played.go(0.1)
     assert played.clock.time > newest and not played.steering.is_past
 
@@ -428,8 +428,8 @@ def test_the_links_of_a_target_are_dragged_where_it_is_apart_from_the_robot() ->
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (["--control", "joint"], "--control joint is for --simulate, which is not given"),
-        (["--simulate", "--replay", "x.mcap"], "--simulate and --replay: a recording is played"),
+        (["--control", "joint"], "--control joint needs --simulate"),
+        (["--simulate", "--replay", "x.mcap"], "--simulate cannot be combined with --replay"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(

@@ -223,7 +223,7 @@ def test_tables_show_the_joints_that_matter_and_files_all() -> None:
     rows = summarise(logs[0])
     table = summary_table(rows)
     assert len(rows) == 62 and table.row_count == 12
-    assert table.caption == "12 of 62 joints, the most loaded; --json has all"
+    assert table.caption == "the 12 most loaded of 62 joints; --json prints all"
     shares = sorted((row.peak_share or 0.0 for row in rows), reverse=True)[:12]
     shown = {row.joint: row.peak_share for row in rows}
     assert min(shown[name] for name in table.columns[0].cells) == shares[-1]
@@ -232,7 +232,7 @@ def test_tables_show_the_joints_that_matter_and_files_all() -> None:
     assert len({each.joint for each in differences}) == 62
     table = pair_table(pair, differences)
     assert table.row_count == 12
-    assert table.caption == "12 of 62 joints, those that differ most"
+    assert table.caption == "the 12 of 62 joints that differ most"
     peaks = np.abs(pair.difference("torques")).max(axis=0) / robot.torque_limits
     most = {robot.names[k] for k in np.argsort(-peaks)[:12]}
     assert set(table.columns[0].cells) == most

@@ -428,8 +428,8 @@ def test_events_are_found_in_a_recording_as_they_were_live(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["a.mcap", "--before", "3"], "--before is for --trigger CONDITION; give it as well"),
-        ([], "where to? expected OUT.mcap"),
+        (["a.mcap", "--before", "3"], "--before needs --trigger CONDITION"),
+        ([], "expected OUT.mcap"),
         (["a.mcap", "-o", "b.mcap"], "found OUT a.mcap and --out b.mcap"),
         (["a.txt", "--trigger", "lwr.torques > 1"],
          "a.txt: expected a folder, or a name that ends in .mcap"),

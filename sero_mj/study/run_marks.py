@@ -1,4 +1,4 @@
-"""What stands on the time line of a run's page: what was done, found, and expected."""
+"""Marks on the timeline of a run's page: disturbances, faults, findings and expectations."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ..simulate.simulation import Simulation
 from ..viewer.player.capture import Mark
 from .plot import spans_of
 
-_MOST = 200  # findings on a time line
+_MAX_FINDINGS = 200
 
 
 def marks_of(scene: Scene, begin: float = 0.0) -> list[Mark]:
-    """Returns the marks of a simulated scene or of recordings, from `begin` (s) on."""
+    """Returns the marks of a simulated scene or of recordings; `begin` (s) becomes time 0."""
     marks: list[Mark] = []
     for source in scene.sources.values():
         if isinstance(source, RunSource) and isinstance(source.run, Simulation):
@@ -32,7 +32,7 @@ def marks_of(scene: Scene, begin: float = 0.0) -> list[Mark]:
 
 
 def marks_of_run(simulation: Simulation, begin: float = 0.0) -> list[Mark]:
-    """Returns what was done in a run, found in it, and expected of it, from `begin` (s) on."""
+    """Returns the disturbances, faults, findings and expectations of a run as marks."""
     scenario = simulation.scenario
     marks = [
         _mark(span.begin, span.end, span.name, "fault" if span.is_fault else "push")
@@ -57,14 +57,14 @@ def _of_recording(source: dict[str, object], scene: Scene, begin: float) -> list
     replay = Replay(**{"name": "replay", **{k: v for k, v in source.items() if k != "kind"}})
     try:
         findings = Monitor().find(read_run(replay.file, scene=scene))
-    except SeroError:  # it is no run of robots
+    except SeroError:  # the recording has no run of robots
         return []
     return _shifted(_of_findings(findings), begin + (replay.start or 0.0))
 
 
 def _of_findings(findings: Iterable[Finding]) -> list[Mark]:
     found = []
-    for finding in [*findings][:_MOST]:
+    for finding in [*findings][:_MAX_FINDINGS]:
         text = str(finding).partition("  ")[2].replace("  ", " ")
         found.append(_mark(finding.time, finding.time, text, "finding"))
     return found

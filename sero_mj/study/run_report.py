@@ -1,4 +1,4 @@
-"""`write_report`: a run for CI: a page, a figure, `report.json`, and JUnit XML."""
+"""`write_report`: writes a report of a run for CI: page, figure, `report.json` and JUnit XML."""
 
 from __future__ import annotations
 
@@ -32,17 +32,11 @@ def write_report(
     error: BaseException | None = None,
     fps: float = 30.0,
 ) -> None:
-    """Writes a report of a run.
+    """Writes a report of a run into a folder, which is created.
 
-    Every expectation is a test case; a run that could not go on is one with an error. The figure
-    is left out, with a warning, where matplotlib is not installed.
-
-    Args:
-        simulation: as far as it has come.
-        folder: for the files; is made.
-        found: what `report.json` has, without NaN.
-        error: why the run could not go on; None where it could.
-        fps: of the page.
+    In JUnit XML, each expectation is a test case. If the run failed with `error`, the only case has
+    this error. The figure is skipped with a warning if matplotlib is not installed. `found` is the
+    content of `report.json`, without NaN.
 
     Raises:
         UsageError: a file cannot be written.
@@ -99,5 +93,5 @@ def _junit(
 
 
 def _printable(text: str) -> str:
-    """Text without what XML cannot have."""
+    # XML cannot contain control characters.
     return "".join(each if each.isprintable() or each == "\n" else "?" for each in text)

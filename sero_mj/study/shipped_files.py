@@ -1,4 +1,4 @@
-"""Files that the workers of an `Engine` are given, below another root."""
+"""Files that an `Engine` copies to its workers, below another root folder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..base.errors import Problem, UsageError
 
 
 def files_in(path: Path) -> list[Path]:
-    """A file, or all files in a folder; raises UsageError where there is none."""
+    """Returns a file, or all files in a folder; raises UsageError if there is none."""
     found = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file())
     if not found:
         raise UsageError(Problem("--ship", "no file or folder with files", found=str(path)))
@@ -18,7 +18,7 @@ def files_in(path: Path) -> list[Path]:
 
 
 def below(root: Path, value: Any) -> Any:
-    """A value in which names of files that were unpacked lead to the root; others are as before."""
+    """Returns a value with the names of all files that exist below the root redirected there."""
     if isinstance(value, str) and value.startswith("/") and (root / value[1:]).exists():
         return f"{root}{value}"
     if isinstance(value, list | tuple):

@@ -1,10 +1,8 @@
-"""`Processes`: batches of tasks, variants of a sweep say, side by side on this machine.
+"""`Processes`: runs batches of tasks in parallel processes on this machine.
 
-Why processes: controllers, sensors, the observer and events of a run are Python code between steps
-of MuJoCo, which threads would serialize. `mujoco.rollout` runs steps in threads but takes all
-torques beforehand; no feedback could go into them.
-
-This file imports little: a new process reads it before it decides what else to load.
+Threads would not help, because controllers, sensors and events are Python code between the steps of
+MuJoCo. `mujoco.rollout` needs all torques in advance, so it does not allow feedback. This file
+imports little, because every new process loads it.
 """
 
 from __future__ import annotations
@@ -28,17 +26,17 @@ _runner: Runner  # of a worker process
 
 
 def available_cpus() -> int:
-    """Number of processors available to this process."""
+    """Returns the number of processors available to this process."""
     if hasattr(os, "process_cpu_count"):  # since Python 3.13
         return os.process_cpu_count() or 1
-    if hasattr(os, "sched_getaffinity"):  # neither on macOS nor on Windows
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def start_worker(parent: Connection, job: Job) -> None:
-    """Prepares a worker process, which ends when the other end of `parent` is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # its parent process ends it
+    """Initializes a worker process, which exits when the other end of `parent` is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process ends it
     threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
     os.environ["MUJOCO_GL"] = "disable"  # no rendering here
     global _runner  # noqa: PLW0603
@@ -57,22 +55,22 @@ def _run(tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 class Processes:
-    """An `Engine` of `jobs` processes on this machine; one alone is this process itself.
+    """An `Engine` with `jobs` processes on this machine; a single job runs in this process.
 
-    In a script, call it below `if __name__ == "__main__":`, for new processes read the script.
+    In a script, use it below `if __name__ == "__main__":`, because new processes load the script.
     """
 
     def __init__(self, jobs: int = 1) -> None:
         self.workers = jobs
 
     def run(self, work: Work) -> Generator[Result]:
-        """Does tasks; results come as their batches are ready.
+        """Yields the results of each finished batch.
 
-        The tasks of a process that ends (no memory left, say) are done anew one by one, in another
-        one; that it ends with one alone is an error of this task.
+        If a process is killed, for example because memory is exhausted, its tasks are repeated one
+        by one in a new process. If this is killed, too, the task has an error.
         """
         count = len(work.tasks)
-        size = work.size(count, self.workers)
+        size = work.batch_size(count, self.workers)
         batches = [work.tasks[first : first + size] for first in range(0, count, size)]
         if (jobs := min(self.workers, count)) > 1:
             yield from _run_in_processes(batches, jobs, work.job)
@@ -92,7 +90,7 @@ def _run_in_processes(batches: Sequence[Sequence[Task]], jobs: int, job: Job) ->
         return ProcessPoolExecutor(1, context, initializer=start_worker, initargs=arguments)
 
     todo = deque(batches)
-    # A process that is killed breaks its pool; with one process each it is known whose it was.
+    # A killed process breaks its pool. With one process per pool, its tasks are known.
     free = [new_pool() for _ in range(jobs)]
     busy: dict[Future[list[dict[str, Any]]], tuple[ProcessPoolExecutor, Sequence[Task]]] = {}
     try:
@@ -102,7 +100,7 @@ def _run_in_processes(batches: Sequence[Sequence[Task]], jobs: int, job: Job) ->
                 values = [dict(each) for _, each in batch]
                 try:
                     future = pool.submit(_run, values)
-                except BrokenProcessPool:  # killed while it had nothing to do
+                except BrokenProcessPool:  # killed while idle
                     pool = new_pool()
                     future = pool.submit(_run, values)
                 busy[future] = pool, batch
@@ -120,7 +118,7 @@ def _run_in_processes(batches: Sequence[Sequence[Task]], jobs: int, job: Job) ->
                 free.append(pool)
                 yield from zip((number for number, _ in batch), results, strict=True)
     finally:
-        own_end.close()  # ends all processes, whatever they do
+        own_end.close()  # ends all processes immediately
         for pool in [*free, *(pool for pool, _ in busy.values())]:
             pool.shutdown()
         child_end.close()

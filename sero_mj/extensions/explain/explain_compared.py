@@ -1,4 +1,4 @@
-"""`TorqueExplainer`: explains what `compare` finds by models of faults."""
+"""`TorqueExplainer`: explains the differences that `compare` finds by models of faults."""
 
 from __future__ import annotations
 
@@ -14,40 +14,37 @@ from .torque_residuals import TorqueResiduals, pair_with_model, torque_residuals
 
 
 class TorqueExplainer(Explainer):
-    """Explains by the residuals of the robot's model, and by what two runs have in common."""
+    """Explains torque differences by the residuals of the robot's model."""
 
     def of_two(
         self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
     ) -> list[Explanation]:
-        """See `explain_runs`."""
         return explain_runs(a, b, robots, offset)
 
     def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
-        """See `explain_run`."""
         found = torque_residuals(run, robot)
         return explain_run(run, robot, found), _about_model(found)
 
     def with_model(self, run: RunLog, robot: str) -> tuple[Pair, list[Explanation], list[str]]:
-        """See `pair_with_model`."""
         found = torque_residuals(run, robot)
         explanations = explain_run(run, robot, replace(found, no_model=""))
         pair = pair_with_model(run, found)
-        return pair, explanations, [*_parted(pair, explanations), *_about_model(found)]
+        return pair, explanations, [_first_difference(pair, explanations), *_about_model(found)]
 
 
 def _about_model(found: TorqueResiduals) -> list[str]:
-    lines = ["model: inverse dynamics on the measured motion, both through a low pass of "
+    lines = ["model: inverse dynamics of the measured motion; all signals low-pass filtered at "
              f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
     if found.torque_control:
-        lines.append("commands are those of joint torque control: friction is made up for")
+        lines.append("Commands come from a joint torque loop that already compensates friction.")
     if not found.has_model:
-        lines.append(f"of the links nothing is known: {found.no_model}")
+        lines.append(f"no link model: {found.no_model}")
     return lines
 
 
-def _parted(pair: Pair, explanations: Sequence[Explanation]) -> list[str]:
-    """Returns lines about when and where robot and model first differ."""
+def _first_difference(pair: Pair, explanations: Sequence[Explanation]) -> str:
     if not explanations:
-        return [f"{pair.robot.name} and its model agree"]
+        return f"{pair.robot.name} agrees with its model"
     first = min(explanations, key=lambda each: (not each.from_start, each.begin))
-    return [f"{pair.robot.name} and its model part at {first.joint}, {first.when}: {first.kind}"]
+    kind = f"{first.kind} at {first.joint}, {first.when}"
+    return f"first difference between {pair.robot.name} and its model: {kind}"

@@ -244,7 +244,7 @@ class _Run:
     def _next(self) -> list[Task]:
         if not self._todo:
             return [self._alone.popleft()] if self._alone else []
-        size = self._work.size(len(self._todo), self.workers)
+        size = self._work.batch_size(len(self._todo), self.workers)
         return [self._todo.popleft() for _ in range(size)]
 
     def _take(self, key: str) -> list[Result]:

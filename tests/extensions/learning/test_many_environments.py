@@ -86,7 +86,7 @@ def random_actions(steps: int, many: int, n: int = 7) -> np.ndarray:
         ("lwr-reach", {"action": "impedance", "target": "pose"}),
         ("lwr-reach", {"sensors": SENSORS}),
         ("lwr-reach", {"action": "impedance", "robot": {"elastic_joints": True}}),
-        ("lwr-hold", {"most_force": 80.0, "every": 0.05}),
+        ("lwr-hold", {"max_force": 80.0, "every": 0.05}),
         ("hit_finger-hold", {"action": "impedance", "every": 0.05}),  # coupled joints
         ("scara-reach", {"action": "impedance"}),  # it slides; has no limits
     ],

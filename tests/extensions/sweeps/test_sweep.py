@@ -230,7 +230,7 @@ def test_results_do_not_depend_on_how_many_run_at_once(file: Path, tmp_path: Pat
     assert any(row["error"] for row in rows) and any(row["held"] == "true" for row in rows)
 
 
-KILLED = "its process was killed, or ran out of memory; expected an answer"
+KILLED = "the process was killed or ran out of memory"
 
 
 @pytest.mark.slow
@@ -590,5 +590,5 @@ def test_the_shipped_scenario_can_be_swept() -> None:
     ("left", "workers", "size"), [(64, 1, 32), (64, 2, 32), (70, 1, 35), (5, 8, 1), (300, 2, 50)]
 )
 def test_batches_of_all_workers_are_of_one_size(left: int, workers: int, size: int) -> None:
-    work = Work(Variants(Path("shove.toml"), {}), [], most=64)
-    assert work.size(left, workers) == size
+    work = Work(Variants(Path("shove.toml"), {}), [], max_batch=64)
+    assert work.batch_size(left, workers) == size
