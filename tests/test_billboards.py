@@ -620,7 +620,8 @@ def test_billboards_are_placed_again_only_after_changes(monkeypatch) -> None:
         return len(placed) - 1  # one call is of the other decor
 
     view = view_at()
-    assert [times_placed(view) for _ in range(3)] == [1, 1, 0]  # the first fills an empty memory
+    # The first call fills an empty cache.
+    assert [times_placed(view) for _ in range(3)] == [1, 1, 0]
     world.set_input(data, "lwr.torques", 1.1 * np.array(TORQUES))
     assert times_placed(view) == 0
     data.qpos[1] += 0.1

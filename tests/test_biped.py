@@ -145,7 +145,8 @@ def test_biped_stands_on_both_feet_after_pushes() -> None:
 def test_declared_pose_is_balanced_over_the_soles() -> None:
     mass, middle = middle_of(bodies_of(standing(), 0))
     assert mass == pytest.approx(42.57, abs=0.01)
-    np.testing.assert_allclose(middle, [0.0326, 0.0, 0.7246], atol=2e-4)  # as the scenario says
+    # As declared in the scenario.
+    np.testing.assert_allclose(middle, [0.0326, 0.0, 0.7246], atol=2e-4)
 
 
 @pytest.mark.thorough

@@ -160,7 +160,8 @@ def test_camera_follows_a_jump_in_time_at_once(justin: World) -> None:
     data = justin.make_data()
     drive(justin, data, 0.0, 0.0)
     follower = Follower(justin, "justin", data)
-    for x, time in ((3.0, 0.0), (1.0, 20.0), (2.0, 5.0)):  # the first frame, ahead, and back
+    # The first frame, a jump forward, and one back.
+    for x, time in ((3.0, 0.0), (1.0, 20.0), (2.0, 5.0)):
         before = data.xpos[justin.robots["justin_torso"].bodies[0], 0]
         drive(justin, data, x, time)
         assert follower.displacement(data)[0] == pytest.approx(x - before)

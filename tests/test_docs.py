@@ -23,7 +23,8 @@ from window_tools import MISSING, screen
 BLOCK = re.compile(r"(?:<!-- test: (.+?) -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
 PICTURE = re.compile(r"((?:-o|--render) \S+\.(?:mp4|png))")
 SAMPLES = re.compile(r"--samples 8\b")
-WITH_FPS = re.compile(r"(sero-mj (?:render|simulate) .*\.mp4)")  # `compare` has the recording's
+# The recording's extra of `compare`.
+WITH_FPS = re.compile(r"(sero-mj (?:render|simulate) .*\.mp4)")
 DURATION = re.compile(r"--duration [23]\b")
 SENDER = re.compile(r"(sero-mj send \w+)$", re.MULTILINE)
 LOOP = re.compile(r"\bbegin \+ 3\b")  # s, of a loop in Python

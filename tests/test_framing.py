@@ -149,7 +149,8 @@ def test_short_recordings_are_read_before_they_are_shown(is_live, end, step, cou
 
 def test_deliberately_close_view_stays_close() -> None:
     scene = load_scene("lwr")
-    scene.view.look_at, scene.view.distance = np.array([0.0, 0.0, 1.1]), 0.3  # its hand
+    # The hand of the robot.
+    scene.view.look_at, scene.view.distance = np.array([0.0, 0.0, 1.1]), 0.3
     world = World(scene)
     camera = find_camera(world)
     Framing(world, camera).hold(camera, [world.make_data()], SIZES[1])

@@ -382,7 +382,8 @@ def test_group_poses_can_be_overridden_on_the_command_line(tmp_path: Path) -> No
     np.testing.assert_array_equal(scene.robots["a"].home, range(2, 9))
     assert set(scene.routes) == {"b.billboard_values"}  # values that are set have no routes
     scene = posed(tmp_path, a__joint_angles=[0] * 7, pair__billboard_values=[1] * 10)
-    assert scene.robots["a"].home.tolist() == [0] * 7  # a robot's counts more than its group's
+    # A robot's value takes precedence over its group's.
+    assert scene.robots["a"].home.tolist() == [0] * 7
     np.testing.assert_allclose(scene.robots["b"].home, [0.1, 0.2, 0.4])
     assert set(scene.routes) == {"b.joint_angles", "pair.torques"}
     scene = posed(tmp_path, **{"a__joint_angles[2]": 0.5})

@@ -78,7 +78,8 @@ def test_packet_of_the_independent_joints_moves_the_hand(scene: str) -> None:
         expected = T[:3, :3] @ fingertip(finger, angles) + T[:3, 3]
         np.testing.assert_allclose(tip, expected, atol=2e-6)  # angles in files are rounded
         got = data.userdata[world.slots[f"hand_{finger}.torques"]]
-        np.testing.assert_allclose(got, [*shown, np.nan])  # of the coupled joint none is known
+        # The torque of the coupled joint is unknown.
+        np.testing.assert_allclose(got, [*shown, np.nan])
     mirror.close()
 
 

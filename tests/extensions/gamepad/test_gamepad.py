@@ -23,14 +23,14 @@ def test_sticks_have_a_dead_zone_and_fine_control_near_it() -> None:
     assert (meant[np.abs(ways) <= 0.15] == 0).all()
     assert meant[[0, -1]].tolist() == [-1, 1]
     assert (np.diff(meant) >= 0).all()
-    assert np.abs(np.diff(meant)).max() < 0.03  # without a step at the edge of rest
+    assert np.abs(np.diff(meant)).max() < 0.03  # without a step at the edge of the dead zone
     assert deflection(np.array([0.3]))[0] < 0.05
 
 
 def test_every_button_presses_an_existing_key_and_is_in_the_help() -> None:
     assert set(PAD_KEYS) <= set(BUTTONS)
     assert {key for key, _ in PAD_KEYS.values()} <= {*KEYS, *VIEWER_KEYS, *MORE_KEYS, *tool_keys()}
-    assert not set(PAD_KEYS) & {"left stick"}  # chooses what the sticks move
+    assert not set(PAD_KEYS) & {"left stick"}  # selects what the sticks move
     assert all(PAD_STICKS.values())
 
 
@@ -63,7 +63,8 @@ def test_sticks_move_view_and_robot_and_buttons_press_keys(window: Driven) -> No
     use(window, axes=(1.0, *REST[1:]))
     window.until(f"np.abs(np.array({position}) - {start.tolist()}).max() > 0.05")
     use(window)
-    assert (np.array(window.ask(position)) - start) @ right > 0  # to the right of where it was
+    # To the right of its previous position.
+    assert (np.array(window.ask(position)) - start) @ right > 0
     distance = window.ask("w.navigator.camera.distance")
     use(window, axes=(*REST[:5], 1.0))
     window.until(f"w.navigator.camera.distance < {0.9 * distance}")
