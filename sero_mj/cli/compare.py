@@ -39,7 +39,7 @@ torque sensor or drive, friction, a payload, or a stuck joint. Several recording
 parallel by local processes or by the workers of a Dask cluster, and the report has one row for each
 recording. The exit status is 1 if a tolerance is exceeded, and 2 if a recording cannot be compared.
 """
-GROUP, ORDER = "analyse", 40
+GROUP, ORDER = "analyze", 40
 _WIDTH = 70  # of explanations in a table of many recordings
 _BATCH_OPTIONS = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
