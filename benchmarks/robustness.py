@@ -213,7 +213,7 @@ LIMITS = (
     ("uploaded files of a server, number", "viewer.web.uploads", "MOST_FILES", ""),
     ("saved view", "viewer.session.view_state", "_MAX_CHARACTERS", "characters"),
     ("log of a run", "simulate.simulation", "MAX_BYTES", "bytes"),
-    ("duration of a simulated run", "simulate.scenario", "_LONGEST", "s"),
+    ("duration of a simulated run", "simulate.scenario", "_MAX_DURATION", "s"),
     ("history of a live view", "viewer.session.live_history", "_MAX_BYTES", "bytes"),
 )
 

@@ -286,7 +286,7 @@ def test_list_names_robots_scenes_and_fields(capsys) -> None:
     assert all(row[20] == " " and row[21] != " " for row in robots), robots  # in a column
     assert any(row.split()[0] == "dlr_hand2" for row in robots)
     _, out, _ = run(capsys, "list", "--fields")
-    assert re.search(r"^axes_size = 0.2\n    their length, m", out, re.MULTILINE)
+    assert re.search(r"^axes_size = 0.2\n    length of the axes in m", out, re.MULTILINE)
     assert "dh_convention = required" in out
 
 

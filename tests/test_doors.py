@@ -311,7 +311,10 @@ with Mirror(load_scene("lwr")) as mirror:
         tools.call(tool, lambda _: act())
     print("partly" in tools, "jogging" in tools, shown.said)
 """)  # fmt: skip
-    assert "False True [('partly fails and is taken out: division by zero', True)]" in printed
+    assert (
+        "False True [('the tool partly has failed and is removed: division by zero', True)]"
+        in printed
+    )
 
 
 def test_a_controller_takes_over_what_another_has_built_up(tmp_path: Path) -> None:
@@ -372,12 +375,12 @@ with Mirror(load_scene("lwr")) as mirror:
     shown = Shown(mirror)
     tools = Tools(shown)
     print("broken" in tools, "missing" in tools, "jogging" in tools)
-    tools.ask(lambda tool: tool.advance(0.1))
+    tools.call_all(lambda tool: tool.advance(0.1))
     print("broken" in tools, shown.said)
 """)  # fmt: skip
     lines = printed.splitlines()  # with those of the log
     assert "True False True" in lines
-    assert lines[-1] == "False [('broken fails and is taken out: a fault', True)]"
+    assert lines[-1] == "False [('the tool broken has failed and is removed: a fault', True)]"
 
 
 def test_an_action_of_a_taken_name_is_told_and_left_out(tmp_path: Path) -> None:
@@ -391,7 +394,7 @@ def test_an_action_of_a_taken_name_is_told_and_left_out(tmp_path: Path) -> None:
     write_package(tmp_path, "gap", code, TOOLS, gap="Gap")
     printed = run(tmp_path, """
 from sero_mj import Mirror, load_scene
-from sero_mj.viewer.host.actions import Actions
+from sero_mj.viewer.session.tool import Actions
 from sero_mj.viewer.session.tool import Tools
 from shown import Shown
 with Mirror(load_scene("lwr")) as mirror:
@@ -401,7 +404,7 @@ with Mirror(load_scene("lwr")) as mirror:
     actions.perform("copy"), actions.perform("gap_copy")
     print(said)
 """)  # fmt: skip
-    assert "the action copy of the tool gap is left out: another one has this name" in printed
+    assert "the action copy of the tool gap is ignored: the name is taken" in printed
     assert printed.splitlines()[-1] == "[(\"the host's\", False), ('the gap', False)]"
 
 

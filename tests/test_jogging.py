@@ -106,23 +106,25 @@ def test_shown_angles_go_smoothly_and_arrive() -> None:
 def test_joints_stay_within_their_limits_and_say_so() -> None:
     goal = JointGoal(sero_mj.SerialRobot.from_model("lwr"), BENT)
     goal.set_joint(1, 3.0)
-    assert goal.trouble == "limit of A2 reached, 120 deg"
+    assert goal.trouble == "A2 is at its limit of 120 deg"
     assert goal.angles[1] == pytest.approx(np.deg2rad(120))
     goal.set_joint(1, 0.5)
     assert goal.trouble == "" and goal.angles[1] == 0.5
     goal.set_all(np.full(7, 9.0))
-    assert goal.trouble.startswith("limit of A1 reached, 170 deg, limit of A2")
+    assert goal.trouble.startswith("A1 is at its limit of 170 deg, A2 is at")
     for wrong in (np.nan, np.inf):
         goal.set_joint(1, wrong)
-        assert goal.trouble == "found no finite number; it stays where it was"
+        assert goal.trouble == "expected a finite number; the robot does not move"
         goal.move_flange(np.eye(4), frame(np.eye(3), [wrong, 0.0, 0.5]), at_once=True)
-        assert goal.trouble.startswith("found no finite number") and np.isfinite(goal.angles).all()
+        assert (
+            goal.trouble.startswith("expected a finite number") and np.isfinite(goal.angles).all()
+        )
     # Typed poses that are out of reach change nothing.
     goal.set_all(BENT)
     goal.move_flange(np.eye(4), frame(np.eye(3), [2.0, 0, 0.3]), at_once=True)
     assert goal.angles == pytest.approx(BENT)
     assert goal.trouble.startswith("not reached, 1")
-    assert goal.trouble.endswith("; it stays where it was")
+    assert goal.trouble.endswith("; the robot does not move")
     assert goal.mark is not None and goal.mark[0].tolist() == [2.0, 0.0, 0.3]
     there = goal.flange(np.eye(4))
     assert goal.mark[1] == pytest.approx(there[:3, 3])
@@ -197,7 +199,7 @@ def test_a_pose_that_a_program_keeps_setting_cannot_be_moved_by_hand() -> None:
     def found() -> tuple[bool, bool]:
         ui = ScriptedWidgets()
         jogging.build(ui)
-        return "a program sets this pose" in ui.texts(), "home" in ui.disabled
+        return "a program controls this pose" in ui.texts(), "home" in ui.disabled
 
     for step in range(3):
         assert found() == (step == 2, step == 2)  # once may be a reset
@@ -221,7 +223,7 @@ def test_a_dragged_link_comes_along_and_lets_go(link: int) -> None:
     body = world.robots["lwr"].bodies[link]
     (x, y), _ = view.project(data.xipos[body] if data.xipos[body].any() else data.xpos[body])
     found = jogging.grab((x, y))
-    assert found is not None and found[0].startswith("moves lwr/link") and not found[1]
+    assert found is not None and found[0].startswith("moving lwr/link") and not found[1]
     name, grabbed, point = jogging._dragged
     part = world.robots[name]
 
@@ -259,7 +261,7 @@ def test_the_panel_has_limits_units_poses_and_copies() -> None:
     jogging.build(ScriptedWidgets({"##A2 typed": 9.0}))
     ui = ScriptedWidgets()
     jogging.build(ui)
-    assert "limit of A2 reached, 120 deg" in ui.texts()
+    assert "A2 is at its limit of 120 deg" in ui.texts()
     jogging.build(ScriptedWidgets({"home": True}))
     settle(mirror, jogging)
     before = jogging.goals["lwr"].flange(np.eye(4))
@@ -347,7 +349,7 @@ def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
         before = window.ask("w.data.qpos.tolist()")
         window.tool("mousemove", round(x), round(SIZE[1] - bottom - y), "keydown", "Control_L")
         window.tool("mousedown", 1, "mousemove_relative", 20, 10, "mousemove_relative", 30, 5)
-        window.until("'moves lwr/' in w.notice.text")
+        window.until("'moving lwr/' in w.notice.text")
         window.settle()
         window.tool("mouseup", 1, "keyup", "Control_L")
         after = window.ask("w.data.qpos.tolist()")

@@ -149,7 +149,7 @@ def test_a_model_of_another_format_is_told_as_what_it_is(
 def test_a_recording_is_no_scene(tmp_path: Path) -> None:
     (tmp_path / "x.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     with raises_with(
-        reason="is a recording; expected a TOML file. view, render and export show recordings",
+        reason="is a recording; expected a TOML file. Use view, render or export to open it",
         file=f"{tmp_path}/x.mcap",
     ):
         load_scene(tmp_path / "x.mcap")

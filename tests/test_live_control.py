@@ -196,7 +196,7 @@ def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> No
     assert np.diff(rows[:, 0]) == pytest.approx(1e-3)
     speeds = np.diff(played.signal("joint_angles"), axis=0) / 1e-3
     assert speeds == pytest.approx(played.signal("joint_velocities")[1:], abs=0.02)  # no seam
-    # The past can be seen, and not before what is kept; then it goes on from now.
+    # The past can be seen, and not before what is kept; then it continues from the newest state.
     then = begin + 0.2
     played.clock.seek(then)
     played.clock.is_paused = True
@@ -208,7 +208,7 @@ def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> No
     assert played.steering.is_past
     played.clock.seek(0.0)
     assert played.clock.time == pytest.approx(begin)
-    assert played.clock.go_live() == "goes on from now"
+    assert played.clock.go_live() == "continues from the newest state"
     played.go(0.1)
     assert played.clock.time > newest and not played.steering.is_past
 

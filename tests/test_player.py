@@ -151,7 +151,7 @@ def test_a_recording_without_a_whole_packet_leaves_no_page(tmp_path: Path, whole
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(whole.read_bytes()[:30_000])
     status, said = run_command("export", str(torn), "-o", "torn.html", folder=tmp_path)
-    assert status == 2 and "no good packet" in said
+    assert status == 2 and "no valid packet" in said
     assert not (tmp_path / "torn.html").exists()
 
 

@@ -70,12 +70,12 @@ def test_a_recording_is_shown_where_nothing_else_is(
 def test_meshes_of_more_than_a_recording_takes_are_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(scene_files, "_MOST_BYTES", 1000)
+    monkeypatch.setattr(scene_files, "_MAX_MESH_BYTES", 1000)
     monkeypatch.setenv("HOME", str(tmp_path))
     (here := tmp_path / "here").mkdir()
     path = recorded(here, "arm")
     (record,) = [each for each in caplog.records if "meshes of" in each.getMessage()]
-    assert "at most 0 MB" in record.getMessage() and "cell.toml" in record.getMessage()
+    assert "maximum: 0 MB" in record.getMessage() and "cell.toml" in record.getMessage()
     with Recording(path) as recording:
         assert sorted(recording.attachments) == ["arm/robot.toml", "here/cell.toml"]
 

@@ -465,7 +465,7 @@ def test_only_a_browser_on_this_machine_can_allow_a_file(is_near: bool, tmp_path
                     far.until(lambda: page._input.wrong == 3)
                     assert not trust.is_allowed(request)
                     assert shown == []
-                    show_only = button_of(far.state, "show only")
+                    show_only = button_of(far.state, "display only")
                     assert show_only  # it can see what the file asks for
                 return
             near.say("widget", tree="request", id=run_it, value=True)

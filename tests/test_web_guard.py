@@ -84,7 +84,9 @@ def test_every_path_refuses_hosts_of_others(page: WebHost) -> None:
         ):
             status, text, _ = get(page.server.port, path, Host=host)
             assert status == 403, (path, host)
-            expected = f"found Host {host!r}; expected localhost; the page is for this machine only"
+            expected = (
+                f"found Host {host!r}; expected localhost; only this machine can open the page"
+            )
             assert expected in text
     before = page.server.guard.refused
     assert before == 4 * len(PATHS)

@@ -307,7 +307,7 @@ class Session:
             host.others.ask(self.plain.withheld, lambda: self.open(RecentView(name)))
         for tool in host.tools.values():
             if isinstance(tool, RollingRecorder):
-                tool.finishes_films = self.options.finish_films
+                tool.finishes_videos = self.options.finish_films
         if self._warnings:
             more = f" (and {len(self._warnings) - 1} more)" if len(self._warnings) > 1 else ""
             # Without the folder, so that the message fits.
@@ -338,7 +338,7 @@ class Session:
 
     def _run(self, host: LiveHost) -> None:
         from ..viewer.host.live import SECTION
-        from ..viewer.host.restoring import keep
+        from ..viewer.host.restoring import save
         from ..viewer.session.recent_views import RecentView, remember_view
         from .opening import is_temporary
 
@@ -352,11 +352,11 @@ class Session:
         try:
             host.run()
         finally:
-            keep(host)
+            save(host)
         if is_remembered:
             # Rendering the preview of a page on the server takes a while.
-            has_preview = self.on_page and (view.picture.is_file() or view.is_shipped)
-            remember_view(view, None if has_preview else host.picture())
+            has_preview = self.on_page and (view.image.is_file() or view.is_shipped)
+            remember_view(view, None if has_preview else host.image())
         if self.plain is plain:  # the same scene is shown next
             panel = {
                 name: is_shown

@@ -15,16 +15,16 @@ from ...base import paths
 from ...base.errors import Problem, UsageError
 from ...data.record.csv_files import prefix_before
 from . import messages
-from .dds import LOCALHOST, MOST_DOMAIN, Participant, Publication, Reader, Ros2
+from .dds import LOCALHOST, MAX_DOMAIN, Participant, Publication, Reader, Ros2
 from .messages import JOINT_STATE, TEXT, MalformedMessage
 
 SCHEME = "ros2://"
 _DESCRIPTION = "/robot_description"
-_MOST_DESCRIPTION = 64 << 20  # bytes
+_MAX_DESCRIPTION = 64 << 20  # bytes
 _LISTS = ("joints", "frames", "torque_constants")  # fields of a source with several values
 _SIGNS = ("1", "-1")
 _BETWEEN = 0.05  # s between looks at the publishers
-_MANY = 20  # topics in a message
+_MAX_LISTED = 20  # topics in a message
 # Of these no rate is measured, since it would take the network to do so.
 _LARGE = ("Image", "CompressedImage", "PointCloud", "PointCloud2", "OccupancyGrid")
 
@@ -57,8 +57,8 @@ class Address:
             query = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=False))
         except ValueError as error:
             raise UsageError(Problem("", f"{text}: {error}", expected=expected)) from None
-        if domain is not None and domain > MOST_DOMAIN:
-            problem = Problem("", f"{text}: domain", found=domain, expected=f"0 to {MOST_DOMAIN}")
+        if domain is not None and domain > MAX_DOMAIN:
+            problem = Problem("", f"{text}: domain", found=domain, expected=f"0 to {MAX_DOMAIN}")
             raise UsageError(problem)
         robot = query.pop("robot", "")
         known = [key for key, each in Ros2.model_fields.items() if isinstance(each.default, str)]
@@ -176,23 +176,23 @@ class Found:
 
 
 def find_robot(address: Address, seconds: float) -> Found:
-    """Waits until a network tells of a robot; raises SourceError or UsageError.
+    """Waits until a network content of a robot; raises SourceError or UsageError.
 
     Args:
         seconds: to wait at most.
     """
     participant = Participant(address.host, address.domain, "ros2")
     try:
-        heard = _Heard(participant, address)
+        search = _RobotSearch(participant, address)
         end = clock.monotonic() + seconds
-        while (now := clock.monotonic()) < end and not heard.is_enough:
-            heard.look(min(_BETWEEN, end - now))
-        return heard.robot(seconds)
+        while (now := clock.monotonic()) < end and not search.is_enough:
+            search.look(min(_BETWEEN, end - now))
+        return search.robot(seconds)
     finally:
         participant.close()
 
 
-class _Heard:
+class _RobotSearch:
     def __init__(self, participant: Participant, address: Address) -> None:
         self._participant, self._address = participant, address
         self._before = f"/{address.namespace}" if address.namespace else ""
@@ -206,7 +206,7 @@ class _Heard:
 
     def look(self, seconds: float) -> None:
         for each in self._participant.published():
-            if each.topic not in self._readers and self._tells_of_robot(each):
+            if each.topic not in self._readers and self._is_relevant(each):
                 is_kept = each.kind == TEXT and each.is_kept
                 reader = self._participant.reader(each.topic, each.kind, is_kept=is_kept)
                 self._readers[each.topic] = each.kind, reader
@@ -214,13 +214,13 @@ class _Heard:
         for topic, (kind, reader) in self._readers.items():
             for raw, _ in reader.take():
                 with suppress(MalformedMessage):
-                    message = messages.decode(raw, kind, _MOST_DESCRIPTION)
+                    message = messages.decode(raw, kind, _MAX_DESCRIPTION)
                     if kind == TEXT:
                         self._described[topic] = message.data
                     else:
                         self._joints[topic] = list(message.name)
 
-    def _tells_of_robot(self, each: Publication) -> bool:
+    def _is_relevant(self, each: Publication) -> bool:
         if not each.topic.startswith(f"{self._before}/"):
             return False
         is_description = each.kind == TEXT and each.topic.endswith(_DESCRIPTION)
@@ -248,7 +248,7 @@ class _Heard:
     def _why_none(self, seconds: float) -> str:
         topics = sorted({each.topic for each in self._participant.published()})
         if topics:
-            listed = ", ".join(topics[:_MANY])
+            listed = ", ".join(topics[:_MAX_LISTED])
             place = f" in {self._before}" if self._before else ""
             return f"has no robot_description and no joint states{place}; its topics: {listed}"
         why = f"has no publisher, within {seconds:g} s"

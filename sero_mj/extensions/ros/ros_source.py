@@ -31,7 +31,7 @@ from .joined_packets import (
 )
 from .messages import MalformedMessage
 
-# What a topic tells, and the type of its messages.
+# What a topic content, and the type of its messages.
 TYPES = {
     JOINT_STATES: messages.JOINT_STATE,
     FORCES: messages.WRENCH,
@@ -40,15 +40,15 @@ TYPES = {
     ODOMETRY: messages.ODOMETRY,
     POSE: messages.POSE,
 }
-MOST_KEPT = 2048  # bytes of a malformed message
-_MOST_NAMED = 5  # topics in a text
+MAX_KEPT_BYTES = 2048  # bytes of a malformed message
+_MAX_NAMED = 5  # topics in a text
 
 
 class RosSource(Source):
     """Packets from topics of ROS 2; also the base of sources by other ways.
 
     Events are `stamp` and, for the n joints, `joint_angles`, `joint_velocities` and `torques`, each
-    NaN where no message tells it (angles: as the robot declares them); where they are asked for,
+    NaN where no message content it (angles: as the robot declares them); where they are asked for,
     `commanded_torques`, `force` and `moment`, `base_frame` with `base_velocity` and
     `base_angular_velocity` in the frame of the base, `pose`, and `tf_NAME` of each frame.
 
@@ -163,7 +163,7 @@ class RosSource(Source):
         names = self.joints if isinstance(self.joints, dict) else {}
         return [names.get(joint.name, joint.name) for joint in self._led]
 
-    def joined(self, tell: Callable[[str], None] | None = None) -> JoinedPackets:
+    def joined(self, report: Callable[[str], None] | None = None) -> JoinedPackets:
         """Returns what joins messages from now on.
 
         Args:
@@ -188,7 +188,7 @@ class RosSource(Source):
             joints_by=TF if is_tf(self.joint_states) else "",
             links=self._links,
             torque_constants=self.torque_sign * np.asarray(constants, float),
-            tell=self.log_once if tell is None else tell,
+            report=self.log_once if report is None else report,
         )
 
     @cached_property
@@ -206,7 +206,7 @@ class RosSource(Source):
 
     @property
     def topics(self) -> list[tuple[str, str]]:
-        """What is read: topics by their full names, and what each tells."""
+        """What is read: topics by their full names, and what each content."""
         declared = {
             JOINT_STATES: self.joint_states,
             ODOMETRY: self.odometry,
@@ -215,8 +215,8 @@ class RosSource(Source):
             COMMANDS: self.commands,
         }
         found = [
-            (self._full(topic), tells)
-            for tells, topic in declared.items()
+            (self._full(topic), content)
+            for content, topic in declared.items()
             if topic and not is_tf(topic)
         ]
         if self.reads_transforms:
@@ -256,7 +256,7 @@ class RosSource(Source):
         """Starts to receive; publishers need not be there; raises SourceError."""
         self.close()
         if self.joint_states and not self.joint_names:
-            problem = Problem("joints", "no route says which", expected="the names of joints")
+            problem = Problem("joints", "no route leads to a robot", expected="the joint names")
             raise SourceError(self.name, problem)
         self.reset()
         messages.type_store()
@@ -280,21 +280,21 @@ class Listener:
         self._source = source
         self._joined = source.joined()
 
-    def hear(self, received: Sequence[tuple[str, bytes, bytes]]) -> None:
+    def take(self, received: Sequence[tuple[str, bytes, bytes]]) -> None:
         """Takes messages that have come together.
 
         Args:
-            received: what each tells, its bytes in CDR, and its publisher's number, if known.
+            received: what each content, its bytes in CDR, and its publisher's number, if known.
         """
         source, now = self._source, clock.time()
         packets: list[bytes] = []
         senders: list[bytes] = []
-        for tells, raw, sender in received:
+        for content, raw, sender in received:
             try:
-                packet = self._joined.take(tells, messages.decode(raw, TYPES[tells]), now)
+                packet = self._joined.take(content, messages.decode(raw, TYPES[content]), now)
             except MalformedMessage as error:
                 source.layout.fault = str(error)
-                packet = source.layout.never(raw[:MOST_KEPT])
+                packet = source.layout.never(raw[:MAX_KEPT_BYTES])
             if packet is not None:
                 packets.append(packet)
                 senders.append(sender)
@@ -303,7 +303,7 @@ class Listener:
             source.accept(packets, senders=rows.reshape(len(packets), 8))
 
 
-def wrong_with(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> str:
+def topic_problem(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> str:
     """What is wrong with a topic, in words; empty when nothing is.
 
     Args:
@@ -315,7 +315,7 @@ def wrong_with(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> s
         if topic in ("/tf", "/tf_static"):  # of which one may be missing
             return ""
         fitting = sorted({each for each, other in published if other == kind})
-        instead = f"; of its type are {', '.join(fitting[:_MOST_NAMED])}" if fitting else ""
+        instead = f"; of its type are {', '.join(fitting[:_MAX_NAMED])}" if fitting else ""
         return f"nobody publishes {topic}{instead}"
     return "" if kind in kinds else f"{topic} is of type {kinds[0]}; expected {kind}"
 

@@ -85,9 +85,14 @@ class Reachable(ControllerDeclaration):
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
         return None
 
+    @property
+    def peer(self) -> str:
+        """Name of the program in the action that the user is asked to allow."""
+        return f"{self.host}:{self.port}"
+
     def actions(self, key: str = "") -> list[RequestedAction]:
         if not self.command:
-            return [RequestedAction(key, f"exchange packets with {self.host}:{self.port}")]
+            return [RequestedAction(key, f"exchange packets with {self.peer}")]
         beside = [self.folder / word for word in self.command]
         files = tuple(path.absolute() for path in beside if is_file(path))
         name, *words = self.command

@@ -1,4 +1,4 @@
-"""Geoms of decor as poses and sizes: what a player needs of rows of an `MjvScene`."""
+"""Geoms of decor as poses and sizes for a player."""
 
 from __future__ import annotations
 
@@ -13,13 +13,10 @@ _TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 
 
 def poses(rows: np.ndarray) -> tuple[Array, Array]:
-    """Returns rotations and sizes of geoms, rows of `GEOM`.
+    """Returns quaternions, scalar first (k, 4), and sizes (k, 3), m, of rows of `GEOM`.
 
-    The sides of a triangle are not at right angles. Its x is along its first side; its sizes are
+    The sides of a triangle are not perpendicular. Its x axis is along its first side; its sizes are
     the length of that side, and the extent of the second side along y and along x.
-
-    Returns:
-        quaternions, scalar first (k, 4), and sizes (k, 3), m.
     """
     mats, sizes = rows["mat"].astype(float), rows["size"].astype(float)
     skew = (rows["type"] == _TRIANGLE).nonzero()[0]
@@ -42,5 +39,5 @@ def quaternions_of(mats: Array) -> Array:
     return quaternions
 
 
-def _along(vectors: Array, ways: Array) -> Any:
-    return (vectors * ways).sum(axis=1)
+def _along(vectors: Array, axes: Array) -> Any:
+    return (vectors * axes).sum(axis=1)

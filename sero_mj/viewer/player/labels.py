@@ -1,4 +1,4 @@
-"""Text at places of the world: names of frames and parts that are on, labels of decor's geoms."""
+"""Text at positions in the world: names of frames and parts, and labels of geoms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _Key = tuple[str, int]
 
 
 def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
-    """Returns text and place, (3,), m, of all labels of a frame whose geoms are drawn."""
+    """Returns text and position (3,), m, of all labels of a frame."""
     frames, buffer = world.frames, frame.buffer
     found: dict[_Key, tuple[str, Array]] = {}
     titles = frame_titles(tuple(frames.names))
@@ -29,7 +29,7 @@ def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
     found |= {("part", k): (parts[k], places[k]) for k in range(len(parts))}
     rows = buffer.rows[: buffer.count]
     has_text = rows["label"] != b""
-    has_text[buffer.text] = False  # of panels, which a player lays out itself
+    has_text[buffer.text] = False  # texts of panels, which the player lays out itself
     for k, row in enumerate(rows[has_text]):
         found["geom", k] = row["label"].decode("latin-1"), np.array(row["pos"], float)
     return found
@@ -38,7 +38,11 @@ def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
 def labels_head(
     frames: list[dict[_Key, tuple[str, Array]]], parts: PackedArrays, step: float
 ) -> dict[str, Any]:
-    """Returns what the head of a page has of labels, with places in steps of so many meters."""
+    """Returns the labels for the head of a page.
+
+    Args:
+        step: resolution of positions, m.
+    """
     keys = list(dict.fromkeys(key for each in frames for key in each))
     if not keys:
         return {}

@@ -1,7 +1,8 @@
-"""Arrays of numbers behind a JSON head, as `js/src/data.js` reads them.
+"""Arrays behind a JSON head, which `js/src/data.js` decodes.
 
-Numbers that move are differences in time, of which the sign is the lowest bit, one channel after
-the other, and bytes of one significance stand together: so deflate finds what repeats.
+Changing numbers are stored as differences in time, with the sign in the lowest bit, one channel
+after the other, and with bytes of the same significance together, so that deflate compresses them
+well.
 """
 
 from __future__ import annotations
@@ -14,32 +15,32 @@ from ...base.frames import Ints
 
 
 class PackedArrays:
-    """Arrays behind the head, known by their number."""
+    """Arrays behind the head, referenced by number."""
 
     def __init__(self) -> None:
         self.arrays: list[bytes] = []
 
     def put(self, array: np.ndarray) -> list[Any]:
-        """Adds an array; returns its number, the type of its numbers, and their count."""
+        """Adds an array; returns its number, the type of its elements, and their count."""
         array = np.ascontiguousarray(array)
         planes = array.reshape(-1).view(np.uint8).reshape(-1, array.itemsize).T
         self.arrays.append(planes.tobytes())
         return [len(self.arrays) - 1, array.dtype.str[1:], array.size]
 
     def moving(self, numbers: np.ndarray, step: float) -> list[Any]:
-        """Adds channels (F, C) in steps, as differences in time."""
+        """Adds channels (F, C) as differences in time, in multiples of `step`."""
         whole = np.round(numbers / step).astype(np.int64)
         differences = np.diff(whole, axis=0, prepend=0).T
         return self.put(unsigned(folded(differences)))
 
 
 def folded(differences: Ints) -> Ints:
-    """Returns small numbers of either sign as small numbers."""
+    """Returns signed integers with the sign in the lowest bit."""
     return np.asarray((differences << 1) ^ (differences >> 63))
 
 
 def unsigned(numbers: Ints) -> np.ndarray:
-    """Returns numbers from 0 on, of as few bytes as they need."""
+    """Returns nonnegative integers in the smallest unsigned type."""
     for kind in (np.uint8, np.uint16):
         if numbers.max(initial=0) <= np.iinfo(kind).max:
             return numbers.astype(kind)
@@ -53,6 +54,6 @@ def rounded(numbers: Any, digits: int = 6) -> list[Any]:
 
 
 def differing(numbers: np.ndarray) -> np.ndarray:
-    """Returns whole numbers (n,) as folded differences of neighbours."""
+    """Returns integers (n,) as folded differences of neighbors."""
     whole: Ints = np.asarray(numbers, np.int64)
     return unsigned(folded(np.diff(whole, prepend=0)))

@@ -229,7 +229,7 @@ def test_why_messages_make_no_packets_is_told(
         read_run(bag, scene=load_scene("ur5e"))
     assert caplog.records[-1].args == (
         bag,
-        f"a message of /joint_states is left out: joint {UR[0]} is named twice",
+        f"a message of /joint_states was skipped: joint {UR[0]} is named twice",
     )
 
 
@@ -283,7 +283,9 @@ def test_what_is_whole_of_a_cut_bag_is_read(
         assert found == expected[: len(found)]
         assert cut * COUNT - 40 < len(found) <= COUNT
         assert before == expected[10]
-        assert fault.startswith("was not closed" if cut > 0.99 else "is cut off or damaged at byte")
+        assert fault.startswith(
+            "was not closed" if cut > 0.99 else "is truncated or damaged at byte"
+        )
 
 
 def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
@@ -293,7 +295,7 @@ def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
     path.write_bytes(data)
     with open_recording(path) as recording:
         found = list(recording.packets("joint_states"))
-        assert "is damaged (its checksum is wrong) and left out" in recording.faults[0]
+        assert "is damaged (its checksum is wrong) and skipped" in recording.faults[0]
     times = np.diff([time for time, _ in found])
     assert 20 * STEP < 1e9 * times.max() < 40 * STEP and len(found) > 120
 
@@ -301,9 +303,9 @@ def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "why"),
     [
-        ("mcap", "is cut off or damaged at byte 43 .*; nothing before that can be read"),
+        ("mcap", "is truncated or damaged at byte 43 .*; no message before that can be read"),
         ("db3", r"is cut off \(.*\): \d+ of \d+ bytes are missing; what is left may be saved"),
-        ("bag", "is cut off or damaged .*, so its index cannot be read; rosbag reindex"),
+        ("bag", "is truncated or damaged .*, so its index cannot be read; `rosbag reindex`"),
     ],
 )
 def test_of_a_bag_of_which_nothing_is_whole_it_is_said(kind: str, why: str, tmp_path: Path) -> None:
@@ -372,7 +374,7 @@ os._exit(0)
             assert recording.sources["joint_states"].count == 200
             assert recording.duration == pytest.approx(1.99)
             (told,) = recording.faults
-        assert "drive.db3-wal is read as well; it has 200 messages, of 2.0 s" in told
+        assert "drive.db3-wal are included; 200 messages of 2.0 s can be read" in told
     _, out, _ = run(capsys, "export", str(folder), str(tmp_path / "drive.csv"))
     assert f"note: {folder}: {told}" in out and "200 rows" in out
     assert {each.name: each.read_bytes() for each in folder.iterdir()} == before
@@ -389,7 +391,7 @@ def test_what_a_cut_bag_has_is_told_by_commands_for_runs(
         count = recording.sources["joint_states"].count
     assert run(capsys, "plot", str(path), "-o", str(tmp_path / "cut.pdf"))[0] == 0
     (told,) = [each.getMessage() for each in caplog.records]
-    assert told.startswith(f"{path}: is cut off or damaged at byte ")
+    assert told.startswith(f"{path}: is truncated or damaged at byte ")
     assert told.endswith(f"; it has {count} messages, of {(count - 1) * STEP / 1e9:.1f} s")
 
 
@@ -401,7 +403,9 @@ def test_a_bag_of_ros_1_that_was_not_closed_says_what_writes_its_index(tmp_path:
     for name in ("drive.bag", "drive.bag.active"):
         path = tmp_path / name
         path.write_bytes(data)
-        with pytest.raises(RecordingError, match=f"so it has no index; `rosbag reindex {path}`"):
+        with pytest.raises(
+            RecordingError, match=f"so it has no index; create it with `rosbag reindex {path}`"
+        ):
             open_recording(path)
 
 
@@ -612,7 +616,7 @@ def test_columns_are_called_by_joints_in_the_order_of_the_robot(
     bag, table = write_bag(tmp_path / "ur", {"/joint_states": messages}), tmp_path / "ur.csv"
     status, said, _ = run(capsys, "export", str(bag), str(table))
     assert status == 0 and "joints in the order of ur10e and ur5e, 1 malformed packet" in said
-    assert f"a message of /joint_states is left out: joint {UR[0]} is named twice" in said
+    assert f"a message of /joint_states was skipped: joint {UR[0]} is named twice" in said
     _, columns = read_csv(table)
     assert list(columns)[1:7] == [f"joint_angles[{name}]" for name in own]
     wrist = columns["joint_angles[wrist_2_joint]"]
@@ -695,7 +699,7 @@ def test_json_whose_end_is_missing_is_read_as_far_as_it_is_whole(tmp_path: Path)
     bag = json_bag(tmp_path / "hand.mcap", {"/state": entries})
     bag.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
     with open_recording(bag) as recording:
-        assert "is cut off or damaged" in recording.faults[0]
+        assert "is truncated or damaged" in recording.faults[0]
         found = [np.frombuffer(packet)[1] for _, packet in recording.packets("state")]
         assert found == [*range(len(found))] and COUNT // 4 < len(found) < COUNT
         assert recording.sources["state"].count == len(found)
