@@ -247,7 +247,7 @@ def _compared(options: CompareOptions) -> _Compared:
 
 def _two_runs(a: RunLog, b: RunLog, options: CompareOptions) -> _Compared:
     from ..study.align import align, choose_robots
-    from ..study.explainer import find_explainer
+    from ..study.explanation import find_explainer
 
     pair = align(a, b, options.robot, options.offset)
     robots = choose_robots(a, b, options.robot)
@@ -263,7 +263,7 @@ def _two_runs(a: RunLog, b: RunLog, options: CompareOptions) -> _Compared:
 
 def _one_run(run: RunLog, options: CompareOptions) -> _Compared:
     from ..study.align import choose_robot, pair_with_commands
-    from ..study.explainer import differing, find_explainer
+    from ..study.explanation import differing, find_explainer
 
     name, explainer = choose_robot(run, options.robot), find_explainer()
     if options.against_model:

@@ -25,8 +25,7 @@ from sero_mj.extensions.sweeps.sweep_results import SweepTable, plot_sweep, summ
 from sero_mj.extensions.sweeps.variants import Variants
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.study.engine import Work
-from sero_mj.study.workers import Processes
+from sero_mj.study.engine import Processes, Work
 
 SCENARIO = """
 [robots.lwr]
