@@ -460,7 +460,7 @@ def test_the_command_says_for_every_joint_what_explains_it(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["B.mcap", "--against-model"], "--against-model: found B.mcap as well; expected one"),
+        (["B.mcap", "--against-model"], "--against-model: found a second recording; expected one"),
         (["--offset", "1"], "--offset cannot be combined with a single recording"),
         (["--robot", "lwx"], "--robot: no robot 'lwx' in gauge; did you mean 'lwr'?"),
     ],

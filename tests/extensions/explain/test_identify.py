@@ -309,4 +309,4 @@ def test_runs_without_torques_or_motion_are_refused() -> None:
 
 def test_zero_has_no_sign_in_figures() -> None:
     assert [_brief(Estimate(value)) for value in (-0.0004, -0.0006)] == ["0.000", "-0.001"]
-    assert _brief(Estimate(None)) == "not told"
+    assert _brief(Estimate(None)) == "unknown"
