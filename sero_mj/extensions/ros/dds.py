@@ -1,7 +1,7 @@
-"""`Ros2`: topics of ROS 2 over DDS, by Cyclone DDS; no ROS is needed.
+"""`Ros2`: topics of ROS 2 over DDS with Cyclone DDS; no ROS is needed.
 
-ROS 2 names a topic `/x` in DDS `rt/x`, and a type `pkg/msg/T` `pkg::msg::dds_::T_`. Publishers may
-use any DDS: Fast DDS, which is ROS 2's usual one, and Cyclone DDS were tried.
+In DDS, ROS 2 names a topic `/x` `rt/x`, and a type `pkg/msg/T` `pkg::msg::dds_::T_`. Tested with
+publishers that use Fast DDS, the default of ROS 2, and Cyclone DDS.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _BASE_TYPES = {"bool": "bool", "octet": "uint8", "byte": "uint8", "char": "uint8
 
 
 class Ros2(RosSource):
-    """Reads topics of ROS 2, and publishes nothing.
+    """Reads topics of ROS 2 and publishes nothing.
 
     Attributes:
-        host: where publishers are: `localhost`, this machine alone; `subnet`, found by multicast as
-            ROS 2 does; or a machine's address.
-        domain: ROS_DOMAIN_ID of the publishers; None for that of the environment, else 0.
-        reliability: `best_effort` reads whatever is published; `reliable` has messages sent again,
-            and gets nothing from publishers that are not.
+        host: where the publishers are: `localhost` for this machine, `subnet` to find them by
+            multicast as ROS 2 does, or the address of a machine.
+        domain: ROS_DOMAIN_ID of the publishers (default: that of the environment, or 0).
+        reliability: `best_effort` reads from all publishers; `reliable` requests lost messages
+            again, and receives nothing from best-effort publishers.
     """
 
     host: Annotated[
@@ -109,7 +109,7 @@ class Readers:
         if not published:
             trouble = f"nobody publishes in domain {self.participant.domain}"
             if source.host == LOCALHOST:
-                trouble += " of this machine; host = 'subnet' looks on the network"
+                trouble += " of this machine; set host = 'subnet' to search the network"
             source.note_trouble(trouble)
             return
         wrong: list[str] = []
@@ -303,7 +303,7 @@ class _Raw:
 
 
 def domain_number(domain: int | None) -> int:
-    """The number of a domain: as values_in_message, else of the environment, else 0."""
+    """Returns the number of a domain (default: that of the environment, or 0)."""
     if domain is not None:
         return domain
     with suppress(ValueError):

@@ -40,15 +40,14 @@ _MAX_TOPICS = 100_000
 
 
 class Foxglove(RosSource):
-    """Reads topics from a server for Foxglove, such as `foxglove_bridge`, and publishes nothing.
+    """Reads topics from a Foxglove server, such as `foxglove_bridge`, and publishes nothing.
 
-    It connects, and connects again when the connection is lost; topics may come later.
+    It reconnects when the connection is lost. Topics may appear later.
 
     Attributes:
         host: address of the server.
-        port: its port.
-        tls: whether the connection is encrypted (`wss://`), with a certificate that this machine
-            trusts.
+        port: port of the server.
+        tls: whether the connection is encrypted (`wss://`), with a trusted certificate.
     """
 
     name: str = "foxglove"

@@ -1,4 +1,4 @@
-"""What a network of ROS 2 has to show: its topics, and the robot that it describes."""
+"""Topics of a ROS 2 network, and the robot that it describes."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _LARGE = ("Image", "CompressedImage", "PointCloud", "PointCloud2", "OccupancyGri
 
 @dataclass(frozen=True)
 class Address:
-    """Where a robot is: `ros2://HOST:DOMAIN/NAMESPACE?FIELD=VALUE`, all of it optional.
+    """Address of a robot, `ros2://HOST:DOMAIN/NAMESPACE?FIELD=VALUE`; all parts are optional.
 
     Attributes:
         host: see `Ros2.host`.
         domain: see `Ros2.domain`.
-        namespace: of its topics; empty for none.
-        robot: the model that shows it; empty for what its description says.
-        fields: of the source by name, `joint_states` say; those with several values have commas.
+        namespace: namespace of its topics.
+        robot: model that shows the robot (default: the description in the network).
+        fields: fields of the source, such as `joint_states`; lists are separated by commas.
     """
 
     host: str = LOCALHOST
@@ -92,13 +92,12 @@ class Address:
 
 @dataclass
 class Topic:
-    """A topic that somebody publishes.
+    """A published topic.
 
     Attributes:
-        name: with a `/` before it.
-        publishers: number of them.
-        rate: messages per second; None where it was not measured.
-        joints: names in its messages, of `sensor_msgs/JointState`.
+        publishers: number of publishers.
+        rate: messages per second; None if it was not measured.
+        joints: joint names in its messages of type `sensor_msgs/JointState`.
     """
 
     name: str
@@ -114,12 +113,7 @@ class Topic:
 
 
 def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
-    """Listens for some time, and returns all topics by name; raises SourceError.
-
-    Args:
-        host: see `Ros2.host`.
-        domain: see `Ros2.domain`.
-    """
+    """Listens for some seconds, and returns all topics by name; raises SourceError."""
     participant = Participant(host, domain, "ros2")
     try:
         times: dict[str, list[float]] = defaultdict(list)
@@ -163,11 +157,11 @@ def _is_light(kind: str) -> bool:
 
 @dataclass(frozen=True)
 class Found:
-    """A robot that a network has.
+    """A robot in a network.
 
     Attributes:
-        urdf: its description; empty where there is none.
-        joint_states: topic of its joints; empty for none.
+        urdf: its description, if any.
+        joint_states: topic of its joint states, if any.
     """
 
     urdf: str
@@ -176,11 +170,7 @@ class Found:
 
 
 def find_robot(address: Address, seconds: float) -> Found:
-    """Waits until a network content of a robot; raises SourceError or UsageError.
-
-    Args:
-        seconds: to wait at most.
-    """
+    """Waits up to some seconds for a robot in a network; raises SourceError or UsageError."""
     participant = Participant(address.host, address.domain, "ros2")
     try:
         search = _RobotSearch(participant, address)
@@ -258,9 +248,10 @@ class _RobotSearch:
 
 
 def robots_with(joints: Sequence[str]) -> list[str]:
-    """Returns the shipped robots whose joints have these names, or these behind one prefix.
+    """Returns the shipped robots with these joint names, possibly with one common prefix.
 
-    Of several, those with the most joints: an arm alone is not meant where its hand is there too.
+    Only robots with the maximum number of joints are returned: an arm is not returned if the same
+    arm with a hand fits, too.
     """
     found = {}
     for robot in paths.list_models():

@@ -1,4 +1,4 @@
-"""`RosSource`: the common base of sources whose packets are joined from messages of ROS."""
+"""`RosSource`: base of sources whose packets are joined from messages of ROS."""
 
 from __future__ import annotations
 
@@ -45,32 +45,32 @@ _MAX_NAMED = 5  # topics in a text
 
 
 class RosSource(Source):
-    """Packets from topics of ROS 2; also the base of sources by other ways.
+    """Packets joined from topics of ROS 2.
 
-    Events are `stamp` and, for the n joints, `joint_angles`, `joint_velocities` and `torques`, each
-    NaN where no message content it (angles: as the robot declares them); where they are asked for,
-    `commanded_torques`, `force` and `moment`, `base_frame` with `base_velocity` and
-    `base_angular_velocity` in the frame of the base, `pose`, and `tf_NAME` of each frame.
+    Events are `stamp` and, for n joints, `joint_angles`, `joint_velocities` and `torques`. Values
+    that no message contains are NaN, except for angles, which stay as the robot declares them. If
+    the corresponding fields are set, there are also `commanded_torques`, `force` and `moment`,
+    `base_frame` with `base_velocity` and `base_angular_velocity` in the base frame, `pose`, and
+    `tf_NAME` of each frame.
 
     Attributes:
-        joint_states: topic of `sensor_msgs/JointState`, or `tf` for angles that are solved from the
-            transforms of the robot's links; empty for none.
-        joints: names of the joints in messages: a list in the robot's order, or a table from the
-            robot's names to those that differ. Without it they have the robot's names, or these
-            with one prefix.
+        joint_states: topic of `sensor_msgs/JointState`, or `tf` to solve angles from the transforms
+            of the robot's links; empty for none.
+        joints: joint names in messages: a list in the robot's order, or a table from the robot's
+            names to different ones (default: the robot's names, possibly with one common prefix).
         commands: topic of `std_msgs/Float64MultiArray` with commanded torques; empty for none.
         wrench: topic of `geometry_msgs/WrenchStamped`; empty for none.
-        odometry: topic of `nav_msgs/Odometry` with the pose of the robot's base, or `tf` for that
-            pose from transforms; empty for none.
+        odometry: topic of `nav_msgs/Odometry` with the pose of the robot's base, or `tf` to use
+            transforms; empty for none.
         pose: topic of `geometry_msgs/PoseStamped`; empty for none.
         frames: names of frames of `tf` and `tf_static` to receive.
-        root: the frame in which these and a base from `tf` are wanted; for the base the topmost one
-            when empty.
-        namespace: stands before topics that do not begin with `/`.
-        effort_unit: of efforts: `Nm`, or `A` with `torque_constants`.
+        root: reference frame of `frames` and of a base from `tf`; if it is empty, the base is
+            relative to the root of the transform tree.
+        namespace: prefix of topics that do not begin with `/`.
+        effort_unit: unit of efforts: `Nm`, or `A` with `torque_constants`.
         torque_constants: torque per ampere, Nm/A, one for all joints or one for each.
-        torque_sign: factor of efforts, 1 or -1, for drivers that publish the torque of the load on
-            the drive (default: 1, efforts are taken as published).
+        torque_sign: factor of efforts, 1 or -1 for drivers that publish the torque of the load on
+            the drive (default: 1).
     """
 
     name: str = "ros"
@@ -90,7 +90,7 @@ class RosSource(Source):
     time: str = "stamp"
 
     _fixed_by: ClassVar[str] = "ROS"
-    _structure_is: ClassVar[str] = "made of what the topics tell"
+    _structure_is: ClassVar[str] = "derived from the topics"
     # As long as the routes are unknown, whatever a driver does not publish may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(
         frozenset(

@@ -36,15 +36,14 @@ _TOKEN_PARTS = 13
 
 
 class Zenoh(RosSource):
-    """Reads topics of ROS 2 from a router of zenoh, and publishes nothing.
+    """Reads topics of ROS 2 from a zenoh router and publishes nothing.
 
-    It connects as a client, and again when the connection is lost; nobody is searched for in the
-    network, and nobody can connect to it.
+    It connects as a client, without discovery, and reconnects when the connection is lost.
 
     Attributes:
         host: address of the router, or of a peer that listens.
-        port: its port.
-        domain: ROS_DOMAIN_ID of the publishers; None for that of the environment, else 0.
+        port: port of the router.
+        domain: ROS_DOMAIN_ID of the publishers (default: that of the environment, or 0).
     """
 
     name: str = "zenoh"
