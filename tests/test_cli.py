@@ -280,7 +280,9 @@ def test_list_names_robots_scenes_and_fields(capsys) -> None:
     _, out, _ = run(capsys, "list")
     assert "lwr_udp" in out and "light-weight robot" in out
     assert re.search(r"^  impedance_push +Joint impedance holds", out, re.MULTILINE)
-    assert re.search(r"^  lwr/reach +Move the flange to a random target", out, re.MULTILINE)
+    assert re.search(
+        r"^  lwr/reach +Move the flange to a random reachable target", out, re.MULTILINE
+    )
     robots = out.partition("robots (models/)\n")[2].partition("\nscenes (")[0].splitlines()
     robots.remove("groups of robots (models/)")
     assert all(row[20] == " " and row[21] != " " for row in robots), robots  # in a column

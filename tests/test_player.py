@@ -20,7 +20,7 @@ from runs import simulated
 from sero_mj.base.errors import RenderError, UsageError
 from sero_mj.load import load_scene
 from sero_mj.study import run_report
-from sero_mj.study.run_marks import marks_of
+from sero_mj.study.run_report import marks_of
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.player.capture import capture
 from sero_mj.viewer.player.encode import encode

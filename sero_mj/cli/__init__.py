@@ -32,7 +32,7 @@ Without a command, sero-mj shows a start page. To try it, run in two terminals:
 
 SCENE is a file or a name from `sero-mj list`. Help for one command: sero-mj render --help
 """
-GROUPS = ("see", "receive", "simulate", "analyse", "files")
+GROUPS = ("see", "receive", "simulate", "analyze", "files")
 
 
 def main(arguments: list[str] | None = None) -> None:

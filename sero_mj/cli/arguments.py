@@ -122,7 +122,7 @@ def writing() -> Iterator[None]:
 
 
 def pace(done: int, begin: float, workers: int) -> str:
-    """Returns the tasks per second since `begin` and the number of workers, as text."""
+    """Returns a text with the tasks per second since `begin` and the number of workers."""
     rate = done / (time.perf_counter() - begin)
     return f"{rate:.1f}/s, {workers} {'worker' if workers == 1 else 'workers'}"
 

@@ -39,7 +39,7 @@ torque sensor or drive, friction, a payload, or a stuck joint. Several recording
 parallel by local processes or by the workers of a Dask cluster, and the report has one row for each
 recording. The exit status is 1 if a tolerance is exceeded, and 2 if a recording cannot be compared.
 """
-GROUP, ORDER = "analyse", 40
+GROUP, ORDER = "analyze", 40
 _WIDTH = 70  # of explanations in a table of many recordings
 _BATCH_OPTIONS = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
@@ -247,7 +247,7 @@ def _compared(options: CompareOptions) -> _Compared:
 
 def _two_runs(a: RunLog, b: RunLog, options: CompareOptions) -> _Compared:
     from ..study.align import align, choose_robots
-    from ..study.explainer import find_explainer
+    from ..study.explanation import find_explainer
 
     pair = align(a, b, options.robot, options.offset)
     robots = choose_robots(a, b, options.robot)
@@ -263,7 +263,7 @@ def _two_runs(a: RunLog, b: RunLog, options: CompareOptions) -> _Compared:
 
 def _one_run(run: RunLog, options: CompareOptions) -> _Compared:
     from ..study.align import choose_robot, pair_with_commands
-    from ..study.explainer import differing, find_explainer
+    from ..study.explanation import differing, find_explainer
 
     name, explainer = choose_robot(run, options.robot), find_explainer()
     if options.against_model:

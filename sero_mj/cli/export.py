@@ -140,7 +140,7 @@ CAPTURE_OPTIONS = (
 
 def write_page_of(options: ExportOptions) -> int:
     """Writes a page that plays a scene or a run; returns 0."""
-    from ..study.run_marks import marks_of
+    from ..study.run_report import marks_of
     from ..viewer.player.page import write_page
 
     options.accept(*CAPTURE_OPTIONS, "follow", "name")

@@ -36,7 +36,7 @@ MJCF stay in a copy of the file and of all files that it includes.
 """
 _ENDINGS = (".urdf", ".xacro", ".xml")
 _NO_BREAK = "\0"  # a space at which no line is broken
-# Names of other files in COLLADA, OBJ and MTL files.
+# Matches the names of other files in COLLADA, OBJ and MTL files.
 _REFERENCE = re.compile(
     rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<|^[ \t]*(?:mtllib|map_Kd)[ \t]+([^\r\n]+)",
     re.MULTILINE,

@@ -23,7 +23,7 @@ Each joint has one row: commanded and measured torque with the limit on the left
 (commanded minus measured) on the right. Time starts at the beginning of a simulation, or at the
 first packet of a robot. `sero-mj compare` draws two recordings in one figure.
 """
-GROUP, ORDER = "analyse", 42
+GROUP, ORDER = "analyze", 42
 
 
 def _parts(text: Any) -> Any:

@@ -295,7 +295,7 @@ class EngineOptions(Options):
     def make_engine(self) -> Engine:
         """Returns the engine that runs the tasks."""
         if self.engine == _LOCAL:
-            from ..study.workers import Processes, available_cpus
+            from ..study.engine import Processes, available_cpus
 
             return Processes(self.jobs or available_cpus())
         engine: Engine = load_plugin(ENGINES, self.engine)(self.scheduler, self.ship)

@@ -1,12 +1,23 @@
-"""`Explanation`: the explanation of a difference between torques, and its description."""
+"""`Explanation`: the explanation of a difference between torques; `Explainer` finds them.
+
+A package adds an explainer by an entry point in the group `sero_mj.explainers`. The first one is
+used. Without any, `compare` reports differences without explanations.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+
+from ..base.plugins import EXPLAINERS, load_first
+
+if TYPE_CHECKING:
+    from ..simulate.runs.run_log import RunLog
+    from .align import Pair
 
 Kind = Literal[
     "sign",
@@ -120,3 +131,44 @@ class Explanation:
 
 def _about(error: float) -> str:
     return f" ± {error:.1g}" if np.isfinite(error) and error > 0 else ""
+
+
+class Explainer(ABC):
+    """Explains differences of torques. It is created without arguments."""
+
+    @abstractmethod
+    def of_two(
+        self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
+    ) -> list[Explanation]:
+        """Explains the torques of A minus those of B.
+
+        Raises:
+            UsageError: the runs cannot be analyzed.
+        """
+
+    @abstractmethod
+    def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
+        """Explains commanded minus measured torques; also returns lines about the method."""
+
+    @abstractmethod
+    def with_model(self, run: RunLog, robot: str) -> tuple[Pair, list[Explanation], list[str]]:
+        """Compares a run with the robot's model in the same motion.
+
+        Returns the pair, the explanations of its torque difference, and lines about the method.
+
+        Raises:
+            UsageError: the robot has no model, or the run has no torques.
+        """
+
+
+def find_explainer() -> Explainer | None:
+    """Returns the installed explainer, or None."""
+    found: Explainer | None = load_first(EXPLAINERS, Explainer)
+    return found
+
+
+def differing(pair: Pair, found: Sequence[Explanation]) -> list[Explanation]:
+    """Returns the explanations for joints whose torques differ at all."""
+    differs = (pair.difference("torques") != 0).any(axis=0)
+    joints = {joint for joint, is_one in zip(pair.robot.names, differs, strict=True) if is_one}
+    return [each for each in found if joints & {*each.joints}]

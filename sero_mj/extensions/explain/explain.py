@@ -32,9 +32,17 @@ import numpy as np
 from ...base.errors import UsageError
 from ...base.frames import Array, Bools
 from ...simulate.runs.run_log import RunLog
-from ...study.explanation import FLANGE, LINKS, MAX_CONFIDENCE, OF_ONE_RUN, Explanation
+from ...study.align import Pair
+from ...study.explanation import (
+    FLANGE,
+    LINKS,
+    MAX_CONFIDENCE,
+    OF_ONE_RUN,
+    Explainer,
+    Explanation,
+)
 from .explain_search import MIN_ROWS, Search
-from .torque_residuals import TorqueResiduals, torque_residuals
+from .torque_residuals import TorqueResiduals, pair_with_model, torque_residuals
 
 # A fault of the second run resembles one of these faults of the first run with opposite sign.
 _APPROXIMATE = ("gain", "bias", "friction", "unexplained")
@@ -359,3 +367,40 @@ def _longest(rows: Bools) -> tuple[int, int]:
 
 def _unit(found: TorqueResiduals, joint: int) -> str:
     return "Nm" if found.robot.types[joint] == "revolute" else "N"
+
+
+class TorqueExplainer(Explainer):
+    """Explains torque differences by the residuals of the robot's model."""
+
+    def of_two(
+        self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
+    ) -> list[Explanation]:
+        return explain_runs(a, b, robots, offset)
+
+    def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
+        found = torque_residuals(run, robot)
+        return explain_run(run, robot, found), _about_model(found)
+
+    def with_model(self, run: RunLog, robot: str) -> tuple[Pair, list[Explanation], list[str]]:
+        found = torque_residuals(run, robot)
+        explanations = explain_run(run, robot, replace(found, no_model=""))
+        pair = pair_with_model(run, found)
+        return pair, explanations, [_first_difference(pair, explanations), *_about_model(found)]
+
+
+def _about_model(found: TorqueResiduals) -> list[str]:
+    lines = ["model: inverse dynamics of the measured motion; all signals low-pass filtered at "
+             f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
+    if found.torque_control:
+        lines.append("Commands come from a joint torque loop that already compensates friction.")
+    if not found.has_model:
+        lines.append(f"no link model: {found.no_model}")
+    return lines
+
+
+def _first_difference(pair: Pair, explanations: Sequence[Explanation]) -> str:
+    if not explanations:
+        return f"{pair.robot.name} agrees with its model"
+    first = min(explanations, key=lambda each: (not each.from_start, each.begin))
+    kind = f"{first.kind} at {first.joint}, {first.when}"
+    return f"first difference between {pair.robot.name} and its model: {kind}"

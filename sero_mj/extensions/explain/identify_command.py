@@ -32,7 +32,7 @@ back and forth, at low and high speed, and the wrist far enough to change the di
 Several recordings are summarized by median, extremes and the median of the standard errors. They
 are analyzed in parallel by local processes or by the workers of a Dask cluster.
 """
-GROUP, ORDER = "analyse", 44
+GROUP, ORDER = "analyze", 44
 _BATCH_OPTIONS = ("recordings", "jobs", "engine", "scheduler", "ship", "table")
 
 

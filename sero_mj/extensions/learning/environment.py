@@ -17,7 +17,6 @@ from ...base.declaration import Declaration
 from ...base.errors import Problem, SimulationError, UnknownName
 from ...base.frames import Array
 from ...data.drive.mirror import Mirror
-from ...data.receive.structure import Structure
 from ...robots.assemble.robot_dynamics import robot_dynamics
 from ...robots.assemble.world import World
 from ...robots.declared.mounts import base_frames, unmounted
@@ -25,7 +24,6 @@ from ...robots.declared.robot import SerialRobot
 from ...simulate.control.compiler import Compiler
 from ...simulate.control.torque_loop import LoopGains
 from ...simulate.plant import Plant
-from ...simulate.runs.monitor import Finding
 from ...simulate.runs.run_log import event_of
 from ...simulate.runs.run_source import RunSource
 from ...simulate.scenario import Scenario
@@ -105,28 +103,8 @@ class _EpisodeRun:
     def __init__(self, environment: Environment) -> None:
         self._environment = environment
 
-    def findings(self) -> list[Finding]:
-        return self._environment.simulation.findings()
-
-    @property
-    def about(self) -> str:
-        return self._environment.simulation.about
-
-    @property
-    def structure(self) -> Structure:
-        return self._environment.simulation.structure
-
-    @property
-    def rows(self) -> Array:
-        return self._environment.simulation.rows
-
-    @property
-    def times(self) -> Array:
-        return self._environment.simulation.times
-
-    @property
-    def step(self) -> int:
-        return self._environment.simulation.step
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._environment.simulation, name)
 
     def advance(self, to_step: int) -> None:
         pass

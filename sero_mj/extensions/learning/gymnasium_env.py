@@ -26,7 +26,7 @@ from .make import make_environment
 RenderMode = Literal["human", "rgb_array"]
 Observation = dict[str, Array]
 
-_BOUND_FACTOR = 10.0  # bounds per limit of velocity and torque, and per joint range
+_BOUND_FACTOR = 10.0  # ratio of bounds to limits of velocity and torque, and to joint ranges
 _DEFAULT_TORQUE = 1e3  # Nm or N, for robots without torque limits
 
 

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools
-from ...study.workers import available_cpus
+from ...study.engine import available_cpus
 from .gymnasium_env import (
     Observation,
     action_space,

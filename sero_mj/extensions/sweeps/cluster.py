@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...base.errors import ClusterError, Problem, UsageError, about_fault
-from ...study.engine import Result, Task, Work
-from ...study.shipped_files import files_in
+from ...study.engine import Result, Task, Work, files_in
 from .scenario_inputs import digest_of_models, is_installed, pack
 
 if TYPE_CHECKING:

@@ -385,8 +385,8 @@ class PacketProgram(Answering):
             of n:d.
         answer: structure of the answer: step (of its state), and either torques, or joint_angles
             with stiffness, damping; feed_forward. Default: step:1I 4x torques:nd.
-        stiffness: Nm/rad per joint, for answers with joint_angles but without stiffness.
-        damping: Nm s/rad per joint, for answers with joint_angles but without damping.
+        stiffness: stiffness per joint for answers with joint_angles but without stiffness, Nm/rad.
+        damping: damping per joint for answers with joint_angles but without damping, Nm s/rad.
     """
 
     state: str = ""

@@ -448,8 +448,8 @@ def test_the_command_says_for_every_joint_what_explains_it(
     assert command(recorded, "--against-model", "--plot", picture) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "gauge minus its model: lwr" in out
-    assert "lwr and its model part at A2, from 1.3" in out
-    assert "inverse dynamics on the measured motion" in out
+    assert "first difference between lwr and its model:" in out and " at A2, from 1.3" in out
+    assert "inverse dynamics of the measured motion" in out
     assert "bias -4" in picture.read_text(encoding="utf-8")
     assert command(recorded, "--against-model", "--json") == 0
     (found,) = json.loads(capsys.readouterr().out)["explanations"]
@@ -460,7 +460,7 @@ def test_the_command_says_for_every_joint_what_explains_it(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["B.mcap", "--against-model"], "--against-model: found B.mcap as well; expected one"),
+        (["B.mcap", "--against-model"], "--against-model: found a second recording; expected one"),
         (["--offset", "1"], "--offset cannot be combined with a single recording"),
         (["--robot", "lwx"], "--robot: no robot 'lwx' in gauge; did you mean 'lwr'?"),
     ],

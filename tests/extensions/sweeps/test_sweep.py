@@ -25,8 +25,7 @@ from sero_mj.extensions.sweeps.sweep_results import SweepTable, plot_sweep, summ
 from sero_mj.extensions.sweeps.variants import Variants
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.study.engine import Work
-from sero_mj.study.workers import Processes
+from sero_mj.study.engine import Processes, Work
 
 SCENARIO = """
 [robots.lwr]
@@ -570,10 +569,10 @@ def wait_for(happens: Any, seconds: float = 30.0) -> None:
 def test_processes_load_no_opengl(file: Path) -> None:
     code = (
         "import sys; from multiprocessing import Pipe; from pathlib import Path\n"
-        "from sero_mj.study import workers\n"
+        "from sero_mj.study import engine\n"
         "end, other = Pipe(duplex=False)\n"
         "from sero_mj.extensions.sweeps.variants import Variants\n"
-        f"workers.start_worker(end, Variants(Path({str(file)!r}), {{}}))\n"
+        f"engine.start_worker(end, Variants(Path({str(file)!r}), {{}}))\n"
         "print(workers._run([{}])[0]['held'], 'OpenGL.EGL' in sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
