@@ -19,10 +19,9 @@ from ..decor.legend import arrows_line
 from ..decor.quantities import QUANTITY_NAMES, torque_and_unit
 from ..decor.ribbons import ribbon_shape
 from .capture import CapturedRun, eye
-from .items import poses
-from .labels import labels_head
+from .frame import Labels
 from .model import Look
-from .packing import PackedArrays, rounded
+from .packing import PackedArrays, poses, rounded
 from .surroundings import surroundings_head
 
 VERSION = 1
@@ -62,7 +61,7 @@ def encode(capture: CapturedRun, title: str) -> bytes:
         },
         "arrows": _arrows(capture, parts),
         "items": _items(capture, parts),
-        **labels_head(capture.labels, parts, METRE_STEP),
+        **_labels(capture.labels, parts, METRE_STEP),
         "notes": _texts(capture.notes, parts),
         "legend": _legend(capture, parts),
         "cards": [
@@ -310,4 +309,27 @@ def _switches(capture: CapturedRun) -> dict[str, bool]:
         "numbers": bool(toggles.billboards.any()),
         "doubles": bool(toggles.doubles.all()),
         "legend": bool(toggles.legend),
+    }
+
+
+def _labels(frames: list[Labels], parts: PackedArrays, step: float) -> dict[str, Any]:
+    keys = list(dict.fromkeys(key for each in frames for key in each))
+    if not keys:
+        return {}
+    places = np.zeros((len(frames), len(keys), 3))
+    numbers = np.zeros((len(frames), len(keys)), int)
+    texts = {"": 0}
+    for k, each in enumerate(frames):
+        for i, key in enumerate(keys):
+            if key in each:
+                text, places[k, i] = each[key]
+                numbers[k, i] = texts.setdefault(text, len(texts))
+            elif k:
+                places[k, i] = places[k - 1, i]
+    return {
+        "labels": {
+            "texts": list(texts),
+            "at": parts.moving(numbers, 1),
+            "positions": parts.moving(places.reshape(len(frames), -1), step),
+        }
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -13,14 +13,16 @@ from ...robots.declared.double import OUT_OF_SIGHT
 from ..decor.billboard_layout import BillboardGroup
 from ..decor.feature import Frame
 from ..decor.geom_buffer import GeomBuffer, Kind
+from ..decor.joint_titles import frame_titles
 from ..decor.legend import SCALE
 from ..decor.panels import Panels
+from ..decor.part_names import named_parts
 from .copied_bodies import CopiedBodies
-from .labels import labels_of
 from .model import drawn_bodies
 from .soft import SoftFrame, SoftParts
 
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
+Labels = dict[tuple[str, int], tuple[str, Array]]  # text and position (3,), m, by kind and number
 
 
 class CapturedFrame(NamedTuple):
@@ -52,7 +54,7 @@ class CapturedFrame(NamedTuple):
     limit: Array
     stale: Bools
     geoms: tuple[np.ndarray, np.ndarray, np.ndarray]
-    labels: dict[Any, Any]
+    labels: Labels
     note: str
     legend: str
     cards: dict[int, str]
@@ -177,3 +179,20 @@ def shown_bodies(world: WorldView) -> Ints:
     if world.has_sites:
         own.append(model.site_bodyid[world.joints.centre_site])
     return np.unique(np.concatenate(own)).astype(np.intp)
+
+
+def labels_of(world: WorldView, frame: Frame) -> Labels:
+    """Returns text and position (3,), m, of all labels of a frame."""
+    frames, buffer = world.frames, frame.buffer
+    found: Labels = {}
+    titles = frame_titles(tuple(frames.names))
+    for i in frame.shown.frame_names.nonzero()[0].tolist():
+        found["name", i] = titles[i], np.array(frame.data.site_xpos[frames.site[i]])
+    parts, places = named_parts(world, frame.data, frame.toggles.part_names)
+    found |= {("part", k): (parts[k], places[k]) for k in range(len(parts))}
+    rows = buffer.rows[: buffer.count]
+    has_text = rows["label"] != b""
+    has_text[buffer.text] = False  # texts of panels, which the player lays out itself
+    for k, row in enumerate(rows[has_text]):
+        found["geom", k] = row["label"].decode("latin-1"), np.array(row["pos"], float)
+    return found

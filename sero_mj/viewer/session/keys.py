@@ -31,7 +31,7 @@ VIEWER_KEYS: dict[str, Key] = {
     "backspace": Key("reset", "go to the start"),
     "left": Key("back", "1 s back", repeats=True),
     "right": Key("on", "1 s forward", repeats=True),
-    "end": Key("end", "go to the end; live sources: show the newest data"),
+    "end": Key("end", "go to the end, or to live data"),
     "0": Key("camera_0", "0 initial view, 1 to 9 cameras"),
     "f": Key("follow", "follow the item under the pointer"),
     "]": Key("next_joint", "select the next joint, [ the previous", repeats=True),

@@ -23,7 +23,7 @@ from ..image.scene_decor import SceneDecor
 from ..player.capture import capture_pose
 from ..player.encode import METRE_STEP, ROTATION_STEP, arrow_looks, encode
 from ..player.frame import FrameTaker, line_text
-from ..player.items import poses, quaternions_of
+from ..player.packing import poses, quaternions_of
 from .sections import Sections
 
 _KEYS = ["joint_angles"]  # joint values that the page uses

@@ -1,4 +1,4 @@
-"""A gamepad: what its sticks and buttons change in a window, and that it may be unplugged."""
+"""A gamepad: what its sticks and buttons change in a window, and unplugging it."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ REST = (0.0, 0.0, 0.0, 0.0, -1.0, -1.0)
 SET = ("lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0",)
 
 
-def test_sticks_rest_in_their_middle_and_are_fine_near_it() -> None:
+def test_sticks_have_a_dead_zone_and_fine_control_near_it() -> None:
     ways = np.linspace(-1, 1, 201)
     meant = deflection(ways)
     assert (meant[np.abs(ways) <= 0.15] == 0).all()
     assert meant[[0, -1]].tolist() == [-1, 1]
     assert (np.diff(meant) >= 0).all()
-    assert np.abs(np.diff(meant)).max() < 0.03  # without a step at the edge of rest
+    assert np.abs(np.diff(meant)).max() < 0.03  # without a step at the edge of the dead zone
     assert deflection(np.array([0.3]))[0] < 0.05
 
 
-def test_every_button_presses_a_key_that_does_something_and_is_in_the_help() -> None:
+def test_every_button_presses_an_existing_key_and_is_in_the_help() -> None:
     assert set(PAD_KEYS) <= set(BUTTONS)
     assert {key for key, _ in PAD_KEYS.values()} <= {*KEYS, *VIEWER_KEYS, *MORE_KEYS, *tool_keys()}
-    assert not set(PAD_KEYS) & {"left stick"}  # chooses what the sticks move
+    assert not set(PAD_KEYS) & {"left stick"}  # selects what the sticks move
     assert all(PAD_STICKS.values())
 
 
@@ -63,7 +63,8 @@ def test_sticks_move_view_and_robot_and_buttons_press_keys(window: Driven) -> No
     use(window, axes=(1.0, *REST[1:]))
     window.until(f"np.abs(np.array({position}) - {start.tolist()}).max() > 0.05")
     use(window)
-    assert (np.array(window.ask(position)) - start) @ right > 0  # to the right of where it was
+    # To the right of its previous position.
+    assert (np.array(window.ask(position)) - start) @ right > 0
     distance = window.ask("w.navigator.camera.distance")
     use(window, axes=(*REST[:5], 1.0))
     window.until(f"w.navigator.camera.distance < {0.9 * distance}")
@@ -73,7 +74,7 @@ def test_sticks_move_view_and_robot_and_buttons_press_keys(window: Driven) -> No
     window.until(f"np.array({position})[2] > {start[2]} + 0.03")  # up
     use(window, "RB")
     use(window, "RB")
-    assert window.ask("w.toggles.selected") == 1  # once, however long it is held
+    assert window.ask("w.toggles.selected") == 1  # once, regardless of how long it is held
     use(window, "X")
     window.until("w.toggles.arrows.all()")
 
@@ -86,7 +87,7 @@ def test_sticks_move_view_and_robot_and_buttons_press_keys(window: Driven) -> No
     use(window)
     window.settle()
     way, up = np.array(window.ask(flange)) - start, np.array(window.ask("w.decor.view.up"))
-    assert np.abs(way - (way @ up) * up).max() < 0.01  # straight up in the picture
+    assert np.abs(way - (way @ up) * up).max() < 0.01  # straight up in the image
     assert window.ask(position) == pytest.approx(camera)
     use(window, "left stick")
     assert window.ask("w.notice.text") == "gamepad: the sticks move the view"

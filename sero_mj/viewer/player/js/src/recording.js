@@ -293,7 +293,7 @@ export class Recording {
     const names = quantities.map((/** @type {{name: string}} */ { name }) => name);
     const shown = [{ k: "choose", id: "quantity", s: "", aria: "arrows show", index: this.quantity, names, width: 9 },
       { k: "label", s: "arrows show", same: true }];
-    return [{ k: "header", id: "Shown", s: "Shown", open, nodes: quantities.length ? [...shown, ...nodes] : nodes }];
+    return [{ k: "header", id: "Shown", s: "Display", open, nodes: quantities.length ? [...shown, ...nodes] : nodes }];
   }
 
   /** @returns {Node[]} */
