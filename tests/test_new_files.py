@@ -144,13 +144,13 @@ def test_a_copy_is_the_robot_it_is_like(
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("taken",), "taken is there already; choose another name"),
-        (("scened",), "scened.toml is there already; choose another name"),
+        (("taken",), "taken already exists; choose another name"),
+        (("scened",), "scened.toml already exists; choose another name"),
         (("a b",), "NAME: found 'a b'; expected letters, digits, _ and -"),
         (("../up",), "NAME: found '../up'"),
         (("x", "--joints", "0"), "found '0'; expected a whole number from 1 to 64"),
         (("x", "--like", "lwrr"), "no robot model 'lwrr'; did you mean 'lwr'?"),
-        (("x", "--like", "lwr", "--joints", "3"), "a copy has the joints of its robot; choose"),
+        (("x", "--like", "lwr", "--joints", "3"), "--joints cannot be combined with --like"),
     ],
 )
 def test_nothing_is_written_over_and_wrong_names_are_told(
@@ -176,7 +176,7 @@ def test_a_robot_in_another_format_is_not_copied_but_imported(
     Path("arm.urdf").write_text("<robot name='arm'/>")
     status, _, err = run(capsys, "new", "ours", "--like", "arm.urdf")
     assert status == 2 and not Path("ours").exists()
-    assert "--like: found arm.urdf; expected a robot of TOML. sero-mj import arm.urdf" in err
+    assert "--like: found arm.urdf; expected a robot in TOML. Run `sero-mj import arm.urdf" in err
 
 
 def test_what_is_no_robot_is_not_copied(

@@ -131,7 +131,7 @@ def test_a_scene_without_a_camera_cannot_be_drawn_on(overlay: Any) -> None:
 def test_a_size_must_be_positive_and_a_click_needs_a_frame(overlay: Any) -> None:
     with raises_with(UsageError, key="size", reason="found 0 x 480", expected="pixels above 0"):
         overlay.draw(scene_of(overlay), size=(0, 480))
-    with raises_with(UsageError, reason="nothing was drawn yet: call draw or image before"):
+    with raises_with(UsageError, reason="nothing has been drawn yet: call draw or image first"):
         overlay.click(10, 10)
 
 
@@ -242,7 +242,7 @@ def test_what_is_not_there_is_said(
 
 
 def test_joint_angles_are_those_of_the_users_data(overlay: Any) -> None:
-    message = r"^arm\.joint_angles: arm has the joint angles of your data; set data\.qpos$"
+    message = r"^arm\.joint_angles: the joint angles of arm come from your data; set data\.qpos$"
     with pytest.raises(ValueError, match=message):
         overlay.set("arm.joint_angles", [0] * 4)
 

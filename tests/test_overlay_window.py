@@ -71,11 +71,11 @@ overlay = sero_mj.overlay(model, data, doubles=[goal, twin])
 camera = find_camera(overlay.world)  # that of the window, which stands still
 with sero_mj.view(overlay, size=(640, 480)) as viewer:
     assert viewer.data is data
-    first = viewer.picture()
+    first = viewer.image()
     size = first.shape[1::-1]
     assert np.abs(first.astype(int) - overlay.image(*size, camera)).mean() < 0.5
     viewer.set("goal.joint_angles", [1.5, 0.8, 0.5, 0.0])
-    second = viewer.picture()
+    second = viewer.image()
     assert np.abs(second.astype(int) - first).mean() > 0.5
     data.ctrl[:] = 1.0
     for _ in range(200):
@@ -83,7 +83,7 @@ with sero_mj.view(overlay, size=(640, 480)) as viewer:
         assert viewer.sync()
     # Torques of the drives, a double that was set behind the viewer's back, the pose, and the time.
     overlay.set("twin.joint_angles", [-1.0, 0.4, 0.2, 0.0])
-    third = viewer.picture()
+    third = viewer.image()
     mujoco.mj_forward(model, data)
     expected = overlay.image(*size, camera)
     assert np.abs(third.astype(int) - second).mean() > 0.5
@@ -129,9 +129,9 @@ with sero_mj.view(overlay, web=True) as viewer:
     for _ in range(5):
         mujoco.mj_step(model, data)
         assert viewer.sync()
-    shown = viewer.picture()
+    shown = viewer.image()
     viewer.set("goal.joint_angles", [1.5, 0.8, 0.5, 0.0])
-    assert not (viewer.picture() == shown).all()
+    assert not (viewer.image() == shown).all()
 print("well")
 """
 

@@ -431,7 +431,7 @@ def test_a_torque_that_is_no_number_stops_with_joint_and_time():
     with pytest.raises(SimulationError) as caught:
         plant.step(torques)
     assert str(caught.value) == (
-        "lwr/A3 at 0.0010 s: found a motor torque of nan Nm; expected a finite one, below 1e9"
+        "lwr/A3 at 0.0010 s: found a motor torque of nan Nm; expected a finite torque below 1e9"
     )
     assert (caught.value.joint, caught.value.time) == ("lwr/A3", 0.001)
     np.testing.assert_array_equal(plant.actual, kept)

@@ -215,15 +215,15 @@ def test_the_command_writes_a_recording_to_shared_memory(tmp_path: Path, listene
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--speed", "2"], "--speed is for --play FILE"),
-        (["--loop"], "--loop is for --play FILE"),
-        (["--play", "REC", "--rate", "5"], "--rate: a recording has its own times; --speed"),
-        (["--play", "REC", "--amplitude", "0"], "--amplitude is for a motion"),
+        (["--speed", "2"], "--speed needs --play FILE"),
+        (["--loop"], "--loop needs --play FILE"),
+        (["--play", "REC", "--rate", "5"], "--rate cannot be combined with a recording"),
+        (["--play", "REC", "--amplitude", "0"], "--amplitude cannot be combined with --play"),
         (["--play", "none.csv"], "none.csv"),
         (["--play", "none.mcap"], "none.mcap"),
         (["--play", "REC", "--recorded", "amr"], "no source 'amr' in"),
         (["--play", "REC", "--source", "amr"], "the scene has no source 'amr'; did you mean 'arm'"),
-        (["--play", "t.csv", "--recorded", "arm"], "--recorded is for recordings; t.csv is a"),
+        (["--play", "t.csv", "--recorded", "arm"], "--recorded needs a recording; t.csv is a"),
     ],
 )
 def test_options_that_do_not_fit_are_told(
@@ -259,4 +259,4 @@ def test_the_command_sends_a_scenario_as_it_is_simulated(
     assert np.abs(packets).max() < 1e-6  # upright, where gravity asks for nothing
     assert "sent 51 packets in 0.0" in capsys.readouterr().out
     assert send(scene, "--play", mine, "--rate", 5) == 2
-    assert "--rate: a scenario is sent as it is simulated" in capsys.readouterr().err
+    assert "--rate cannot be combined with a scenario" in capsys.readouterr().err

@@ -50,7 +50,7 @@ def test_a_recording_becomes_a_figure(folder: Path, tmp_path: Path) -> None:
     for joint in ("A1", "A2", "E1", "A3", "A4", "A5", "A6"):
         assert words.count(joint) == 1
     assert {"swing", "torque, Nm", "torque error, Nm", "commanded", "measured"} <= set(words)
-    assert "0.5 s, 501 rows; error is commanded less measured" in words
+    assert "0.5 s, 501 rows; error is commanded minus measured" in words
     assert words.count("limit 176 Nm") == 2
 
 
@@ -59,7 +59,7 @@ def test_joints_and_times_are_chosen(folder: Path, tmp_path: Path) -> None:
     arguments = ["--robot", "lwr", "--joints", "A2, A4", "--from", "0.1", "--to", "0.3"]
     assert plot(folder / "swing.mcap", "-o", out, *arguments, "--quiet") == 0
     words = words_of(out)
-    assert "0.2 s, 201 rows; error is commanded less measured" in words
+    assert "0.2 s, 201 rows; error is commanded minus measured" in words
     assert [word for word in words if re.fullmatch(r"[AE]\d", word)] == ["A2", "A4"]
     peak = next(word for word in words if word.startswith("peak") and "at" in word)
     assert 0.1 <= float(peak.split()[3]) <= 0.3
@@ -97,7 +97,7 @@ def test_a_table_is_the_same_run(folder: Path, tmp_path: Path) -> None:
         (["--from", "3"], "run swing lasts from 0 s to 0.5 s; there are none from 3 s"),
         (["--from", "3", "--to", "2"], "--to: found 2"),
         (["--source", "upd"], "no source 'upd' in "),
-        (["--joints", "A1,,A2"], "found 'A1,,A2'; expected names with commas between them"),
+        (["--joints", "A1,,A2"], "found 'A1,,A2'; expected names separated by commas"),
     ],
 )
 def test_what_is_not_there_is_told(
@@ -118,7 +118,7 @@ def test_what_is_no_figure_or_no_table_is_told(
 ) -> None:
     for arguments, said in (
         (["swing.mcap", "-o", "x.jpg"], "x.jpg'; expected a name that ends in .png"),
-        (["swing.csv", "-o", "x.png"], "does not say what its robots are: give --scene SCENE"),
+        (["swing.csv", "-o", "x.png"], "a table does not describe its robots; add --scene SCENE"),
         (["none.mcap", "-o", "x.png"], "none.mcap"),
     ):
         given = [folder / arguments[0], "-o", tmp_path / arguments[2]]

@@ -262,4 +262,4 @@ def test_the_commands_record_render_and_export(
     with pytest.raises(SystemExit) as caught:
         main(["render", "lwr", "--replay", str(run), "-o", str(film)])
     assert caught.value.code == 2
-    assert "has udp; scene 'lwr' expects none: it has no sources" in capsys.readouterr().err
+    assert "has udp; scene 'lwr' expects no source" in capsys.readouterr().err

@@ -101,5 +101,7 @@ def test_an_overlay_s_robot_has_the_model_s_torques_until_they_are_set(overlay: 
     assert np.isnan(robot.torques[[0, 1, 3]]).all()
     overlay.robot("goal").joint_angles = [0.1, 0.2, 0.3, 0.01]
     assert overlay.robot("goal").joint_angles.tolist() == [0.1, 0.2, 0.3, 0.01]
-    with pytest.raises(ValueError, match=r"arm has the joint angles of your data; set data.qpos"):
+    with pytest.raises(
+        ValueError, match=r"the joint angles of arm come from your data; set data.qpos"
+    ):
         robot.joint_angles = np.zeros(4)

@@ -61,7 +61,7 @@ def test_films_are_made_one_after_the_other_and_told(tmp_path: Path) -> None:
     assert (len(films._waiting), films.count) == (2, 3)
     films.advance()
     assert len(films._waiting) == 2  # the first one is still being made
-    expected = [(f"film of what was kept: {path.name}", False) for path in paths]
+    expected = [(f"video of what was kept: {path.name}", False) for path in paths]
     assert wait_for(films, 3) == expected
     assert sorted(tmp_path.iterdir()) == paths
     films.add(["render", "no_such_robot"], tmp_path / "no.mp4")

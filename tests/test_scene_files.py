@@ -70,12 +70,12 @@ def test_a_recording_is_shown_where_nothing_else_is(
 def test_meshes_of_more_than_a_recording_takes_are_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(scene_files, "_MOST_BYTES", 1000)
+    monkeypatch.setattr(scene_files, "_MAX_MESH_BYTES", 1000)
     monkeypatch.setenv("HOME", str(tmp_path))
     (here := tmp_path / "here").mkdir()
     path = recorded(here, "arm")
     (record,) = [each for each in caplog.records if "meshes of" in each.getMessage()]
-    assert "at most 0 MB" in record.getMessage() and "cell.toml" in record.getMessage()
+    assert "maximum: 0 MB" in record.getMessage() and "cell.toml" in record.getMessage()
     with Recording(path) as recording:
         assert sorted(recording.attachments) == ["arm/robot.toml", "here/cell.toml"]
 
@@ -111,7 +111,7 @@ def test_a_recording_is_shown_by_its_name_alone(
         with pytest.raises(SystemExit) as end:
             main([*command, str(path), "--replay", str(path)])
         assert end.value.code == 2
-        assert capsys.readouterr().err == f"sero-mj: --replay: {path} is a recording already\n"
+        assert capsys.readouterr().err == f"sero-mj: --replay: {path} is already a recording\n"
     shutil.rmtree(tmp_path / "arm")
     (tmp_path / "cell.toml").unlink()
     with pytest.raises(SystemExit) as end:

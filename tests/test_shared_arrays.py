@@ -125,7 +125,7 @@ def test_what_is_shown_comes_back_but_over_nothing_set_since(
     mine = ours.data
     torques = joint_values(ours._world, mine)["torques"]
     assert torques[:7].tolist() == [2.0] * 7 and np.isnan(torques[7:]).all()
-    assert mine.time == 4.5 and ours.pictures == 1
+    assert mine.time == 4.5 and ours.frame_count == 1
     assert np.array_equal(mine.qpos, data.qpos)
     flange = ours._world.frame(mine, "two/flange")  # frames are up to date as well
     assert flange[:2, 3] == pytest.approx([1.0, 2.0], abs=0.3)
@@ -225,7 +225,7 @@ def test_pieces_of_mjcf_and_sources_that_were_open_are_handed_over() -> None:
 def test_what_cannot_be_pickled_is_told() -> None:
     scene = Scene(robots=[SerialRobot.from_model("lwr")])
     scene.sources["mine"] = lambda: None
-    with pytest.raises(errors.UsageError, match="scene: cannot be handed to the viewer's process"):
+    with pytest.raises(errors.UsageError, match="scene: cannot be sent to the viewer's process"):
         _pickled(scene)
 
 

@@ -21,7 +21,7 @@ from sero_mj import Mirror, Scene, SerialRobot
 from sero_mj.base.errors import UsageError
 from sero_mj.data.receive.mailbox import Packets
 from sero_mj.load import load_scene
-from sero_mj.viewer.panels.signal_plots import MOST_LINES, MOST_PLOTS
+from sero_mj.viewer.panels.signal_plots import MAX_LINES, MAX_PLOTS
 from sero_mj.viewer.program.outbox import Outbox, UserSignals
 from sero_mj.viewer.session.binned_history import SPAN, BinnedHistory
 from sero_mj.viewer.session.signals import PROGRAM, PlotSignal
@@ -56,7 +56,7 @@ def test_what_a_program_plots_is_shown_in_plots_of_its_own_with_peaks_and_gaps()
     values[2000] = 50.0  # one sample
     values[1000:1400] = np.nan
     values[10] = np.inf
-    tool.hear({"error": samples(values, ages), "speed": samples([3.0], [0.1])})
+    tool.receive({"error": samples(values, ages), "speed": samples([3.0], [0.1])})
     assert tool.shows_area and tool.area == "Plots"
     ui = ScriptedWidgets()
     tool.build_area(ui)
@@ -73,7 +73,7 @@ def test_what_a_program_plots_is_shown_in_plots_of_its_own_with_peaks_and_gaps()
     assert len(line.x) < 1.5 * ui.points
     # Of the samples of a paused view nobody could say when they were.
     shown.clock.is_paused = True
-    tool.hear({"later": samples([1.0], [0.0])})
+    tool.receive({"later": samples([1.0], [0.0])})
     assert "later" not in tool.signals.groups[PROGRAM]
 
 
@@ -101,12 +101,12 @@ def test_signals_are_put_into_plots_and_taken_out_of_them() -> None:
     assert [plot.y_label for plot in ui.plots] == ["plot 1"]
     for k in range(20):
         tool.plots.toggle(0, PlotSignal(PROGRAM, f"{k}"))
-    assert len(tool.plots.shown[0]) == MOST_LINES
+    assert len(tool.plots.shown[0]) == MAX_LINES
     for k in range(20):
         tool.plots.add(PlotSignal(PROGRAM, f"more {k}"))
-    assert len(tool.plots.shown) == MOST_PLOTS
+    assert len(tool.plots.shown) == MAX_PLOTS
     choose(tool, "new plot", "lwr", "A6.torques")
-    assert tool.shown.said[-1] == ("8 plots are as many as there can be", True)  # type: ignore[attr-defined]
+    assert tool.shown.said[-1] == ("at most 8 plots can be shown", True)  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
@@ -119,7 +119,7 @@ def test_a_signal_of_a_run_shows_the_past_as_soon_as_it_is_chosen() -> None:
         while clock.time < 2.0:
             clock.advance(0.02)
         clock.is_paused = True
-        clock.on_moment = tool.watch
+        clock.on_state = tool.watch
         clock.advance(0.02)
         choose(tool, "new plot", "simulation", "lwr_torques[1]")
         choose(tool, "plot 1", "lwr", "A2.joint_angles")
@@ -163,7 +163,7 @@ def test_every_packet_of_a_live_source_counts_and_silence_is_a_gap() -> None:
             values = np.zeros((50, *shape))
             values.reshape(50, -1)[25, 3] = 7.0 if k == 250 else 0.0
             arrivals = source.now() - np.arange(0.05, 0.0, -0.001)
-            tool.signals._hear("udp", Packets({key: values}, arrivals, 1))
+            tool.signals._on_packets("udp", Packets({key: values}, arrivals, 1))
         tool.watch()
     times, values = tool.signals.of(signal, data.time, 980)
     assert values.max() == 7.0
@@ -176,18 +176,18 @@ def test_every_packet_of_a_live_source_counts_and_silence_is_a_gap() -> None:
 
 def test_plots_are_kept_for_their_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tool, _ = make_tool()
-    assert tool.kept is None
+    assert tool.saved_state is None
     for signal in (PlotSignal("lwr", "A3.torques"), PlotSignal(PROGRAM, "error")):
         tool.plots.add(signal)
     tool.shows_torques = False
-    kept = tool.kept
+    kept = tool.saved_state
     again, _ = make_tool()
-    again.take_kept(kept)
+    again.restore_saved(kept)
     assert again.state == tool.state
     kept["plots"].append([["lwr", "A99.torques"], ["gone", "values0[1]"]])
-    again.take_kept(kept)
+    again.restore_saved(kept)
     assert again.state == tool.state
-    again.hear({"error": samples([1.0], [0.0])})  # it has a plot
+    again.receive({"error": samples([1.0], [0.0])})  # it has a plot
     assert again.state == tool.state
 
 
@@ -234,9 +234,9 @@ def test_a_window_opens_its_plots_for_what_a_program_plots(monkeypatch: pytest.M
         monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
         scene = Scene(robots=[SerialRobot.from_model("lwr")], name="plots")
         with sero_mj.view(scene, size=(800, 400)) as viewer:
-            height = viewer.picture().shape[0]
+            height = viewer.image().shape[0]
             viewer.plot("error", 0.1)
-            assert until(lambda: viewer.picture().shape[0] < height - 100, 60)  # for a strip below
+            assert until(lambda: viewer.image().shape[0] < height - 100, 60)  # for a strip below
             os.kill(viewer._process._process.pid, 9)
             assert until(lambda: not viewer.sync(), 60)
             viewer.plot("error", 0.1)

@@ -281,7 +281,7 @@ def test_what_came_before_an_error_is_kept(
             ["--render", "run.avi"],
             "--render: found 'run.avi'; expected a name that ends in .png",
         ),
-        (["--at", "1"], "--at is for a picture: --render OUT.png"),
+        (["--at", "1"], "--at needs an image: --render OUT.png"),
         (["--render", "x.png", "--at", "9"], "--at 9: the run ends at 0.4 s"),
         (["--set", "controllers.lwr.stifness=1"], "stifness: unknown key; did you mean"),
         (["--seed", "-1"], "found '-1'; expected a whole number from 0"),

@@ -162,7 +162,7 @@ def test_kinds_of_other_packages_are_listed(capsys: pytest.CaptureFixture[str]) 
         main(["list"])
     assert ended.value.code == 0
     out = capsys.readouterr().out
-    assert "  json_lines         json_lines_example:JsonLines, of json-lines-example\n" in out
+    assert "  json_lines         json_lines_example:JsonLines from json-lines-example\n" in out
     assert "  udp                sero_mj.data.receive.udp:UdpReceiver\n" in out  # ours stays
 
 

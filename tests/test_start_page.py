@@ -28,7 +28,7 @@ from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.load import load_scene
 from sero_mj.viewer.host.start_page import ExpectedPackets, PortMonitor, sections
 from sero_mj.viewer.session import recent_views as recent
-from sero_mj.viewer.session.recent_views import MOST, RecentView, recent_views, remember_view
+from sero_mj.viewer.session.recent_views import MAX_VIEWS, RecentView, recent_views, remember_view
 from sero_mj.viewer.web import uploads
 
 ARM = """
@@ -67,9 +67,9 @@ def test_all_that_is_shipped_is_shown_once_with_its_picture() -> None:
     for section in found:
         for tile in section.tiles:
             assert tile.about, tile.title
-            assert tile.picture is not None, f"{tile.title}: run make gallery"
-            with Image.open(tile.picture) as image:
-                assert image.size == recent.PICTURE_SIZE
+            assert tile.image is not None, f"{tile.title}: run make gallery"
+            with Image.open(tile.image) as image:
+                assert image.size == recent.IMAGE_SIZE
                 assert np.asarray(image.convert("L")).std() > 10, tile.title  # not blank
     shown = {f"{name}.jpg" for name in names}
     assert {file.name for file in (paths.scenes_dir() / "pictures").iterdir()} == shown
@@ -92,24 +92,24 @@ def test_what_was_viewed_comes_first_with_how_it_was_left(tmp_path: Path, state:
     remember_view(RecentView("lwr_udp"), None)  # without a picture it has the shipped one
     remember_view(RecentView(str(scene)), grey)
     first = sections()[0]
-    assert first.title == "Recent"
+    assert first.title == "Recent views"
     assert [tile.title for tile in first.tiles] == ["mine.toml", "lwr_udp"]
     mine, lwr = first.tiles
-    assert mine.picture is not None
-    assert lwr.picture == paths.scenes_dir() / "pictures" / "lwr_udp.jpg"
-    with Image.open(mine.picture) as image:
-        assert image.size == recent.PICTURE_SIZE
+    assert mine.image is not None
+    assert lwr.image == paths.scenes_dir() / "pictures" / "lwr_udp.jpg"
+    with Image.open(mine.image) as image:
+        assert image.size == recent.IMAGE_SIZE
         assert abs(int(np.asarray(image).mean()) - 77) < 2
     scene.unlink()
-    assert titles("Recent") == ["lwr_udp"]
+    assert titles("Recent views") == ["lwr_udp"]
 
 
 def test_only_the_latest_are_remembered_and_damage_is_forgotten(state: Path) -> None:
-    names = paths.list_all()[: MOST + 3]
+    names = paths.list_all()[: MAX_VIEWS + 3]
     for name in names:
         remember_view(RecentView(name), np.zeros((30, 40, 3), np.uint8))
     assert [view.scene for view in recent_views()] == names[:2:-1]
-    assert len(list((state / "recent").glob("*.jpg"))) == MOST
+    assert len(list((state / "recent").glob("*.jpg"))) == MAX_VIEWS
     for text in ("", "{", "[1]", '[{"scene": 3}]', '[{"scene": "a\\u0000", "replay": ""}]'):
         (state / "recent.json").write_text(text)
         assert recent_views() == []
@@ -137,7 +137,7 @@ def until(listening: PortMonitor, text: str) -> ExpectedPackets:
     """What is awaited, once its text has this in it."""
     end = time.monotonic() + 10.0
     while time.monotonic() < end:
-        (found,) = listening.awaited()
+        (found,) = listening.expected()
         if text in found.text:
             return found
         threading.Event().wait(0.01)
@@ -146,9 +146,9 @@ def until(listening: PortMonitor, text: str) -> ExpectedPackets:
 
 def test_data_that_is_awaited_is_heard(tmp_path: Path) -> None:
     with hearing(tmp_path, 16, 24) as (listening, sender, port), listening:
-        (nothing,) = listening.awaited()
-        assert nothing.text == f"UDP 127.0.0.1:{port}: nothing yet"
-        assert nothing.expected == "16 bytes (cell16.toml) or 24 (cell24.toml)"
+        (nothing,) = listening.expected()
+        assert nothing.text == f"UDP 127.0.0.1:{port}: no packets yet"
+        assert nothing.packets == "16 bytes (cell16.toml) or 24 (cell24.toml)"
         assert nothing.command == f"sero-mj send {tmp_path / 'cell16.toml'}"
         assert (nothing.mood, nothing.shown) == ("plain", [])
         for _ in range(5):
@@ -157,7 +157,7 @@ def test_data_that_is_awaited_is_heard(tmp_path: Path) -> None:
         assert (found.mood, found.command) == ("good", "")
         assert [Path(view.scene).name for view in found.shown] == ["cell24.toml"]
         sender.send(bytes(10))
-        found = until(listening, "1/s of 10 bytes, which is not expected")
+        found = until(listening, "1/s of 10 bytes (unexpected size)")
         assert found.mood == "bad"
 
 
@@ -166,7 +166,7 @@ def test_a_port_that_is_in_use_is_told(tmp_path: Path) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.bind(("127.0.0.1", port))
             with listening:
-                (found,) = listening.awaited()
+                (found,) = listening.expected()
         assert found.text.startswith(f"UDP port {port} on 127.0.0.1 is in use by another program")
         assert (found.mood, found.command) == ("bad", "")
 
@@ -176,7 +176,7 @@ def test_scenes_that_are_wrong_are_not_listened_for(tmp_path: Path) -> None:
     for text in ("[", "sources = 3", "[sources]\na = 1", '[sources.a]\nkind = "udp"\nport = -1\n'):
         wrong.write_text(text)
         with PortMonitor([RecentView(str(wrong)), RecentView("none.toml")]) as listening:
-            assert listening.awaited() == []
+            assert listening.expected() == []
 
 
 def record(path: Path, scene: str, files: Mapping[str, bytes]) -> None:
@@ -195,8 +195,8 @@ def test_a_recording_is_shown_by_the_scene_of_its_sources(tmp_path: Path) -> Non
     with pytest.raises(UsageError) as told:
         view_of_file(recording, None)
     assert str(told.value) == (
-        "run.mcap: found no scene that shows it; sero-mj view SCENE --replay run.mcap shows it "
-        "by one"
+        "run.mcap: no scene found that has its sources. "
+        "Choose one: sero-mj view SCENE --replay run.mcap"
     )
     scene = tmp_path / "mine.toml"
     scene.write_text(ARM.format(port=0))
@@ -248,8 +248,11 @@ def test_of_several_files_one_is_opened(names: list[str], chosen: str) -> None:
 @pytest.mark.parametrize(
     ("names", "text"),
     [
-        (["a.txt", "b", "c", "d"], "found a.txt, b, c, ...; expected a file that ends in .toml"),
-        (["a.urdf", "b.urdf"], "found a.urdf and b.urdf; drop one of them, or its folder"),
+        (
+            ["a.txt", "b", "c", "d"],
+            "found a.txt, b, c, ...; expected a file with the extension .toml",
+        ),
+        (["a.urdf", "b.urdf"], "found a.urdf and b.urdf; drop only one of them, or its folder"),
     ],
 )
 def test_what_cannot_be_opened_is_told(names: list[str], text: str) -> None:
@@ -266,26 +269,32 @@ def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
     except UsageError:
         return
     assert Path("/folder", found).resolve().is_relative_to("/folder")
-    assert 0 <= size <= uploads.MOST_BYTES
+    assert 0 <= size <= uploads.MAX_BYTES
 
 
 @pytest.mark.parametrize(
     ("message", "text"),
     [
-        ("nonsense", "found no list of files; expected paths and sizes"),
-        (b"\xff", "found no list of files"),
-        ('[{"path": "a.toml", "size": 1e999}]', "found no list of files"),
-        ('[{"path": "a.toml", "size": 1.5}]', "found no list of files"),
-        ("[" * 100_000, "found no list of files"),
-        ('{"files": []}', "found no list of files"),  # without a key
-        ('[{"path": "a.toml", "size": 1, "more": 1}]', "found no list of files"),
+        ("nonsense", "expected a list of files with paths and sizes"),
+        (b"\xff", "expected a list of files"),
+        ('[{"path": "a.toml", "size": 1e999}]', "expected a list of files"),
+        ('[{"path": "a.toml", "size": 1.5}]', "expected a list of files"),
+        ("[" * 100_000, "expected a list of files"),
+        ('{"files": []}', "expected a list of files"),  # without a key
+        ('[{"path": "a.toml", "size": 1, "more": 1}]', "expected a list of files"),
         ('[{"path": "' + "a/" * 30 + 'a.toml", "size": 1}]', "found the path 'a/a/"),
-        ("[]", "found no file; drop a robot, a scene or a recording"),
-        ('[{"path": "../a", "size": 1}]', "found the path '../a'; expected a plain one"),
+        ("[]", "the drop contains no file; drop a robot"),
+        (
+            '[{"path": "../a", "size": 1}]',
+            "found the path '../a'; expected a relative path without",
+        ),
         ('[{"path": "/etc/a", "size": 1}]', "found the path '/etc/a'"),
         (r'[{"path": "C:\\a", "size": 1}]', "found the path 'C:"),
-        ('[{"path": "a.toml", "size": 900000000}]', "found 900 MB; a page takes at most 500"),
-        (json.dumps([{"path": f"{k}", "size": 0} for k in range(2001)]), "found 2001 files; at"),
+        ('[{"path": "a.toml", "size": 900000000}]', "found 900 MB; expected at most 500"),
+        (
+            json.dumps([{"path": f"{k}", "size": 0} for k in range(2001)]),
+            "found 2001 files; expected at",
+        ),
     ],
 )
 def test_lists_of_files_are_checked(message: str | bytes, text: str) -> None:

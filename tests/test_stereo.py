@@ -151,19 +151,19 @@ def test_a_window_shows_both_eyes_and_takes_clicks_of_either(tmp_path: Path) -> 
             window.click(half + x, SIZE[1] - bottom - y)
             window.until(f"len(clicks) == {k + 1}")
         assert window.ask("clicks[0] == clicks[1] and clicks[0][1] is not None")
-        halves = "[w.picture()[:, :320].astype(int), w.picture()[:, 320:].astype(int)]"
+        halves = "[w.image()[:, :320].astype(int), w.image()[:, 320:].astype(int)]"
         apart = f"(lambda a, b: float(abs(a - b).mean()))(*{halves})"
         assert 0.3 < window.ask(apart) < 20
         # Red is the left eye's, green and blue are the right one's.
         window.ask("setattr(w.decor, '_is_anaglyph', True)")
         window.settle()
-        mixed = "w.picture().astype(int)"
+        mixed = "w.image().astype(int)"
         assert window.ask(f"int(abs({mixed}[..., 0] - {mixed}[..., 1]).max())") > 60
         window.ask("setattr(w.decor, '_eye_distance', 1e-9)")
         window.settle()
-        window.ask("setattr(w, '_mixed', w.picture().astype(int)) or 0")
+        window.ask("setattr(w, '_mixed', w.image().astype(int)) or 0")
         window.ask("setattr(w.decor, '__class__', type(w.decor).__base__)")  # for one eye
-        assert window.ask("int(abs(w._mixed - w.picture()).max())") <= 2
+        assert window.ask("int(abs(w._mixed - w.image()).max())") <= 2
 
 
 def test_what_is_no_stereo_is_told(capsys: pytest.CaptureFixture[str]) -> None:
@@ -178,7 +178,7 @@ def test_what_is_no_stereo_is_told(capsys: pytest.CaptureFixture[str]) -> None:
         assert str(caught.value) == message
     with pytest.raises(SystemExit):
         main(["render", "lwr", "-o", "a.png", "--eye-distance", "0.1"])
-    assert "--eye-distance is for --stereo side-by-side or anaglyph" in capsys.readouterr().err
+    assert "--eye-distance needs --stereo side-by-side or anaglyph" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["view", "lwr", "--web", "--stereo", "anaglyph"])
-    assert "--stereo is for the window; a page has one eye" in capsys.readouterr().err
+    assert "--stereo needs a window; found a page" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The help: mouse and keys, and what they do."""
+"""The help: mouse gestures and keys, and their effects."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from ..session.keys import Row
 from ..session.widgets import Widgets
 
 TITLE = "Mouse and keys"
-WIDTH = 56.0  # of the text's height; in less, columns are one below the other
-_HOW = 9.6  # width of what the user does, likewise
+WIDTH = 56.0  # in text heights; in a narrower dialog, columns are below each other
+_INPUT = 9.6  # width of the column of keys, in text heights
 
 
 def build_help(ui: Widgets, columns: Sequence[Sequence[Row]]) -> None:
-    """Builds the help; see `interaction.help_columns`."""
+    """Builds the help from `session.keys.help_columns`."""
     is_wide = ui.room()[0] >= 0.9 * WIDTH
     if not ui.table("##help", (0.0,) * (len(columns) if is_wide else 1)):
         return
@@ -31,7 +31,7 @@ def _sections(ui: Widgets, rows: Sequence[Row]) -> None:
     is_in_table = False
     for how, words in rows:
         if words and not is_in_table:
-            is_in_table = ui.table(f"##{how}", (_HOW, 0.0))
+            is_in_table = ui.table(f"##{how}", (_INPUT, 0.0))
         elif not words and is_in_table:
             ui.end_table()
             is_in_table = False

@@ -1,4 +1,4 @@
-"""The dialog of a file that asks to run programs, see `base.trust`."""
+"""The dialog about a file that requests to run programs, see `base.trust`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from ...base.paths import without_temporary
 from ...base.trust import Request
 from ..session.widgets import Widgets
 
-TITLE = "This file asks to run programs"
-WIDTH = 34.0  # of the text's height
-
-
+TITLE = "This file requests to run programs"
+WIDTH = 34.0  # in text heights
 _MAX_SHOWN = 2000  # characters of an action
 
 
@@ -35,16 +33,17 @@ def build_request(
     """Builds the dialog.
 
     Args:
-        can_allow: whether who has control may allow it: only on the machine that would run it.
+        can_allow: whether the user may allow the request: only on the machine that runs the
+            programs.
     """
-    ui.text(f"{printable(without_temporary(str(request.file)))} is shown without simulating it.")
-    ui.text("Its simulation would do this on your computer, with all your rights:")
+    ui.text(f"{printable(without_temporary(str(request.file)))} is displayed but not simulated.")
+    ui.text("Simulating it would run the following on your computer, with your permissions:")
     for action in request.actions:
         ui.text(f"{_shortened(action.text)}   ({printable(action.key)})", "bad")
     ui.text("Allow this only if you trust the author of the file.")
     if not can_allow:
-        ui.text("Only a browser on the computer that serves this page can allow it.", "quiet")
-    if ui.button("show only"):
+        ui.text("Only a browser on the computer that serves this page can allow this.", "quiet")
+    if ui.button("display only"):
         dismiss()
     if can_allow:
         ui.same_line()

@@ -11,14 +11,14 @@ from ...data.drive.place import follow
 
 SPAN = 60.0  # s
 _RATE = 30.0  # states per s
-_MAX_BYTES = 64e6  # of all states; large worlds keep fewer of them per s
+_MAX_BYTES = 64e6  # for all states; large worlds store fewer states per second
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class LiveHistory:
-    """The states of a live mirror in the last minute, about 30 per second, and the newest one.
+    """The newest state of a live mirror, and about 30 states per second of the last minute.
 
-    While an older one is shown the mirror continues: call `put_back` before advancing it.
+    While a past state is shown, call `put_back` before the mirror advances.
     """
 
     def __init__(self, mirror: LiveWorld, span: float = SPAN) -> None:
@@ -30,7 +30,7 @@ class LiveHistory:
         self._times: Array = np.full(count, np.nan)
         self._states: Array = np.empty((count, size))
         self._newest: Array = np.empty(size)
-        self._row = -1  # of the newest state kept
+        self._row = -1  # row of the newest stored state
         self.end = 0.0
 
     @property
@@ -46,10 +46,10 @@ class LiveHistory:
         self.end = time
         mujoco.mj_getState(self._model, self._data, self._newest, _STATE)
         if self._row < 0 or time >= self._times[self._row] + self._step:
-            self.keep()
+            self.store()
 
-    def keep(self) -> None:
-        """Keeps the newest state, regardless of its distance to the previous one."""
+    def store(self) -> None:
+        """Stores the newest state, even if the previous one is recent."""
         self._row = (self._row + 1) % len(self._times)
         self._times[self._row], self._states[self._row] = self.end, self._newest
 
@@ -57,7 +57,7 @@ class LiveHistory:
         mujoco.mj_setState(self._model, self._data, self._newest, _STATE)
 
     def show(self, time: float) -> None:
-        """Restores the last state before a time, s, or the oldest one."""
+        """Restores the last state before a time, s, or the oldest state."""
         count = len(self._times)
         order = (self._row + 1 + np.arange(count)) % count  # the oldest first
         order = order[np.isfinite(self._times[order])]

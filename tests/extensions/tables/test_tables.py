@@ -332,10 +332,10 @@ def test_commands_say_how_a_table_is_shown(
 ) -> None:
     path = table(tmp_path, RTDE)
     assert run("render", path, "-o", tmp_path / "x.png") == 2
-    assert "which does not say what its robot is; give the robot" in capsys.readouterr().err
+    assert "which does not describe its robot. Name the robot" in capsys.readouterr().err
     scene_of(tmp_path)
     assert run("check", tmp_path / "two.toml", "--columns", "torques=x*") == 2
-    assert "--columns is for tables" in capsys.readouterr().err
+    assert "--columns needs a table" in capsys.readouterr().err
     assert run("check", tmp_path / "two.toml", "--replay", path, "--columns", "torques=x*") == 2
     assert "no column matches 'x*'" in capsys.readouterr().err
     arguments = ("--replay", path, "--columns", "torques=target_moment_*")

@@ -211,11 +211,11 @@ def test_a_cell_is_run_again_and_goes_on_while_none_runs(kernel: Kernel) -> None
     # With a token of its own: another program could have received the one before in between.
     assert len(set(urls)) == 2
     assert all(url.startswith(f"http://localhost:{port}/?token=") for url in urls)
-    assert "lwr is opened again; its viewer before is closed" in kernel.printed
-    kernel.run("print('pictures', viewer.pictures)")
+    assert "lwr is opened again; its previous viewer is closed" in kernel.printed
+    kernel.run("print('pictures', viewer.frame_count)")
     seen = len(kernel.said["first"])
     kernel.until(lambda: len(kernel.said["first"]) > seen + 3)  # no cell runs
-    kernel.run("print('pictures', viewer.pictures)")
+    kernel.run("print('pictures', viewer.frame_count)")
     first, second = map(int, re.findall(r"pictures (\d+)", kernel.printed))
     assert second > first
     with urllib.request.urlopen(urls[1], timeout=5) as answer:
