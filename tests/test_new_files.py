@@ -144,8 +144,8 @@ def test_a_copy_is_the_robot_it_is_like(
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("taken",), "taken is there already; choose another name"),
-        (("scened",), "scened.toml is there already; choose another name"),
+        (("taken",), "taken already exists; choose another name"),
+        (("scened",), "scened.toml already exists; choose another name"),
         (("a b",), "NAME: found 'a b'; expected letters, digits, _ and -"),
         (("../up",), "NAME: found '../up'"),
         (("x", "--joints", "0"), "found '0'; expected a whole number from 1 to 64"),

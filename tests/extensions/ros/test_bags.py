@@ -630,7 +630,7 @@ def test_columns_are_called_by_joints_in_the_order_of_the_robot(
     assert pan[1:] == pytest.approx(columns["joint_angles[shoulder_pan_joint]"][1:])
     elsewhere = [str(bag), str(table), "--overwrite", "--scene", "fr3"]
     status, _, told = run(capsys, "export", *elsewhere)
-    assert status == 2 and "--scene fr3: its joints are fr3_joint1, " in told
+    assert status == 2 and "--scene fr3: found joints fr3_joint1, " in told
 
 
 def test_messages_without_names_are_those_of_a_robot_that_is_named(

@@ -573,7 +573,7 @@ def test_processes_load_no_opengl(file: Path) -> None:
         "end, other = Pipe(duplex=False)\n"
         "from sero_mj.extensions.sweeps.variants import Variants\n"
         f"engine.start_worker(end, Variants(Path({str(file)!r}), {{}}))\n"
-        "print(workers._run([{}])[0]['held'], 'OpenGL.EGL' in sys.modules)\n"
+        "print(engine._run([{}])[0]['held'], 'OpenGL.EGL' in sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split()[1] == "False", done.stdout
