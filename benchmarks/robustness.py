@@ -206,15 +206,15 @@ LIMITS = (
     ("packet", "data.receive.language", "MAX_PACKET_BYTES", "bytes"),
     ("queued packets of a lossless source", "data.receive.mailbox", "QUEUE_BYTES", "bytes"),
     ("message of a browser", "viewer.web.messages", "MAX_BYTES", "bytes"),
-    ("messages per second of a browser", "viewer.web.browsers", "_MOST_PER_SECOND", ""),
-    ("queued messages of browsers", "viewer.web.browsers", "_MOST_SAID", ""),
-    ("connected browsers of a page", "viewer.web.browsers", "_MOST_BROWSERS", ""),
-    ("uploaded files of a server, total size", "viewer.web.uploads", "MOST_BYTES", "bytes"),
-    ("uploaded files of a server, number", "viewer.web.uploads", "MOST_FILES", ""),
+    ("messages per second of a browser", "viewer.web.browsers", "_MAX_PER_SECOND", ""),
+    ("queued messages of browsers", "viewer.web.browsers", "_MAX_QUEUED", ""),
+    ("connected browsers of a page", "viewer.web.browsers", "_MAX_BROWSERS", ""),
+    ("uploaded files of a server, total size", "viewer.web.uploads", "MAX_BYTES", "bytes"),
+    ("uploaded files of a server, number", "viewer.web.uploads", "MAX_FILES", ""),
     ("saved view", "viewer.session.view_state", "_MAX_CHARACTERS", "characters"),
     ("log of a run", "simulate.simulation", "MAX_BYTES", "bytes"),
     ("duration of a simulated run", "simulate.scenario", "_MAX_DURATION", "s"),
-    ("history of a live view", "viewer.session.live_history", "_MAX_BYTES", "bytes"),
+    ("history of a live view", "viewer.session.clock", "_MAX_STATE_BYTES", "bytes"),
 )
 
 

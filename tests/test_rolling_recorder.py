@@ -66,9 +66,9 @@ def test_films_are_made_one_after_the_other_and_told(tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == paths
     films.add(["render", "no_such_robot"], tmp_path / "no.mp4")
     ((text, is_bad),) = wait_for(films, 1)
-    assert is_bad and text.startswith("no film no.mp4: ") and "no_such_robot" in text
+    assert is_bad and text.startswith("video no.mp4 failed: ") and "no_such_robot" in text
     films.add(["export", "lwr"], tmp_path / "pose.html")
-    assert wait_for(films, 1) == [("page of what was kept: pose.html", False)]
+    assert wait_for(films, 1) == [("page saved: pose.html", False)]
     films.close(finish=False)
 
 
@@ -88,8 +88,8 @@ def test_an_export_that_writes_many_lines_does_not_block_the_next(
     said = []
     assert until(lambda: said.append(films.advance()) or len([*filter(None, said)]) == 2, 60.0)
     assert [*filter(None, said)] == [
-        ("no film first.mp4: a line of a warning", True),
-        ("no film second.mp4: a line of a warning", True),
+        ("video first.mp4 failed: a line of a warning", True),
+        ("video second.mp4 failed: a line of a warning", True),
     ]
 
 
@@ -109,7 +109,7 @@ def test_two_keys_within_a_second_keep_two_recordings(tmp_path: Path) -> None:
         now = datetime(2026, 5, 4, 17, 3, 12)
         with patch("sero_mj.viewer.tools.rolling_recorder.datetime") as clock:
             clock.now.return_value = now
-            said = [recorder._keep(), recorder._keep()]
+            said = [recorder._save(), recorder._save()]
         recorder.close()
     names = [text.rpartition(" ")[2] for text in said]
     assert len({*names}) == 2
