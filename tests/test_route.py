@@ -65,7 +65,7 @@ def problems_in(file: Path, overrides: dict[str, Any] | None = None) -> list[str
     return [str(problem).replace(f"{file.parent}/", "") for problem in caught.value.problems]
 
 
-def test_a_source_is_made_from_its_table() -> None:
+def test_source_is_created_from_its_table() -> None:
     table = {"kind": "udp", "structure": "1F", "port": 4711}
     source = make_source("robot", table)
     assert isinstance(source, UdpReceiver)
@@ -86,13 +86,13 @@ def test_a_source_is_made_from_its_table() -> None:
         ({"kind": {"udp": 1}}, f"kind: no kind {{udp = 1}}; available: {LISTED}"),
     ],
 )
-def test_another_kind_of_source_is_refused(table: dict[str, Any], message: str) -> None:
+def test_invalid_source_kind_is_rejected(table: dict[str, Any], message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         make_source("udp", table)
     assert str(caught.value).startswith(message)
 
 
-def test_files_and_python_have_the_same_fields_under_two_names() -> None:
+def test_file_and_python_names_of_fields_are_equivalent() -> None:
     in_file = UdpReceiver(structure="1F", port=4711, double=False)
     in_python = UdpReceiver(structure="1F", udpport=4711, is_double=False)
     assert in_file.model_dump() == in_python.model_dump()
@@ -119,21 +119,21 @@ def test_files_and_python_have_the_same_fields_under_two_names() -> None:
         ({"structure": "1F", "buffer_size": -1}, "buffer_size: found -1; expected greater than"),
     ],
 )
-def test_wrong_fields_of_a_source_are_refused(fields: dict[str, Any], message: str) -> None:
+def test_invalid_fields_of_a_source_are_rejected(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         make_source("udp", {"kind": "udp", **fields})
     assert str(caught.value).startswith(message)
     assert len(caught.value.problems) == 1
 
 
-def test_everything_that_is_wrong_with_a_source_is_told_at_once() -> None:
+def test_all_errors_of_a_source_are_reported_together() -> None:
     wiring = wire(scene_of({}, {"udp": {"kind": "udp", "structure": "x", "port": -1, "hots": ""}}))
     keys = ["sources.udp.structure", "sources.udp.port", "sources.udp.hots"]
     assert sorted(problem.key for problem in wiring.problems) == sorted(keys)
     assert wiring.sources == {}
 
 
-def test_a_right_route_is_kept_as_robot_input_source_and_event() -> None:
+def test_valid_route_has_input_source_and_event() -> None:
     scene = scene_of({"arm.joint_angles": "udp.values0", "arm.torques": "udp.values1"})
     wiring, inputs = wire(scene), list_inputs(scene)
     assert wiring.problems == []
@@ -189,7 +189,7 @@ def test_a_right_route_is_kept_as_robot_input_source_and_event() -> None:
         ),
     ],
 )
-def test_a_wrong_route_is_told_with_the_nearest_name(
+def test_invalid_route_is_reported_with_the_nearest_name(
     target: str, event: str, messages: list[str]
 ) -> None:
     wiring = wire(scene_of({target: event, "arm.billboard_values": "udp.values0"}))
@@ -199,18 +199,18 @@ def test_a_wrong_route_is_told_with_the_nearest_name(
 
 
 @given(st.text(max_size=20), st.text(max_size=20))
-def test_any_text_is_a_route_or_a_problem(target: str, event: str) -> None:
+def test_any_text_is_a_route_or_an_error(target: str, event: str) -> None:
     wiring = wire(scene_of({target: event}))
     assert len(wiring.routes) + bool(wiring.problems) == 1
 
 
-def test_a_mirror_refuses_what_is_wrong() -> None:
+def test_mirror_rejects_invalid_routes() -> None:
     with raises_with(key="routes.arm.torques", reason="no source 'upd'; did you mean 'udp'?"):
         Mirror(scene_of({"arm.torques": "upd.values0"}))
 
 
 @pytest.mark.parametrize("key", INPUTS)
-def test_a_router_writes_its_input_and_nothing_else(key: str) -> None:
+def test_router_writes_only_the_routed_input(key: str) -> None:
     scene = Scene(
         robots=[arm("left", 3), arm("right", 3)],
         sources={"udp": {"kind": "udp", "structure": "3F"}},
@@ -235,7 +235,7 @@ def test_a_router_writes_its_input_and_nothing_else(key: str) -> None:
     assert (data.userdata == untouched.userdata).all()
 
 
-def test_one_packet_drives_several_robots() -> None:
+def test_one_packet_moves_several_robots() -> None:
     scene = Scene(
         robots=[arm("left", 7), arm("right", 7)],
         sources={"udp": {"kind": "udp", "structure": "7F7F7F7F"}},
@@ -257,7 +257,7 @@ def test_one_packet_drives_several_robots() -> None:
     assert (data.userdata[world.slots["right.torques"]] == numbers[21:]).all()
 
 
-def test_one_event_leads_to_several_inputs() -> None:
+def test_one_event_sets_several_inputs() -> None:
     scene = scene_of(dict.fromkeys((f"arm.{key}" for key in INPUTS), "udp.values0"))
     world, wiring = World(scene), wire(scene)
     assert [route.to.key for route in wiring.routes] == list(INPUTS)
@@ -269,7 +269,7 @@ def test_one_event_leads_to_several_inputs() -> None:
     assert (data.userdata[[world.flags[f"arm.{key}"] for key in INPUTS]] == 1.0).all()
 
 
-def test_everything_wrong_in_a_file_is_told_at_once_with_file_line_and_key(tmp_path: Path) -> None:
+def test_all_errors_of_a_file_are_reported_with_line_and_key(tmp_path: Path) -> None:
     file = written(
         tmp_path,
         ROBOT.replace("craig", "crag")
@@ -321,7 +321,7 @@ structure = "3F"
     ],
     ids=["file", "no file", "entry", "section", "source", "kind"],
 )
-def test_one_mistake_makes_one_problem(tmp_path: Path, robot: str, sources: str, only: str) -> None:
+def test_one_error_is_reported_once(tmp_path: Path, robot: str, sources: str, only: str) -> None:
     # The route to it is right: to call it wrong as well would send its author astray.
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken/robot.toml").write_text('dh_convention = "crag"\ndh_params = [[0,0,0,1]]')
@@ -330,14 +330,14 @@ def test_one_mistake_makes_one_problem(tmp_path: Path, robot: str, sources: str,
     assert problem.startswith(only)
 
 
-def test_a_route_without_quotes_is_told_with_its_line(tmp_path: Path) -> None:
+def test_route_without_quotes_is_reported_with_its_line(tmp_path: Path) -> None:
     routes = '[routes]\n"arm.joint_angles" = "udp.values0"\narm.torques = "udp.values1"\n'
     (problem,) = problems_in(written(tmp_path, ROBOT + SOURCE + routes))
     assert problem.endswith("; put quotes about the whole name")
     assert problem.startswith("scene.toml:9: routes.arm")
 
 
-def test_a_mistyped_section_is_one_mistake(tmp_path: Path) -> None:
+def test_mistyped_section_is_reported_once(tmp_path: Path) -> None:
     routes = '[routes]\n"arm.joint_angles" = "udp.values0"\n"arm.torques" = "udp.values1"\n'
     for section in ("sources", "robots"):
         text = (ROBOT + SOURCE + routes).replace(f"[{section}.", f"[{section[:-1]}.")
@@ -345,7 +345,7 @@ def test_a_mistyped_section_is_one_mistake(tmp_path: Path) -> None:
         assert f"{section[:-1]}: unknown section; did you mean '{section}'?" in problem
 
 
-def test_an_input_that_is_set_is_no_longer_routed_to(tmp_path: Path) -> None:
+def test_overridden_input_loses_its_route(tmp_path: Path) -> None:
     routes = '[routes]\n"arm.joint_angles" = "udp.values0"\n"arm.torques" = "udp.values1"\n'
     file = written(tmp_path, ROBOT + SOURCE + routes)
     assert len(load_scene(file).routes) == 2
