@@ -89,9 +89,9 @@ FUZZED = (
         "extensions/ros/test_bags.py::test_damaged_bags_are_errors_or_end_early",
     )),
     Target("TOML", (
-        "test_paths.py::test_any_tables_are_read_or_refused_as_a_declaration",
-        "test_paths.py::test_any_text_is_read_or_refused_as_a_declaration",
-        "test_paths.py::test_any_bytes_are_read_or_refused_as_a_declaration",
+        "test_paths.py::test_any_tables_are_read_or_rejected_as_a_declaration",
+        "test_paths.py::test_any_text_is_read_or_rejected_as_a_declaration",
+        "test_paths.py::test_any_bytes_are_read_or_rejected_as_a_declaration",
         "test_hostile_files.py",
     )),
     Target("URDF", ("test_urdf.py::test_mutated_files_raise_only_declaration_errors",)),

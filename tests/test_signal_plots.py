@@ -202,7 +202,7 @@ def test_plots_are_kept_for_their_scene(tmp_path: Path, monkeypatch: pytest.Monk
         ("more", 1.0, "plot 'more': found 101 signals; expected at most 100"),
     ],
 )
-def test_what_cannot_be_plotted_is_told(name: Any, value: Any, message: str) -> None:
+def test_invalid_plots_are_rejected(name: Any, value: Any, message: str) -> None:
     outbox = Outbox(lambda tool, message: True)
     outbox.add = lambda tool, take: None  # type: ignore[method-assign]
     signals = UserSignals(outbox)
