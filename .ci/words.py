@@ -50,7 +50,8 @@ UNCHECKED = (
     "sero_mj/extensions/tables",
     "sero_mj/robots",
     "sero_mj/simulate",
-    "sero_mj/viewer",
+    "sero_mj/viewer/decor",
+    "sero_mj/viewer/image",
 )
 FENCE = re.compile(r"^(```|~~~).*?^\1", re.DOTALL | re.MULTILINE)
 CODE = re.compile(r"``.+?``|`[^`]+`|\]\([^)]*\)|<[^>]+>")

@@ -84,7 +84,7 @@ def test_events_keep_their_names_in_another_structure(recording: Path) -> None:
     other = Structure(">1H=7 values0:2f extra:1d".replace("values0:", ""))
     found = RecordedPackets(recording, structure=other)
     assert not found.is_raw
-    assert found.about == f"{recording}, source arm, its values0"
+    assert found.about == f"{recording}, source arm, events values0"
     assert [packet for _, packet in found.packets()] == [
         struct.pack(">H2fd", 7, k, -k, 0.0) for k in range(5)
     ]
@@ -118,8 +118,8 @@ def test_packets_that_cannot_be_decoded_or_packed_are_counted(tmp_path: Path) ->
     [
         (
             "joints:2F",
-            "'arm' in {file} has values0, vectors0, matrices0; 'joints:2F' has joints: nothing to "
-            "send",
+            "'arm' in {file} has the events values0, vectors0, matrices0; 'joints:2F' has joints. "
+            "None are common",
         ),
         ("3F", "values0 of 'arm' in {file} is 2; '3F' expects 3"),
     ],
@@ -143,7 +143,7 @@ def test_recorded_source_must_be_unambiguous(tmp_path: Path) -> None:
         UsageError, reason="no source", found="amr", of=f"in {tmp_path}/two.mcap", near="arm"
     ):
         RecordedPackets(path, "amr")
-    with raises_with(RecordingError, path=f"{tmp_path}/two.mcap", reason="has no packet of 'arm'"):
+    with raises_with(RecordingError, path=f"{tmp_path}/two.mcap", reason="has no packets of 'arm'"):
         RecordedPackets(path, "arm")
 
 

@@ -293,7 +293,7 @@ def test_recorded_motion_can_be_a_target(tmp_path: Path) -> None:
     [
         ("file='none.mcap'", "targets.lwr.file: "),
         ("file='none.csv'", "none.csv: cannot be read"),
-        ("file='bad.csv'", "found 2 columns beside time"),
+        ("file='bad.csv'", "found 2 columns in addition to time"),
         ("file='bad.csv'\nof='x'", "targets.lwr.of: is only for recordings"),
         ("file='bad.csv'\ntimes=[0,1]", "targets.lwr.times: is read from the file; remove it or"),
         ("file=5", "targets.lwr.file: found 5; expected the name of a recording or a table"),
