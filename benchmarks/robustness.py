@@ -79,7 +79,7 @@ FUZZED = (
     Target("text of structures and routes", (
         "test_structure.py::test_no_string_at_all_raises_anything_else",
         "test_route.py::test_any_text_is_a_route_or_a_problem",
-        "test_route_checks.py::test_any_words_make_a_route_or_a_problem",
+        "test_route_checks.py::test_any_text_is_a_route_or_a_problem",
         "test_expression.py::test_any_text_is_evaluated_or_rejected",
     )),
     Target("recordings (MCAP)", (
@@ -131,12 +131,12 @@ FUZZED = (
     Target("uploads", (
         "test_web_start.py::test_refused_drops_leave_nothing_and_full_space_is_told",
         "test_start_page.py::test_no_path_leads_out_of_the_folder",
-        "test_start_page.py::test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all",
+        "test_start_page.py::test_uploads_are_stored_completely_or_not_at_all",
     )),
     Target("shared memory and shared files", (
         "test_shm.py::test_it_is_shrunk_and_grown_all_the_time_while_it_is_read",
         "test_shm_writers.py::test_a_torn_packet_is_never_applied",
-        "test_shared_arrays.py::test_an_array_is_read_once_and_whole_or_not_at_all",
+        "test_shared_arrays.py::test_array_is_read_once_and_whole_or_not_at_all",
         "test_view_state.py::test_switches_come_back_from_their_text",
     )),
     Target("random input to a page and a window", (
@@ -177,7 +177,7 @@ FAULTS = (
         "extensions/franka/test_franka.py::test_a_robot_that_goes_away_is_connected_to_again",
         "extensions/ros/test_foxglove.py::test_who_goes_away_says_why",
         "extensions/fri/test_fri_controller.py::test_the_network_fails_the_same_way_for_one_seed",
-        "test_status_command.py::test_a_source_that_has_gone_quiet_is_told",
+        "test_status_command.py::test_source_that_went_silent_is_reported",
     )),
     Target("clock jumps", (
         "test_udp_lossless.py::test_arrivals_stay_in_order_where_the_wall_clock_is_set",
