@@ -137,7 +137,7 @@ FUZZED = (
         "test_shm.py::test_it_is_shrunk_and_grown_all_the_time_while_it_is_read",
         "test_shm_writers.py::test_a_torn_packet_is_never_applied",
         "test_shared_arrays.py::test_array_is_read_once_and_whole_or_not_at_all",
-        "test_view_state.py::test_switches_come_back_from_their_text",
+        "test_view_state.py::test_toggles_round_trip_through_text",
     )),
     Target("random input to a page and a window", (
         "test_web_monkey.py", "test_window_monkey.py",
