@@ -21,7 +21,7 @@ class MomentumObserver:
     each joint follows its own external torque with time constant 1 / k. Neither accelerations nor
     the inverse of M are needed (De Luca, Albu-Schäffer, Haddadin, Hirzinger 2006, Collision
     Detection and Safe Reaction with the DLR-III Lightweight Manipulator Arm, IROS). C^T dq is
-    exact, see `RobotModel.transposed_coriolis`.
+    exact, see `RobotModel.write_momentum`.
 
     With torques measured on the link side, p is the momentum of the links alone: the motors with
     their friction are on the other side of the sensor. With motor torques, `motor_side=True`
