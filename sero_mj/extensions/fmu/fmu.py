@@ -46,7 +46,7 @@ class Fmu(ControllerDeclaration):
         parameters: of its parameters, the values that they get.
     """
 
-    may_be_asked: ClassVar[bool] = False
+    may_be_probed: ClassVar[bool] = False
     title: ClassVar[str] = "FMU"
     order: ClassVar[int] = 80
 
