@@ -379,7 +379,7 @@ def test_controllers_of_ones_own_have_to_write() -> None:
         SimulationError,
         time=0.0,
         joint="lwr",
-        reason="torques() has returned something; expected it to write into `out`",
+        reason="torques() returned a value; expected None, and torques written to `out`",
     ):
         ran(scenario(controllers={"lwr": Returns()}))
     (found,) = problems(controllers={"lwr": Returns})

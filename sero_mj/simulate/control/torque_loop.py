@@ -148,23 +148,20 @@ class TorqueLoop:
         self.gains, self.timestep = gains, timestep
         self._high, self._low = np.array(limits), -np.array(limits)
         # [motor torques, friction, friction and momentum, filtered torques; u; dtheta, tau]
-        terms: Array = np.zeros((m, n, 7))
-        coefficients = loop_coefficients(gains, timestep).transpose(2, 1, 0)
-        self._own: Array = terms[..., :4]
-        self._next: Array = np.zeros((m, n, 4))
+        terms: Array = np.zeros((m, 7, n))
+        coefficients = loop_coefficients(gains, timestep)
+        self._own, self._next = terms[:, :4], np.zeros((m, 4, n))
         if n <= _MAX_DENSE:
-            dense: Array = np.zeros((n, 7, n, 4))
-            dense[np.arange(n), :, np.arange(n)] = coefficients
-            self._product = (
-                terms.reshape(m, -1),
-                dense.reshape(7 * n, -1),
-                self._next.reshape(m, -1),
-            )
+            dense: Array = np.zeros((7, n, 4, n))
+            dense[:, np.arange(n), :, np.arange(n)] = coefficients.transpose(2, 1, 0)
+            matrix = dense.reshape(7 * n, -1)
+            self._product = terms.reshape(m, -1), matrix, self._next.reshape(m, -1)
         else:
-            self._product = terms[:, :, None], coefficients.copy(), self._next[:, :, None]
-        self.sensed: Array = terms[..., 5:].swapaxes(1, 2)
+            inputs, outputs = (each.swapaxes(1, 2)[:, :, None] for each in (terms, self._next))
+            self._product = inputs, coefficients.transpose(2, 1, 0).copy(), outputs
+        self.sensed: Array = terms[:, 5:]
         self.motor_torques, self.friction, self._momentum, self._filtered, self._commanded = (
-            terms[..., k] for k in range(5)
+            terms[:, k] for k in range(5)
         )
 
     def reset(self, torques: Array, velocities: Array, which: Bools | slice = slice(None)) -> None:
