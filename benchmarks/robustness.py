@@ -79,8 +79,8 @@ FUZZED = (
     Target("text of structures and routes", (
         "test_structure.py::test_no_string_at_all_raises_anything_else",
         "test_route.py::test_any_text_is_a_route_or_a_problem",
-        "test_route_checks.py::test_any_words_make_a_route_or_a_problem",
-        "test_expression.py::test_any_words_have_a_meaning_or_are_refused",
+        "test_route_checks.py::test_any_text_is_a_route_or_a_problem",
+        "test_expression.py::test_any_text_is_evaluated_or_rejected",
     )),
     Target("recordings (MCAP)", (
         "test_recording_faults.py::test_cut_off_anywhere_it_has_the_packets_before",
@@ -89,9 +89,9 @@ FUZZED = (
         "extensions/ros/test_bags.py::test_damaged_bags_are_errors_or_end_early",
     )),
     Target("TOML", (
-        "test_paths.py::test_any_tables_are_read_or_refused_as_a_declaration",
-        "test_paths.py::test_any_text_is_read_or_refused_as_a_declaration",
-        "test_paths.py::test_any_bytes_are_read_or_refused_as_a_declaration",
+        "test_paths.py::test_any_tables_are_read_or_rejected_as_a_declaration",
+        "test_paths.py::test_any_text_is_read_or_rejected_as_a_declaration",
+        "test_paths.py::test_any_bytes_are_read_or_rejected_as_a_declaration",
         "test_hostile_files.py",
     )),
     Target("URDF", ("test_urdf.py::test_mutated_files_raise_only_declaration_errors",)),
@@ -107,8 +107,8 @@ FUZZED = (
     )),
     Target("WebSocket messages of a page", (
         "test_web_host.py::test_whatever_a_browser_says_the_page_goes_on",
-        "test_dom_widgets.py::test_whatever_a_browser_says_a_widget_returns_values_of_its_kind",
-        "test_dom_widgets.py::test_ids_that_no_widget_has_are_not_stored",
+        "test_dom_widgets.py::test_widgets_return_valid_values_for_any_browser_input",
+        "test_dom_widgets.py::test_unknown_widget_ids_are_not_stored",
         "test_web_guard.py::test_messages_that_are_too_long_end_their_connection",
         "test_web_guard.py::test_requests_that_are_none_are_refused",
         "test_web_host.py::test_no_view_of_a_link_ends_the_page",
@@ -131,12 +131,12 @@ FUZZED = (
     Target("uploads", (
         "test_web_start.py::test_refused_drops_leave_nothing_and_full_space_is_told",
         "test_start_page.py::test_no_path_leads_out_of_the_folder",
-        "test_start_page.py::test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all",
+        "test_start_page.py::test_uploads_are_stored_completely_or_not_at_all",
     )),
     Target("shared memory and shared files", (
         "test_shm.py::test_it_is_shrunk_and_grown_all_the_time_while_it_is_read",
         "test_shm_writers.py::test_a_torn_packet_is_never_applied",
-        "test_shared_arrays.py::test_an_array_is_read_once_and_whole_or_not_at_all",
+        "test_shared_arrays.py::test_array_is_read_once_and_whole_or_not_at_all",
         "test_view_state.py::test_switches_come_back_from_their_text",
     )),
     Target("random input to a page and a window", (
@@ -177,7 +177,7 @@ FAULTS = (
         "extensions/franka/test_franka.py::test_a_robot_that_goes_away_is_connected_to_again",
         "extensions/ros/test_foxglove.py::test_who_goes_away_says_why",
         "extensions/fri/test_fri_controller.py::test_the_network_fails_the_same_way_for_one_seed",
-        "test_status_command.py::test_a_source_that_has_gone_quiet_is_told",
+        "test_status_command.py::test_source_that_went_silent_is_reported",
     )),
     Target("clock jumps", (
         "test_udp_lossless.py::test_arrivals_stay_in_order_where_the_wall_clock_is_set",
@@ -206,15 +206,15 @@ LIMITS = (
     ("packet", "data.receive.language", "MAX_PACKET_BYTES", "bytes"),
     ("queued packets of a lossless source", "data.receive.mailbox", "QUEUE_BYTES", "bytes"),
     ("message of a browser", "viewer.web.messages", "MAX_BYTES", "bytes"),
-    ("messages per second of a browser", "viewer.web.browsers", "_MOST_PER_SECOND", ""),
-    ("queued messages of browsers", "viewer.web.browsers", "_MOST_SAID", ""),
-    ("connected browsers of a page", "viewer.web.browsers", "_MOST_BROWSERS", ""),
-    ("uploaded files of a server, total size", "viewer.web.uploads", "MOST_BYTES", "bytes"),
-    ("uploaded files of a server, number", "viewer.web.uploads", "MOST_FILES", ""),
+    ("messages per second of a browser", "viewer.web.browsers", "_MAX_PER_SECOND", ""),
+    ("queued messages of browsers", "viewer.web.browsers", "_MAX_QUEUED", ""),
+    ("connected browsers of a page", "viewer.web.browsers", "_MAX_BROWSERS", ""),
+    ("uploaded files of a server, total size", "viewer.web.uploads", "MAX_BYTES", "bytes"),
+    ("uploaded files of a server, number", "viewer.web.uploads", "MAX_FILES", ""),
     ("saved view", "viewer.session.view_state", "_MAX_CHARACTERS", "characters"),
     ("log of a run", "simulate.simulation", "MAX_BYTES", "bytes"),
-    ("duration of a simulated run", "simulate.scenario", "_LONGEST", "s"),
-    ("history of a live view", "viewer.session.live_history", "_MAX_BYTES", "bytes"),
+    ("duration of a simulated run", "simulate.scenario", "_MAX_DURATION", "s"),
+    ("history of a live view", "viewer.session.clock", "_MAX_STATE_BYTES", "bytes"),
 )
 
 

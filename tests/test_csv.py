@@ -150,7 +150,7 @@ def test_the_command_exports_nan_as_such_and_fails_without_a_row(
     lines = (tmp_path / "nan.csv").read_text("utf-8").splitlines()
     assert [line.partition(",")[2] for line in lines[1:]] == ["0.5,nan"] * 3
     assert run(recorded("short", b"short")) == 1
-    assert "0 rows, 3 malformed packets left out" in capsys.readouterr().out
+    assert "0 rows, 3 malformed packets skipped" in capsys.readouterr().out
 
 
 def run(arguments: list[str]) -> int:

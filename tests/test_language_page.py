@@ -132,7 +132,7 @@ class Grammar:
 
 # What the page says in words, beside the grammar.
 BESIDE = (
-    "a meaning of its own", "a space or a comma before a name", "two fields have the name",
+    "a meaning of its own", "a space or a comma before a name", "two items have the name",
     "a count of 1 or more", "would be too long", "a matrix cannot be checked", "a number from",
     "a whole number for this type", "something that makes an event", "type that holds this number",
     "one unsigned number", "the checksum would be of",
@@ -162,6 +162,6 @@ def test_the_grammar_has_all_letters_and_the_page_the_limit() -> None:
         for rule in ("kind", "type")
     }
     assert quoted == {"kind": set(KINDS), "type": set(TYPES)}
-    assert f"at most {MAX_PACKET_BYTES} bytes" in PAGE
+    assert f"is {MAX_PACKET_BYTES} bytes" in PAGE
     names = set(re.findall(r"`([~-]?[a-zA-Z][\w/-]+)`", PAGE))
     assert {*SUMS, *CRCS} <= names

@@ -240,7 +240,7 @@ def test_a_mirror_that_is_closed_leaves_nothing_at_its_sources() -> None:
                 assert mirror.wait_next(5.0)
             assert len(source._callbacks) == 1
             source.accept([struct.pack("<6d", *range(6))])  # kept for nobody
-            assert source.take_all() is None
+            assert source.take_history() is None
     assert len(own) == 12
 
 

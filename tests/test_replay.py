@@ -189,7 +189,7 @@ def test_a_replay_knows_how_the_source_decoded() -> None:
         ({"file": "none.mcap"}, "file: none.mcap: cannot be read: No such file or directory"),
         ({"file": 7}, "file: found 7; expected the name of a recording, such as REC.mcap"),
         ({"source": "upd"}, "source: no source 'upd' in {file}; did you mean 'udp'?"),
-        ({"structure": "7F"}, "structure: is what the recording says. Leave it out"),
+        ({"structure": "7F"}, "structure: is declared in the recording. Leave it out"),
         ({"speed": 0.0}, "speed: found 0;"),
     ],
 )
@@ -262,4 +262,4 @@ def test_the_commands_record_render_and_export(
     with pytest.raises(SystemExit) as caught:
         main(["render", "lwr", "--replay", str(run), "-o", str(film)])
     assert caught.value.code == 2
-    assert "has udp; scene 'lwr' expects none: it has no sources" in capsys.readouterr().err
+    assert "has udp; scene 'lwr' expects no source" in capsys.readouterr().err

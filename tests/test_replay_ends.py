@@ -81,7 +81,7 @@ def test_so_are_those_of_the_command_line(
     refused("render", scene, "-o", tmp_path / "x.png", "--replay", recording, "--start", 99)
     assert "sero-mj: --start: found 99; the recording ends at 1.00 s" in capsys.readouterr().err
     refused("export", recording, tmp_path / "x.csv", "--from", 0.5, "--to", 0.2)
-    said = "sero-mj: --to: found 0.2; expected more than --from, s"
+    said = "sero-mj: --to: found 0.2; expected a time after --from, s"
     assert said in capsys.readouterr().err
     refused("export", recording, tmp_path / "x.csv", "--from", 2)
     assert "--from: found 2; the recording ends" in capsys.readouterr().err
@@ -94,7 +94,7 @@ def test_a_table_that_is_there_is_kept(
     table = tmp_path / "t.csv"
     table.write_text("mine")
     refused("export", recording, table)
-    said = f"sero-mj: {table} is there already; choose another name, or --overwrite\n"
+    said = f"sero-mj: {table} already exists; choose another name or add --overwrite\n"
     assert capsys.readouterr().err == said
     assert table.read_text() == "mine"
     with pytest.raises(SystemExit) as caught:
@@ -105,7 +105,7 @@ def test_a_table_that_is_there_is_kept(
 
 def test_nothing_is_sent_to_it(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     refused("send", scene_file(recording), "--duration", 0.1)
-    said = "source 'arm' of the scene is a recording, to which nothing can be sent; give --port"
+    said = "source 'arm' of the scene is a recording, which cannot receive packets. Add --port"
     assert capsys.readouterr().err.startswith(f"sero-mj: {said}")
 
 

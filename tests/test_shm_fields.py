@@ -123,7 +123,7 @@ def test_check_says_what_is_read_from_where(capsys: pytest.CaptureFixture[str]) 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["lwr_shm", "--shm", "x", "--port", "5"], "--shm and --host or --port: packets go to one"),
+        (["lwr_shm", "--shm", "x", "--port", "5"], "--shm cannot be combined with --port"),
         (
             ["lwr_shm", "--host", "h"],
             "source 'robot' is shared memory /sero_lwr; --host needs --port",

@@ -139,9 +139,9 @@ def test_spaces_and_commas_may_stand_between_items() -> None:
             "character 1: found the end, "
             "expected a count and F, V, M, T, x or a type, for example 7F1M",
         ),
-        ("F", "character 1: found 'F', expected a count before it, for example 1F"),
-        ("V", "character 1: found 'V', expected a count before it, for example 1V"),
-        ("7FM", "character 3: found 'M', expected a count before it, for example 1M"),
+        ("F", "character 1: found 'F', expected a count before 'F', as in 1F"),
+        ("V", "character 1: found 'V', expected a count before 'V', as in 1V"),
+        ("7FM", "character 3: found 'M', expected a count before 'M', as in 1M"),
         (
             "-7F",
             "character 1: found '-', "

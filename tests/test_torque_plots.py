@@ -153,7 +153,7 @@ def test_without_a_limit_the_largest_torque_of_all_packets_stands_in() -> None:
     ui = ScriptedWidgets({"##joint": "lwr/A3"}, size=(30.0, 40.0))
     plots = TorquePlots(fed, 320)
     plots.build(ui, history, 3)
-    assert ui.texts()[0] == "largest seen 31 Nm"
+    assert ui.texts()[0] == "largest so far 31 Nm"
     assert not np.isfinite(plots.plots(history, 3)[0].limits).any()  # it is no line there
 
 

@@ -98,7 +98,7 @@ def test_commands_that_only_show_a_file_run_nothing(command: str, library, tmp_p
 def test_check_says_what_a_scenario_would_run(tmp_path, capsys):
     status, out, _ = run(capsys, "check", str(with_program(tmp_path)))
     assert status == 0
-    assert "would   run the program sh -c 'echo > ran; exit 9' x '{port}' (controllers.lwr)" in out
+    assert "asks to run the program sh -c 'echo > ran; exit 9' x '{port}' (controllers.lwr)" in out
 
 
 def test_check_finds_what_is_wrong_beside_what_it_does_not_run(tmp_path, capsys):
@@ -465,7 +465,7 @@ def test_only_a_browser_on_this_machine_can_allow_a_file(is_near: bool, tmp_path
                     far.until(lambda: page._input.wrong == 3)
                     assert not trust.is_allowed(request)
                     assert shown == []
-                    show_only = button_of(far.state, "show only")
+                    show_only = button_of(far.state, "display only")
                     assert show_only  # it can see what the file asks for
                 return
             near.say("widget", tree="request", id=run_it, value=True)

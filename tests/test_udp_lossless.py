@@ -82,7 +82,7 @@ def test_every_packet_is_handed_on_in_order_and_none_is_lost() -> None:
     )
     taken: list[np.ndarray] = []
 
-    def take_all() -> bool:
+    def take_history() -> bool:
         packets = receiver.take()
         if packets is not None:
             assert len(packets) == len(packets.values["number"])
@@ -93,7 +93,7 @@ def test_every_packet_is_handed_on_in_order_and_none_is_lost() -> None:
     with receiver:
         command = [sys.executable, "-c", FLOOD, str(receiver.port), str(count)]
         with subprocess.Popen(command) as robot:
-            assert until(take_all, seconds=60.0)
+            assert until(take_history, seconds=60.0)
         assert robot.returncode == 0
         got = np.concatenate(taken)
         assert (np.diff(got) > 0).all()

@@ -47,12 +47,12 @@ class Both:
     def to_view(self) -> None:
         message = self.take()
         if message is not None:
-            self.tool.hear(message)
+            self.tool.receive(message)
 
     def to_program(self) -> None:
-        answer = self.tool.answer()
+        answer = self.tool.reply()
         if answer is not None:
-            self.panels.hear(answer)
+            self.panels.receive(answer)
 
     def use(self, **does: Any) -> ScriptedWidgets:
         """Lets the user of the view do something, and the program hear of it."""
@@ -166,7 +166,7 @@ def test_numbers_that_are_typed_are_in_range_or_refused_with_the_range() -> None
         (lambda p: p.choice("k", ["gravity"], value="gravty"), "found 'gravty'; did you mean 'gra"),
         (lambda p: p.button(""), "label: found ''; expected a text without '##'"),
         (lambda p: p.button("a##b"), "label: found 'a##b'; expected a text without '##'"),
-        (lambda p: p.button("old"), "old: the panel 'Tuning' has a widget of that name"),
+        (lambda p: p.button("old"), "old: the panel 'Tuning' already has a widget"),
         (lambda p: p.button("k", on_click=5), "k: on_click: found 5; expected a function"),
         (lambda p: p.check("k", on_change="f"), "k: on_change: found 'f'; expected a function"),
     ],
@@ -189,7 +189,7 @@ def test_a_closed_viewer_takes_no_new_widgets_but_the_loop_goes_on() -> None:
     both.is_open = False
     gain.value = 0.5
     assert gain.value == 0.5
-    with pytest.raises(RenderError, match="reset: no widget: the viewer is closed"):
+    with pytest.raises(RenderError, match="reset: cannot add a widget: the viewer is closed"):
         panel.button("reset")
     with pytest.raises(RenderError, match="panel 'More': the viewer is closed"):
         both.panels.panel("More")
@@ -289,11 +289,11 @@ def test_widgets_work_in_a_window_and_outlive_it(monkeypatch: pytest.MonkeyPatch
             def is_pressed() -> bool:
                 at = ["xdotool", "mousemove", "30", str(next(places)), "click", "1"]
                 subprocess.run(at, check=True, timeout=20)
-                shown = viewer.pictures
-                assert until(lambda: viewer.pictures > shown + 2, 60)
+                shown = viewer.frame_count
+                assert until(lambda: viewer.frame_count > shown + 2, 60)
                 return until(lambda: reset.value > 0, 0.2)
 
-            assert until(lambda: viewer.pictures > 3, 60)
+            assert until(lambda: viewer.frame_count > 3, 60)
             assert until(is_pressed, 120)
             assert threads == []
             assert viewer.sync()

@@ -25,8 +25,8 @@ class Timed(Declaration):
     """An event with a beginning and an optional end.
 
     Attributes:
-        begin: start time in seconds.
-        end: end time in seconds; None for never.
+        begin: start time, s.
+        end: end time, s; None for no end.
     """
 
     begin: float = Field(0.0, ge=0)
@@ -51,8 +51,8 @@ class Force(Disturbance):
     Attributes:
         at: frame at whose origin they act, for example `lwr/flange`.
         point: point of application in this frame, shape (3,), m.
-        force: shape (3,), N.
-        torque: shape (3,), Nm.
+        force: force vector (3,), N.
+        torque: torque vector (3,), Nm.
         expressed_in: frame in whose axes force and torque are expressed.
         profile: `step`; `half_sine`, which rises and falls until `end`; `ramp`, which rises until
             `end` and then stays constant.
@@ -141,10 +141,10 @@ class Payload(Disturbance):
 
     Attributes:
         robot: robot that picks up the payload.
-        mass: in kg.
-        center_of_mass: shape (3,), in the flange frame, m.
-        inertia: Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the center of mass, kg m2; None for a steel
-            ball.
+        mass: mass of the payload, kg.
+        center_of_mass: center of mass (3,) in the flange frame, m.
+        inertia: entries Ixx, Iyy, Izz, Ixy, Ixz, Iyz of the inertia tensor about the center of
+            mass, kg m2; None for a steel ball.
         object: object of the scene that moves with the flange.
         grasp: T_flange_object; None for the relative pose at `begin`.
     """
@@ -216,11 +216,11 @@ class SensorFault(Fault):
     """A sensor with errors.
 
     Attributes:
-        signal: `angles`, `velocities` or `torques`.
-        bias: rad, rad/s or Nm.
+        signal: affected signal: `angles`, `velocities` or `torques`.
+        bias: constant error, rad, rad/s or Nm.
         gain: factor of the true value.
-        noise: standard deviation, rad, rad/s or Nm.
-        resolution: quantization step.
+        noise: standard deviation of the noise, rad, rad/s or Nm.
+        resolution: quantization step, rad, rad/s or Nm.
         delay_ms: delay of the readings, ms.
     """
 
@@ -253,8 +253,8 @@ class EncoderOffset(Fault):
     """An encoder with a constant offset.
 
     Attributes:
-        offset: rad or m.
-        offset_deg: the same in degrees.
+        offset: offset of the reading, rad or m.
+        offset_deg: offset of the reading in degrees.
     """
 
     kind: Literal["encoder_offset"] = "encoder_offset"
@@ -270,7 +270,7 @@ class DeadSensor(Fault):
     """A sensor that reads zero.
 
     Attributes:
-        signal: `angles`, `velocities` or `torques`.
+        signal: affected signal: `angles`, `velocities` or `torques`.
     """
 
     kind: Literal["dead_sensor"] = "dead_sensor"
@@ -285,7 +285,7 @@ class FrozenSensor(Fault):
     """A sensor that holds its last reading.
 
     Attributes:
-        signal: `angles`, `velocities` or `torques`.
+        signal: affected signal: `angles`, `velocities` or `torques`.
     """
 
     kind: Literal["frozen_sensor"] = "frozen_sensor"

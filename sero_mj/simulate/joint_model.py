@@ -66,11 +66,11 @@ class JointModel:
             time.
         motor_dofs: indices of the motors in `qvel`, shape (n,).
         motor_positions: indices of the motors in `qpos`, shape (n,).
-        motor_angles: after the last step, shape (m, n), rad.
-        motor_velocities: after the last step, shape (m, n), rad/s.
+        motor_angles: motor angles after the last step, shape (m, n), rad.
+        motor_velocities: motor velocities after the last step, shape (m, n), rad/s.
         sensor_dofs: index in `qvel` that each torque sensor acts on, shape (n,): link and motor, or
             the deflection.
-        motor_torques: torques of the next step, shape (m, n), Nm; to be written before `advance`.
+        motor_torques: motor torques of the next step, shape (m, n), Nm; written before `advance`.
     """
 
     def __init__(self, world: World, physics: Physics) -> None:

@@ -40,13 +40,13 @@ class LiveRobot:
 
     Attributes:
         robot: the robot in its initial pose in the world.
-        model: not shared with the controller.
+        model: model of the robot, which the controller does not share.
         timestep: time step of the controllers, s.
         target: target of its controller.
         measured: joint angles, shape (n,), rad or m; a view.
         speeds: joint velocities, shape (n,); a view.
         written: log columns of target angles, velocities and pose, shape (T, ...); views.
-        use: replaces its controller; raises DeclarationError if that is unstable.
+        use: function that replaces the controller. It raises DeclarationError for unstable gains.
         controllers: all available controllers by kind, with the current gains.
         control: kind of the current controller.
         first: all available controllers with the initial gains.

@@ -361,8 +361,8 @@ class Plant:
         """Attaches a payload to a robot's flange and replaces a previous one.
 
         Args:
-            mass: in kg.
-            center_of_mass: shape (3,), in the flange frame, m.
+            mass: mass of the payload, kg.
+            center_of_mass: center of mass (3,) in the flange frame, m.
             inertia: inertia about the center of mass, in the flange's axes, kg m2: 6 numbers (Ixx,
                 Iyy, Izz, Ixy, Ixz, Iyz) or shape (3, 3); None for that of a steel ball.
 
@@ -443,7 +443,7 @@ class Plant:
             "found a motor torque of",
             found=float(torques[joint]),
             of="Nm",
-            expected="a finite one, below 1e9",
+            expected="a finite torque below 1e9",
         )
         torques[:] = 0.0
         return SimulationError(float(self.data.time), self._joint_name(joint), problem)

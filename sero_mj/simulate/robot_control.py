@@ -71,7 +71,7 @@ class ControlledRobot:
 
     @property
     def sensed(self) -> Sensed:
-        """Input of its controller if it is called alone."""
+        """Input of the controller if it controls only this robot."""
         return self.control.sensed
 
     def use(self, declared: Any) -> None:
@@ -84,7 +84,7 @@ class ControlledRobot:
 
     @property
     def in_use(self) -> tuple[Any, LimitedController]:
-        """The controller as declared, and as made."""
+        """The declaration of the controller, and the controller."""
         return self.declared, self.controller
 
     @in_use.setter
@@ -100,7 +100,7 @@ class ControlledRobot:
         return controller.group, self.stiffness is None, bool(self.robot.elastic_joints)
 
     def deflection(self) -> StaticDeflection | None:
-        """Returns its static deflection; None if its controller uses the measured angles."""
+        """Returns the static deflection of elastic joints, or None if the controller ignores it."""
         if self.stiffness is None:
             return None
         return StaticDeflection(self.stiffness, self._at_rest, self.model(), self.robot.home)

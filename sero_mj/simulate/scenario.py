@@ -68,7 +68,7 @@ class Run(Declaration):
     """Settings of a run.
 
     Attributes:
-        duration: in seconds.
+        duration: duration of the run, s.
         timestep: time step of the controllers and of the log, s.
         physics_timestep: time step of physics, sensors and joint torque control, s; `timestep` must
             be a multiple. Default: `timestep`, or with torque control a fraction of it that gives
@@ -76,7 +76,8 @@ class Run(Declaration):
         torque_control: whether there is joint torque control between controllers and motors, see
             `TorqueControl`; without it, commanded torques act on the motors directly.
         drive_delay: delay until a motor torque acts, s; a multiple of the physics time step.
-        gravity: shape (3,), m/s2, in the world; zeros for robots in orbit. Controllers know it.
+        gravity: gravity vector (3,) in the world, m/s2, which controllers know; zeros for robots
+            in orbit.
         seed: seed of all random numbers.
         elastic: whether the joints of all robots are elastic; None for the setting of each robot.
         show_targets: whether transparent doubles show the commanded poses.
@@ -160,16 +161,16 @@ class Scenario:
     """A scene with controllers, targets, disturbances, faults and expectations.
 
     Args:
-        scene: the robots and objects, and the view.
-        controllers: robot name to a controller declaration, its table, or any object with the
-            method `torques` of `Controller`. Robots without a controller compensate gravity. In
-            this argument and the next two, an entry for a group applies to all of its robots
-            without an own entry.
-        targets: robot name to a target motion of the joints or of the flange.
-        sensors: robot name to its sensor errors.
-        disturbances: by name.
-        faults: by name.
-        expect: pass criteria by name.
+        scene: scene with robots, objects and the view.
+        controllers: mapping from robot names to controller declarations, their tables, or objects
+            with the method `torques` of `Controller`. Robots without a controller compensate
+            gravity. An entry for a group applies to all robots of the group that have no entry of
+            their own, also in `targets` and `sensors`.
+        targets: mapping from robot names to target motions of the joints or of the flange.
+        sensors: mapping from robot names to sensor errors.
+        disturbances: mapping from names to disturbances.
+        faults: mapping from names to faults.
+        expect: mapping from names to pass criteria.
         monitor: thresholds of the fault detector.
         name: name in titles.
         description: one line for `sero-mj list`.
@@ -182,7 +183,7 @@ class Scenario:
         tables: the file of the scenario, and the scenarios that it extends.
 
     Raises:
-        DeclarationError: all errors.
+        DeclarationError: the scenario is invalid. The error contains all problems.
     """
 
     def __init__(
@@ -230,7 +231,7 @@ class Scenario:
 
     def _each(self, section: str, tables: Mapping[str, Any] | None) -> dict[str, Any]:
         if tables is not None and not isinstance(tables, Mapping):
-            self.problems.append(Problem(section, found=tables, expected="tables by name"))
+            self.problems.append(Problem(section, found=tables, expected="a table of named tables"))
             return {}
         found = {}
         for name, table in (tables or {}).items():
@@ -385,7 +386,7 @@ class Scenario:
         """Returns the sensors of all robots together.
 
         Raises:
-            DeclarationError: an error does not fit the number of joints, or delays differ.
+            DeclarationError: a sensor error has the wrong number of values, or delays differ.
         """
         merged: dict[str, SensorErrors] = {}
         for signal in SIGNALS:
@@ -451,7 +452,7 @@ def build_entry(section: str, table: Any) -> Any:
         section: `controllers`, `targets`, `sensors`, `disturbances`, `faults` or `expect`.
 
     Raises:
-        DeclarationError: all errors in the table.
+        DeclarationError: the table is invalid.
     """
     return _BUILDERS[section](table)
 

@@ -38,7 +38,7 @@ from .runs.tables import find_tables
 from .scenario import Run, Scenario, build_entry
 from .sections import OTHERS, SECTIONS
 
-_EVERY = 0.02  # s between two rows; encoder noise would dominate accelerations of more rows
+_EVERY = 0.02  # s between two rows: with more rows, encoder noise would dominate the accelerations
 
 
 def read_scenario(
@@ -46,11 +46,11 @@ def read_scenario(
 ) -> Scenario:
     """Reads and checks a scenario without running it.
 
-    A scenario that `extends` another one consists of the other one, the entries of its table `set`
-    (with keys as in `overrides`) and the entries of its own sections.
+    A scenario that `extends` another one consists of that scenario, the entries of the table `set`
+    (with keys like those of `overrides`), and the entries of its own sections.
 
     Args:
-        path: a TOML file, or the name of a shipped scenario.
+        path: TOML file, or name of an included scenario.
         overrides: values by dotted key that override the file: `controllers.lwr.stiffness`,
             `run.duration`, `lwr.show_axes`.
         trusted: whether a simulation may run the programs and load the libraries of the scenario.
@@ -58,7 +58,7 @@ def read_scenario(
             decides.
 
     Raises:
-        DeclarationError: all errors in the file.
+        DeclarationError: the file is invalid. The error contains all problems.
         UnknownName: there is no such scenario.
         UsageError: the file is a robot.
     """

@@ -51,10 +51,11 @@ class SensorErrors(Declaration):
 
     Attributes:
         noise: standard deviation of white noise, rad, rad/s or Nm.
-        bias: rad, rad/s or Nm.
+        bias: constant error, rad, rad/s or Nm.
         resolution: quantization step; 0 for none.
-        gain: 1 for an ideal sensor, 0 for one that reads only its bias.
-        delay: delay in whole steps, the same for all joints.
+        gain: factor of the true value: 1 for an ideal sensor, 0 for a sensor that reads only its
+            bias.
+        delay: delay of the readings in whole steps, the same for all joints.
     """
 
     noise: _NotNegative = np.array(0.0)
@@ -209,7 +210,7 @@ class SensorRows:
             change.
         dead: sensors that read zero, shape (m, 3, n).
         frozen: sensors that read `held`, shape (m, 3, n).
-        delays: in steps, shape (m, 3, n).
+        delays: delays in steps, shape (m, 3, n).
         past: ring buffer of readings before the delay, shape (L, m, 3, n).
         is_idle: rows that read the true values, shape (m,).
         is_perfect: whether all rows read the true values, so that `measure` need not be called.

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...base.errors import ClusterError, Problem, UsageError, about_fault
-from ...study.engine import Result, Task, Work
-from ...study.shipped_files import files_in
+from ...study.engine import Result, Task, Work, files_in
 from .scenario_inputs import digest_of_models, is_installed, pack
 
 if TYPE_CHECKING:
@@ -244,7 +243,7 @@ class _Run:
     def _next(self) -> list[Task]:
         if not self._todo:
             return [self._alone.popleft()] if self._alone else []
-        size = self._work.size(len(self._todo), self.workers)
+        size = self._work.batch_size(len(self._todo), self.workers)
         return [self._todo.popleft() for _ in range(size)]
 
     def _take(self, key: str) -> list[Result]:

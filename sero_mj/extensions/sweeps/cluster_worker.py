@@ -18,7 +18,7 @@ from distributed import WorkerPlugin, get_worker
 from ... import __version__
 from ...base import paths
 from ...base.errors import SeroError
-from ...study.shipped_files import below
+from ...study.engine import below
 from .scenario_inputs import digest_of_code, digest_of_models, unpack
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from typing import Any
 
 from ...base import paths
 from ...base.errors import Problem, SeroError, UsageError
-from ...study.shipped_files import below
+from ...study.engine import below
 
 _TEXTS = (".toml", ".xml", ".urdf", ".mjcf", ".xacro", ".sdf", ".x3d", ".dae", ".obj", ".mtl")
 _QUOTED = re.compile(r"""(["'])(/[^"'\n]+)\1""")

@@ -16,8 +16,7 @@ from ... import __version__
 from ...simulate.log_output import files_of
 from ...simulate.scenario import Scenario
 from ...simulate.scenario_file import read_scenario
-from ...study.engine import Engine, Result, Work
-from ...study.workers import Processes
+from ...study.engine import Engine, Processes, Result, Work
 from .variant import outcome_columns, runs_alone
 from .variants import Variants
 

@@ -47,7 +47,7 @@ class Variants:
         return []
 
     def below(self, root: Path) -> Variants:
-        from ...study.shipped_files import below
+        from ...study.engine import below
 
         return replace(self, file=Path(f"{root}{self.file}"), fixed=below(root, self.fixed))
 

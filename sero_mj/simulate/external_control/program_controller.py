@@ -85,9 +85,14 @@ class Reachable(ControllerDeclaration):
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
         return None
 
+    @property
+    def peer(self) -> str:
+        """Name of the program in the action that the user is asked to allow."""
+        return f"{self.host}:{self.port}"
+
     def actions(self, key: str = "") -> list[RequestedAction]:
         if not self.command:
-            return [RequestedAction(key, f"exchange packets with {self.host}:{self.port}")]
+            return [RequestedAction(key, f"exchange packets with {self.peer}")]
         beside = [self.folder / word for word in self.command]
         files = tuple(path.absolute() for path in beside if is_file(path))
         name, *words = self.command
@@ -380,8 +385,8 @@ class PacketProgram(Answering):
             of n:d.
         answer: structure of the answer: step (of its state), and either torques, or joint_angles
             with stiffness, damping; feed_forward. Default: step:1I 4x torques:nd.
-        stiffness: Nm/rad per joint, for answers with joint_angles but without stiffness.
-        damping: Nm s/rad per joint, for answers with joint_angles but without damping.
+        stiffness: stiffness per joint for answers with joint_angles but without stiffness, Nm/rad.
+        damping: damping per joint for answers with joint_angles but without damping, Nm s/rad.
     """
 
     state: str = ""

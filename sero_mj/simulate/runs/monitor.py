@@ -40,7 +40,7 @@ class Monitor(Declaration):
         frozen_after: time in seconds for which a torque sensor may read a constant value while the
             commanded torque changes.
         frozen_change: minimum change of the commanded torque in this time, as a share of the limit.
-        hold: time in seconds.
+        hold: minimum duration of a violation, s.
     """
 
     torque_error: float = Field(0.15, gt=0)

@@ -161,7 +161,7 @@ def test_other_masses_than_declared_are_no_payload(loop: bool) -> None:
     assert (found.joint, found.kind, found.part) == (LINKS, "masses", "links")
     assert found.size == pytest.approx(10.0, abs=0.1) and found.unit == "%"
     assert found.from_start and found.end is None and found.confidence > 0.9
-    assert "% of what the robot's file declares, from the start" in str(found)
+    assert "% relative to the declared masses, from the start" in str(found)
     assert {"A1", "A2", "A3"} < set(found.joints)
 
 
@@ -448,8 +448,8 @@ def test_the_command_says_for_every_joint_what_explains_it(
     assert command(recorded, "--against-model", "--plot", picture) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "gauge minus its model: lwr" in out
-    assert "lwr and its model part at A2, from 1.3" in out
-    assert "inverse dynamics on the measured motion" in out
+    assert "first difference between lwr and its model:" in out and " at A2, from 1.3" in out
+    assert "inverse dynamics of the measured motion" in out
     assert "bias -4" in picture.read_text(encoding="utf-8")
     assert command(recorded, "--against-model", "--json") == 0
     (found,) = json.loads(capsys.readouterr().out)["explanations"]
@@ -460,8 +460,8 @@ def test_the_command_says_for_every_joint_what_explains_it(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["B.mcap", "--against-model"], "--against-model: found B.mcap as well; expected one"),
-        (["--offset", "1"], "--offset is for two recordings; found one"),
+        (["B.mcap", "--against-model"], "--against-model: found a second recording; expected one"),
+        (["--offset", "1"], "--offset cannot be combined with a single recording"),
         (["--robot", "lwx"], "--robot: no robot 'lwx' in gauge; did you mean 'lwr'?"),
     ],
 )
@@ -493,7 +493,7 @@ def test_too_little_is_an_error() -> None:
         UsageError,
         key="silent",
         reason="has no torques of 'lwr'",
-        expected="both kinds, or another recording to compare with",
+        expected="torques and commanded_torques, or a second recording to compare with",
     ):
         pair_with_commands(silent)
 

@@ -139,7 +139,7 @@ def test_hold_is_disturbed_and_gravity_is_compensated(options: dict[str, Any]) -
     while not step.last():
         step = still.step(np.zeros(7))
     assert step.reward > 0.999  # nothing moves
-    pushed = sero_mj.make_environment("lwr/hold", most_force=60.0, every=0.2, **options)
+    pushed = sero_mj.make_environment("lwr/hold", max_force=60.0, every=0.2, **options)
     step = pushed.reset()
     rewards = []
     while not step.last():
@@ -454,7 +454,7 @@ def test_the_users_scenario_keeps_its_controllers() -> None:
 
 
 def test_what_is_changed_about_the_plant_stays_over_episodes() -> None:
-    environment = sero_mj.make_environment("lwr/hold", most_force=0.0, time_limit=0.1)
+    environment = sero_mj.make_environment("lwr/hold", max_force=0.0, time_limit=0.1)
     light = play(environment, 4)[-1].observation["torques"]
     environment.episode = -1
     environment.plant.attach_payload("lwr", mass=5.0, center_of_mass=[0, 0, 0.1])

@@ -86,7 +86,7 @@ def random_actions(steps: int, many: int, n: int = 7) -> np.ndarray:
         ("lwr-reach", {"action": "impedance", "target": "pose"}),
         ("lwr-reach", {"sensors": SENSORS}),
         ("lwr-reach", {"action": "impedance", "robot": {"elastic_joints": True}}),
-        ("lwr-hold", {"most_force": 80.0, "every": 0.05}),
+        ("lwr-hold", {"max_force": 80.0, "every": 0.05}),
         ("hit_finger-hold", {"action": "impedance", "every": 0.05}),  # coupled joints
         ("scara-reach", {"action": "impedance"}),  # it slides; has no limits
     ],
@@ -149,7 +149,7 @@ def test_a_bad_action_moves_none_of_them() -> None:
         np.testing.assert_array_equal(lane.plant.physics.qpos, state)
 
 
-ALONE = "such environments are stepped one by one: vectorization_mode='sync'"
+ALONE = "Use vectorization_mode='sync' to step these environments one by one."
 
 
 def test_scenarios_are_stepped_one_by_one() -> None:
@@ -159,7 +159,7 @@ def test_scenarios_are_stepped_one_by_one() -> None:
     assert isinstance(envs, gymnasium.vector.SyncVectorEnv)
     assert envs.reset(seed=1)[0]["torques"].shape == (2, 7)
     with raises_with(
-        key="num_envs", reason="found a scenario", expected=f"a robot with a task; {ALONE}"
+        key="num_envs", reason="found a scenario", expected=f"a robot with a task. {ALONE}"
     ):
         make_gymnasium_vector(2, "impedance_push")
 
@@ -185,9 +185,7 @@ def test_runs_that_need_more_than_steps_are_stepped_alone() -> None:
     settings, task = RobotSettings(time_limit=0.1), Reach()
     scenario = settings.make_scenario(SerialRobot.from_model("lwr"), task)
     scenario.run = scenario.run.model_copy(update={"runaway_speed": 3.0})
-    with raises_with(
-        key="num_envs", reason="found run.runaway_speed", expected=f"0, for none; {ALONE}"
-    ):
+    with raises_with(key="num_envs", reason="found run.runaway_speed", expected=f"0. {ALONE}"):
         ManyEnvironments(Environment(scenario, "lwr", task, settings), 2)
 
 

@@ -133,7 +133,9 @@ def test_what_is_asked_of_single_environments_is_told_of_all(vector: Any) -> Non
     assert vector.get_attr("render_mode") == [None] * 3
     assert vector.get_attr("num_envs", [0, 2]) == [3, 3]
     assert vector.env_is_wrapped(gymnasium.Wrapper, 1) == [False]
-    with pytest.raises(AttributeError, match="stepped together have no methods"):
+    with pytest.raises(AttributeError, match="stepped together have no separate methods"):
         vector.env_method("render")
-    with raises_with(key="indices", reason="found 1", expected="None: all have one render_mode"):
+    with raises_with(
+        key="indices", reason="found 1", expected="None, because render_mode is shared"
+    ):
         vector.set_attr("render_mode", "rgb_array", 1)

@@ -289,4 +289,4 @@ def test_the_pose_can_be_that_of_a_recording(
     status, _, err = run([*line, "--replay", "run.mcap"], capsys)
     assert status == 2 and "no camera fits the points" in err
     status, _, err = run([*line, "--start", "1"], capsys)
-    assert status == 2 and "--start is for recordings; give --replay REC.mcap as well" in err
+    assert status == 2 and "--start needs a recording: add --replay REC.mcap" in err

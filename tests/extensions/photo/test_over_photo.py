@@ -275,17 +275,15 @@ def files(tmp_path: Path) -> Path:
     ("options", "message"),
     [
         ("--over p.png",
-         "--over needs the camera that took it: --camera-file CAMERA.yaml or .toml; "
-         "`sero-mj calibrate` writes one"),
-        ("--camera-file c.toml", "--camera-file is for --over; give it as well"),
-        ("--offset 3", "--offset is for --over; give it as well"),
+         "--over needs --camera-file CAMERA.yaml or .toml"),
+        ("--camera-file c.toml", "--camera-file needs --over FILE"),
+        ("--offset 3", "--offset needs --over FILE"),
         ("--over p.png --camera-file c.toml --offset 3",
          "--offset is for videos; use --start for the time of a photo in a recording"),
         ("--over v.mp4 --camera-file c.toml --at 7",
          "v.mp4: has no frame at 7.00 s; the video ends at 0.30 s"),
         ("--over p.png --camera-file c.toml --camera 1,2,3",
-         "--camera does not go with --over: the picture is as large as the photo or video, seen by "
-         "its camera"),
+         "--camera cannot be combined with --over: the photo or video determines size and camera"),
         ("--over none.png --camera-file c.toml", "none.png: is not a readable photo"),
         ("--over gone.png --camera-file c.toml", "gone.png: no such file"),
         ("--over p.png --camera-file gone.toml", "gone.toml: no such file"),

@@ -134,10 +134,10 @@ def test_what_is_no_camera_is_told(
         CameraFeed(str(tmp_path / "none.mp4"), tmp_path / "c.toml")
     monkeypatch.setenv("DISPLAY", ":99999")
     for options, message in (
-        (["--over", "0"], "--over needs the camera that took it"),
-        (["--over", "0", "--camera-file", "c.toml", "--web"], "--over is for the window; a page"),
+        (["--over", "0"], "--over needs --camera-file"),
+        (["--over", "0", "--camera-file", "c.toml", "--web"], "--over needs a window"),
         (["--over", "0", "--camera-file", "c.toml", "--camera", "1,2,3"],
-         "--camera does not go with --over: the view is the camera's"),
+         "--camera cannot be combined with --over"),
     ):  # fmt: skip
         with pytest.raises(SystemExit) as ended:
             main(["view", "lwr", *options])
@@ -161,7 +161,7 @@ def test_a_window_shows_decor_over_what_the_camera_sends(tmp_path: Path) -> None
             "[getattr(w.decor.rect, k) for k in ('left', 'bottom', 'width', 'height')]"
         )
         assert width == SIZE[0] and height == 360  # of 16 to 9, in the middle
-        picture = np.array(window.ask("w.picture()[::4, ::4]"))
+        picture = np.array(window.ask("w.image()[::4, ::4]"))
         grey = np.abs(picture - 100).max(axis=2) < 8
         assert 0.5 < grey.mean() < 0.98 and grey[:3].all()
         assert (picture[..., 0] - picture[..., 2] > 100).sum() > 30  # orange arrows
@@ -177,7 +177,7 @@ def test_a_window_shows_decor_over_what_the_camera_sends(tmp_path: Path) -> None
         window.tool("mousemove", 100, 200, "mousedown", 1, "mousemove", 200, 230, "mouseup", 1)
         window.until("'the view is that of' in w.notice.text")
         assert window.ask(joint) == [x, y]
-        assert "no command makes this picture" in window.ask(
+        assert "no command renders this image" in window.ask(
             "w.tools['copy_command'].actions()['copy']()"
         )
         # A camera that is lost is told, and nothing stops.

@@ -127,7 +127,7 @@ def test_numbers_of_several_types_are_distinguished(
     ],
 )
 def test_another_size_may_be_one_of_alignment(structure: str, size: int, said: str) -> None:
-    assert Structure(structure).for_size(size) == said
+    assert Structure(structure).explain_size(size) == said
 
 
 def test_112_bytes_may_be_doubles_or_twice_as_many_floats() -> None:

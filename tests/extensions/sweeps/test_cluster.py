@@ -24,8 +24,7 @@ from sero_mj.extensions.sweeps.scenario_inputs import files_read, pack, unpack
 from sero_mj.extensions.sweeps.sweep import Sweep
 from sero_mj.extensions.sweeps.variants import Variants
 from sero_mj.simulate.external_control.library import HEADER
-from sero_mj.study.engine import KILLED, Work
-from sero_mj.study.shipped_files import files_in
+from sero_mj.study.engine import KILLED, Work, files_in
 
 pytest.importorskip("distributed")
 

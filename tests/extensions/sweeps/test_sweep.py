@@ -25,8 +25,7 @@ from sero_mj.extensions.sweeps.sweep_results import SweepTable, plot_sweep, summ
 from sero_mj.extensions.sweeps.variants import Variants
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.study.engine import Work
-from sero_mj.study.workers import Processes
+from sero_mj.study.engine import Processes, Work
 
 SCENARIO = """
 [robots.lwr]
@@ -230,7 +229,7 @@ def test_results_do_not_depend_on_how_many_run_at_once(file: Path, tmp_path: Pat
     assert any(row["error"] for row in rows) and any(row["held"] == "true" for row in rows)
 
 
-KILLED = "its process was killed, or ran out of memory; expected an answer"
+KILLED = "the process was killed or ran out of memory"
 
 
 @pytest.mark.slow
@@ -570,11 +569,11 @@ def wait_for(happens: Any, seconds: float = 30.0) -> None:
 def test_processes_load_no_opengl(file: Path) -> None:
     code = (
         "import sys; from multiprocessing import Pipe; from pathlib import Path\n"
-        "from sero_mj.study import workers\n"
+        "from sero_mj.study import engine\n"
         "end, other = Pipe(duplex=False)\n"
         "from sero_mj.extensions.sweeps.variants import Variants\n"
-        f"workers.start_worker(end, Variants(Path({str(file)!r}), {{}}))\n"
-        "print(workers._run([{}])[0]['held'], 'OpenGL.EGL' in sys.modules)\n"
+        f"engine.start_worker(end, Variants(Path({str(file)!r}), {{}}))\n"
+        "print(engine._run([{}])[0]['held'], 'OpenGL.EGL' in sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split()[1] == "False", done.stdout
@@ -590,5 +589,5 @@ def test_the_shipped_scenario_can_be_swept() -> None:
     ("left", "workers", "size"), [(64, 1, 32), (64, 2, 32), (70, 1, 35), (5, 8, 1), (300, 2, 50)]
 )
 def test_batches_of_all_workers_are_of_one_size(left: int, workers: int, size: int) -> None:
-    work = Work(Variants(Path("shove.toml"), {}), [], most=64)
-    assert work.size(left, workers) == size
+    work = Work(Variants(Path("shove.toml"), {}), [], max_batch=64)
+    assert work.batch_size(left, workers) == size

@@ -38,13 +38,13 @@ def test_a_table_with_times_or_a_rate(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "has no row of numbers"),
-        ("time,a\n", "has no row of numbers"),
-        ("a,b\n1,2\n", "found the columns a, b; expected one called time, in s"),
+        ("", "has no rows with numbers"),
+        ("time,a\n", "has no rows with numbers"),
+        ("a,b\n1,2\n", "found the columns a, b; expected a column time in s"),
         ("1,2\n3,4\n", "found the columns 1, 2"),
         ("time,a\n0,1\n1\n", "3: found 1 values; expected 2, one for each column"),
         ("time,a\n0,1\n\n1,x\n", "4: a: found 'x'; expected a number, or nan"),
-        ("time,a\n,1\n", "2: time: found nothing; expected s that never decrease"),
+        ("time,a\n,1\n", "2: time: found nothing; expected times in s that never decrease"),
         ("time,a\n1,1\n0.5,1\n", "3: time: found 0.5 after 1.0"),
         ("time,a\nnan,1\n", "2: time: found nan"),
         ("time,,b\n0,1,2\n", "1: column 2 has no name"),
@@ -97,11 +97,13 @@ def test_what_is_no_table_is_told(tmp_path: Path) -> None:
         read_csv(tmp_path / "n.csv")
     (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00")
     with raises_with(
-        CsvError, path=f"{tmp_path}/b.csv", reason="is no text in UTF-8: invalid start byte"
+        CsvError, path=f"{tmp_path}/b.csv", reason="is not text in UTF-8: invalid start byte"
     ):
         read_csv(tmp_path / "b.csv")
     for rate in (0.0, -1.0, math.nan, math.inf):
-        with raises_with(key="rate", found=rate, expected="rows per s, above 0"):
+        with raises_with(
+            key="rate", found=rate, expected="a finite number of rows per second above 0"
+        ):
             read_csv(tmp_path / "b.csv", rate=rate)
 
 

@@ -37,9 +37,9 @@ def test_columns_with_other_or_no_names_are_all_numbers_in_order(tmp_path: Path,
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a,b\n1,2\n", "found 2 columns beside time: a, b, ...; expected 3 for '3F', or "
+        ("a,b\n1,2\n", "found 2 columns in addition to time: a, b, ...; expected 3 for '3F', or "
          "values0[0], values0[1], values0[2], ..."),
-        ("values0[0],values0[7]\n1,2\n", "'3F' has no such number; did you mean 'values0[2]'?"),
+        ("values0[0],values0[7]\n1,2\n", "not a number of '3F'; did you mean 'values0[2]'?"),
     ],
 )  # fmt: skip
 def test_columns_that_do_not_fit_are_reported(tmp_path: Path, text: str, message: str) -> None:
@@ -56,7 +56,7 @@ def test_an_event_with_missing_numbers_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(CsvError) as caught:
         TablePackets(path, Structure("7F1F"), rate=1)
     assert str(caught.value) == (
-        f"{path}: has 2 of the 7 numbers of values0; no column is called values0[1], values0[3], "
+        f"{path}: has 2 of the 7 numbers of values0; missing columns: values0[1], values0[3], "
         "values0[4], values0[5], ..."
     )
 

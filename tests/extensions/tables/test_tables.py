@@ -130,9 +130,9 @@ def test_columns_with_text_are_an_error_only_where_they_are_needed(tmp_path: Pat
     for read in (lambda: found.column("mode"), lambda: read_csv(path)):
         with raises_with(CsvError, **wrong):
             read()
-    with raises_with(CsvError, reason="there is no column 'mod'; did you mean 'mode'?"):
+    with raises_with(CsvError, reason="no column 'mod'; did you mean 'mode'?"):
         found.column("mod")
-    with raises_with(CsvError, reason="there is no column 'ti', for the time; "
+    with raises_with(CsvError, reason="no time column 'ti'; "
                                       "did you mean 'time'?"):  # fmt: skip
         read_table(path, time="ti")
 
@@ -185,7 +185,7 @@ def test_declared_columns_have_patterns_lists_and_units(tmp_path: Path) -> None:
     assert signals == {"joint_angles": [[math.pi, math.pi / 2]], "torques": [[9.0, 10.0]]}
     given = signals_of(found, (), {"joint_angles [mrad]": ["J9", "J10"]})
     assert given["joint_angles"] == pytest.approx(np.array([[0.009, 0.01]]))
-    with raises_with(CsvError, reason="no column is called like 'j*'; "
+    with raises_with(CsvError, reason="no column matches 'j*'; "
                                       "available: J10, J9, tau, x [deg], y [deg]"):  # fmt: skip
         signals_of(found, (), {"joint_angles": "j*"})
     for key in ("joint_angles [ms]", "time [ms]"):
@@ -211,7 +211,7 @@ def test_another_number_of_joints_is_told(tmp_path: Path) -> None:
     with raises_with(CsvError, reason=f"found joint angles in 3 columns, q_1 to q_3; {expected}"):
         robots_in(read_table(table(tmp_path, three)), scene.robots, {})
     unknown = read_table(table(tmp_path, "time,x1,x2\n0,1,2\n"))
-    told = f'found the columns x1, x2; {expected}, as --columns "joint_angles=x*" tells'
+    told = f'found the columns x1, x2; {expected}. Declare them with --columns "joint_angles=x*"'
     with raises_with(CsvError, reason=told):
         robots_in(unknown, scene.robots, {})
 
@@ -332,12 +332,12 @@ def test_commands_say_how_a_table_is_shown(
 ) -> None:
     path = table(tmp_path, RTDE)
     assert run("render", path, "-o", tmp_path / "x.png") == 2
-    assert "which does not say what its robot is; give the robot" in capsys.readouterr().err
+    assert "which does not describe its robot. Name the robot" in capsys.readouterr().err
     scene_of(tmp_path)
     assert run("check", tmp_path / "two.toml", "--columns", "torques=x*") == 2
-    assert "--columns is for tables" in capsys.readouterr().err
+    assert "--columns needs a table" in capsys.readouterr().err
     assert run("check", tmp_path / "two.toml", "--replay", path, "--columns", "torques=x*") == 2
-    assert "no column is called like 'x*'" in capsys.readouterr().err
+    assert "no column matches 'x*'" in capsys.readouterr().err
     arguments = ("--replay", path, "--columns", "torques=target_moment_*")
     assert run("check", tmp_path / "two.toml", *arguments) == 0
     assert "table.torques -> two.torques" in capsys.readouterr().out

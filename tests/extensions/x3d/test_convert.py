@@ -270,7 +270,7 @@ size = [0.1, 0.2]
         (["fig7.x3d", "b.x3d"], "fig7.x3d and b.x3d: both are X3D; expected one"),
         (["lwr_udp", "b.toml"], "lwr_udp and b.toml: both are TOML"),
         (["lwr_udp", "b.toml", "--fps", "3"], "--fps is not for b.toml"),
-        (["fig7.x3d", "there.toml"], "there.toml is there already; use --overwrite to replace it"),
+        (["fig7.x3d", "there.toml"], "there.toml already exists; use --overwrite to replace it"),
         (["fig7.x3d", "no/b.toml"], "cannot write no/b.toml: No such file or directory"),
         (["scara", "b.x3d"], "scara: X3D cannot express any part of it; left out: robots."),
         (["fig8.x3d", "b.toml"], "fig8.x3d: no such file; did you mean 'fig7.x3d'?"),
