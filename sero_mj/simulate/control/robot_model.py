@@ -25,9 +25,8 @@ from mujoco import (
 )
 
 from ...base.frames import Array, frame, rotation_from_quat
-from ...robots.assemble.world import World, dynamics_of
+from ...robots.assemble.world import World, world_without_meshes
 from ...robots.declared.robot import SerialRobot
-from ...robots.declared.scene import Scene
 from .whole_body import Carrier, Mounting
 
 
@@ -164,7 +163,7 @@ class RobotModel:
             DeclarationError: MuJoCo cannot compile the robot.
         """
         if world is None:
-            world = world_without_meshes(robot)
+            world = world_without_meshes([robot])
         part = world.robots[robot.name]
         joints = [int(world.model.dof_jntid[dof]) for dof in part.dofs]
         made = cls(world.model, joints, body=part.flange_body, name=robot.name)
@@ -304,17 +303,6 @@ class RobotModel:
             return self._base.copy()
         body = int(self._model.body_parentid[self._model.jnt_bodyid[0]])
         return frame(self._data.xmat[body].reshape(3, 3), self._data.xpos[body])
-
-
-def world_without_meshes(robot: SerialRobot) -> World:
-    """Returns a dynamic world with one robot, with the masses of its meshes but not the meshes.
-
-    Compiling the meshes takes many times longer, and controllers do not use them. Raises
-    DeclarationError if MuJoCo cannot compile the robot.
-    """
-    known = dynamics_of(Scene(robots=[robot], floor=False))
-    bare = robot.model_copy(update={"filenames": [], "collisions": []})
-    return World(Scene(robots=[bare], floor=False), dynamic=True, dynamics=known)
 
 
 def skeleton(
