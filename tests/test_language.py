@@ -63,7 +63,7 @@ def wanted_items(draw: st.DrawFn) -> list[Wanted]:
 
 
 @given(wanted_items(), st.booleans(), st.sampled_from([1, 2, 4, 8]))
-def test_fields_stand_where_struct_puts_them(
+def test_offsets_equal_those_of_struct(
     wanted: list[Wanted], is_double: bool, alignment: int
 ) -> None:
     text = "".join(item.text() for item in wanted)
@@ -156,15 +156,13 @@ EXPECTED = "expected a count and F, V, M, T, x or a type, for example 7F1M"
         ("1F arm:9000F", 8, "the packet would be too long; expected at most 65507 bytes"),
     ],
 )  # fmt: skip
-def test_an_error_points_at_the_character_and_says_what_is_right(
-    text: str, character: int, reason: str
-) -> None:
+def test_error_has_position_and_expected_text(text: str, character: int, reason: str) -> None:
     with pytest.raises(StructureError) as caught:
         Structure(text)
     assert (caught.value.position + 1, caught.value.reason) == (character, reason)
 
 
-def test_holes_count_when_a_packet_is_too_long() -> None:
+def test_alignment_padding_counts_toward_the_size_limit() -> None:
     text = " ".join(["1B"] * 8190)
     assert Structure(text, alignment=4).size == 8189 * 4 + 1
     reason = "the packet would be too long; expected at most 65507 bytes"
@@ -183,12 +181,12 @@ def test_holes_count_when_a_packet_is_too_long() -> None:
         ("scale", math.inf, "a finite number above 0"),
     ],
 )
-def test_options_that_make_no_sense_are_refused(key: str, found: float, expected: str) -> None:
+def test_invalid_options_are_rejected(key: str, found: float, expected: str) -> None:
     with raises_with(key=key, found=found, expected=expected):
         Structure("1F", **{key: found})  # type: ignore[arg-type]
 
 
-def test_byte_pack_has_the_offsets_of_its_manual() -> None:
+def test_byte_pack_example_has_documented_offsets() -> None:
     text = "1B 1I 1f 1h 1d"
     packed, aligned = Structure(text), Structure(text, alignment=4)
     assert [field.offset for field in aligned.fields] == [0, 4, 8, 12, 16]
@@ -199,12 +197,12 @@ def test_byte_pack_has_the_offsets_of_its_manual() -> None:
     assert packed.encode(values) == struct.pack("<BIfhd", 1, 2, 3, 4, 5)
 
 
-def test_the_numbered_packet_may_be_longer_as_doubles_than_udp_carries() -> None:
+def test_size_limit_uses_the_declared_float_type() -> None:
     receiver = UdpReceiver(structure="n:1I 16000F", double=False, sequence="n")
     assert receiver.size == 64_004
 
 
-def test_random_strings_raise_nothing_but_structure_errors() -> None:
+def test_random_strings_raise_only_structure_errors() -> None:
     randomly = random.Random(2006)
     alphabet = "0123456789" * 2 + "FVMTxfdbBhHiIqQ?<>!=:, _ae.+-" * 2 + "size0x²٣é\n\0"
     parsed = 0

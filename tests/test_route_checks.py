@@ -83,7 +83,7 @@ from sero_mj.robots.declared.inputs import list_inputs
          "an event such as udp.values0, a number, ( or ["),
     ],
 )  # fmt: skip
-def test_shape_and_unit_are_checked_when_the_scene_is_read(
+def test_shapes_and_units_are_checked_when_a_scene_is_read(
     target: str, origin: Any, message: str
 ) -> None:
     assert messages({target: origin}) == ([message] if message else [])

@@ -245,7 +245,7 @@ def test_interrupted_run_is_saved_and_not_judged(
     out = tmp_path / "run.mcap"
     assert simulate(scenario, "--record", out, "--real-time", *options) == 130
     said = capsys.readouterr()
-    (text,) = re.findall(r"sero-mj: stopped at (0\.\d+) s of 0\.4 s; what is ex.*", said.err)
+    (text,) = re.findall(r"sero-mj: stopped at (0\.\d+) s of 0\.4 s; expect.*", said.err)
     step = round(1000 * float(text))
     assert step == written[-1] - 1
     assert all(stop <= 100 for stop in written[:-1])
