@@ -1,24 +1,25 @@
-# make demo   a film and a picture of an LWR mirrored from UDP packets, under out/
-# make test   the tests
-# make thorough   the same with all cases, and the short report of robustness: every night, and before
-#             an issue is closed
-# make quick  those of logic: without windows, browsers, films and what else is slow
-# make core   those of logic with all extensions blocked
-# make mutations   whether every scenario notices what may be wrong in it; on a cluster with
-#             ENGINE="--engine dask --scheduler tcp://head:8786"
-# make lint   style and types, of Python and of JavaScript
-# make docs   out/docs/index.html
-# make bench  benchmarks, as ratios
-# make peers  docs/peers.md: the same work by Pinocchio, viser, MeshCat, rerun and others (10 GB from PyPI)
-# make robustness   out/robustness/index.html: fuzzing, faults, a run of 10 minutes; QUICK=1 in short,
-#             SECONDS=86400 for a day, SEED=N for the cases of another run
-# make foreign   robots of example-robot-data, robosuite and dm_control (350 MB from PyPI), compared
-# make gallery   docs/gallery.md and its pictures
-# make oldest   the quick tests with the oldest versions of packages that pyproject.toml allows
-# make wheel  dist/*.whl with models and scenes inside, its hash, and a list of what it depends on
+# make demo        render a video and an image of an LWR mirrored from UDP packets to out/
+# make test        run the tests
+# make thorough    run the tests with all cases, and the short robustness report: every night, and
+#                  before closing an issue
+# make quick       run the tests that need no windows, browsers or videos, and are not slow
+# make core        run the quick tests of the core with all extensions blocked
+# make mutations   test whether each scenario detects the faults in tests/mutations; on a cluster
+#                  with ENGINE="--engine dask --scheduler tcp://head:8786"
+# make lint        check style, types, spelling and words
+# make docs        build out/docs/index.html
+# make bench       run benchmarks, which print ratios
+# make peers       update docs/peers.md: the same tasks with Pinocchio, viser, MeshCat, rerun and
+#                  others (10 GB from PyPI)
+# make robustness  write out/robustness/index.html: fuzzing, faults, a run of 10 minutes; QUICK=1 for
+#                  a short run, SECONDS=86400 for a day, SEED=N to repeat the cases of a run
+# make foreign     compare robots of example-robot-data, robosuite and dm_control (350 MB from PyPI)
+# make gallery     update docs/gallery.md and its images
+# make oldest      run the quick tests with the oldest package versions that pyproject.toml allows
+# make wheel       build dist/*.whl with models and scenes, its hash, and the list of its dependencies
 
 BIN := .venv/bin
-# Tests start some hundred programs; without compiled files each would compile all of ours anew.
+# Tests start some hundred programs; without compiled files, each one would compile all modules.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test thorough quick core mutations oldest lint docs bench peers robustness foreign gallery wheel clean
@@ -29,8 +30,8 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: .venv/.run
 	@$(BIN)/sero-mj demo --out out
 
-# Windows and browsers beside each other may outrun a machine of two cores, so what fails is told,
-# and run once more alone; what then fails has failed.
+# Parallel windows and browsers can overload a machine with two cores, so failed tests are reported
+# and repeated alone.
 test: .venv/.test
 	$(BIN)/python -m pytest -q -n auto $(PYTEST) || \
 	  $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none $(PYTEST)
@@ -43,15 +44,15 @@ thorough:
 quick: .venv/.test
 	$(BIN)/python -m pytest -q -n auto -m "not gl and not slow and not live"
 
-# The quick tests of the core with all extensions blocked: it works without them.
+# The core must work without extensions.
 core: .venv/.test
 	PYTHONPATH=tests/blocking $(BIN)/python -m pytest -q -n auto --ignore tests/extensions \
 	  -m "not gl and not slow and not live and not extensions"
 
 mutations: .venv/.test
-	@unnoticed=0; for file in tests/mutations/*.toml; do \
-	  $(BIN)/sero-mj sweep $$(basename $$file .toml) --mutations $$file $(ENGINE) || unnoticed=1; \
-	done; exit $$unnoticed
+	@undetected=0; for file in tests/mutations/*.toml; do \
+	  $(BIN)/sero-mj sweep $$(basename $$file .toml) --mutations $$file $(ENGINE) || undetected=1; \
+	done; exit $$undetected
 
 lint: .venv/.test
 	$(BIN)/ruff check .
@@ -59,6 +60,7 @@ lint: .venv/.test
 	$(BIN)/mypy
 	.ci/js check
 	$(BIN)/codespell README.md CONTRIBUTING.md CHANGELOG.md docs models scenes sero_mj
+	$(BIN)/python .ci/words.py
 
 docs: .venv/.test
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs out/docs
@@ -89,8 +91,8 @@ foreign: .venv/.test
 gallery: .venv/.run
 	$(BIN)/python docs/gallery.py $(SHOTS)
 
-# What a release is: sdist and wheel, their hashes, and all packages that an installation of the
-# wheel alone brings, with versions and licences (CycloneDX).
+# A release consists of sdist and wheel, their hashes, and a CycloneDX list of all packages that an
+# installation of the wheel installs, with versions and licenses.
 wheel: .venv/.test
 	rm -rf dist
 	$(BIN)/python -m pip install --quiet build cyclonedx-bom

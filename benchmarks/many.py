@@ -33,7 +33,7 @@ from sero_mj.extensions.sweeps.sweep import Sweep
 from sero_mj.extensions.sweeps.variant import VariantRunner
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.study.workers import Processes, available_cpus
+from sero_mj.study.engine import Processes, available_cpus
 
 ENVIRONMENTS = (
     ("lwr/reach", {}),

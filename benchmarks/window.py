@@ -71,7 +71,7 @@ def measure_loop(viewer: Viewer) -> str:
     lines = []
     for _ in range(3):
         sets, syncs = [], []
-        shown, begin = viewer.pictures, time.perf_counter()
+        shown, begin = viewer.frame_count, time.perf_counter()
         due = begin
         while due < begin + LOOP_SECONDS:
             due += 1e-3
@@ -92,7 +92,7 @@ def measure_loop(viewer: Viewer) -> str:
         for name, times in (("set", sets), ("sync", syncs)):
             p50, p99, most = 1e3 * np.percentile(times, [50, 99, 100])
             texts.append(f"{name} {p50:.4f} ms, 99 %: {p99:.4f}, most {most:.3f}")
-        pictures = (viewer.pictures - shown) / took
+        pictures = (viewer.frame_count - shown) / took
         lines.append(f"loop at 1 kHz: {'; '.join(texts)}; {pictures:.0f} pictures/s")
     return "\n".join(lines)
 

@@ -1,24 +1,24 @@
 """sero-mj: simulator and viewer for torque-controlled robots on MuJoCo.
 
-Conventions, everywhere in this package:
+Conventions in this package:
 
-- SI units: m, rad, s, kg, N, Nm. A name says its unit only where it is another one
+- Units are SI: m, rad, s, kg, N, Nm. A name includes its unit only if it is a different one
   (`azimuth_deg`).
-- Frames are 4x4 row-major numpy arrays, float64; `T_a_b` maps coordinates of b into a, so
-  `T_world_flange[:3, 3]` is where the flange is. Quaternions are w, x, y, z. Roll, pitch and yaw
-  turn about the fixed x, y and z axes, as in URDF. The world's z points up.
-- A robot has n joints, numbered from 1 at the base in names and from 0 in arrays; per-joint
-  arrays are (n,). Joint values are rad for revolute and m for prismatic joints, efforts Nm and N.
-- Pictures are (height, width, 3), uint8, top row first, and pixels of clicks (`--click`,
-  `HeadlessRenderer.click`) are counted from the upper left corner, x to the right, y down. Within
-  `viewer` they are counted from the lower left one, y up.
-- The data moves one way: assemble, receive, drive, decor, hosts. A file imports only from folders
-  above its own in the README's table of packages.
+- Frames are 4x4 row-major numpy arrays, float64. `T_a_b` maps coordinates of b to a, so
+  `T_world_flange[:3, 3]` is the position of the flange. Quaternions are w, x, y, z. Roll, pitch and
+  yaw rotate about the fixed x, y and z axes, as in URDF. The z axis of the world points up.
+- A robot has n joints, numbered from 1 at the base in names and from 0 in arrays. Arrays over
+  joints have the shape (n,). Joint values are in rad (revolute) or m (prismatic), efforts in Nm or
+  N.
+- Images have the shape (height, width, 3) and type uint8, top row first. Pixels of clicks
+  (`--click`, `HeadlessRenderer.click`) are counted from the upper left corner, x to the right, y
+  down. Inside `viewer`, they are counted from the lower left corner, y up.
+- Data flows in one direction: assemble, receive, drive, decor, windows and pages. A file imports
+  only from packages above its own in the table of the README.
 
-The public names are imported when they are first used, because `import mujoco` takes a while.
-Extensions add names by entry points in the group `sero_mj.names`.
-Where there is no display, `MUJOCO_GL` is not set and MuJoCo is not yet imported, importing this
-package sets it to what works without one; no graphics driver is loaded before the first picture.
+Public names are imported on first use, because `import mujoco` is slow. Extensions add names by
+entry points in the group `sero_mj.names`. If there is no display, importing this package sets
+`MUJOCO_GL`, if unset, to a backend that works without one, unless MuJoCo is already imported.
 """
 
 import warnings
@@ -126,7 +126,7 @@ _HOME = {
     "Viewer": "viewer.program.viewer",
     "view": "viewer.program.viewer",
 }
-# Earlier names of public functions, available for one more version.
+# Earlier names of public functions, available until the next version.
 _RENAMED = {"render_film": "render_video", "render_picture": "render_image"}
 
 

@@ -1,7 +1,4 @@
-"""Loads what a name or a file means: a scene, a scenario, a robot or a group of robots alone.
-
-What commands, `sero_mj.view` and `sero_mj.load_scene` are given is loaded here.
-"""
+"""Loads scenes, scenarios, robots and groups of robots by file or shipped name."""
 
 from __future__ import annotations
 
@@ -39,25 +36,25 @@ def load_scene(
     trusted: bool = False,
     replay: Path | None = None,
 ) -> Scene:
-    """Loads and checks a scene, opening nothing.
+    """Loads and checks a scene without opening its sources.
 
-    A robot or a group of robots is a scene with it alone. A scenario is simulated while its scene
-    is shown. If it asks to run programs and is not trusted, its scene is shown without simulating,
-    and `scene.withheld` says what it asks for.
+    For a robot or a group of robots, the scene contains only this. For a scenario, the scene
+    simulates it while it is shown. If a scenario requests programs and is not trusted, the scene is
+    not simulated, and `scene.withheld` contains the request.
 
     Args:
         name: a file (TOML, X3D), or the name of a shipped scene, scenario, robot or group.
-        overrides: `robot.field` to its value, over what the file says. An input that is set so
-            (`lwr.joint_angles`) is no longer routed to.
-        by_hand: whether the robots of a scenario can be pulled by hand, in a window or on a page.
+        overrides: values by `robot.field` that replace those of the file. An input that is set
+            this way (`lwr.joint_angles`) has no route.
+        by_hand: whether users can pull the robots of a scenario in a window or on a page.
         trusted: whether a scenario may start the programs and load the libraries that it names.
-            Pass True only for a file that its user has chosen to simulate, see `base.trust`.
-        replay: a recording of the scenario, which will be played instead of simulating it.
+            Pass True only for a file that the user has chosen to simulate, see `base.trust`.
+        replay: a recording of the scenario, which is played instead of a simulation.
 
     Raises:
-        UnknownName: none of these; names the nearest.
-        DeclarationError: everything that is wrong in the file, at once.
-        UsageError: `overrides` names another robot than the one that is loaded.
+        UnknownName: there is no such file or shipped name.
+        DeclarationError: the file has errors; contains all of them.
+        UsageError: `overrides` names another robot than the loaded one.
     """
     name, overrides = str(name), dict(overrides or {})
 
@@ -92,7 +89,7 @@ def load_scene(
             body = {importer.object_key: path.name}
             tables = {"name": own, "floor": "below", "objects": {own: body}}
             return _checked(*scene_from_tables(path, tables, overrides))
-        # The base of a robot may be its trunk.
+        # The floor is below the robot, because its base may be a trunk.
         overridden = {f"robots.{own}.{key.split('.')[1]}": 0 for key in overrides if "." in key}
         return Scene(robots=[robot], floor="below", name=own, lines=overridden)
     if path.name == paths.GROUP_FILE:
@@ -111,15 +108,12 @@ def _checked(scene: Scene, problems: list[Problem]) -> Scene:
 
 
 def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialRobot:
-    """Loads a robot.
-
-    Args:
-        overrides: `robot.field` to its value, over what the file says.
+    """Loads a robot; `overrides` has values by `robot.field` that replace those of the file.
 
     Raises:
-        UnknownName: no such robot; names the nearest.
-        DeclarationError: everything that is wrong in the file and in `overrides`, at once.
-        UsageError: it is a group of robots.
+        UnknownName: there is no such robot.
+        DeclarationError: the file or `overrides` has errors; contains all of them.
+        UsageError: the name is that of a group of robots.
     """
     fields: dict[str, Any] = {}
     wrong: list[Problem] = []
@@ -132,11 +126,11 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
         _refuse_group(name)
     robot = paths.model_name(path)
     for key, value in (overrides or {}).items():
-        given, _, field = key.partition(".")
-        if given != robot:
-            wrong.append(Problem(key, "no robot", found=given, available=[robot]))
+        owner, _, field = key.partition(".")
+        if owner != robot:
+            wrong.append(Problem(key, "no robot", found=owner, available=[robot]))
         elif field in ("model", "name"):
-            wrong.append(Problem(key, "which robot it is cannot be set"))
+            wrong.append(Problem(key, "cannot be overridden"))
         else:
             fields[field] = value
     try:
@@ -159,13 +153,13 @@ def _refuse_group(name: str) -> None:
         robot.name if robot._model is None else f"{robot.name} ({paths.model_name(robot._model)})"
         for robot in robots
     )
-    raise UsageError(f"{name} is a group of robots; expected one robot. It has {names}")
+    raise UsageError(f"{name} is a group of robots; expected one robot. Its robots are {names}.")
 
 
 def _load_scenario(
     name: str, overrides: Mapping[str, Any], *, by_hand: bool, trusted: bool, replay: Path | None
 ) -> Scene:
-    # What simulates is imported where something is to be simulated.
+    # Imported late, because most scenes are not simulated.
     from .simulate.scenario_file import read_scenario
     from .simulate.simulated_scene import replayed_scene, simulated_scene
     from .simulate.simulation import Simulation
@@ -180,7 +174,7 @@ def _load_scenario(
     scene = scenario.scene
     scene.withheld = withheld
     trust.log.warning(
-        "%s: shown without simulating, because it asks to %s; `sero-mj simulate %s` allows it",
+        "%s: shown without simulation, because it asks to %s. `sero-mj simulate %s` allows this.",
         paths.without_temporary(str(withheld.file)),
         " and to ".join(map(str, withheld.actions)),
         withheld.file.name,

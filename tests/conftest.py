@@ -40,7 +40,7 @@ from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.study.workers import available_cpus
+from sero_mj.study.engine import available_cpus
 
 # A shell's background job and nohup ignore SIGINT, and so would every program that a test starts.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:

@@ -11,11 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from sero_mj.viewer.image.clicks import KEYS
-from sero_mj.viewer.session.keys import HOST_KEYS, MORE_KEYS
+from sero_mj.viewer.session.keys import MORE_KEYS, VIEWER_KEYS
 from sero_mj.viewer.session.tool import tool_keys
 
 SHIFT, CONTROL = "shift", "control"
-_EVERY = [*KEYS, *HOST_KEYS, *MORE_KEYS, *tool_keys()]
+_EVERY = [*KEYS, *VIEWER_KEYS, *MORE_KEYS, *tool_keys()]
 _CHARACTERS = [key for key in _EVERY if len(key) == 1]
 _NAMED = [*(key for key in _EVERY if len(key) > 1 and "+" not in key), "up", "down", "enter",
           "delete", "escape"]  # fmt: skip

@@ -22,8 +22,8 @@ class Shown:
         shows_panel: whether the panel was opened.
     """
 
-    picture_size = (640, 480)
-    is_following = False
+    image_size = (640, 480)
+    is_following = is_window = False
 
     def __init__(
         self,

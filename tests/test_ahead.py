@@ -1,4 +1,4 @@
-"""Packets that are made ahead: the same ones, numbered and stamped, and in time."""
+"""Precomputed packets equal the packets computed on time, with their counters and time stamps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def parabola(t: float) -> bytes:
 
 
 class Kept:
-    """Keeps packets and when they came."""
+    """Stores packets and their arrival times."""
 
     def __init__(self) -> None:
         self.packets: list[bytes] = []
@@ -31,19 +31,19 @@ class Kept:
         self.packets.append(packet)
 
 
-def test_up_to_a_kilohertz_every_packet_is_the_computed_one() -> None:
+def test_every_packet_is_computed_up_to_1_khz() -> None:
     ahead = PacketBuffer(parabola, PARABOLA, rate=1000)
     assert [ahead.at(k / 1000) for k in range(50)] == [parabola(k / 1000) for k in range(50)]
 
 
-def test_above_it_numbers_lie_on_lines_between_computed_ones() -> None:
+def test_values_are_interpolated_between_computed_packets_above_1_khz() -> None:
     ahead = PacketBuffer(parabola, PARABOLA, rate=4000)
     packets = [PARABOLA.decode(ahead.at(k / 4000)) for k in range(9)]
     np.testing.assert_allclose(
         [p["at"][0] for p in packets], np.interp(np.arange(9) / 4, [0, 1, 2], [0, 1e-6, 4e-6])
     )
     np.testing.assert_allclose([p["v"][1] for p in packets], np.arange(9) / 2000, rtol=1e-6)
-    # Whole numbers and constants are those of the computed packet before.
+    # Integers and constants come from the previous computed packet.
     assert [p["bits"][0] for p in packets] == [0] * 4 + [1] * 4 + [2]
     assert {p["tag"][0] for p in packets} == {7.0}
 
@@ -59,7 +59,7 @@ def test_packets_are_numbered_and_stamped_and_counters_wrap() -> None:
     assert [p["t"][0] for p in packets[:3]] == [0, 10_000, 20_000]
 
 
-def test_packets_that_are_skipped_are_skipped() -> None:
+def test_buffer_can_skip_packets() -> None:
     ahead = PacketBuffer(parabola, PARABOLA, rate=1000)
     assert ahead.at(0.2) == parabola(0.2)
     assert ahead.at(0.2) == parabola(0.2)
@@ -67,7 +67,7 @@ def test_packets_that_are_skipped_are_skipped() -> None:
 
 
 @pytest.mark.slow
-def test_idle_time_is_used_but_no_more_than_there_is() -> None:
+def test_idle_time_fills_the_buffer_up_to_its_limit() -> None:
     made: list[float] = []
 
     def slow(t: float) -> bytes:
@@ -82,13 +82,13 @@ def test_idle_time_is_used_but_no_more_than_there_is() -> None:
     assert made == [0.0, 0.001]
     while ahead.idle(1.0):
         pass
-    assert len(made) == 251  # a quarter of a second ahead, no more
+    assert len(made) == 251  # at most a quarter of a second early
 
 
 @pytest.mark.realtime
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [1000, 5000, 10_000])
-def test_an_lwr_is_played_at_an_exact_rate(rate: int) -> None:
+def test_lwr_motion_is_sent_at_the_requested_rate(rate: int) -> None:
     packets = MotionPackets(load_scene("lwr_udp"))
     for _ in range(3):  # a busy machine may stall one run
         ahead, kept = PacketBuffer(packets.at, packets.structure, rate=rate), Kept()

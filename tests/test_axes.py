@@ -23,7 +23,7 @@ from sero_mj.viewer.image.picking import pick
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 
 
-def test_axes_stand_at_base_joints_and_flange_along_x_y_z() -> None:
+def test_axes_are_drawn_at_base_joints_and_flange_along_x_y_z() -> None:
     world = world_of(joint_angles=POSE, show_axes=True, axes_size=0.15, axes_transparency=0.25)
     rows = drawn(world).reshape(-1, 3)
     robot = world.robots["lwr"].robot
@@ -50,7 +50,7 @@ def test_fully_transparent_axes_are_not_drawn() -> None:
     assert len(drawn(world_of(show_axes=True, axes_transparency=1.0))) == 0
 
 
-def test_axes_that_are_objects_are_always_shown() -> None:
+def test_objects_of_shape_axes_are_always_shown() -> None:
     tool = Object(name="tcp", shape="axes", size=[0.1], frame={"xyz": [0, 0, 0.2]})
     world = world_of(joint_angles=POSE, children=[tool])
     rows = drawn(world)
@@ -78,7 +78,7 @@ def draw(world: World, data=None, *, view=None, toggles=None):
 
 
 def sizes(buffer, item: int) -> tuple[float, float]:
-    """Length and half the width of a frame's bars, which are all alike."""
+    """Returns length and half width of a frame's bars, which are equal for all three axes."""
     bars = belonging(buffer, Kind.AXES, item)
     assert len(bars) == 3
     assert np.ptp(bars["size"], axis=0).max() == 0
@@ -86,18 +86,18 @@ def sizes(buffer, item: int) -> tuple[float, float]:
     return 2 * float(bars["size"][0, 2]), float(bars["size"][0, 0])
 
 
-def test_frames_at_one_place_are_nested_the_later_ones_shorter_and_thicker() -> None:
+def test_coincident_frames_are_nested_by_length_and_thickness() -> None:
     buffer = draw(frames_world(*[at(f"f{k}") for k in range(6)]))
     lengths, widths = zip(*(sizes(buffer, k) for k in range(6)), strict=True)
     assert lengths[0] == pytest.approx(0.2, rel=1e-6)
     assert widths[0] == pytest.approx(0.0044, rel=1e-5)
-    # Tips stick out of the later ones, and those out of the sides, by millimetres.
+    # The tips of the earlier frames and the sides of the later ones stay visible by millimeters.
     assert (np.diff(lengths) < -0.008).all()
     assert (np.diff(widths) > 0.001).all()
     assert lengths[-1] > 0.05
 
 
-def test_frames_apart_have_their_full_length_and_so_has_one_whose_fellow_is_hidden() -> None:
+def test_separate_frames_have_full_length_and_hidden_frames_are_not_counted() -> None:
     world = frames_world(at("a"), at("b", position=(0, 0.021, 0.6)), at("c", axes_size=0.1))
     toggles = toggles_of(world)
     buffer = draw(world, toggles=toggles)
@@ -110,7 +110,7 @@ def test_frames_apart_have_their_full_length_and_so_has_one_whose_fellow_is_hidd
 @pytest.mark.parametrize(
     ("distance", "shared"), [(0.0, 1), (0.003, 1), (0.012, 0.5), (0.019, 0.0625), (0.021, 0)]
 )
-def test_between_one_place_and_two_the_sizes_change_gradually(distance, shared) -> None:
+def test_axes_sizes_change_gradually_with_the_distance_of_frames(distance, shared) -> None:
     buffer = draw(frames_world(at("a"), at("b", position=(distance, 0, 0.6))))
     assert sizes(buffer, 1)[0] == pytest.approx(0.2 / (1 + 0.45 * shared), rel=1e-3)
     assert sizes(buffer, 1)[1] == pytest.approx(0.0044 * (1 + 0.35 * shared), rel=1e-3)
@@ -147,7 +147,9 @@ EYES = [(1.6, 1.0, 1.3), (-1.1, 1.4, 0.2), (0.9, -1.2, 1.0)]
 
 
 def tips_picked(world: World, rotations, eye) -> list[int]:
-    """At how many of its three tips every frame is picked, on the side towards the eye."""
+    """Returns the minimum number of tips, of three, at which a frame is picked from the camera
+    side.
+    """
     view = look(eye, [0, 0, 0.6])
     data = world.make_data()
     buffer = draw(world, data, view=view)
@@ -169,7 +171,7 @@ def tips_picked(world: World, rotations, eye) -> list[int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
-def test_every_frame_at_one_place_is_picked_at_its_own_tips(seed: int) -> None:
+def test_coincident_parallel_frames_are_each_picked_at_their_tips(seed: int) -> None:
     rng = np.random.default_rng(seed)
     chosen = rng.integers(0, 24, 5) if seed else [0] * 5
     rotations = [UPRIGHT[k] for k in chosen]
@@ -179,7 +181,7 @@ def test_every_frame_at_one_place_is_picked_at_its_own_tips(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_frames_turned_anyhow_at_one_place_are_picked_from_one_side_or_another(seed: int) -> None:
+def test_coincident_rotated_frames_are_each_picked_from_some_side(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rotations = [turned(rng.normal(size=3), rng.uniform(0, 3)) for _ in range(5)]
     world = frames_world(*[at(f"f{k}", R) for k, R in enumerate(rotations)])
@@ -187,7 +189,7 @@ def test_frames_turned_anyhow_at_one_place_are_picked_from_one_side_or_another(s
     assert (best >= 2).all(), best
 
 
-def test_a_received_frame_is_nowhere_until_it_comes_and_again_after_nan() -> None:
+def test_received_frame_is_hidden_before_the_first_packet_and_after_nan() -> None:
     robot = SerialRobot.from_model(
         "lwr", joint_angles=POSE, base_frame=rigid(turned([1, 2, 3], 0.7), [0.1, 0.2, 0.1]).tolist()
     )
@@ -234,7 +236,7 @@ def check_bars(bars, T, length: float, alpha: float) -> None:
         assert bar["rgba"] == pytest.approx([*AXIS_RGB[axis], alpha], rel=1e-5)
 
 
-def test_a_frames_axes_are_switched_by_the_scene_a_user_and_a_packet() -> None:
+def test_scene_user_and_packet_switch_the_axes_of_a_frame() -> None:
     world = frames_world(at("a", show_axes=False), at("b", position=(0.3, 0, 0.6)))
     data, toggles = world.make_data(), toggles_of(world)
 

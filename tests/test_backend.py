@@ -1,4 +1,4 @@
-"""`MUJOCO_GL`: what a value that cannot draw here is told to be, and what works all the same."""
+"""`MUJOCO_GL`: the error for backends that are unavailable, and what works without one."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def nothing_installed(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
         ("glfw", "has_display", ""),
     ],
 )  # fmt: skip
-def test_a_backend_that_cannot_draw_is_described_with_one_that_can(
+def test_unavailable_backend_is_reported_with_an_available_one(
     nothing_installed: pytest.MonkeyPatch, chosen: str, there: str, problem: str
 ) -> None:
     nothing_installed.setenv("MUJOCO_GL", chosen)
@@ -49,7 +49,7 @@ def test_a_backend_that_cannot_draw_is_described_with_one_that_can(
     assert backend.backend_problem() == problem
 
 
-def test_a_value_that_mujoco_does_not_know_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_mujoco_gl_value_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     for known in ("", "EGL ", "osmesa", "disabled", "on", "glx"):
         monkeypatch.setenv("MUJOCO_GL", known)
         backend.check_backend()
@@ -60,7 +60,7 @@ def test_a_value_that_mujoco_does_not_know_is_refused(monkeypatch: pytest.Monkey
 
 @pytest.mark.slow
 @pytest.mark.skipif(backend.has_osmesa(), reason="libOSMesa is installed")
-def test_commands_that_draw_nothing_need_no_backend_and_others_end_in_a_sentence(
+def test_only_commands_that_render_report_a_missing_backend(
     tmp_path: Path,
 ) -> None:
     def run(*words: str) -> subprocess.CompletedProcess[str]:

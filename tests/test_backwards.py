@@ -1,4 +1,4 @@
-"""Playing a motion through expressions: what is sent gives the motion back when it is routed."""
+"""Playing a motion through route expressions: routing the sent packets returns the motion."""
 
 from __future__ import annotations
 
@@ -85,14 +85,14 @@ TORQUES = InverseDynamics(arm("lwr")).torques(POSITION, VELOCITY, ACCELERATION)
         ("2V", "udp.vectors0[1]"),
     ],
 )
-def test_what_is_sent_gives_the_joint_angles_back(structure: str, origin: str) -> None:
+def test_sent_packets_route_back_to_the_joint_angles(structure: str, origin: str) -> None:
     routes = {"lwr.joint_angles": origin}
     world, data = received(scene_of(structure, routes))
     np.testing.assert_allclose(angles(world, data, "lwr"), POSITION, atol=1e-13)
 
 
 @pytest.mark.slow
-def test_one_event_of_many_parts_carries_everything() -> None:
+def test_one_event_with_several_slices_carries_all_signals() -> None:
     routes = {
         "lwr.joint_angles": "udp.values0[0:3] * deg",
         "lwr.torques": "udp.values0[3:6] * mNm",
@@ -111,14 +111,14 @@ def test_one_event_of_many_parts_carries_everything() -> None:
     assert np.linalg.norm(shown(world, data, "push.vector")) > 1.0
     assert shown(world, data, "lwr.show_arrows").tolist() == [0.0]
     assert are_frames(shown(world, data, "target.frame").reshape(1, 4, 4)).all()
-    # A matrix from which nothing leads is a frame too: else the packet would be malformed.
+    # A matrix that no route uses is a valid frame, too. Otherwise the packet would be malformed.
     layout = wire(scene).sources["udp"].layout  # type: ignore[attr-defined]
     assert are_frames(layout.decode(MotionPackets(scene).at(T))["matrices0"]).all()
 
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_where_routes_want_different_things_the_robot_gets_its_motion() -> None:
+def test_conflicting_routes_give_the_robot_its_motion() -> None:
     routes = {
         "lwr.billboard_values": "udp.values0",
         "goal.joint_angles": "udp.values0 * 2",
@@ -134,7 +134,7 @@ def test_where_routes_want_different_things_the_robot_gets_its_motion() -> None:
     assert (angles(world, data, "lwr") == POSITION).all()
 
 
-def test_two_senders_together_give_the_motion() -> None:
+def test_packets_of_two_senders_together_give_the_motion() -> None:
     routes = {
         "lwr.joint_angles": "udp.values0 - other.values0",
         "goal.joint_angles": "other.values0",
@@ -146,7 +146,7 @@ def test_two_senders_together_give_the_motion() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_outputs_beside_events_are_known() -> None:
+def test_routes_can_use_outputs_of_robots_beside_events() -> None:
     routes = {
         "leader.joint_angles": "udp.values0",
         "lwr.joint_angles": "leader.joint_angles * 0.5 + udp.values1",
@@ -155,14 +155,14 @@ def test_outputs_beside_events_are_known() -> None:
     }
     world, data = received(scene_of("3F3F3F", routes))
     np.testing.assert_allclose(angles(world, data, "lwr"), POSITION, atol=1e-13)
-    assert not data.userdata[world.flags["goal.joint_angles"]]  # lwr.torques never come
+    assert not data.userdata[world.flags["goal.joint_angles"]]  # lwr.torques are never received
     routes["goal.joint_angles"] = "udp.values2 + leader.torques * rad / Nm"
     world, data = received(scene_of("3F3F3F", routes))
     np.testing.assert_allclose(shown(world, data, "goal.joint_angles"), COMMANDED, atol=1e-13)
 
 
 @pytest.mark.slow
-def test_outputs_of_a_robot_that_another_source_moves_are_known() -> None:
+def test_routes_can_use_outputs_of_a_robot_that_another_source_moves() -> None:
     routes = {
         "leader.joint_angles": "other.values0",
         "lwr.joint_angles": "leader.joint_angles * 0.5",
@@ -172,7 +172,7 @@ def test_outputs_of_a_robot_that_another_source_moves_are_known() -> None:
     np.testing.assert_allclose(shown(world, data, "goal.joint_angles"), COMMANDED, atol=1e-13)
 
 
-def test_what_only_follows_needs_no_packet() -> None:
+def test_robot_that_follows_another_needs_no_packet() -> None:
     routes = {"leader.joint_angles": "udp.values0", "lwr.joint_angles": "leader.joint_angles"}
     world, data = received(scene_of("3F", routes))
     assert (angles(world, data, "lwr") == SineMotion(arm("leader")).at(T)[0]).all()
@@ -185,7 +185,7 @@ def test_what_only_follows_needs_no_packet() -> None:
         ("udp.values0[6:9]", "8F", "values0 has 8 values; lwr.joint_angles is udp.values0[6:9]"),
     ],
 )
-def test_another_structure_needs_the_numbers_that_are_taken(
+def test_other_structure_without_the_routed_values_is_rejected(
     origin: str, structure: str, message: str
 ) -> None:
     scene = scene_of("9F" if "[" in origin else "3F", {"lwr.joint_angles": origin})
@@ -194,7 +194,7 @@ def test_another_structure_needs_the_numbers_that_are_taken(
     assert str(caught.value) == f"structure '{structure}': {message}"
 
 
-def test_a_longer_structure_carries_the_numbers_that_are_taken() -> None:
+def test_longer_structure_carries_the_routed_values() -> None:
     scene = scene_of("4F", {"lwr.joint_angles": "udp.values0[1:4]"})
     packets = MotionPackets(scene, structure="9F")
     values = packets.structure.decode(packets.at(T))["values0"]
@@ -202,14 +202,14 @@ def test_a_longer_structure_carries_the_numbers_that_are_taken() -> None:
 
 
 @pytest.mark.thorough
-def test_constants_and_types_of_the_structure_are_kept() -> None:
+def test_constants_and_types_of_the_structure_are_preserved() -> None:
     scene = scene_of("id: 1H=7, joints: 3h, 2M", {"lwr.joint_angles": "udp.joints * (0.1 * mrad)"})
     world, data = received(scene)
     np.testing.assert_allclose(angles(world, data, "lwr"), POSITION, atol=0.051e-3)
     assert MotionPackets(scene).at(T)[:2] == (7).to_bytes(2, "little")
 
 
-def test_what_no_packet_can_change_is_left_alone() -> None:
+def test_route_with_factor_zero_is_ignored() -> None:
     scene = scene_of("3F", {"lwr.joint_angles": "0 * udp.values0 + [1, 2, 3]"})
     world, data = received(scene)
     assert angles(world, data, "lwr").tolist() == [1.0, 2.0, 3.0]

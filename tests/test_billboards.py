@@ -37,7 +37,7 @@ TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])
 
 
 def text_boxes(view: ImageView, rows) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Pixel rectangle of every label, from its position and the font's widths."""
+    """Returns the pixel rectangle of each label, from its position and the font's widths."""
     boxes = []
     for row in of_kind(rows, GEOM.mjGEOM_LABEL):
         start, _ = view.project(row["pos"].astype(float))
@@ -46,7 +46,7 @@ def text_boxes(view: ImageView, rows) -> list[tuple[np.ndarray, np.ndarray]]:
     return boxes
 
 
-def test_a_billboard_says_name_value_and_unit() -> None:
+def test_billboard_shows_name_value_and_unit() -> None:
     rows = drawn(world_of(torques=TORQUES, show_billboards=True))
     assert labels(rows) == [
         "A1   -12.3 Nm",
@@ -59,17 +59,17 @@ def test_a_billboard_says_name_value_and_unit() -> None:
     ]
 
 
-def test_joints_without_data_say_so() -> None:
+def test_billboards_of_joints_without_data_show_no_data() -> None:
     rows = drawn(world_of(show_billboards=True, billboard_lines=["torques"]))
     assert labels(rows)[3] == "A3  no data"
 
 
-def test_without_torques_billboards_show_the_joint_angles() -> None:
+def test_billboards_show_joint_angles_if_there_are_no_torques() -> None:
     rows = drawn(world_of(joint_angles=np.full(7, -0.5), show_billboards=True))
     assert labels(rows)[0] == "A1    -0.500 rad"
 
 
-def test_declared_lines_have_their_own_label_unit_scale_and_decimals() -> None:
+def test_declared_lines_set_label_unit_scale_and_decimals() -> None:
     lines = [
         {"value": "joint_angles", "unit": "deg", "scale": 57.29577951308232, "decimals": 0},
         {"value": "billboard_values", "label": "T", "unit": "C"},
@@ -85,7 +85,7 @@ def test_declared_lines_have_their_own_label_unit_scale_and_decimals() -> None:
     assert len(of_kind(rows, GEOM.mjGEOM_BOX)) == 7
 
 
-def test_a_prismatic_joint_shows_newton_and_metres() -> None:
+def test_billboard_of_prismatic_joint_shows_newtons_and_meters() -> None:
     for field, text in (("torques", "J1     3.0 N"), ("joint_angles", "J1     3.0000 m")):
         robot = SerialRobot(
             dh_convention="craig",
@@ -105,7 +105,7 @@ def test_a_prismatic_joint_shows_newton_and_metres() -> None:
     distance=st.floats(1.2, 9),
     azimuth=st.floats(-3, 3),
 )
-def test_text_is_inside_its_panel_and_panels_clear_of_each_other(
+def test_text_fits_its_billboard_and_billboards_do_not_overlap(
     billboard_world, seed, size, distance, azimuth
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -136,7 +136,7 @@ def billboard_world() -> World:
     return world_of(torques=TORQUES, show_billboards=True)
 
 
-def test_panels_face_the_camera_in_front_of_everything(billboard_world) -> None:
+def test_billboards_face_the_camera_in_front_of_everything(billboard_world) -> None:
     view = view_at()
     rows = drawn(billboard_world, view)
     for row in of_kind(rows, GEOM.mjGEOM_BOX):
@@ -147,7 +147,7 @@ def test_panels_face_the_camera_in_front_of_everything(billboard_world) -> None:
         assert 0.5 < row["rgba"][3] < 0.95  # semitransparent
 
 
-def test_a_leader_runs_from_its_panel_to_its_joint(billboard_world) -> None:
+def test_leader_connects_billboard_and_joint(billboard_world) -> None:
     view = view_at()
     world = billboard_world
     data = world.make_data()
@@ -167,7 +167,7 @@ def test_a_leader_runs_from_its_panel_to_its_joint(billboard_world) -> None:
         assert low[1] - 1 <= middle[1] <= high[1] + 1
 
 
-def test_a_joint_out_of_the_picture_has_no_billboard(billboard_world) -> None:
+def test_joint_outside_the_image_has_no_billboard(billboard_world) -> None:
     behind = view_at()
     turned = ImageView(
         behind.position, -behind.right, behind.up, -behind.forward, 0.4, 0.02, 1280, 800
@@ -175,7 +175,7 @@ def test_a_joint_out_of_the_picture_has_no_billboard(billboard_world) -> None:
     assert len(drawn(billboard_world, turned)) == 0
 
 
-def test_toggles_choose_which_joints_have_billboards(billboard_world) -> None:
+def test_toggles_select_the_joints_with_billboards(billboard_world) -> None:
     toggles = Toggles(billboard_world)
     toggles.billboards[:] = False
     toggles.billboards[5] = True
@@ -183,7 +183,7 @@ def test_toggles_choose_which_joints_have_billboards(billboard_world) -> None:
     assert labels(buffer.rows[: buffer.count]) == ["A5   -38.0 Nm"]
 
 
-def test_lines_are_labelled_where_there_are_several() -> None:
+def test_several_lines_of_a_billboard_are_labeled() -> None:
     world = world_of(
         torques=np.full(7, 10.0),
         commanded_torques=np.full(7, 12.5),
@@ -197,7 +197,7 @@ def test_lines_are_labelled_where_there_are_several() -> None:
     ]
 
 
-def test_huge_values_are_written_with_an_exponent() -> None:
+def test_huge_values_are_shown_with_an_exponent() -> None:
     world = world_of(torques=np.full(7, 1.0), show_billboards=True)
     data = world.make_data()
     data.userdata[world.slots["lwr.torques"]][:2] = (-1.5e300, 123456.0)
@@ -205,7 +205,7 @@ def test_huge_values_are_written_with_an_exponent() -> None:
     assert {"A1  -1.500e+300 Nm", "A2  123456.0 Nm"} < {*labels(buffer.rows[: buffer.count])}
 
 
-def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width() -> None:
+def test_legend_explains_arrows_positive_direction_and_full_width() -> None:
     world = world_of(torques=np.full(7, 10.0), show_arrows=True)
     toggles = Toggles(world)
     decor, data = Decor(world), world.make_data()
@@ -223,12 +223,12 @@ def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width()
     assert found[3] == "round arrows: torque error, commanded - measured"
     toggles.arrows[:] = False
     assert decor.draw(data, toggles, view_at()).count == 0
-    # The words are those of the colours: orange is mostly red, blue mostly blue.
+    # The words match the colors: orange is mostly red, blue mostly blue.
     assert np.argmax(POSITIVE_RGBA[:3]) == 0
     assert np.argmax(NEGATIVE_RGBA[:3]) == 2
 
 
-def test_with_several_robots_a_billboard_says_whose_joint_it_is() -> None:
+def test_billboards_of_several_robots_name_the_robot() -> None:
     robots = [
         SerialRobot(name=name, dh_convention="craig", torques=[2.0], show_billboards=True)
         for name in ("left", "right")
@@ -250,7 +250,7 @@ def test_long_names_are_shortened_in_the_middle_and_stay_distinct() -> None:
     world = World(Scene(robots=robots, floor=False))
     short = ["left_m..or_arm J1     2.0 Nm", "right_..or_arm J1     2.0 Nm"]
     assert sorted(labels(drawn(world, view_at(distance=20, width=640, height=480)))) == short
-    # There is room for the whole name.
+    # There is space for the whole name.
     whole = ["left_manipulator_arm J1     2.0 Nm", "right_manipulator_arm J1     2.0 Nm"]
     assert sorted(labels(drawn(world, view_at(distance=20)))) == whole
 
@@ -274,19 +274,19 @@ def test_long_names_are_shortened_in_the_middle_and_stay_distinct() -> None:
         ("none", [], []),
     ],
 )
-def test_names_on_cards_are_without_what_repeats(
+def test_joint_names_on_billboards_omit_repeated_parts(
     robot: str, joints: list[str], expected: list[str]
 ) -> None:
     assert short_joint_names(joints, robot) == expected
 
 
-def test_a_title_says_a_name_once() -> None:
+def test_title_does_not_repeat_a_name() -> None:
     joints, owners = [["RIGHT_HIP_X"], ["lift", "turn"]], ["RIGHT_HIP_X_LINK", "arm"]
     assert titles(joints, owners, [True, True]) == ["RIGHT_..X_LINK", "arm lift", "arm turn"]
     assert titles(joints, owners, [False, False]) == ["RIGHT_HIP_X", "lift", "turn"]
 
 
-def test_the_legend_leaves_small_pictures_alone() -> None:
+def test_small_images_have_no_legend() -> None:
     world = world_of(torques=np.full(7, 10.0), show_arrows=True)
     decor, toggles, data = Decor(world), Toggles(world), world.make_data()
     assert labels(
@@ -311,7 +311,7 @@ def said(world: World, data=None, decor=None, toggles=None) -> list[str]:
     return labels(buffer.rows[: buffer.count])
 
 
-def test_a_robots_own_input_is_on_its_billboards() -> None:
+def test_declared_input_is_shown_on_the_billboards() -> None:
     world = warm_world()
     data = world.make_data()
     assert said(world, data) == [f"{name}  T  no data" for name in world.joints.names]
@@ -321,7 +321,7 @@ def test_a_robots_own_input_is_on_its_billboards() -> None:
     assert said(world, data) == expected
 
 
-def test_nan_in_one_joint_says_no_data_there_and_the_others_go_on() -> None:
+def test_nan_in_one_joint_shows_no_data_for_that_joint_only() -> None:
     lines = ["torques", TEMPERATURE, {"value": "currents", "unit": "A"}]
     inputs = ["temperatures", "currents"]
     world = warm_world(inputs=inputs, billboard_lines=lines, torques=TORQUES)
@@ -337,7 +337,7 @@ def test_nan_in_one_joint_says_no_data_there_and_the_others_go_on() -> None:
         assert found[:13] + found[14:] == whole[:13] + whole[14:]
 
 
-def test_a_robot_without_the_input_stands_beside_one_that_has_it() -> None:
+def test_robots_with_and_without_a_declared_input_are_shown_together() -> None:
     plain = SerialRobot.from_model("lwr", name="plain", show_billboards=True, torques=TORQUES)
     tiny = SerialRobot(name="tiny", dh_convention="craig", show_billboards=True)
     for order in (1, -1):
@@ -350,13 +350,13 @@ def test_a_robot_without_the_input_stands_beside_one_that_has_it() -> None:
         for k, name in enumerate(world.robots["warm"].robot.names):
             assert f"warm {name}  T     {20 + k} C" in found
         assert len(found) == 15
-        world.set_input(data, "toggles.flange_checks", 1.0)  # the last flag of all
+        world.set_input(data, "toggles.flange_checks", 1.0)  # the last flag
         assert np.isnan(joint_values(world, data)["temperatures"]).sum() == 8
         with pytest.raises(UnknownName):
             world.set_input(data, "plain.temperatures", np.zeros(7))
 
 
-def test_a_double_has_its_robots_own_inputs_with_values_of_its_own() -> None:
+def test_double_has_its_own_values_of_declared_inputs() -> None:
     shown = {"show_billboards": True, "billboard_lines": [TEMPERATURE]}
     double = Double(name="goal", of="warm", joint_angles=np.full(7, 0.5), **shown)
     world = warm_world(doubles=[double])
@@ -369,14 +369,14 @@ def test_a_double_has_its_robots_own_inputs_with_values_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("joints", [7, 4, 2])
-def test_panels_stand_on_the_side_of_their_robot(joints: int) -> None:
+def test_billboards_are_on_the_side_of_their_robot(joints: int) -> None:
     bases = np.stack([np.eye(4)] * 2)
     bases[:, 1, 3] = 0.5, -0.5
     robots = [
         SerialRobot.from_model("lwr", name=name, base_frame=base, show_billboards=True)
         for name, base in zip(("first", "second"), bases, strict=True)
     ]
-    table = robots[0].dh_params[:joints]  # a robot with fewer joints has its own side as well
+    table = robots[0].dh_params[:joints]  # a robot with fewer joints has its own side, too
     robots[1] = SerialRobot(
         name="second", dh_params=table, dh_convention="craig", base_frame=bases[1],
         show_billboards=True,
@@ -393,14 +393,14 @@ def test_panels_stand_on_the_side_of_their_robot(joints: int) -> None:
 
 
 def bounds_of_cards(decor: Decor) -> tuple[np.ndarray, np.ndarray]:
-    """Lower left and upper right corners of all cards, (k, 2) each, pixels."""
+    """Returns the lower left and upper right corners of all billboards, (k, 2) each, pixels."""
     cards = [panels for panels in decor.panels if panels.has_values]
     centres = np.concatenate([panels.centres for panels in cards])
     half = np.concatenate([panels.sizes for panels in cards]) / 2
     return centres - half, centres + half
 
 
-def test_cards_leave_four_robots_free_where_the_picture_has_no_room_for_all() -> None:
+def test_billboards_in_a_crowded_image_do_not_cover_four_robots() -> None:
     places = [(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
     robots = [
         SerialRobot.from_model(
@@ -427,8 +427,8 @@ def test_cards_leave_four_robots_free_where_the_picture_has_no_room_for_all() ->
         assert all(b"7 joints" in text[0] and b"max" in text[1] for text in shown)
 
 
-def test_a_hand_has_one_card_that_says_which_joint_is_the_most_loaded() -> None:
-    """A hand at an arm: 27 joints, and room for some of them."""
+def test_hand_has_one_billboard_with_its_most_loaded_joint() -> None:
+    """A hand on an arm: 27 joints, with space for some of them."""
     scene = load_scene("lwr_hit_hand")
     world = World(scene)
     data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
@@ -456,7 +456,7 @@ def test_a_hand_has_one_card_that_says_which_joint_is_the_most_loaded() -> None:
         assert label.startswith(words[0]) and label.endswith(words[2])
 
 
-def test_a_click_on_the_card_of_a_limb_shows_all_of_its_joints() -> None:
+def test_click_on_the_billboard_of_a_limb_shows_all_its_joints() -> None:
     world = World(load_scene("lwr_hit_hand"))
     data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
     toggles.billboards[:] = True
@@ -476,7 +476,7 @@ def test_a_click_on_the_card_of_a_limb_shows_all_of_its_joints() -> None:
     assert toggles.billboards.nonzero()[0].tolist() == [*range(7)]
 
 
-def test_cards_of_a_hand_stand_together_on_the_side_where_it_is() -> None:
+def test_billboards_of_a_hand_are_grouped_on_its_side() -> None:
     world = World(load_scene("lwr_hit_hand"))
     data, toggles = world.make_data(), toggles_of(world)
     toggles.billboards[:] = True
@@ -494,7 +494,7 @@ def test_cards_of_a_hand_stand_together_on_the_side_where_it_is() -> None:
 
 
 @pytest.mark.parametrize(("azimuth", "distance"), [(0.3, 2.6), (-0.4, 2.6), (0.0, 3.2)])
-def test_no_leader_of_a_robot_runs_over_cards_of_another(azimuth: float, distance: float) -> None:
+def test_leaders_do_not_cross_billboards_of_another_robot(azimuth: float, distance: float) -> None:
     robots = [
         SerialRobot.from_model("lwr", name=name, base_frame={"xyz": [0, y, 0]})
         for name, y in (("left", 0.5), ("right", -0.5))
@@ -527,8 +527,8 @@ def test_no_leader_of_a_robot_runs_over_cards_of_another(azimuth: float, distanc
         assert not over[owner[:, None] != owner].any()
 
 
-def test_decimals_follow_what_an_arrow_of_full_width_shows() -> None:
-    """A hundredth of the limit can be read."""
+def test_decimals_follow_the_torque_of_a_full_width_arrow() -> None:
+    """A hundredth of the limit is readable."""
     limits = [200.0, 38.0, 9.0, 3.0, 0.5, 0.004]
     robot = SerialRobot(
         name="r", dh_convention="craig", dh_params=np.zeros((6, 4)), torque_limits=limits,
@@ -549,7 +549,7 @@ def test_decimals_follow_what_an_arrow_of_full_width_shows() -> None:
         ([2e6, 2e4, 8e5], ["1000.0 kNm", "10.0 kN", "400.0 kNm"], "err   500.00 kNm"),
     ],
 )
-def test_torques_of_a_robot_have_one_prefix_by_its_largest_limit(
+def test_torques_of_a_robot_share_a_unit_prefix_from_its_largest_limit(
     limits: list[float], expected: list[str], error: str
 ) -> None:
     torques = np.where(np.isfinite(limits), 0.5 * np.array(limits), 0.0)
@@ -566,13 +566,13 @@ def test_torques_of_a_robot_have_one_prefix_by_its_largest_limit(
         lines.details[0][2:4], [0.25 * limits[0], limits[0]], strict=True)]  # fmt: skip
     assert details[0].strip() == error
     assert details[1].endswith(expected[0].split()[1])
-    # A declared unit or scale is the user's own.
+    # A declared unit or scale is used unchanged.
     own = BillboardLine(value="torques", unit="ozin", scale=141.6, decimals=1)
     (line,) = billboard_lines("J", [own], False, world.joints.torque_units[0], limits[0])
     assert line.text(1.0) == b"J   141.6 ozin"
 
 
-def test_torques_that_are_set_at_run_time_are_on_cards_that_had_angles() -> None:
+def test_torques_set_at_run_time_replace_angles_on_billboards() -> None:
     world = world_of(show_billboards=True)
     data = world.make_data()
     assert said(world, data)[0] == "A1     0.000 rad"
@@ -585,7 +585,7 @@ def test_torques_that_are_set_at_run_time_are_on_cards_that_had_angles() -> None
 
 
 @pytest.mark.parametrize("lines", [None, ["torques"]])
-def test_a_card_has_the_torque_error_that_its_arrow_shows_unless_it_is_declared(
+def test_billboard_shows_the_torque_error_of_its_arrow_unless_lines_are_declared(
     lines: list[str] | None,
 ) -> None:
     shown = {"show_arrows": True, "show_billboards": True}
@@ -604,7 +604,7 @@ def test_a_card_has_the_torque_error_that_its_arrow_shows_unless_it_is_declared(
     assert card() == torque
 
 
-def test_cards_are_placed_anew_only_where_something_moves(monkeypatch) -> None:
+def test_billboards_are_placed_again_only_after_changes(monkeypatch) -> None:
     world = world_of(torques=TORQUES, show_billboards=True)
     data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
     placed = []
@@ -617,10 +617,11 @@ def test_cards_are_placed_anew_only_where_something_moves(monkeypatch) -> None:
         rows = decor.draw(data, toggles, view).rows[: decor.buffer.count]
         again = Decor(world).draw(data, toggles, view)
         assert rows.tobytes() == again.rows[: again.count].tobytes()
-        return len(placed) - 1  # one is of the other decor
+        return len(placed) - 1  # one call is of the other decor
 
     view = view_at()
-    assert [times_placed(view) for _ in range(3)] == [1, 1, 0]  # the first fills an empty memory
+    # The first call fills an empty cache.
+    assert [times_placed(view) for _ in range(3)] == [1, 1, 0]
     world.set_input(data, "lwr.torques", 1.1 * np.array(TORQUES))
     assert times_placed(view) == 0
     data.qpos[1] += 0.1
@@ -628,10 +629,10 @@ def test_cards_are_placed_anew_only_where_something_moves(monkeypatch) -> None:
     assert [times_placed(view) for _ in range(2)] == [1, 0]
     assert [times_placed(view_at(width=1000)) for _ in range(4)][::3] == [1, 0]
     toggles.billboards[4:] = False
-    assert times_placed(view_at(width=1000)) > 0  # and compares what has other lengths
+    assert times_placed(view_at(width=1000)) > 0  # and compares arrays of another length
 
 
-def test_names_of_frames_cover_neither_cards_nor_each_other() -> None:
+def test_frame_names_do_not_overlap_billboards_or_each_other() -> None:
     """SpaceJustin names eight frames of its body, shoulders and wrists."""
     world = World(load_scene("space_justin"))
     data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
@@ -647,7 +648,7 @@ def test_names_of_frames_cover_neither_cards_nor_each_other() -> None:
     assert not (over & ~np.eye(len(low), dtype=bool))[is_name].any()
 
 
-def test_cards_of_joints_without_data_are_not_called_the_most_loaded() -> None:
+def test_joints_without_data_are_not_called_the_most_loaded() -> None:
     snake = SerialRobot(name="snake", dh_params=[[0.0, 0.05, 0.0, 0.0]] * 27, dh_convention="craig")
     world = World(Scene(robots=[snake]))
     data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
@@ -668,7 +669,7 @@ def test_cards_of_joints_without_data_are_not_called_the_most_loaded() -> None:
     assert note().endswith(" of 27 joints, the most loaded")
 
 
-def test_a_narrow_picture_has_one_column_of_the_few_most_loaded() -> None:
+def test_narrow_image_has_one_column_of_the_most_loaded_joints() -> None:
     world = World(load_scene("lwr_hit_hand"))
     data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
     toggles.billboards[:] = True
@@ -678,13 +679,13 @@ def test_a_narrow_picture_has_one_column_of_the_few_most_loaded() -> None:
     view = replace(view_at(0.5, 4.0, 390, 844), font=Typesetter(18).font)
     decor.draw(data, toggles, view)
     low, high = bounds_of_cards(decor)
-    assert len(low) == 8  # of the arm, and of the hand
+    assert len(low) == 8  # of the arm and the hand
     assert (low >= 0).all() and (high <= [390, 844]).all()
     over = ((low[:, None] < high - 1e-6) & (high[:, None] > low + 1e-6)).all(axis=2)
     assert not (over & ~np.eye(8, dtype=bool)).any()
 
 
-def test_torques_of_the_model_are_called_so() -> None:
+def test_model_torques_are_labeled_as_model() -> None:
     world = world_of(torques=np.arange(7.0), show_billboards=True)
     toggles = toggles_of(world)
     toggles.modelled[:] = True
@@ -695,7 +696,7 @@ def test_torques_of_the_model_are_called_so() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("lines", [1, 2, 3])
 @pytest.mark.parametrize("size", [(360, 270), (270, 360), (640, 480)])
-def test_cards_of_several_lines_cover_each_other_in_no_small_picture(
+def test_billboards_of_several_lines_do_not_overlap_in_small_images(
     size: tuple[int, int], lines: int
 ) -> None:
     keys = ["torques", "joint_angles", "torque_error"][:lines]
@@ -711,7 +712,7 @@ def test_cards_of_several_lines_cover_each_other_in_no_small_picture(
         assert (low >= -1e-6).all() and (high <= np.array(size) + 1e-6).all()
 
 
-def test_a_card_without_data_may_have_any_name() -> None:
+def test_billboard_without_data_accepts_any_name() -> None:
     robot = SerialRobot(
         dh_convention="craig", dh_params=[[0, 0.3, 0, 0]] * 2, joint_names=["hüfte", "%s/関節"],
         show_billboards=True, billboard_values=None, inputs=["load"],

@@ -1,4 +1,4 @@
-"""The biped: its kinematics, its weight on two feet, how it stands, and how it would not."""
+"""The biped: its kinematics, the load of both feet, standing, and falling."""
 
 from __future__ import annotations
 
@@ -31,11 +31,9 @@ def turn(axis: str, angle: float) -> np.ndarray:
 
 
 def toe_tip(angles: np.ndarray, side: float) -> np.ndarray:
-    """Where the sole is under the toe, from the hip: turns about x, y and z, and steps between.
-
-    Args:
-        angles: (7,), rad.
-        side: 1 for the left leg; -1 for the right one, a mirror image.
+    """Returns the frame of the sole below the toe in hip coordinates, from rotations about x, y and
+    z and translations. `side` is 1 for the left leg and -1 for the mirrored right leg; `angles` has
+    shape (7,), rad.
     """
     yaw, roll, pitch, knee, ankle, tilt, toe = angles
     at = np.zeros(3)
@@ -50,7 +48,7 @@ def toe_tip(angles: np.ndarray, side: float) -> np.ndarray:
     return at + R @ [0, 0, -0.02]
 
 
-def test_legs_are_two_chains_of_turns_the_right_one_mirrored() -> None:
+def test_legs_are_two_mirrored_chains_of_rotations() -> None:
     robots = load_scene(find_scene("biped")).robots
     rng = np.random.default_rng(4)
     for _ in range(10):
@@ -62,7 +60,7 @@ def test_legs_are_two_chains_of_turns_the_right_one_mirrored() -> None:
             np.testing.assert_allclose(T[:3, 3], hip + toe_tip(q[name], side), atol=1e-9)
 
 
-def test_its_sender_keeps_both_soles_on_the_floor_and_carries_the_weight() -> None:
+def test_sender_holds_both_soles_on_the_floor_and_carries_the_weight() -> None:
     scene = load_scene(find_scene("biped"))
     scene.sources["udp"]["port"] = 0
     sender = runpy.run_path(str(scenes_dir() / "biped_sender.py"))
@@ -78,11 +76,11 @@ def test_its_sender_keeps_both_soles_on_the_floor_and_carries_the_weight() -> No
             mirror.advance()
             T = [mirror.world.frame(mirror.data, f"{name}/flange") for name in LEGS]
             soles.append([each[:3] for each in T])
-            # What the floor pushes passes the knee at the shank's length by its lean.
+            # The floor force passes the knee at a distance of the shank length times its lean.
             lever = 0.4 * np.sin(values[3] / 2) * np.cos(values[1])
             loads.append([-values[17] / lever, -values[24] / lever])
     np.testing.assert_allclose(soles, np.broadcast_to(soles[0], np.shape(soles)), atol=1e-6)
-    assert np.ptp(loads) > 20.0  # N: it sways from foot to foot
+    assert np.ptp(loads) > 20.0  # N: the load shifts from foot to foot
     np.testing.assert_allclose(np.sum(loads, axis=1), sender["WEIGHT"], rtol=1e-6)
 
 
@@ -94,7 +92,9 @@ def standing() -> Simulation:
 
 
 def bodies_of(simulation: Simulation, row: int) -> dict[str, list[tuple[float, np.ndarray]]]:
-    """Mass and centre (3,) of all bodies in the world: of each leg by its DH frames, base first."""
+    """Returns masses and centers of mass (3,) of all bodies in the world, from the DH frames of
+    each leg, base first.
+    """
     robots, log = simulation.robots, simulation.log
     q = {name: log.of(name, "actual_angles")[row] for name in LEGS}
     bases = base_frames(robots, q, {"biped_left": log.signals["biped_left_base_frame"][row]})
@@ -112,23 +112,23 @@ def bodies_of(simulation: Simulation, row: int) -> dict[str, list[tuple[float, n
 
 
 def middle_of(bodies: dict[str, list[tuple[float, np.ndarray]]]) -> tuple[float, np.ndarray]:
-    """Mass and centre of mass of all."""
+    """Returns the total mass and center of mass."""
     masses, centers = zip(*(body for each in bodies.values() for body in each), strict=True)
     return sum(masses), np.average(centers, axis=0, weights=masses)
 
 
 @pytest.mark.thorough
-def test_it_stands_on_both_feet_also_when_it_is_pushed() -> None:
+def test_biped_stands_on_both_feet_after_pushes() -> None:
     simulation = standing()
     assert [each.text for each in simulation.outcomes() if not each.holds] == []
     log, row = simulation.log, 1900  # at rest, before the pushes
     bodies = bodies_of(simulation, row)
     mass, middle = middle_of(bodies)
-    # The floor carries all of the weight, half by each foot.
+    # The floor carries all of the weight, half on each foot.
     forces = np.array([log.signals[f"{name}_contact_force"][row] for name in LEGS])
     np.testing.assert_allclose(forces[:, 2], mass * G / 2, rtol=2e-3)
     np.testing.assert_allclose(forces[:, :2], 0.0, atol=1.0)
-    # It does so under the centre of mass: statics of the shank and the foot about the knee.
+    # The force acts under the center of mass: statics of shank and foot about the knee.
     left = simulation.robots["biped_left"]
     q = log.of("biped_left", "actual_angles")[row]
     T = left.dh.frames(q, log.signals["biped_left_base_frame"][row])
@@ -142,15 +142,16 @@ def test_it_stands_on_both_feet_also_when_it_is_pushed() -> None:
 
 
 @pytest.mark.thorough
-def test_in_the_declared_pose_it_is_balanced_over_its_soles() -> None:
+def test_declared_pose_is_balanced_over_the_soles() -> None:
     mass, middle = middle_of(bodies_of(standing(), 0))
     assert mass == pytest.approx(42.57, abs=0.01)
-    np.testing.assert_allclose(middle, [0.0326, 0.0, 0.7246], atol=2e-4)  # as the scenario says
+    # As declared in the scenario.
+    np.testing.assert_allclose(middle, [0.0326, 0.0, 0.7246], atol=2e-4)
 
 
 @pytest.mark.thorough
-def test_pushes_change_its_momentum_by_their_impulse() -> None:
-    """What the floor and the pushes do together is the change of momentum, over the whole run."""
+def test_pushes_change_the_momentum_by_their_impulse() -> None:
+    """Over the whole run, the impulse of floor and pushes equals the change of momentum."""
     simulation = standing()
     log, step = simulation.log, simulation.plant.timestep
     forces = sum(log.signals[f"{name}_contact_force"] for name in LEGS)
@@ -170,9 +171,9 @@ def test_pushes_change_its_momentum_by_their_impulse() -> None:
     ],
     ids=["limp", "soft ankles"],
 )
-def test_it_falls_without_control_and_with_ankles_softer_than_gravity(over: dict) -> None:
+def test_biped_falls_without_control_and_with_soft_ankles(over: dict) -> None:
     simulation = Simulation(read_scenario("biped_stand", over))
     simulation.advance(simulation.steps)
     outcomes = {each.name: each.holds for each in simulation.outcomes()}
     assert not outcomes["min_base_height"] and not outcomes["peak_tilt"]
-    assert simulation.log.signals["biped_left_base_frame"][-1, 2, 3] < 0.5  # m: it lies
+    assert simulation.log.signals["biped_left_base_frame"][-1, 2, 3] < 0.5  # m: it has fallen

@@ -1,4 +1,4 @@
-"""Cameras that move: paths through keys, turntables, and following."""
+"""Camera motion: keyframe paths, turntables, and following."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def test_curves_pass_through_their_keys_and_stay_between_them() -> None:
     assert speed[-1] == pytest.approx(0.0)
 
 
-def test_slopes_inside_are_those_of_scipy() -> None:
+def test_inner_slopes_equal_those_of_scipy() -> None:
     interpolate = pytest.importorskip("scipy.interpolate", reason="dm-control is not installed")
     theirs = interpolate.PchipInterpolator(TIMES, VALUES)
-    for at in np.linspace(1.0, 4.0, 50):  # from the second key to the last but one
+    for at in np.linspace(1.0, 4.0, 50):  # from the second key to the second-last one
         assert monotone_cubic(TIMES, VALUES, at) == pytest.approx(theirs(at), abs=1e-12)
 
 
@@ -58,7 +58,7 @@ def camera_at(path: CameraPath, time: float) -> mujoco.MjvCamera:
     return camera
 
 
-def test_a_path_turns_the_shorter_way_and_leaves_what_no_key_gives() -> None:
+def test_path_rotates_the_shorter_way_and_leaves_undeclared_values() -> None:
     keys = [(0.0, 170.0), (1.0, -170.0), (2.0, 90.0)]
     path = CameraPath([CameraKey(time=time, azimuth_deg=azimuth) for time, azimuth in keys])
     angles = [camera_at(path, time).azimuth for time in np.linspace(0, 2, 41)]
@@ -70,7 +70,7 @@ def test_a_path_turns_the_shorter_way_and_leaves_what_no_key_gives() -> None:
     assert camera.lookat == pytest.approx([0, 0, 0.5])
 
 
-def test_keys_may_leave_out_what_those_around_them_give(tmp_path) -> None:
+def test_values_omitted_in_a_key_are_interpolated_from_its_neighbors(tmp_path) -> None:
     file = tmp_path / "path.toml"
     file.write_text(
         "[[keys]]\ntime = 0\ndistance = 2\nlook_at = [0, 0, 0]\n"
@@ -97,7 +97,7 @@ def test_keys_may_leave_out_what_those_around_them_give(tmp_path) -> None:
         ("[[keys]]\ntime = 2\n\n[[keys]]\ntime = 1\n", 5, "keys.1.time", "found 1; expected more"),
     ],
 )
-def test_errors_of_a_path_name_file_line_and_key(tmp_path, text, line, key, told) -> None:
+def test_errors_in_a_camera_path_name_file_line_and_key(tmp_path, text, line, key, told) -> None:
     file = tmp_path / "path.toml"
     file.write_text(text)
     with pytest.raises(DeclarationError) as caught:
@@ -107,7 +107,7 @@ def test_errors_of_a_path_name_file_line_and_key(tmp_path, text, line, key, told
     assert told in problem.message
 
 
-def test_a_turntable_turns_evenly_and_is_back_when_it_has_turned_once() -> None:
+def test_turntable_rotates_uniformly_and_ends_where_it_started() -> None:
     camera = mujoco.MjvCamera()
     camera.azimuth = 150.0
     move = orbit(camera, -360.0, 5.0)
@@ -116,7 +116,7 @@ def test_a_turntable_turns_evenly_and_is_back_when_it_has_turned_once() -> None:
         move(camera, k / 5)
         angles.append(camera.azimuth)
     assert np.diff(angles) == pytest.approx(np.full(24, -14.4))
-    assert angles[-1] - 14.4 == pytest.approx(150.0 - 360.0)  # the first frame comes again
+    assert angles[-1] - 14.4 == pytest.approx(150.0 - 360.0)  # same as the first frame
 
 
 @pytest.fixture(scope="module")
@@ -132,13 +132,13 @@ def drive(world: World, data: mujoco.MjData, x: float, time: float) -> None:
     mujoco.mj_kinematics(world.model, data)
 
 
-def test_a_group_is_followed_by_the_robot_that_carries_the_others(justin: World) -> None:
+def test_camera_follows_the_root_robot_of_a_group(justin: World) -> None:
     assert roots(justin, "justin") == ["justin_torso"]
     assert roots(justin, "justin_left_arm") == ["justin_left_arm"]
     assert roots(justin, "justin_torso/base") == []
 
 
-def test_following_is_late_by_its_time_constant_and_smooth(justin: World) -> None:
+def test_following_lags_by_its_time_constant_and_is_smooth(justin: World) -> None:
     data, speed, dt = justin.make_data(), 0.5, 1 / 30
     follower, noise = Follower(justin, "justin", data), np.random.default_rng(3)
     places, goals = [], []
@@ -153,26 +153,27 @@ def test_following_is_late_by_its_time_constant_and_smooth(justin: World) -> Non
     assert late[100:].mean() == pytest.approx(speed * TIME_CONSTANT, rel=0.1)
     jitter = np.std(np.diff(goals, 2)[100:]), np.std(np.diff(places, 2)[100:])
     assert jitter[1] < 0.15 * jitter[0]
-    assert (np.diff(places[20:]) > 0).all()  # never back
+    assert (np.diff(places[20:]) > 0).all()  # never moves back
 
 
-def test_a_jump_in_time_is_followed_at_once(justin: World) -> None:
+def test_camera_follows_a_jump_in_time_at_once(justin: World) -> None:
     data = justin.make_data()
     drive(justin, data, 0.0, 0.0)
     follower = Follower(justin, "justin", data)
-    for x, time in ((3.0, 0.0), (1.0, 20.0), (2.0, 5.0)):  # the first frame, ahead, and back
+    # The first frame, a jump forward, and one back.
+    for x, time in ((3.0, 0.0), (1.0, 20.0), (2.0, 5.0)):
         before = data.xpos[justin.robots["justin_torso"].bodies[0], 0]
         drive(justin, data, x, time)
         assert follower.displacement(data)[0] == pytest.approx(x - before)
 
 
 @pytest.mark.thorough
-def test_a_window_follows_what_the_view_of_its_scene_says(justin: World) -> None:
+def test_window_follows_the_robot_declared_in_the_view(justin: World) -> None:
     navigator, data = Navigator(justin), justin.make_data()
     assert navigator.following == "justin"
     start = navigator.camera.lookat.copy()
     drive(justin, data, 4.0, 0.0)
-    navigator.advance(data)  # it is there when the window opens
+    navigator.advance(data)  # the camera is there when the window opens
     assert navigator.camera.lookat == pytest.approx(start + np.array([4.0, 0, 0]))
     assert navigator.follow(data, None) == "follows nothing"
     navigator.choose(0)
@@ -180,7 +181,7 @@ def test_a_window_follows_what_the_view_of_its_scene_says(justin: World) -> None
 
 
 @pytest.mark.gl
-def test_pictures_follow_and_a_path_with_places_does_not(justin: World, tmp_path) -> None:
+def test_rendered_images_follow_unless_a_path_sets_the_position(justin: World, tmp_path) -> None:
     data, file = justin.make_data(), tmp_path / "path.toml"
     file.write_text("[[keys]]\ntime = 0\nlook_at = [0, 0, 1]\n")
     with HeadlessRenderer(justin, 32, 24, quality="draft") as renderer:
@@ -199,7 +200,7 @@ def test_pictures_follow_and_a_path_with_places_does_not(justin: World, tmp_path
 
 
 @pytest.mark.gl
-def test_a_fixed_camera_does_not_turn() -> None:
+def test_orbit_is_rejected_for_a_fixed_camera() -> None:
     cameras = {"front": Camera(position=[2.0, 0.0, 1.0])}
     world = World(Scene(robots=[SerialRobot.from_model("lwr")], cameras=cameras))
     told = "--orbit: cannot move camera 'front'; expected the free camera"
@@ -210,7 +211,7 @@ def test_a_fixed_camera_does_not_turn() -> None:
         video_frames(None, renderer, 1, 1.0, VideoOptions(orbit=90))
 
 
-def test_a_fixed_camera_follows_nothing() -> None:
+def test_fixed_camera_follows_nothing() -> None:
     cameras = {"front": Camera(position=[2.0, 0.0, 1.0])}
     robot = SerialRobot.from_model("lwr")
     world = World(Scene(robots=[robot], cameras=cameras, view=View(follow="lwr/flange")))
@@ -220,7 +221,7 @@ def test_a_fixed_camera_follows_nothing() -> None:
         followed(world, navigator.camera, "lwr")
 
 
-def test_what_cannot_be_followed_is_told_with_what_can(tmp_path) -> None:
+def test_unknown_follow_target_is_reported_with_a_suggestion(tmp_path) -> None:
     world = World(Scene(robots=[SerialRobot.from_model("lwr")]))
     kind = "robot, group or frame"
     with raises_with(UnknownName, kind=kind, name="lwr/flang", near="lwr/flange"):
@@ -237,7 +238,7 @@ def test_what_cannot_be_followed_is_told_with_what_can(tmp_path) -> None:
     assert problems_in(file) == [f"4: view.follow: {reason}"]
 
 
-def test_a_view_keeps_its_angles_when_something_else_of_it_is_set() -> None:
+def test_view_angles_survive_setting_another_attribute() -> None:
     view = View(azimuth_deg=205.0, elevation_deg=-3.0)
     view.look = "dark"
     assert (view.azimuth_deg, view.elevation_deg, view.look) == (205.0, -3.0, "dark")

@@ -1,4 +1,4 @@
-"""The Cartesian impedance: its wrench, its energy, its steps, its null space, its singularities."""
+"""The Cartesian impedance: wrench, energy, step response, null space, singularities."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MODEL = lwr_model()
 
 
 def turned(vector: Array) -> Array:
-    """The rotation by a rotation vector, by MuJoCo."""
+    """Returns the rotation matrix of a rotation vector, computed by MuJoCo."""
     angle = float(np.linalg.norm(vector))
     quat, matrix = np.zeros(4), np.zeros(9)
     mujoco.mju_axisAngle2Quat(quat, vector / max(angle, 1e-300), angle)
@@ -54,7 +54,9 @@ def at_pose(pose: Array) -> Target:
 
 
 def spring_energy(control: CartesianImpedanceController, pose: Array) -> float:
-    """V, J: 1/2 e^T K e with the way to the target and -2 times the vector of the quaternion."""
+    """Returns V in J: 1/2 e^T K e with the position error and -2 times the vector of the
+    quaternion.
+    """
     R, T = control.model.flange_rotation, control.model.flange()
     way, turn = pose[:3, 3] - T[:3, 3], R @ pose[:3, :3].T
     if control._in_flange:
@@ -67,7 +69,7 @@ def spring_energy(control: CartesianImpedanceController, pose: Array) -> float:
 
 @settings(deadline=None, max_examples=examples(50))
 @given(seeds, st.sampled_from(["world", "flange"]))
-def test_the_wrench_is_minus_the_slope_of_the_energy(seed: int, axes: str) -> None:
+def test_wrench_is_the_negative_gradient_of_the_energy(seed: int, axes: str) -> None:
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(6, 6))
     control = CartesianImpedance(stiffness=a @ a.T * 100, axes=axes).make(MODEL, 1e-3)
@@ -87,7 +89,7 @@ def test_the_wrench_is_minus_the_slope_of_the_energy(seed: int, axes: str) -> No
 
 @settings(deadline=None, max_examples=examples(50))
 @given(seeds, st.sampled_from(["world", "flange"]), st.booleans())
-def test_at_rest_torques_are_those_of_the_wrench(seed: int, axes: str, coupled: bool) -> None:
+def test_torques_at_rest_equal_those_of_the_wrench(seed: int, axes: str, coupled: bool) -> None:
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(6, 6))
     stiffness = a @ a.T * 100
@@ -104,7 +106,7 @@ def test_at_rest_torques_are_those_of_the_wrench(seed: int, axes: str, coupled: 
     np.testing.assert_allclose(torques, expected, rtol=1e-9, atol=1e-9)
 
 
-def test_small_errors_are_a_spring_along_and_about_the_axes_that_were_named() -> None:
+def test_small_errors_act_like_springs_along_the_declared_axes() -> None:
     stiffness = [1000.0, 2000.0, 3000.0, 10.0, 20.0, 30.0]
     MODEL.update(START, np.zeros(7))
     here = MODEL.flange()
@@ -131,7 +133,7 @@ def total_energy(loop: Loop, control: CartesianImpedanceController, pose: Array)
 @pytest.mark.thorough
 @settings(deadline=None, max_examples=examples(6))
 @given(seeds, st.floats(0, 1.5), st.sampled_from(["world", "flange"]))
-def test_without_null_space_spring_it_never_makes_energy(
+def test_energy_never_grows_without_null_space_stiffness(
     seed: int, ratio: float, axes: str
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -153,8 +155,8 @@ def test_without_null_space_spring_it_never_makes_energy(
 @pytest.mark.parametrize(
     ("along", "amount"), [([1, 0, 0, 0, 0, 0], 5e-3), ([0, 0, 0, 0, 0, 1], 0.02)]
 )
-def test_steps_overshoot_as_the_ratio_says(along: list[float], amount: float) -> None:
-    # Stiffness in proportion to the inertia felt: then all directions are one and the same mode.
+def test_step_overshoot_matches_the_damping_ratio(along: list[float], amount: float) -> None:
+    # Stiffness proportional to the effective inertia: all directions have the same mode.
     loop = Loop(2.5e-4)
     loop.robot.update(START, np.zeros(7))
     J = loop.robot.jacobian()
@@ -179,7 +181,7 @@ def test_steps_overshoot_as_the_ratio_says(along: list[float], amount: float) ->
     assert np.abs(others).max() < 0.1 * amount
 
 
-def test_a_force_at_the_flange_moves_it_by_force_over_stiffness() -> None:
+def test_flange_force_displaces_by_force_over_stiffness() -> None:
     loop = Loop()
     control = CartesianImpedance(stiffness=[500, 1000, 2000, 50, 50, 50]).make(loop.robot, 1e-3)
     target = target_at(loop.robot, START)
@@ -195,7 +197,7 @@ def test_a_force_at_the_flange_moves_it_by_force_over_stiffness() -> None:
     assert rotation_angle(now[:3, :3].T @ target.pose[:3, :3]) < 1e-4
 
 
-def test_the_target_s_wrench_is_exerted() -> None:
+def test_target_wrench_is_exerted() -> None:
     target, out, before = target_at(MODEL, START), np.zeros(7), np.zeros(7)
     sensed = Sensed(7)
     sensed.angles[:] = START
@@ -209,7 +211,7 @@ def test_the_target_s_wrench_is_exerted() -> None:
     np.testing.assert_allclose(out - before, expected, atol=1e-9)
 
 
-def test_the_null_space_moves_the_elbow_and_leaves_the_flange() -> None:
+def test_null_space_moves_the_elbow_but_not_the_flange() -> None:
     loop = Loop()
     control = CartesianImpedance(stiffness=[5000] * 3 + [300] * 3, nullspace_stiffness=30.0).make(
         loop.robot, 1e-3
@@ -238,7 +240,7 @@ def test_null_space_torques_do_not_accelerate_the_flange(seed: int) -> None:
     still, out = np.zeros(7), np.zeros(7)
     control.torques(sensed, target, still)
     away, elbow = rng.uniform(-1, 1, 7), np.linalg.svd(MODEL.jacobian())[2][-1]
-    away += np.copysign(0.3, elbow @ away) * elbow  # else it may ask nothing of the elbow
+    away += np.copysign(0.3, elbow @ away) * elbow  # otherwise the elbow gets no null-space torque
     target.posture[:] = q + away
     control.torques(sensed, target, out)
     accelerations = np.linalg.solve(MODEL.mass(), out - still)
@@ -246,7 +248,7 @@ def test_null_space_torques_do_not_accelerate_the_flange(seed: int) -> None:
     assert np.abs(MODEL.jacobian() @ accelerations).max() < 1e-3 * np.abs(accelerations).max()
 
 
-def test_the_null_space_leaks_nothing_until_really_near_a_singularity() -> None:
+def test_null_space_torques_do_not_leak_away_from_singularities() -> None:
     rng, bound = np.random.default_rng(0), np.deg2rad([170, 120, 170, 120, 170, 120, 170])
     poses = rng.uniform(-bound, bound, (2000, 7))
     best, moved = 0.0, []
@@ -262,7 +264,7 @@ def test_the_null_space_leaks_nothing_until_really_near_a_singularity() -> None:
         control.torques(sensed, target, out)
         J, back = MODEL.jacobian(), np.linalg.solve(MODEL.mass(), MODEL.jacobian().T)
         if np.linalg.svd(J, compute_uv=False).prod() > 0.01 * best:
-            # The springs' wrench that keeps the flange where it is against these torques.
+            # The wrench of the springs that holds the flange against these torques.
             wrench = np.linalg.solve(J @ back, back.T @ (out - still))
             moved.append(np.linalg.solve(control.stiffness, wrench))
     assert len(moved) > 0.9 * examples(400)
@@ -270,21 +272,21 @@ def test_the_null_space_leaks_nothing_until_really_near_a_singularity() -> None:
     assert np.linalg.norm(np.array(moved)[:, 3:], axis=1).max() < 1e-8
 
 
-def test_a_target_is_met_at_rest_near_a_stretched_elbow() -> None:
+def test_target_is_reached_at_rest_near_a_stretched_elbow() -> None:
     loop = Loop()
     goal = np.deg2rad([0, 30, 0, -37, 0, 60, 0])
     control = CartesianImpedance(nullspace_stiffness=30.0).make(loop.robot, 1e-3)
     target = target_at(loop.robot, goal)
     target.posture[:] = START
     logged = loop.run(8.0, lambda sensed, out: control.torques(sensed, target, out))
-    assert np.abs(logged[-1] - logged[-500]).max() < 1e-5  # it rests
+    assert np.abs(logged[-1] - logged[-500]).max() < 1e-5  # at rest
     pose = flange_at(loop.robot, logged[-1])
     assert np.linalg.norm(pose[:3, 3] - target.pose[:3, 3]) < 1e-4
     assert rotation_angle(pose[:3, :3].T @ target.pose[:3, :3]) < 1e-4
 
 
 @pytest.mark.thorough
-def test_where_a_direction_is_nearly_blocked_the_arm_comes_to_rest_as_well() -> None:
+def test_arm_comes_to_rest_near_a_blocked_direction() -> None:
     goal = np.array([-1.7056, -0.3836, 2.1033, -0.3642, 0.9774, 0.0418, 0.1892])
     loop = Loop(angles=goal)  # 2 % of the best manipulability
     target = target_at(loop.robot, goal)
@@ -313,7 +315,7 @@ def test_torques_are_continuous_through_a_singularity() -> None:
 
 
 @pytest.mark.thorough
-def test_it_goes_through_a_singularity_with_bounded_torques_and_comes_back() -> None:
+def test_arm_passes_a_singularity_with_bounded_torques_and_returns() -> None:
     loop = Loop()
     control = CartesianImpedance(stiffness=[1e3] * 3 + [10] * 3).make(loop.robot, 1e-3)
     target = target_at(loop.robot, START)
@@ -322,7 +324,7 @@ def test_it_goes_through_a_singularity_with_bounded_torques_and_comes_back() -> 
     largest, least = [0.0], [np.inf]
 
     def act(sensed: Sensed, out: Array) -> None:
-        # Out to half a metre beyond what the arm can reach, and back.
+        # To half a meter beyond the arm's reach, and back.
         target.pose[:3, 3] = reach + 1.0 * away * np.sin(np.pi * sensed.time / 4.0) ** 2
         control.torques(sensed, target, out)
         largest[0] = max(largest[0], float(np.abs(out).max()))
@@ -360,7 +362,7 @@ STIFFNESSES = "6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6"
         ({"nullspace_stifness": 3}, {"reason": "unknown key", "near": "nullspace_stiffness"}),
     ],
 )
-def test_wrong_gains_are_told(fields: dict[str, Any], told: dict[str, Any]) -> None:
+def test_invalid_gains_are_rejected(fields: dict[str, Any], told: dict[str, Any]) -> None:
     (key,) = fields
     with raises_with(key=key, **told):
         CartesianImpedance(**fields)

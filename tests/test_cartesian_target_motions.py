@@ -32,7 +32,7 @@ def start_pose() -> Array:
 
 @settings(deadline=None, max_examples=examples(30))
 @given(st.lists(st.tuples(places, angles), min_size=2, max_size=4))
-def test_it_is_at_every_pose_at_its_time_and_twists_are_slopes(
+def test_motion_reaches_each_pose_on_time_with_consistent_twists(
     rows: list[tuple[tuple[float, ...], tuple[float, ...]]],
 ) -> None:
     poses = [frame(rotation_from_rpy(np.array(rpy)), np.array(xyz)) for xyz, rpy in rows]
@@ -60,7 +60,7 @@ def test_it_is_at_every_pose_at_its_time_and_twists_are_slopes(
 
 @pytest.mark.parametrize("law", ["quintic", "trapezoidal"])
 @pytest.mark.parametrize(("far", "spun"), [(0.5, 0.1), (0.01, 2.0)])
-def test_speeds_keep_their_limits_and_use_one_up(law: str, far: float, spun: float) -> None:
+def test_speed_limits_hold_and_one_limit_is_reached(law: str, far: float, spun: float) -> None:
     pose = frame(rotation_from_rpy(np.array([0, 0, spun])), np.array([far, 0, 0]))
     declared = CartesianWayPoints(
         poses=[pose], speed=0.2, angular_speed=0.5, acceleration=3.0, time_law=law
@@ -72,7 +72,7 @@ def test_speeds_keep_their_limits_and_use_one_up(law: str, far: float, spun: flo
     np.testing.assert_allclose(motion.poses[-1], pose, atol=1e-12)
 
 
-def test_poses_may_be_relative_to_the_start() -> None:
+def test_poses_can_be_relative_to_the_start() -> None:
     start = start_pose()
     down = {"kind": "cartesian_way_points", "poses": [{"xyz": [0, 0, 0.1]}], "times": [2.0]}
     motion = target_motion_from({**down, "relative_to": "start"}).sample(TIMES, start)
@@ -94,7 +94,7 @@ def test_poses_may_be_relative_to_the_start() -> None:
     }
 
 
-def test_the_lwr_follows_where_it_can() -> None:
+def test_lwr_follows_reachable_poses() -> None:
     start = start_pose()
     turned = frame(rotation_from_rpy(np.array([0.2, 0.0, 0.3])), np.array([0.1, 0.1, -0.1]))
     motion = CartesianWayPoints(poses=[turned], relative_to="start", times=[3.0]).sample(
@@ -123,7 +123,7 @@ def test_the_lwr_follows_where_it_can() -> None:
         ({"rpy_deg": [0, 0, 179]}, r"at t = \d\.\d+ s: .*; joints? .*A6.* at the limit$"),
     ],
 )
-def test_where_it_cannot_get_to_is_told_with_the_time(frame_table: Any, message: str) -> None:
+def test_unreachable_pose_is_reported_with_its_time(frame_table: Any, message: str) -> None:
     start = start_pose()
     bent = START.copy()
     bent[6] = np.deg2rad(100.0)
@@ -159,7 +159,7 @@ def test_where_it_cannot_get_to_is_told_with_the_time(frame_table: Any, message:
         ),
     ],
 )
-def test_wrong_laws_are_told(fields: dict[str, Any], problems: list[Problem]) -> None:
+def test_invalid_motions_are_rejected(fields: dict[str, Any], problems: list[Problem]) -> None:
     with pytest.raises(DeclarationError) as caught:
         target_motion_from({"kind": "cartesian_way_points", **fields}).sample(TIMES, np.eye(4))
     assert caught.value.problems == problems

@@ -1,4 +1,4 @@
-"""Checksums of packets: their values, who writes them, and what happens to corrupted packets."""
+"""Checksums of packets: values, encoding, and handling of corrupted packets."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def rows_of(*packets: bytes) -> np.ndarray:
 
 
 def bit_by_bit(crc: Crc, message: bytes) -> int:
-    """The textbook's shift register, which takes bits one after the other."""
+    """The textbook shift register, one bit at a time."""
     register = crc.init
     for byte in message:
         bits = f"{byte:08b}"
@@ -48,7 +48,7 @@ def bit_by_bit(crc: Crc, message: bytes) -> int:
 
 
 @pytest.mark.parametrize("name", CRCS)
-def test_a_crc_has_the_check_value_of_the_catalogue(name: str) -> None:
+def test_crc_has_the_check_value_of_the_catalog(name: str) -> None:
     crc = CRCS[name]
     assert compute(name, rows_of(b"123456789"), crc.width).tolist() == [crc.check]
     for length in LENGTHS:
@@ -58,7 +58,7 @@ def test_a_crc_has_the_check_value_of_the_catalogue(name: str) -> None:
 
 
 @pytest.mark.parametrize("length", [*LENGTHS, 5000])
-def test_checksums_are_those_of_the_standard_library(length: int) -> None:
+def test_checksums_equal_those_of_the_standard_library(length: int) -> None:
     message = np.random.default_rng(length).bytes(length)
     total = sum(message)
     found = {name: int(compute(name, rows_of(message), width_of(name) or 16)[0])
@@ -85,10 +85,10 @@ def test_checksums_are_those_of_the_standard_library(length: int) -> None:
         ("1B=sum[3:5] 2f 1h", slice(3, 5), "sum"),
         ("2f 1B=-sum 1x", slice(0, 8), "-sum"),
         ("2f 1B=sum 1H=CRC-16/ARC", slice(0, 9), "CRC-16/ARC"),
-        ("1H=~sum[0:10] 2f", slice(2, 10), "~sum"),  # its own bytes are counted as 0
+        ("1H=~sum[0:10] 2f", slice(2, 10), "~sum"),  # the bytes of the checksum count as 0
     ],
 )
-def test_who_packs_a_packet_writes_the_checksum_that_the_receiver_expects(
+def test_encoded_packet_has_the_checksum_that_the_receiver_expects(
     text: str, covered: slice, wanted: str
 ) -> None:
     structure = Structure(text, is_double=False)
@@ -106,36 +106,36 @@ def test_who_packs_a_packet_writes_the_checksum_that_the_receiver_expects(
         assert structure.find_wrong_checksums(rows_of(bytes(changed))).tolist() == [True]
 
 
-def test_a_checksum_in_the_other_byte_order_is_described() -> None:
+def test_checksum_in_the_other_byte_order_is_described() -> None:
     sent = Structure("2F >1H=CRC-16/MODBUS").encode({"values0": [1, 2]})
     found = Structure("2F 1H=CRC-16/MODBUS").describe_wrong_checksum(rows_of(sent))
     assert found.startswith("CRC-16/MODBUS of bytes 0 to 15 is 0x")
-    assert found.endswith("with its bytes reversed: '>'?")
+    assert found.endswith("is '>' missing in the structure?")
 
 
 @pytest.mark.parametrize(
     ("text", "character", "reason"),
     [
         ("7F 1I=CRC-16/ARC", 7,
-         "expected one unsigned number of 16 bits for it, as in 1H=CRC-16/ARC"),
-        ("7F 2H=sum", 7, "expected one unsigned number for it, as in 1H=sum"),
-        ("7F 1b=xor", 7, "expected one unsigned number of 8 bits for it, as in 1B=xor"),
+         "a checksum is one unsigned number of 16 bits; expected 1H=CRC-16/ARC"),
+        ("7F 2H=sum", 7, "a checksum is one unsigned number; expected 1H=sum"),
+        ("7F 1b=xor", 7, "a checksum is one unsigned number of 8 bits; expected 1B=xor"),
         ("7F 1H=modbus", 7, f"{CHECK}; did you mean 'CRC-16/MODBUS'?"),
         ("7F 1B=sum[50:99]", 7,
-         "the checksum would be of the bytes 50 to 98; expected some of 0 to 56"),
-        ("1B=sum[1:] 7F 1B=xor", 4, "the checksum would be of a later checksum as well"),
+         "the checksum covers the bytes 50 to 98; expected a range within 0 to 56"),
+        ("1B=sum[1:] 7F 1B=xor", 4, "the checksum covers a later checksum"),
         ("7F 1H=CRC-16/ARC[0]", 17,
          "expected a count and F, V, M, T, x or a type, for example 7F1M"),
     ],
 )  # fmt: skip
-def test_a_wrong_checksum_in_a_structure_is_pointed_at(
+def test_error_in_a_checksum_declaration_points_to_its_position(
     text: str, character: int, reason: str
 ) -> None:
     with raises_with(StructureError, position=character - 1, reason=reason):
         Structure(text)
 
 
-def test_a_corrupted_packet_is_counted_and_not_applied() -> None:
+def test_corrupted_packet_is_counted_and_not_applied() -> None:
     structure = Structure("n:1I 7F 1H=CRC-16/MODBUS")
     packets = [bytearray(structure.encode({"n": k, "values0": np.full(7, k)})) for k in range(3)]
     packets[1][9] ^= 1
@@ -156,7 +156,7 @@ def test_a_corrupted_packet_is_counted_and_not_applied() -> None:
 
 
 @needs_posix
-def test_a_checksum_is_of_what_is_read_from_shared_memory(block: str) -> None:
+def test_checksum_covers_data_read_from_shared_memory(block: str) -> None:
     reader = ShmReader(block=block, structure="lock:1Q v:2d 1I=CRC-32", lock="lock")
     with ShmWriter(block, reader.layout, "lock") as writer, reader:
         for k in (1, 2):
@@ -166,7 +166,7 @@ def test_a_checksum_is_of_what_is_read_from_shared_memory(block: str) -> None:
         assert reader.counters.malformed == 0
 
 
-def test_packets_made_ahead_have_the_checksums_of_their_numbers_and_times() -> None:
+def test_precomputed_packets_have_checksums_of_their_counters_and_times() -> None:
     structure = Structure("n:1H t:1d 2F 1I=CRC-32")
 
     def at(t: float) -> bytes:
@@ -178,7 +178,7 @@ def test_packets_made_ahead_have_the_checksums_of_their_numbers_and_times() -> N
     assert not structure.find_wrong_checksums(packets).any()
 
 
-def test_states_and_answers_of_controllers_have_checksums() -> None:
+def test_controller_states_and_answers_have_checksums() -> None:
     model = RobotModel.of(SerialRobot.from_model("lwr"))
     state = State("step:1I angles:7d 1I=CRC-32", model)
     state.fill(3, Sensed(7), Target(7))

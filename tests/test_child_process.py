@@ -1,4 +1,4 @@
-"""Child processes end with all that they have started, however this process ends."""
+"""Child processes and all their descendants end, regardless of how this process ends."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sero_mj.base.child_process import ChildProcess, end_all
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/cwd").exists(), reason="looks into /proc")
 
-# Starts another process, as a shell script does; neither ends when it is asked to.
+# Starts another process, as a shell script does. Both ignore SIGTERM.
 STUBBORN = """
 import signal, subprocess, sys, time
 signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -25,7 +25,7 @@ subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
 open("ready", "w").close()
 time.sleep(600)
 """
-# Starts a child process, and does not end it.
+# Starts a child process and does not end it.
 PARENT = """
 import os, sys, time
 from pathlib import Path
@@ -37,13 +37,13 @@ child = ChildProcess([sys.executable, "-c", open("stubborn.py").read()], grace=0
 
 
 def running_in(folder: Path) -> list[str]:
-    """The commands of the processes whose working directory is a folder."""
+    """Returns the commands of the processes whose working directory is `folder`."""
     found = []
     for place in Path("/proc").glob("[0-9]*"):
         try:
             if os.readlink(place / "cwd") == str(folder):
                 found.append((place / "cmdline").read_bytes().replace(b"\0", b" ").decode())
-        except OSError:  # it has ended, or is another user's
+        except OSError:  # it has ended or belongs to another user
             continue
     return found
 
@@ -55,7 +55,7 @@ def started(folder: Path, **options: Any) -> ChildProcess:
 
 
 @pytest.mark.parametrize("end", ["end", "end_all", "forgotten"])
-def test_a_child_process_ends_with_what_it_has_started(end: str, tmp_path: Path) -> None:
+def test_child_process_ends_with_its_descendants(end: str, tmp_path: Path) -> None:
     left = tmp_path / "left"
     left.mkdir()
     child: ChildProcess | None = started(tmp_path, grace=0.1, leftovers=[left])
@@ -70,7 +70,7 @@ def test_a_child_process_ends_with_what_it_has_started(end: str, tmp_path: Path)
     assert not left.exists()
 
 
-def test_without_process_groups_the_process_alone_is_ended(
+def test_without_process_groups_only_the_process_is_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(os, "killpg")
@@ -80,7 +80,7 @@ def test_without_process_groups_the_process_alone_is_ended(
     assert not running_in(tmp_path)
 
 
-def test_an_interrupt_while_a_process_is_being_started_ends_it(
+def test_interrupt_while_a_process_starts_ends_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def note(entry: bytes) -> None:
@@ -105,7 +105,7 @@ def test_output_is_read_while_it_is_written(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ["sys.exit()", "time.sleep(600)"])
-def test_a_child_process_ends_with_its_parent(end: str, tmp_path: Path) -> None:
+def test_child_process_ends_with_its_parent(end: str, tmp_path: Path) -> None:
     (tmp_path / "stubborn.py").write_text(STUBBORN)
     (tmp_path / "left").touch()
     wait = 'while not os.path.exists("ready"): time.sleep(0.001)'
@@ -121,7 +121,7 @@ def test_a_child_process_ends_with_its_parent(end: str, tmp_path: Path) -> None:
 
 
 def reapers_of(parent: int) -> list[str]:
-    """The processes that would end what this one has started."""
+    """Returns the processes that end the descendants of `pid`."""
     words = f"reaper.py\0{parent}\0".encode()
     found = []
     for file in Path("/proc").glob("[0-9]*/cmdline"):

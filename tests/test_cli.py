@@ -98,14 +98,17 @@ def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> N
         ),
         (
             ["render", "lwr", "-o", "x.svg"],
-            "--output: found 'x.svg'; expected a name that ends in .png, .jpg, .jpeg, .webp for a "
-            "picture, or in .mp4, .webm, .gif for a film",
+            "--output: found 'x.svg'; expected a name that ends in .png, .jpg, .jpeg, .webp for an "
+            "image, or .mp4, .webm, .gif for a video",
         ),
         (
             ["render", "lwr", "-o", "x.npy"],
-            "-o x.npy: '.npy' is for --pass; expected a name that ends in .png",
+            "-o x.npy: '.npy' needs --pass; expected a name that ends in .png",
         ),
-        (["render", "lwr", "-o", "x.png", "--fps", "3"], "--duration and --fps are for films"),
+        (
+            ["render", "lwr", "-o", "x.png", "--fps", "3"],
+            "expected a video (.mp4, .webm, .gif) with --fps",
+        ),
         (["render", "lwr", "-o", "x.png", "--size", "12"], "expected WIDTHxHEIGHT, e.g. 1280x800"),
         (["render", "lwr", "-o", "x.png", "--camera", "top"], "no camera 'top'"),
         (["render", "lwr", "-o", "x.png", "--set", "show_axes"], "expected ROBOT.FIELD=VALUE"),
@@ -145,14 +148,14 @@ def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> N
         (["render", "lwr", "-o", "/proc/no/x.png"], "cannot write /proc/no/x.png"),
         (["send", "lwr", "--rate", "1e9"], "expected at most 100000 packets/s"),
         (["render", "lwr", "-o", "x.png", "--set", "lwe.show_axes=true"], "did you mean 'lwr'?"),
-        (["render", "lwr", "-o", "x.png", "--set", "lwr.model=lwr"], "cannot be set"),
+        (["render", "lwr", "-o", "x.png", "--set", "lwr.model=lwr"], "cannot be overridden"),
         pytest.param(
             ["dance"],
             "no command 'dance'; available: calibrate, check",
             marks=pytest.mark.extensions,
         ),
-        (["view", "--camera", "0,0,1"], "--camera is for a scene; name one: sero-mj view SCENE"),
-        (["view", "--set", "lwr.show_axes=true"], "--set is for a scene; name one"),
+        (["view", "--camera", "0,0,1"], "--camera needs a scene: sero-mj view SCENE"),
+        (["view", "--set", "lwr.show_axes=true"], "--set needs a scene"),
     ],
 )
 def test_bad_use_exits_with_2_and_one_clear_line(
@@ -205,7 +208,7 @@ def test_interrupting_a_film_keeps_what_was_filmed(tmp_path) -> None:
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 130
-    frames = re.search(r"film.mp4 holds the (\d+) frames so far", err)
+    frames = re.search(r"film.mp4 has the first (\d+) frames", err)
     assert frames, err
     assert "Traceback" not in err
     with av.open(str(film)) as container:
@@ -221,7 +224,7 @@ def test_all_problems_of_a_scene_are_printed_at_once(capsys, tmp_path) -> None:
     )
     status, _, err = run(capsys, "check", str(scene))
     assert status == 2
-    assert "3 things are wrong" in err or "2 things are wrong" in err
+    assert "3 errors" in err or "2 errors" in err
     assert f"{scene}:3: robots.lwr.show_arow: unknown key; did you mean 'show_arrows'?" in err
     assert f"{scene}:6: sources.udp.kind: no kind 'upd'; did you mean 'udp'?" in err
     assert "; did you mean 'udp'?" in err
@@ -277,13 +280,15 @@ def test_list_names_robots_scenes_and_fields(capsys) -> None:
     _, out, _ = run(capsys, "list")
     assert "lwr_udp" in out and "light-weight robot" in out
     assert re.search(r"^  impedance_push +Joint impedance holds", out, re.MULTILINE)
-    assert re.search(r"^  lwr/reach +Brings the flange to a random target", out, re.MULTILINE)
+    assert re.search(
+        r"^  lwr/reach +Move the flange to a random reachable target", out, re.MULTILINE
+    )
     robots = out.partition("robots (models/)\n")[2].partition("\nscenes (")[0].splitlines()
     robots.remove("groups of robots (models/)")
     assert all(row[20] == " " and row[21] != " " for row in robots), robots  # in a column
     assert any(row.split()[0] == "dlr_hand2" for row in robots)
     _, out, _ = run(capsys, "list", "--fields")
-    assert re.search(r"^axes_size = 0.2\n    their length, m", out, re.MULTILINE)
+    assert re.search(r"^axes_size = 0.2\n    length of the axes in m", out, re.MULTILINE)
     assert "dh_convention = required" in out
 
 
@@ -303,7 +308,7 @@ def test_render_sets_fields_over_the_scenes(capsys, tmp_path) -> None:
     options = ["--size", "160x120", "--wait", "0"]
     status, _, err = run(capsys, "render", "lwr_udp", "-o", str(plain), *options)
     assert status == 0
-    assert "no valid packet for source 'udp' within 0 s" in err
+    assert "no valid packet from source 'udp' within 0 s" in err
     settings = ["--set", "lwr.joint_angles=0,1,0,-1.5,0,1,.5", "--set", "lwr.torques=9,9,9,9,9,9,9"]
     status, out, err = run(capsys, "render", "lwr_udp", "-o", str(posed), *options, *settings)
     assert (status, err, out.strip()) == (0, "", str(posed))  # nothing is left to receive
@@ -416,7 +421,7 @@ def test_doctor_tries_every_backend_and_says_what_to_install(
         line = next(line for line in text.splitlines() if f"  {name} " in line)
         assert ("works: " in line) == backend["works"]
     assert "a frame of an LWR with egl, 1280x800: normal " in text
-    assert ("slow for what is live" in text) != ("fast enough" in text)
+    assert ("slow for live views" in text) != ("fast enough" in text)
     assert "sero-mj view: page can be opened" in text
     assert ("chrt -f 50" in text) == found["fifo"] != ("rtprio" in text)
     where = "can be opened" if found["live"]["window"] is None else "not here: neither DISPLAY"
@@ -434,7 +439,7 @@ def test_commands_import_only_what_they_run_with() -> None:
         "    print(heavy & sys.modules.keys(), file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "examples" in done.stdout or "Try it" in done.stdout
+    assert "examples" in done.stdout or "To try it" in done.stdout
     assert done.stderr == "set()\n"
 
 
@@ -460,7 +465,7 @@ def test_all_that_is_wrong_with_options_is_said_at_once(capsys) -> None:
     status, _, err = run(capsys, "render", "lwr", "-o", "x.png", "--size", "9", "--wait", "x")
     assert status == 2
     assert err.splitlines() == [
-        "sero-mj: 2 things are wrong:",
+        "sero-mj: 2 errors:",
         "  --size: found '9'; expected WIDTHxHEIGHT, e.g. 1280x800",
         "  --wait: found 'x'; expected 0 or a number above",
     ]
@@ -506,7 +511,7 @@ def test_check_names_what_no_route_takes(
     )
     _, out, _ = run(capsys, "check", str(file))
     assert "            not used: values1, mode\n" in out
-    assert out.count("no route leads from it") == 1
+    assert out.count("no route uses it") == 1
     assert "not used" not in run(capsys, "check", "lwr_fri")[1]
     assert "not used" not in run(capsys, "check", "lwr_udp")[1]
 
@@ -556,4 +561,4 @@ def test_a_run_of_which_nothing_is_expected_says_so(tmp_path, capsys):
     file.write_text('[robots.lwr]\nmodel = "lwr"\n[run]\nduration = 0.01\n')
     status, out, _ = run(capsys, "simulate", str(file))
     assert status == 0
-    assert "nothing was judged" in out
+    assert "no expectations" in out

@@ -24,7 +24,7 @@ def rows_of(*packets: bytes) -> np.ndarray:
 
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("letter", LIMITS)
-def test_integers_go_through_at_their_limits(letter: str, order: str) -> None:
+def test_integers_round_trip_at_their_limits(letter: str, order: str) -> None:
     low, high = int(LIMITS[letter].min), int(LIMITS[letter].max)
     structure = Structure(f"{order}n:4{letter}")
     numbers = [low, high, 1, high - 1]
@@ -39,13 +39,13 @@ def test_integers_go_through_at_their_limits(letter: str, order: str) -> None:
             structure.encode({"n": [0, wrong, 0, 0]})
 
 
-def test_what_goes_into_integers_is_rounded() -> None:
+def test_values_are_rounded_for_integer_types() -> None:
     assert Structure("3h").encode({"values0": [1.4, -1.6, 2.5]}) == struct.pack("<3h", 1, -2, 2)
 
 
 @pytest.mark.parametrize("letter", "fd")
 @pytest.mark.parametrize("order", "<>")
-def test_floats_go_through_at_their_limits_and_beyond_they_are_refused(
+def test_floats_round_trip_at_their_limits_and_larger_values_are_rejected(
     letter: str, order: str
 ) -> None:
     most = float(np.finfo(letter).max)
@@ -63,7 +63,7 @@ def test_floats_go_through_at_their_limits_and_beyond_they_are_refused(
 
 
 @pytest.mark.parametrize("byte", [0, 1, 2, 128, 255])
-def test_any_byte_but_0_is_true(byte: int) -> None:
+def test_any_nonzero_byte_is_true(byte: int) -> None:
     structure = Structure("on:1? must:1?=1")
     packet = bytes([byte, byte])
     assert structure.decode(packet)["on"].tolist() == [float(byte != 0)]
@@ -72,7 +72,7 @@ def test_any_byte_but_0_is_true(byte: int) -> None:
     assert structure.encode({"on": [byte]}) == bytes([byte != 0, 1])
 
 
-NUMBERS = "numbers, all rows of one length"
+NUMBERS = "numbers in rows of equal length"
 
 
 @pytest.mark.parametrize(
@@ -86,14 +86,16 @@ NUMBERS = "numbers, all rows of one length"
         ([10**400, 0], {"found": 10**400, "expected": "whole numbers from 0 to 255"}),
     ],
 )
-def test_what_is_no_number_is_refused_by_the_events_name(given: Any, told: dict[str, Any]) -> None:
+def test_values_that_are_not_numbers_are_rejected_with_the_event_name(
+    given: Any, told: dict[str, Any]
+) -> None:
     with raises_with(key="level", **told):
         Structure("level:2B").encode({"level": given})
 
 
 @pytest.mark.parametrize("column_major", [True, False])
 @pytest.mark.parametrize("kind", ["M", "Mf", "T", "Tf", "Td"])
-def test_matrices_go_through_in_both_majors(kind: str, column_major: bool) -> None:
+def test_matrices_round_trip_in_row_and_column_major_order(kind: str, column_major: bool) -> None:
     matrix = np.arange(16.0).reshape(4, 4)
     matrix[3] = 0, 0, 0, 1
     structure = Structure(f"2{kind}", column_major=column_major)
@@ -105,7 +107,7 @@ def test_matrices_go_through_in_both_majors(kind: str, column_major: bool) -> No
     assert structure.decode(packet)["matrices0"].tolist() == [matrix.tolist()] * 2
 
 
-def test_a_last_row_that_is_not_sent_must_be_0_0_0_1() -> None:
+def test_omitted_last_row_must_be_0_0_0_1() -> None:
     structure = Structure("1T")
     with raises_with(
         key="matrices0", reason="found last row [0, 0.5, 0, 1]", expected="[0, 0, 0, 1]"
@@ -117,7 +119,7 @@ def test_a_last_row_that_is_not_sent_must_be_0_0_0_1() -> None:
     assert frame[3].tolist() == [0, 0, 0, 1]
 
 
-def test_scale_is_for_floats_and_of_matrices_for_the_position_only() -> None:
+def test_scale_applies_to_floats_and_matrix_positions_only() -> None:
     structure = Structure("1d 1i 1V 1M 1T mode:1d=4", scale=0.5, column_major=False)
     matrix = np.arange(1.0, 17.0).reshape(4, 4)
     frame = matrix.copy()
@@ -137,12 +139,16 @@ def test_scale_is_for_floats_and_of_matrices_for_the_position_only() -> None:
     assert not structure.find_wrong_constants(rows_of(packet)).any()
 
 
-def test_a_number_that_scale_makes_infinite_is_found() -> None:
+def test_value_that_scale_makes_infinite_is_detected() -> None:
     rows = rows_of(struct.pack("<d", 1e308), struct.pack("<d", 1.0), struct.pack("<d", math.nan))
     assert Structure("1F", scale=100.0).find_not_finite(rows).tolist() == [True, False, True]
     assert Structure("1F", scale=0.01).find_not_finite(rows).tolist() == [False, False, True]
     for text, event, array in (("1d", "values0", [1e308]), ("1M", "matrices0", np.eye(4) * 1e308)):
-        with raises_with(key=event, found=1e308, expected="less, for scale 1e-10"):
+        with raises_with(
+            key=event,
+            found=1e308,
+            expected="a smaller number, because it is divided by scale 1e-10",
+        ):
             Structure(text, scale=1e-10).encode({event: np.array(array)[..., ::-1]})
     with raises_with(key="values0", found=[10**400], expected=NUMBERS):
         Structure("1d").encode({"values0": [10**400]})
@@ -150,7 +156,7 @@ def test_a_number_that_scale_makes_infinite_is_found() -> None:
 
 @given(st.lists(st.binary(min_size=95, max_size=95), min_size=1, max_size=5), st.booleans(),
        st.sampled_from([1.0, 0.001]))  # fmt: skip
-def test_rows_are_decoded_as_one_packet_after_the_other(
+def test_decoding_rows_equals_decoding_single_packets(
     packets: list[bytes], column_major: bool, scale: float
 ) -> None:
     text = ">h:1H 1x 2f 1Vf on:3? <1Tf, 1q >1d"
@@ -170,7 +176,7 @@ def test_rows_are_decoded_as_one_packet_after_the_other(
 
 @pytest.mark.parametrize("bits", [0x7FF0000000000001, 0xFFF7FFFFFFFFFFFF, 0x7FF8DEADBEEF0001])
 @pytest.mark.parametrize("text", ["1F", "1V", "1M", ">1F", "1F1f"])
-def test_the_bits_of_a_nan_are_kept_in_float64(bits: int, text: str) -> None:
+def test_nan_bits_are_preserved_in_float64(bits: int, text: str) -> None:
     structure = Structure(text)
     order = ">" if text[0] == ">" else "<"
     packet = struct.pack(f"{order}Q", bits).ljust(structure.size, b"\0")
@@ -179,7 +185,7 @@ def test_the_bits_of_a_nan_are_kept_in_float64(bits: int, text: str) -> None:
         assert struct.pack("<d", 0) != array.tobytes()[:8] == struct.pack("<Q", bits)
 
 
-def test_little_endian_float64_is_not_copied_and_the_rest_is() -> None:
+def test_only_little_endian_float64_is_decoded_without_a_copy() -> None:
     structure = Structure("2F 1V 1M 1f >1d", column_major=True)
     packet = bytearray(structure.size)
     whole = np.frombuffer(packet, np.uint8)
@@ -197,16 +203,16 @@ def test_little_endian_float64_is_not_copied_and_the_rest_is() -> None:
     ("text", "sent", "order"),
     [("1H=0x2006 1F", ">H", ">"), (">1I=0xCAFE0006 1F", "<I", "<"), ("1q=-2 1F", ">q", ">")],
 )
-def test_a_constant_in_the_other_byte_order_is_recognised(text: str, sent: str, order: str) -> None:
+def test_constant_in_the_other_byte_order_is_recognized(text: str, sent: str, order: str) -> None:
     structure = Structure(text)
     constant = {"H": 0x2006, "I": 0xCAFE0006, "q": -2}[sent[1]]
     packet = struct.pack(sent, constant).ljust(structure.size, b"\0")
     told = structure.describe_wrong_constant(rows_of(packet))
-    assert told.endswith(f"; these are its bytes in reverse order: '{order}'?")
-    assert "turned" not in structure.describe_wrong_constant(rows_of(bytes(structure.size)))
+    assert told.endswith(f"is '{order}' missing in the structure?")
+    assert "missing" not in structure.describe_wrong_constant(rows_of(bytes(structure.size)))
 
 
-def test_checks_are_written_and_found_and_told() -> None:
+def test_constants_and_size_are_encoded_checked_and_described() -> None:
     structure = Structure("1H=0x2006 size:1H=size 2b=-3 1F mode:1f=0.1 1Q=0xffffffffffffffff")
     packet = structure.encode({"values0": [1.5]})
     assert packet == struct.pack("<HH2bdfQ", 0x2006, 26, -3, -3, 1.5, 0.1, 2**64 - 1)
@@ -229,12 +235,12 @@ def test_checks_are_written_and_found_and_told() -> None:
         structure.encode({"size": [26], "mode": np.float32(0.1)})
         == packet[:6] + bytes(8) + (packet[14:])
     )
-    expected = f"26 (0x1a), as '{structure.text}' demands"
+    expected = f"26 (0x1a), as declared in '{structure.text}'"
     with raises_with(key="size", reason="found 27 (0x1b)", expected=expected):
         structure.encode({"size": [27]})
 
 
-def test_numpy_reads_packets_by_the_dtype() -> None:
+def test_numpy_reads_packets_with_the_dtype() -> None:
     structure = Structure("1H=7 2f >n:1I 1T 1x")
     values = {"values0": [1, 2], "n": [3], "matrices0": np.eye(4)}
     (record,) = np.frombuffer(structure.encode(values), structure.dtype)
@@ -243,9 +249,9 @@ def test_numpy_reads_packets_by_the_dtype() -> None:
     assert record["matrices0"].shape == (1, 3, 4)
 
 
-def test_sizes_are_those_of_the_end_of_the_string() -> None:
+def test_size_fields_hold_the_size_of_the_whole_packet() -> None:
     assert Structure("1B=size 1x 253B").fields[0].constant == 255
-    holds = "expected a type that holds this number, for example 1H=size"
+    holds = "expected a type with this range, for example 1H=size"
     told = f"the packet has 256 bytes; {holds}"
     with raises_with(StructureError, position=3, reason=told):
         Structure("1B=size 1x 254B")

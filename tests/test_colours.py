@@ -1,4 +1,4 @@
-"""Colours of arrows and doubles, as people see them who lack a kind of cones."""
+"""Colors of arrows and doubles as seen with color vision deficiencies."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ TO_XYZ = np.array(
 
 
 def lab(rgb: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """CIE 1976 L*a*b* of a colour, as it is seen."""
+    """Returns CIE 1976 L*a*b* of a color as seen through `cones`."""
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     xyz = TO_XYZ @ np.clip(seen @ linear, 0.0, 1.0)
     f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
@@ -55,7 +55,7 @@ def lab(rgb: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("cones", SEEN_BY)
-def test_arrows_and_doubles_are_told_apart(cones: str) -> None:
+def test_arrow_and_double_colors_are_distinguishable(cones: str) -> None:
     colours = [np.array(rgba[:3]) for rgba in (POSITIVE_RGBA, NEGATIVE_RGBA, COMMANDED_RGBA)]
     for one, other in combinations(colours, 2):
         seen = SEEN_BY[cones]

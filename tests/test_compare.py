@@ -99,7 +99,7 @@ def test_joints_of_other_names_are_compared_in_their_order_with_a_warning(
     with raises_with(
         UsageError,
         reason=f"the joints are {', '.join(arm.names)} in run, {', '.join(arm.names[::-1])} in run",
-        expected="the same order; --scene ROBOT reads both in the order of ROBOT",
+        expected="the same order. --scene ROBOT reads both in the order of ROBOT.",
     ):
         align(a, turned)
 
@@ -173,7 +173,7 @@ def test_what_cannot_be_compared_is_told() -> None:
     with raises_with(
         UsageError,
         reason="found a from 0.000 s to 4.000 s, late from 20.000 s to 24.000 s",
-        expected="runs that overlap; give --offset S, or --offset auto",
+        expected="runs that overlap. Set --offset S or --offset auto.",
     ):
         align(a, late)
     other = sine_run(robot=two_joints("leg"), name="b")
@@ -189,7 +189,7 @@ def test_what_cannot_be_compared_is_told() -> None:
     third = RunLog({"x": two_joints("x"), "y": two_joints("y")}, {}, a.times, "third")
     with raises_with(
         UsageError,
-        reason="a has arm, third has x, y: no robot in common; choose with --robot NAME,NAME",
+        reason="a has arm, third has x, y: no common robot; choose with --robot NAME,NAME",
     ):
         align(a, third)
     lwr = simulated().log
@@ -205,8 +205,8 @@ def test_tolerances_tell_joint_time_and_both_numbers() -> None:
     assert exceeded(differences) == []
     assert exceeded(differences, torque=0.2500001, angle=0.1) == []
     found = [str(each) for each in exceeded(differences, torque=0.2, angle=0.01, travel=0.02)]
-    assert found[1].startswith("slide: angle differs by ") and found[1].endswith("allowed 20 mm")
-    pattern = r"turn: {} differs by {} at \d\.\d{{3}} s; allowed {}"
+    assert found[1].startswith("slide: angle differs by ") and found[1].endswith("tolerance 20 mm")
+    pattern = r"turn: {} differs by {} at \d\.\d{{3}} s; tolerance {}"
     assert re.fullmatch(pattern.format("angle", "2 deg", "0.573 deg"), found[0])
     assert re.fullmatch(pattern.format("torque", "0.25 Nm", "0.2 Nm"), found[2])
     blank = RunLog(a.robots, {**a.signals, "arm_torques": np.full((4001, 2), np.nan)}, a.times)
@@ -279,7 +279,7 @@ def test_the_command_is_0_for_the_same_and_1_beyond_a_tolerance(
     peaks = [abs(each["peak"]) for each in found["differences"] if each["signal"] == "joint_angles"]
     np.testing.assert_allclose(np.rad2deg(peaks), by_hand, rtol=1e-9)
     assert len(found["exceeded"]) == (by_hand > 0.05).sum() > 0
-    assert "allowed 0.05 deg" in told.err
+    assert "tolerance 0.05 deg" in told.err
 
 
 @pytest.mark.parametrize(
@@ -338,20 +338,20 @@ def test_of_many_recordings_there_is_a_row_for_each(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["a", "b", "c", "--plot", "x.pdf"], "--plot is for one comparison; --table has a row"),
-        (["a", "b", "--jobs", "2"], "--jobs is for many recordings: --table, or --each"),
+        (["a", "b", "c", "--plot", "x.pdf"], "--plot needs a single comparison"),
+        (["a", "b", "--jobs", "2"], "--jobs needs --table or --each"),
         pytest.param(
             ["a", "b", "--engine", "dask"],
-            "--engine dask: expected its --scheduler",
+            "--engine dask: expected --scheduler",
             marks=pytest.mark.extensions,
         ),
         (
             ["--each", "a", "b", "--offset", "auto"],
-            "--offset is for two recordings; with --each every one stands",
+            "--offset cannot be combined with --each",
         ),
         (["a", "b", "c"], "a: cannot be read: No such file"),
         (["a", "b", "--csv", "b.mcap"], "expected a name that ends in .csv"),
-        (["--each", "a", "--tolerance-angle", "1"], "--tolerance-angle is for two recordings"),
+        (["--each", "a", "--tolerance-angle", "1"], "--tolerance-angle cannot be combined with"),
     ],
 )
 def test_what_many_recordings_cannot_be_asked_is_told(
@@ -456,7 +456,7 @@ def test_a_joint_that_is_measured_as_commanded_has_nothing_to_explain(tmp_path, 
         rows = np.ascontiguousarray(np.hstack([angles, measured, commanded])).view(np.uint8)
         writer.write_rows("udp", rows, writer.clock.monotonic_ns / 1e9 + t)
     assert command(path, "--scene", scene) == 0
-    lines = capsys.readouterr().out.partition("what explains")[2].splitlines()
+    lines = capsys.readouterr().out.partition("explanation of")[2].splitlines()
     told = {line.split()[0]: line for line in lines if line.startswith("  J")}
     assert "no difference found" in told["J3"]
     assert "no difference found" not in told["J1"] + told["J2"]

@@ -1,4 +1,4 @@
-"""What is compiled once and used again is as good as new."""
+"""A compiler's cached results equal newly compiled ones."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def rows(compiler: Compiler, **changes: object) -> bytes:
 
 
 @pytest.mark.thorough
-def test_a_run_with_a_used_compiler_is_bit_for_bit_one_with_a_new_one() -> None:
+def test_run_with_a_used_compiler_equals_a_run_with_a_new_one() -> None:
     compiler = Compiler()
-    # Each leaves a payload on the flange and other friction in the joints.
+    # Each run leaves a payload on the flange and other friction in the joints.
     first, second = rows(compiler), rows(compiler)
     assert first == second == rows(Compiler())
     assert rows(compiler, timestep=0.002) == rows(Compiler(), timestep=0.002)
@@ -47,7 +47,7 @@ def test_a_run_with_a_used_compiler_is_bit_for_bit_one_with_a_new_one() -> None:
     assert rows(compiler) == first
 
 
-def test_worlds_of_one_compiler_have_models_of_their_own() -> None:
+def test_worlds_of_one_compiler_have_separate_models() -> None:
     compiler = Compiler()
     robot = SerialRobot.from_model("lwr")
     one, other = compiler.world(Scene(robots=[robot])), compiler.world(Scene(robots=[robot]))
@@ -56,7 +56,7 @@ def test_worlds_of_one_compiler_have_models_of_their_own() -> None:
     assert (compiler.world(Scene(robots=[robot])).model.dof_damping < 99.0).all()
 
 
-def test_what_is_declared_otherwise_is_compiled_anew() -> None:
+def test_changed_declarations_are_compiled_again() -> None:
     compiler = Compiler()
     light = SerialRobot.from_model("lwr")
     masses = 2.0 * np.asarray(light.dynamics.masses)
@@ -76,14 +76,14 @@ RODS = [
 ]  # fmt: skip
 
 
-def test_many_worlds_are_forgotten_again() -> None:
+def test_compiler_caches_a_limited_number_of_worlds() -> None:
     compiler = Compiler()
     for robot in RODS:
         compiler.world(Scene(robots=[robot]))
     assert len(compiler._worlds) == 8
 
 
-def test_of_many_robots_each_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_of_many_robots_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     compiler = Compiler()
     for robot in RODS:
         compiler.robot_model(robot)
@@ -92,7 +92,7 @@ def test_of_many_robots_each_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -
         compiler.robot_model(robot)
 
 
-def test_a_fingerprint_tells_declarations_apart() -> None:
+def test_fingerprint_distinguishes_declarations() -> None:
     one, other = SerialRobot.from_model("lwr"), SerialRobot.from_model("lwr")
     assert fingerprint(one) == fingerprint(other)
     assert hash(fingerprint(one)) == hash(fingerprint(other))
@@ -101,7 +101,7 @@ def test_a_fingerprint_tells_declarations_apart() -> None:
 
 
 @pytest.mark.parametrize("name", ["impedance_push", "singularity_pass", "haptic_position"])
-def test_a_second_simulation_compiles_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_second_simulation_compiles_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     compiler = Compiler()
     Simulation(read_scenario(name), compiler=compiler)
 
@@ -114,7 +114,7 @@ def test_a_second_simulation_compiles_nothing(name: str, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("name", ["lwr", "hit_finger", "biped_leg"])
-def test_a_controllers_model_is_that_of_the_robot_with_its_meshes(name: str) -> None:
+def test_controller_model_equals_the_model_with_meshes(name: str) -> None:
     robot = SerialRobot.from_model(name)
     whole = World(Scene(robots=[robot], floor=False), dynamic=True)
     bare = world_without_meshes(robot)

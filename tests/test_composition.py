@@ -1,4 +1,4 @@
-"""Robots mounted on robots: kinematics, dynamics, controllers, and what can be wrong."""
+"""Robots mounted on robots: kinematics, dynamics, controllers, and errors."""
 
 from __future__ import annotations
 
@@ -26,9 +26,8 @@ ON_TORSO = frame(rotation_from_rpy(np.array([1.2, 0.2, 0.4])), np.array([0.0, 0.
 
 @cache
 def body() -> list[SerialRobot]:
-    """A torso of two joints, an arm on its link 1 and a finger of two joints on the arm's flange.
-
-    They are listed in another order than they carry each other.
+    """Returns a torso of two joints, an arm on its link 1, and a finger of two joints on the arm's
+    flange. They are listed in a different order than they are mounted.
     """
     still = {"viscous_friction": 0.0, "coulomb_friction": 0.0, "motor_inertias": 0.0}
     finger = SerialRobot(
@@ -64,7 +63,9 @@ def dynamics_of(name: str) -> RobotDynamics:
 
 
 def links(angles: dict[str, np.ndarray]) -> list[tuple[float, np.ndarray, np.ndarray, np.ndarray]]:
-    """Mass, tensor about its centre, centre and rotation in the world of all that moves, by DH."""
+    """Returns mass, inertia about the center, center and rotation in the world of all moving links,
+    from the DH tables.
+    """
     finger, arm, torso = body()
     below = torso.dh.frames(angles["torso"], torso.base_frame)
     middle = arm.dh.frames(angles["arm"], below[1] @ arm.base_frame)
@@ -79,11 +80,11 @@ def links(angles: dict[str, np.ndarray]) -> list[tuple[float, np.ndarray, np.nda
 
 
 def split(q: np.ndarray) -> dict[str, np.ndarray]:
-    """Angles by robot, in the order of `body`."""
+    """Returns angles by robot, in the order of `body`."""
     return {"finger": q[:2], "arm": q[2:9], "torso": q[9:]}
 
 
-def test_frames_are_those_of_the_tables_one_after_the_other() -> None:
+def test_frames_of_mounted_robots_are_products_of_their_tables() -> None:
     world = World(Scene(robots=[*body()]))
     data = world.make_data()
     rng = np.random.default_rng(1)
@@ -105,7 +106,9 @@ def potential(q: np.ndarray) -> float:
 
 
 def kinetic(q: np.ndarray, qd: np.ndarray, step: float = 1e-6) -> float:
-    """1/2 (m v.v + w I w) of all links, velocities by central differences of the DH frames."""
+    """Returns 1/2 (m v.v + w I w) of all links, with velocities by central differences of DH
+    frames.
+    """
     before, after = links(split(q - step * qd)), links(split(q + step * qd))
     energy = 0.0
     for (mass, tensor, c0, R0), (_, _, c1, R1) in zip(before, after, strict=True):
@@ -116,7 +119,7 @@ def kinetic(q: np.ndarray, qd: np.ndarray, step: float = 1e-6) -> float:
     return energy
 
 
-def test_every_joint_carries_what_hangs_on_it() -> None:
+def test_joint_torques_hold_the_weight_of_mounted_robots() -> None:
     plant = Plant(World(Scene(robots=[*body()], floor=False), dynamic=True))
     rng = np.random.default_rng(2)
     for _ in range(5):
@@ -130,7 +133,7 @@ def test_every_joint_carries_what_hangs_on_it() -> None:
     assert carried == pytest.approx(known)
 
 
-def test_inertia_is_that_of_all_links_together() -> None:
+def test_inertia_matrix_covers_all_mounted_links() -> None:
     plant = Plant(World(Scene(robots=[*body()], floor=False), dynamic=True))
     rng = np.random.default_rng(3)
     dofs = np.concatenate([part.dofs for part in plant.world.robots.values()])
@@ -143,7 +146,7 @@ def test_inertia_is_that_of_all_links_together() -> None:
         assert 0.5 * qd @ M @ qd == pytest.approx(kinetic(q, qd), rel=1e-7)
 
 
-def test_a_controller_knows_what_its_robot_carries_and_where_it_stands() -> None:
+def test_controller_model_includes_mounted_robots_and_the_base_pose() -> None:
     simulation = Simulation(Scenario(Scene(robots=[*body()], floor=False), duration=0.5))
     plant, whole = simulation.plant, simulation.whole_body
     rng = np.random.default_rng(4)
@@ -176,7 +179,7 @@ def test_gravity_compensation_holds_the_whole_body_still() -> None:
     np.testing.assert_allclose(simulation.plant.actual[0], start, atol=1e-6)
 
 
-def test_a_push_at_the_finger_is_felt_down_to_the_torso() -> None:
+def test_push_at_the_finger_causes_external_torques_down_to_the_torso() -> None:
     plant = Plant(World(Scene(robots=[*body()], floor=False), dynamic=True))
     hold = plant.measured[2].copy()
     T = plant.flange("finger")
@@ -198,7 +201,7 @@ def test_a_push_at_the_finger_is_felt_down_to_the_torso() -> None:
     assert np.linalg.norm(T[:3, 3]) > 0
 
 
-def test_neighbours_over_a_mount_do_not_collide_and_others_do() -> None:
+def test_adjacent_links_across_a_mount_do_not_collide() -> None:
     world = World(Scene(robots=[*body()], floor=False), dynamic=True)
     model, names = world.model, {i: world.model.body(i).name for i in range(world.model.nbody)}
     pairs = {
@@ -212,7 +215,7 @@ def test_neighbours_over_a_mount_do_not_collide_and_others_do() -> None:
     assert {"torso/link2", "arm/link2"} not in pairs
 
 
-def test_two_robots_on_one_link_are_neighbours() -> None:
+def test_two_robots_mounted_on_one_link_are_neighbors() -> None:
     arms = [
         SerialRobot.from_model("lwr", name=name, mount="torso/link2", base_frame=ON_TORSO)
         for name in ("left", "right")
@@ -228,7 +231,7 @@ def test_two_robots_on_one_link_are_neighbours() -> None:
     assert {"left/link2", "right/link1"} not in pairs
 
 
-def test_a_body_belongs_to_the_nearest_robot() -> None:
+def test_body_belongs_to_the_nearest_robot() -> None:
     world = World(Scene(robots=[*body()]))
     owner = robots_of_bodies(world.model, world.robots)
     for number, name in enumerate(world.robots):
@@ -241,7 +244,7 @@ def test_a_body_belongs_to_the_nearest_robot() -> None:
     assert owner[0] == -1
 
 
-def test_a_double_of_a_mounted_robot_stands_where_that_is() -> None:
+def test_double_of_a_mounted_robot_is_at_its_mount() -> None:
     target = np.array([0.5, 0.5])
     scene = Scene(
         robots=[*body()], doubles=[Double(name="target", of="finger", joint_angles=target)]
@@ -258,8 +261,8 @@ def test_a_double_of_a_mounted_robot_stands_where_that_is() -> None:
         )
 
 
-def test_packets_that_are_played_know_the_load() -> None:
-    """The torques that are sent hold what the robots carry."""
+def test_sent_torques_include_the_load_of_mounted_robots() -> None:
+    """The sent torques hold the mounted robots."""
     robots = body()
     routes = {}
     for i, robot in enumerate(robots):
@@ -317,7 +320,7 @@ mount = "f/base"
 """
 
 
-def test_wrong_mounts_are_all_told_at_once_with_their_lines(tmp_path: Path) -> None:
+def test_invalid_mounts_are_reported_together_with_their_lines(tmp_path: Path) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text(WRONG)
     assert problems_in(path) == [
@@ -330,7 +333,7 @@ def test_wrong_mounts_are_all_told_at_once_with_their_lines(tmp_path: Path) -> N
     ]
 
 
-def test_a_mount_on_a_robot_that_is_wrong_itself_is_not_told_twice(tmp_path: Path) -> None:
+def test_mount_on_an_invalid_robot_is_not_reported_twice(tmp_path: Path) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text(
         '[robots.torso]\nmodel = "lwr"\nbase = 3\n[robots.a]\nmodel = "lwr"\n'
@@ -341,7 +344,7 @@ def test_a_mount_on_a_robot_that_is_wrong_itself_is_not_told_twice(tmp_path: Pat
     assert [problem.key for problem in caught.value.problems] == ["robots.torso.base"]
 
 
-def test_nothing_can_be_routed_to_the_base_of_a_mounted_robot() -> None:
+def test_route_to_the_base_of_a_mounted_robot_is_rejected() -> None:
     scene = Scene(
         robots=[*body()], routes={"arm.base_frame": "udp.matrices0"},
         sources={"udp": {"kind": "udp", "port": 0, "structure": "1M"}},

@@ -1,4 +1,4 @@
-"""Routes that compute: with one packet, with several, and with outputs of other robots."""
+"""Route expressions: with one packet, with several, and with outputs of other robots."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 class Fed:
-    """A world that gets packets by hand."""
+    """A world whose packets are fed by the test."""
 
     def __init__(self, routes: Mapping[str, Any], **fields: Any) -> None:
         scene = scene_of(routes, **fields)
@@ -63,7 +63,7 @@ class Fed:
         return bool(self.data.userdata[self.world.flags[target]])
 
 
-def test_a_packet_is_computed_with() -> None:
+def test_expressions_compute_with_one_packet() -> None:
     fed = Fed({
         "lwr.joint_angles": "udp.values0[::-1] * deg",
         "lwr.torques": "udp.values0 - udp.values1",
@@ -102,15 +102,15 @@ def test_a_packet_is_computed_with() -> None:
         ("udp.receiving == 1", None),
     ],
 )
-def test_a_condition_turns_a_switch_on_and_off(condition: str, holds: bool | None) -> None:
+def test_condition_switches_a_flag(condition: str, holds: bool | None) -> None:
     fed = Fed({"lwr.show_arrows": condition})
-    if holds is None:  # no packet alone tells it
+    if holds is None:  # needs more than one packet
         assert [route.direct for route in fed.wiring.routes] == [None]
         return
     fed.feed("udp", values0=[30.0, -90.0], values1=[1.0, 2.0], values2=[2.0, 5.0, 0.25])
     assert fed["lwr.show_arrows"] == [float(holds)]
     fed.feed("udp", values0=[np.nan] * 2, values1=[np.nan] * 2, values2=[np.nan] * 3)
-    assert np.isnan(fed["lwr.show_arrows"]).all()  # no data, as of any switch
+    assert np.isnan(fed["lwr.show_arrows"]).all()  # no data, as for any flag
 
 
 @pytest.mark.parametrize(
@@ -119,29 +119,29 @@ def test_a_condition_turns_a_switch_on_and_off(condition: str, holds: bool | Non
         (
             "lwr.torques",
             "udp.values0 > 1",
-            "comparisons are for switches; lwr.torques takes 2, one",
+            "comparisons are only for toggles; lwr.torques takes 2, one",
         ),
         ("lwr.show_arrows", "udp.values0 > 1 and udp.values1", "expected a comparison such as"),
         (
             "lwr.show_arrows",
             "(udp.values0 > 1) + 1 > 0",
-            "expected numbers; comparisons are joined",
+            "expected numbers; use and, or to combine comparisons",
         ),
-        ("lwr.show_arrows", "udp.values0 = 1", "between spaces, or the end; equal is =="),
-        ("lwr.show_arrows", "udp.values0 > udp.values2", "there are 2 values and 3 values"),
-        ("lwr.show_arrows", "abs(udp.values0)", "functions and comparisons are for switches"),
-        ("lwr.torques", "abs(udp.values0)", "functions and comparisons are for switches"),
-        ("lwr.show_arrows", "abs(udp.values0, 2) > 1", "expected one value in brackets behind"),
+        ("lwr.show_arrows", "udp.values0 = 1", "between spaces, or the end; write == to compare"),
+        ("lwr.show_arrows", "udp.values0 > udp.values2", "found 2 values and 3 values"),
+        ("lwr.show_arrows", "abs(udp.values0)", "only toggles take functions and comparisons"),
+        ("lwr.torques", "abs(udp.values0)", "only toggles take functions and comparisons"),
+        ("lwr.show_arrows", "abs(udp.values0, 2) > 1", "expected one argument of the function"),
         ("lwr.show_arrows", "aps(udp.values0) > 1", "expected a function; did you mean 'abs'?"),
-        ("lwr.show_arrows", "2 * deg > 1 * mm", "there are an angle (rad) and a length (m)"),
+        ("lwr.show_arrows", "2 * deg > 1 * mm", "found an angle (rad) and a length (m)"),
         (
             "lwr.show_arrows",
             "udp.values0 > 1 or udp.values2 > 1",
-            "found 'or', expected as many on both sides; there are 2 values and 3 values",
+            "found 'or', expected the same number on both sides; found 2 values and 3 values",
         ),
     ],
 )
-def test_conditions_that_mean_nothing_are_told(target: str, condition: str, said: str) -> None:
+def test_invalid_conditions_are_rejected(target: str, condition: str, said: str) -> None:
     (problem,) = wire(scene_of({target: condition})).problems
     assert problem.key == f"routes.{target}"
     assert said in problem.message
@@ -155,7 +155,7 @@ def test_one_of_several_matrices_places_a_base() -> None:
 
 
 @pytest.mark.parametrize("times", ["* mm", "* 0.001", "/ 1000", "* 2 * mm / 2"])
-def test_the_position_of_a_matrix_has_another_unit(times: str) -> None:
+def test_position_of_a_matrix_can_have_another_unit(times: str) -> None:
     fed = Fed({
         "lwr.base_frame": f"udp.matrices0[1] {times}",
         "lwr.flange_check": f"udp.matrices0[0] {times}",
@@ -170,7 +170,7 @@ def test_the_position_of_a_matrix_has_another_unit(times: str) -> None:
     np.testing.assert_allclose(fed["lwr.flange_check"], T.ravel(), atol=1e-12)
 
 
-def test_two_sources_are_computed_with_when_both_have_sent() -> None:
+def test_expression_of_two_sources_is_computed_once_both_have_sent() -> None:
     fed = Fed({"lwr.torques": "udp.values0 - other.values0"})
     fed.feed("udp", values0=[5.0, 6.0])
     assert not fed.has("lwr.torques")
@@ -180,7 +180,7 @@ def test_two_sources_are_computed_with_when_both_have_sent() -> None:
     assert fed["lwr.torques"] == [-1.0, -2.0]
 
 
-def test_robots_follow_robots_in_one_tick_whatever_the_order() -> None:
+def test_robots_follow_robots_in_one_tick_in_any_order() -> None:
     fed = Fed({
         "mixed.billboard_values": "goal.joint_angles - lwr.joint_angles",
         "goal.joint_angles": "lwr.joint_angles + leader.joint_angles",
@@ -194,7 +194,7 @@ def test_robots_follow_robots_in_one_tick_whatever_the_order() -> None:
     assert fed["lwr.joint_angles"] == [0.15, -0.2]
     np.testing.assert_allclose(fed["goal.joint_angles"], [0.45, -0.6], rtol=1e-15)
     np.testing.assert_allclose(fed["mixed.billboard_values"], [0.3, -0.4], rtol=1e-15)
-    # Nothing has come, so there is nothing to compute with.
+    # Nothing was received, so there is nothing to compute with.
     assert not fed.has("lwr.billboard_values") and not fed.has("push.vector")
     fed.feed("udp", values0=[1.0, 2.0], values1=[1.5, 1.0])
     assert fed["lwr.billboard_values"] == [0.5, -1.0]
@@ -207,7 +207,7 @@ def test_robots_follow_robots_in_one_tick_whatever_the_order() -> None:
     np.testing.assert_allclose(flange, robot.fwd_kin_base_to_flange(np.array([0.5, 0.5])))
 
 
-def test_a_double_that_is_nowhere_leads_nobody() -> None:
+def test_double_without_data_does_not_move_its_follower() -> None:
     fed = Fed({"lwr.joint_angles": "goal.joint_angles", "goal.joint_angles": "udp.values0"})
     fed.place()
     assert fed["lwr.joint_angles"] == [0.0, 0.0] and not fed.has("lwr.joint_angles")
@@ -219,7 +219,7 @@ def test_a_double_that_is_nowhere_leads_nobody() -> None:
     assert declared["lwr.joint_angles"] == [0.1, 0.2]
 
 
-def test_nan_goes_where_it_moves_nothing_not_even_in_the_end() -> None:
+def test_nan_is_allowed_only_where_it_moves_nothing() -> None:
     def allowed(routes: dict[str, str]) -> set[str]:
         asked: list[set[str]] = []
         source = UdpReceiver(name="udp", structure="2F2F")
@@ -240,14 +240,14 @@ def test_nan_goes_where_it_moves_nothing_not_even_in_the_end() -> None:
     assert allowed(routes) == {"values1"}
 
 
-def test_nan_blanks_the_number_that_is_computed_from_it() -> None:
+def test_nan_blanks_the_value_computed_from_it() -> None:
     fed = Fed({"lwr.torques": "udp.values0 * 2 - udp.values1", "leader.torques": "2 * lwr.torques"})
     fed.feed("udp", values0=[math.nan, 2.0], values1=[1.0, 1.0])
     np.testing.assert_equal(fed["lwr.torques"], [math.nan, 3.0])
     np.testing.assert_equal(fed["leader.torques"], [math.nan, 6.0])
 
 
-def test_what_overflows_blanks_and_moves_nothing() -> None:
+def test_overflow_blanks_the_value_and_moves_nothing() -> None:
     fed = Fed({"lwr.torques": "udp.values0 * 1e10", "lwr.joint_angles": "udp.values0 * 1e10"})
     fed.feed("udp", values0=[1.0, 2e-10])
     fed.feed("udp", values0=[1e300, 1.0])
@@ -255,7 +255,7 @@ def test_what_overflows_blanks_and_moves_nothing() -> None:
     assert fed["lwr.joint_angles"] == [1e10, 2.0]
 
 
-def test_what_follows_is_as_stale_as_what_it_follows() -> None:
+def test_follower_is_as_stale_as_its_leader() -> None:
     scene = scene_of({
         "leader.joint_angles": "udp.values0",
         "lwr.torques": "other.values0 - udp.values1",
@@ -268,11 +268,11 @@ def test_what_follows_is_as_stale_as_what_it_follows() -> None:
     assert scene.sources_of("crane.billboard_values") == {"udp", "other"}
     assert scene.sources_of("mixed.torques") == set()
     assert scene.sources_of() == {"udp", "other"}
-    scene.routes["lwr.torques"] = "crane.billboard_values"  # a circle is told elsewhere
+    scene.routes["lwr.torques"] = "crane.billboard_values"  # another test covers cycles
     assert scene.sources_of("lwr.torques") == set()
 
 
-def test_a_mirror_computes_with_the_packets_of_two_sources() -> None:
+def test_mirror_computes_with_packets_of_two_sources() -> None:
     robots = [arm("lwr"), arm("leader"), arm("free")]
     routes = {
         "leader.joint_angles": "udp.values0 * deg",
@@ -305,7 +305,7 @@ def test_a_mirror_computes_with_the_packets_of_two_sources() -> None:
         assert data.userdata[world.slots["lwr.torques"]].tolist() == [4.0, 3.0]
 
 
-# ---- what models tell
+# ---- outputs of models
 
 ANGLES = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
 MODELLED = {
@@ -321,7 +321,7 @@ def weight(angles: Array, **of_robot: Any) -> Array:
     return inverse_dynamics(robot, robot_dynamics(robot), angles)
 
 
-def test_a_route_reads_the_torques_that_hold_a_robot() -> None:
+def test_route_reads_gravity_torques() -> None:
     fed = Fed(
         {
             "lwr.joint_angles": "udp.values0",
@@ -338,7 +338,7 @@ def test_a_route_reads_the_torques_that_hold_a_robot() -> None:
         assert fed["lwr.commanded_torques"] == pytest.approx(10.0 - 2 * weight(angles), abs=1e-6)
 
 
-def test_it_is_computed_after_the_angles_that_come_by_another_route() -> None:
+def test_gravity_torques_use_angles_set_by_another_route() -> None:
     robots = [SerialRobot.from_model("lwr", name=name) for name in ("one", "two")]
     fed = Fed(
         {
@@ -352,7 +352,7 @@ def test_it_is_computed_after_the_angles_that_come_by_another_route() -> None:
     assert fed["two.billboard_values"] == pytest.approx(weight(-ANGLES), abs=1e-6)
 
 
-def test_a_robot_carries_what_is_mounted_on_it() -> None:
+def test_gravity_torques_include_mounted_robots() -> None:
     below = SerialRobot.from_model("lwr", name="below")
     above = SerialRobot.from_model("lwr", name="above", mount="below/flange")
     routes = {"below.billboard_values": "below.gravity_torques",
@@ -362,7 +362,7 @@ def test_a_robot_carries_what_is_mounted_on_it() -> None:
     assert abs(fed["below.billboard_values"][1]) > 1.5 * abs(weight(ANGLES)[1])
 
 
-def test_a_route_reads_the_friction_that_a_robot_declares() -> None:
+def test_route_reads_friction_torques() -> None:
     robot = MODELLED["robots"][0]
     fed = Fed(
         {
@@ -380,7 +380,7 @@ def test_a_route_reads_the_friction_that_a_robot_declares() -> None:
     assert fed["lwr.torques"] == pytest.approx(1.0 - expected, abs=1e-9)
 
 
-def test_an_input_of_that_name_comes_before_the_model() -> None:
+def test_declared_input_takes_precedence_over_the_model_output() -> None:
     robot = SerialRobot.from_model("lwr", name="lwr", inputs=["gravity_torques"])
     routes = {"lwr.gravity_torques": "udp.values1",
               "lwr.billboard_values": "lwr.gravity_torques"}  # fmt: skip
@@ -389,7 +389,7 @@ def test_an_input_of_that_name_comes_before_the_model() -> None:
     assert fed["lwr.billboard_values"] == ANGLES.tolist()
 
 
-def test_a_mirror_derives_velocities_for_friction() -> None:
+def test_mirror_derives_velocities_for_friction() -> None:
     scene = scene_of(
         {"lwr.joint_angles": "udp.values0", "lwr.billboard_values": "lwr.friction_torques"},
         **MODELLED,
@@ -411,20 +411,20 @@ def test_a_mirror_derives_velocities_for_friction() -> None:
          "no output 'friction_torques' of fr3: dynamics has neither viscous_friction nor "
          "coulomb_friction"),
         ({"fr3.torques": "fr3.gravity_torques"}, {"free_base": True},
-         "no output 'gravity_torques' of fr3: the base of fr3 is free: it holds nothing"),
+         "no output 'gravity_torques' of fr3: the base of fr3 is free, so no torques hold it"),
         ({"fr3.torques": "fr3.gravity_torque"}, {},
          "no output 'gravity_torque' of fr3; did you mean 'gravity_torques'?"),
         ({"fr3.joint_angles": "fr3.gravity_torques"}, {},
          "fr3.gravity_torques is a torque (Nm); fr3.joint_angles takes an angle (rad)"),
         ({"fr3.torques": "udp.values0 * deg - fr3.gravity_torques"}, {},
-         "expected one unit on both sides; there are an angle (rad) and a torque (Nm)"),
+         "expected the same unit on both sides; found an angle (rad) and a torque (Nm)"),
         ({"fr3.joint_angles": "0.1 * fr3.billboard_values",
           "fr3.billboard_values": "fr3.gravity_torques"}, {},
-         "values that follow each other: fr3.billboard_values -> fr3.joint_angles -> "
+         "values that depend on each other: fr3.billboard_values -> fr3.joint_angles -> "
          "fr3.billboard_values"),
     ],
 )  # fmt: skip
-def test_what_a_model_cannot_tell_is_said(
+def test_missing_model_data_is_reported(
     routes: Mapping[str, Any], fields: Mapping[str, Any], message: str
 ) -> None:
     robots = [SerialRobot.from_model("fr3", name="fr3", **fields)]
@@ -433,7 +433,7 @@ def test_what_a_model_cannot_tell_is_said(
     assert message in found.replace("\n", " ")
 
 
-def test_what_is_sent_gives_back_what_is_shown() -> None:
+def test_sent_torques_route_back_to_the_shown_ones() -> None:
     scene = scene_of(
         {
             "lwr.joint_angles": "udp.values0",

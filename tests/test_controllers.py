@@ -1,4 +1,4 @@
-"""Controllers by name, from tables as files have them, and users' own."""
+"""Controllers by name, from tables as in files, and user-defined ones."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def at_start() -> tuple[Sensed, Target]:
     return sensed, target
 
 
-def test_every_kind_comes_from_a_table_and_holds_the_robot_at_its_target() -> None:
+def test_every_kind_is_made_from_a_table_and_holds_the_robot_at_its_target() -> None:
     tables = tomllib.loads(TABLES)
-    # Which have tests of their own.
+    # These have their own tests.
     external = {"library", "udp", "shm", "fmu", "fri", "rtde", "franka", "ros2"}
     assert {table["kind"] for table in tables.values()} == set(controller_kinds()) - external
     sensed, target = at_start()
@@ -69,7 +69,7 @@ def test_every_kind_comes_from_a_table_and_holds_the_robot_at_its_target() -> No
         assert not control.saturated.any()
 
 
-def test_controllers_in_joint_space_make_no_arrays() -> None:
+def test_joint_space_controllers_allocate_no_arrays() -> None:
     import tracemalloc
 
     sensed, target = at_start()
@@ -124,13 +124,13 @@ KINDS = [
         ),
     ],
 )
-def test_a_wrong_table_is_told(table: Any, problem: Problem) -> None:
+def test_invalid_controller_table_is_rejected(table: Any, problem: Problem) -> None:
     with pytest.raises(DeclarationError) as caught:
         controller_from(table)
     assert caught.value.problems == [problem]
 
 
-def test_own_limits_stand_below_the_robot_s() -> None:
+def test_declared_torque_limits_lower_those_of_the_robot() -> None:
     sensed, target = at_start()
     target.angles += 1.0
     control = make_controller(
@@ -153,7 +153,7 @@ def test_own_limits_stand_below_the_robot_s() -> None:
         make_controller(zero, MODEL, 1e-3, LIMITS)
 
 
-def test_what_is_sensed_may_lie_in_another_s_array() -> None:
+def test_sensed_can_use_an_existing_array() -> None:
     values = np.zeros((3, 2))
     sensed = Sensed(2, values)
     values[:] = [[1, 2], [3, 4], [5, 6]]
@@ -167,7 +167,7 @@ def test_what_is_sensed_may_lie_in_another_s_array() -> None:
         Sensed(2, np.zeros((2, 2)))
 
 
-def test_gains_are_checked_through_the_limits_and_users_have_none_to_check() -> None:
+def test_gains_are_checked_against_the_limits_except_for_user_controllers() -> None:
     stiff = make_controller(controller_from({"kind": "joint_position"}), MODEL, 0.02, LIMITS)
     with raises_with(
         key="stiffness",
@@ -181,7 +181,7 @@ def test_gains_are_checked_through_the_limits_and_users_have_none_to_check() -> 
 
 
 @pytest.mark.parametrize("kind", ["joint_impedance", "cartesian_impedance", "joint_position"])
-def test_a_sensor_that_gives_no_number_is_named(kind: str) -> None:
+def test_sensor_value_that_is_not_a_number_is_reported_with_its_joint(kind: str) -> None:
     table = {"kind": kind, "stiffness": 9.0} if kind == "joint_impedance" else {"kind": kind}
     for when, (row, what) in enumerate([(0, "angle"), (1, "velocity")]):
         control = make_controller(controller_from(table), MODEL, 1e-3, LIMITS)
@@ -196,7 +196,7 @@ def test_a_sensor_that_gives_no_number_is_named(kind: str) -> None:
 
 
 class Wave:
-    """A controller of a user's."""
+    """A user-defined controller."""
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         out[:] = 5.0 * np.sin(sensed.time)
@@ -204,7 +204,7 @@ class Wave:
             out[3] = np.nan
 
 
-def test_a_user_s_controller_is_limited_and_watched() -> None:
+def test_user_controller_is_limited_and_monitored() -> None:
     control = make_controller(Wave(), MODEL, 1e-3, LIMITS)
     sensed, target = at_start()
     sensed.time = 1.0

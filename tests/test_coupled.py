@@ -1,4 +1,4 @@
-"""Coupled joints: in declarations, packets and routes, and in simulation."""
+"""Coupled joints in declarations, packets, routes, and simulation."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def apply(scene: Scene, **values: list[float]) -> tuple[World, Any]:
     return world, data
 
 
-def test_declared_angles_may_leave_coupled_joints_out() -> None:
+def test_declared_angles_can_omit_coupled_joints() -> None:
     np.testing.assert_allclose(finger(joint_angles=[0.3, 0.2]).home, expected(0.3, 0.2))
     np.testing.assert_allclose(finger().home, expected(0.0, 0.0))
     whole = finger(joint_angles=expected(0.3, 0.2))
@@ -71,7 +71,7 @@ def test_declared_angles_may_leave_coupled_joints_out() -> None:
     )
 
 
-def test_declared_values_may_leave_coupled_joints_out() -> None:
+def test_declared_values_can_omit_coupled_joints() -> None:
     own = {"torques": [5, 6], "commanded_torques": [5, 6, 7, 8], "joint_accelerations": [1, 3],
            "billboard_values": [1, 2]}  # fmt: skip
     robot = finger(**own)
@@ -92,7 +92,7 @@ def test_declared_values_may_leave_coupled_joints_out() -> None:
     ]
 
 
-def test_a_wrong_coupling_is_told_without_what_follows_from_it() -> None:
+def test_invalid_coupling_is_reported_without_consequent_errors() -> None:
     with pytest.raises(DeclarationError) as caught:
         finger(couplings={"J4": {"to": "J3", "ratioi": 2.0}}, joint_angles=[0, 0, 0], torques=[1])
     assert str(caught.value) == "couplings.J4.ratioi: unknown key; did you mean 'ratio'?"
@@ -107,16 +107,16 @@ def test_packets_carry_the_independent_joints_or_all() -> None:
     part = world.robots["finger"]
     np.testing.assert_allclose(data.qpos[part.qpos], expected(0.3, 0.2))
     torques = data.userdata[world.slots["finger.torques"]]
-    np.testing.assert_array_equal(torques, [5.0, 6.0, np.nan, np.nan])  # the others: no data
+    np.testing.assert_array_equal(torques, [5.0, 6.0, np.nan, np.nan])  # the other joints: no data
     np.testing.assert_allclose(
         data.userdata[world.slots["finger.joint_accelerations"]], [1.0, 3.0, 6.0, -3.0]
     )
-    received = [0.3, 0.2, 0.9, 0.8]  # all: shown as received, whatever the coupling says
+    received = [0.3, 0.2, 0.9, 0.8]  # all joints: shown as received, regardless of the coupling
     world, data = apply(routed({"finger.joint_angles": "udp.values0"}, "4F"), values0=received)
     np.testing.assert_allclose(data.qpos[world.robots["finger"].qpos], received)
 
 
-def test_parts_of_packets_in_other_units_are_coupled_as_well() -> None:
+def test_slices_of_packets_in_other_units_are_coupled() -> None:
     routes = {"finger.joint_angles": "udp.values0[3:1:-1] * deg"}
     world, data = apply(routed(routes, "4F"), values0=[0.0, 0.0, 10.0, 20.0])
     np.testing.assert_allclose(
@@ -124,7 +124,7 @@ def test_parts_of_packets_in_other_units_are_coupled_as_well() -> None:
     )
 
 
-def test_neither_number_of_joints_is_told_with_both() -> None:
+def test_wrong_number_of_values_is_reported_with_both_valid_numbers() -> None:
     scene = routed({"finger.joint_angles": "udp.values0"}, "3F")
     assert [str(problem) for problem in wire(scene).problems] == [
         "routes.finger.joint_angles: udp.values0 has 3 values; finger.joint_angles takes 4, one "
@@ -132,7 +132,7 @@ def test_neither_number_of_joints_is_told_with_both() -> None:
     ]
 
 
-def test_inputs_set_by_hand_and_doubles_take_both_numbers() -> None:
+def test_inputs_set_in_code_and_doubles_accept_both_numbers_of_joints() -> None:
     path = np.array([[0.0, 0.0], [0.2, 0.4]])
     doubles = [
         Double(name="goal", of="finger", joint_angles=[0.3, 0.2]),
@@ -146,8 +146,8 @@ def test_inputs_set_by_hand_and_doubles_take_both_numbers() -> None:
     np.testing.assert_allclose(world.doubles["way"].path, [expected(0, 0), expected(0.2, 0.4)])
 
 
-def test_a_simulated_coupling_holds_and_carries_load() -> None:
-    """By virtual work: the independent joint holds the gravity of all that moves with it."""
+def test_simulated_coupling_holds_and_carries_load() -> None:
+    """Virtual work: the independent joint carries the gravity of everything that moves with it."""
     still = {"viscous_friction": [0.01] * 4, "coulomb_friction": [0.0] * 4}
     motors = {"motor_inertias": [1e-4] * 4}
     links = {
@@ -159,22 +159,22 @@ def test_a_simulated_coupling_holds_and_carries_load() -> None:
     plant = Plant(World(Scene(robots=[robot], floor=False), dynamic=True))
     gravity = plant.measured[2].copy()
     slope = np.array([[1, 0], [0, 1], [0, 2], [0, -1.0]])
-    hold = np.array([*(slope.T @ gravity), 0.0, 0.0])  # no motor at the coupled joints
+    hold = np.array([*(slope.T @ gravity), 0.0, 0.0])  # no motors at coupled joints
     for _ in range(500):
         plant.step(hold)
     np.testing.assert_allclose(plant.measured[0], expected(0.1, 0.2), atol=2e-4)
-    # What goes through the joints is what their links weigh, and nothing acts from outside.
+    # The joints transmit the weight of their links; there are no external forces.
     np.testing.assert_allclose(plant.measured[2], gravity, atol=1e-3)
     np.testing.assert_allclose(plant.external_torques(), 0.0, atol=1e-3)
     push = np.array([0.0, 0.02, 0.0, 0.0])
     for _ in range(300):
         plant.step(hold + push)
     first, second = plant.measured[0][:2]
-    assert second > 0.25  # it moves, and takes the others along
+    assert second > 0.25  # it moves the others
     np.testing.assert_allclose(plant.measured[0], expected(first, second), atol=1e-3)
 
 
-def test_targets_of_controllers_keep_the_coupling() -> None:
+def test_targets_of_controllers_respect_the_coupling() -> None:
     robot = finger(joint_angles=[0.1, 0.2])
     simulation = Simulation(
         Scenario(
@@ -191,7 +191,7 @@ def test_targets_of_controllers_keep_the_coupling() -> None:
     assert np.abs(simulation.log.of("finger", "external_torques")[-1]).max() < 0.01
 
 
-def test_played_motions_keep_the_coupling() -> None:
+def test_sent_motions_respect_the_coupling() -> None:
     motion = SineMotion(finger())
     position, velocity, _ = motion.at(0.7)
     np.testing.assert_allclose(position, expected(*position[:2]))
@@ -214,7 +214,7 @@ middle = { to = "tip", ratio = 0.0 }
 """
 
 
-def test_wrong_couplings_are_told_with_their_lines(tmp_path: Path) -> None:
+def test_invalid_couplings_are_reported_with_their_lines(tmp_path: Path) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text(WRONG)
     with pytest.raises(DeclarationError) as caught:

@@ -1,4 +1,4 @@
-"""Damaged recordings that are played: what is missing is told, and nothing at all is an error."""
+"""Playing damaged recordings: missing data is reported, and no data at all is an error."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CUT = r"is truncated or damaged at byte \d+ \(.+\): \d+ bytes are ignored"
 
 @pytest.fixture
 def damaged(tmp_path: Path) -> Callable[[str], Path]:
-    """A recording of 4 s in several chunks, of which some or all are damaged, or the end is cut."""
+    """Writes a recording of 4 s in chunks, with some or all damaged, or a truncated end."""
 
     def make(how: str) -> Path:
         path = tmp_path / f"{how}.mcap"
@@ -59,7 +59,7 @@ def scene_of(path: Path) -> Path:
 
 
 @pytest.mark.parametrize(("how", "fault"), [("some", DAMAGED), ("cut", CUT)])
-def test_a_source_that_plays_it_tells_once(
+def test_replay_source_reports_damage_once(
     damaged: Callable[[str], Path], how: str, fault: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = damaged(how)
@@ -76,7 +76,7 @@ def test_a_source_that_plays_it_tells_once(
 
 
 @pytest.mark.parametrize(("how", "fault"), [("some", DAMAGED), ("cut", CUT)])
-def test_send_tells(
+def test_send_reports_damage(
     damaged: Callable[[str], Path], how: str, fault: str, capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:  # fmt: skip
@@ -101,7 +101,7 @@ def test_send_tells(
     assert f"sero-mj: {path}: none of the 40 packets of 'arm' can be read: the chunk at" in said
 
 
-def test_a_source_of_which_nothing_can_be_read_cannot_be_opened(
+def test_replay_source_without_readable_packets_cannot_be_opened(
     damaged: Callable[[str], Path],
 ) -> None:
     path = damaged("all")
@@ -111,7 +111,7 @@ def test_a_source_of_which_nothing_can_be_read_cannot_be_opened(
         mirror.open()
 
 
-def test_export_csv_names_the_file_and_fails_where_there_is_nothing(
+def test_export_csv_names_a_damaged_file_and_fails_without_data(
     damaged: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = damaged("some")
@@ -121,7 +121,7 @@ def test_export_csv_names_the_file_and_fails_where_there_is_nothing(
     assert capsys.readouterr().out.endswith("all.csv: 0 rows\n")
 
 
-def test_no_reason_is_empty(damaged: Callable[[str], Path]) -> None:
+def test_damage_report_has_a_reason(damaged: Callable[[str], Path]) -> None:
     with Recording(damaged("index")) as recording:
         (fault,) = recording.faults
     assert "()" not in fault and "index" in fault

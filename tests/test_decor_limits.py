@@ -1,4 +1,4 @@
-"""Decor at its limits: frames that are nowhere, noise, 51 joints with everything on, nonsense."""
+"""Decor at its limits: frames without a pose, noise, 51 joints with everything on, invalid data."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def lwr(**fields):
 @pytest.mark.parametrize(
     ("at", "expressed_in"), [("lwr/flange", "s"), ("s", None), ("s", "world"), ("g/flange", None)]
 )
-def test_an_arrow_whose_frame_is_nowhere_is_not_drawn(at, expressed_in):
+def test_arrow_without_a_frame_pose_is_not_drawn(at, expressed_in):
     scene = Scene(
         robots=[lwr()],
         frames=[ReceivedFrame(name="s")],
@@ -49,7 +49,7 @@ def test_an_arrow_whose_frame_is_nowhere_is_not_drawn(at, expressed_in):
     assert draw(scene).count == 0
 
 
-def test_a_frame_that_became_nan_has_no_axes_and_no_name():
+def test_frame_that_became_nan_has_no_axes_and_no_name():
     def nan(world, data):
         world.set_input(data, "s.frame", np.eye(4))
         data.userdata[world.slots["s.frame"]] = np.nan
@@ -59,7 +59,7 @@ def test_a_frame_that_became_nan_has_no_axes_and_no_name():
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [1, -1])
-def test_noise_does_not_turn_a_round_arrow(axis, sign):
+def test_noise_does_not_rotate_a_round_arrow(axis, sign):
     rng = np.random.default_rng(0)
     d = sign * np.eye(3)[axis] + 1e-3 * rng.normal(size=(100, 3))
     R = frames_along(d / np.linalg.norm(d, axis=1, keepdims=True))
@@ -78,7 +78,7 @@ def test_noise_does_not_turn_a_round_arrow(axis, sign):
         (1, {"show_arrows": True, "show_billboards": True, "show_axes": True}),
     ],
 )
-def test_51_joints_find_room_for_their_numbers(lines, own):
+def test_billboards_of_51_joints_fit_the_image(lines, own):
     rng = np.random.default_rng(1)
     robots, doubles = [], []
     for i, n in enumerate(JUSTIN):
@@ -105,7 +105,7 @@ def test_51_joints_find_room_for_their_numbers(lines, own):
     assert buffer.dropped == 0
 
 
-def test_precise_numbers_of_all_51_joints_find_room():
+def test_precise_values_of_51_joints_fit_the_image():
     robots = [
         SerialRobot(
             name=f"r{i}",
@@ -127,7 +127,7 @@ def test_precise_numbers_of_all_51_joints_find_room():
     assert buffer.dropped == 0
 
 
-def test_the_scale_is_stated_beside_two_quantities():
+def test_scale_is_shown_for_two_quantities():
     arrows = [SmartArrow(name="contact", at="lwr/flange", vector=[9, 0, 0])]
 
     def two(t):
@@ -141,7 +141,7 @@ def test_the_scale_is_stated_beside_two_quantities():
         assert any("contact" in text for text in labels(buffer.rows[: buffer.count])), size
 
 
-def test_a_hidden_double_does_not_say_that_it_is_stale():
+def test_hidden_double_is_not_reported_as_stale():
     def never(world, data):
         set_source(data, world, "udp", size=56)
 
@@ -159,7 +159,7 @@ def test_a_hidden_double_does_not_say_that_it_is_stale():
 
 
 @pytest.mark.parametrize("value", [1e30, 1e200])
-def test_an_absurd_vector_is_no_data(value):
+def test_absurd_vector_counts_as_no_data(value):
     def absurd(world, data):
         data.userdata[world.slots["a.vector"]] = (value, 0, 0)
         data.userdata[world.flags["a.vector"]] = 1
@@ -174,7 +174,7 @@ def test_an_absurd_vector_is_no_data(value):
     assert high[0] - low[0] < 400
 
 
-def test_a_flange_that_is_off_and_out_of_the_picture_is_told_in_the_corner():
+def test_large_flange_error_outside_the_image_is_shown_in_the_corner():
     def off(world, data):
         T = world.scene.robots["lwr"].fwd_kin_base_to_flange()
         T[:3, 3] += [0.0, 0.0, 50.0]

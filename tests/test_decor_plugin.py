@@ -1,4 +1,4 @@
-"""A visual feature of another package is found by its entry point, and drawn like our own."""
+"""A visual feature of a third-party package is found by its entry point and drawn like ours."""
 
 from __future__ import annotations
 
@@ -38,9 +38,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     sys.modules.pop("temperature_gauge", None)
 
 
-def test_a_gauge_stands_at_every_joint_that_has_a_temperature(
-    installed: Path, world: World
-) -> None:
+def test_gauge_is_drawn_at_each_joint_with_a_temperature(installed: Path, world: World) -> None:
     data, decor = world.make_data(), Decor(world)
     world.set_input(data, "lwr.temperatures", [20.0, 40.0, 79.0, np.nan, 0.0, 80.0, 500.0])
     buffer = decor.draw(data, Toggles(world), view_at())
@@ -56,7 +54,7 @@ def test_a_gauge_stands_at_every_joint_that_has_a_temperature(
     np.testing.assert_allclose(boxes["mat"][:12, :, 2], np.tile(axes[:, 2], (12, 1)), atol=1e-6)
 
 
-def test_a_scene_has_settings_of_its_features(installed: Path, tmp_path: Path) -> None:
+def test_scene_has_settings_of_its_features(installed: Path, tmp_path: Path) -> None:
     file = tmp_path / "warm.toml"
 
     def scene(text: str) -> Scene:
@@ -83,7 +81,7 @@ def test_a_scene_has_settings_of_its_features(installed: Path, tmp_path: Path) -
         assert [problem.key for problem in error.value.problems] == [key]
 
 
-def test_settings_are_set_for_once_and_checked_against_the_world(
+def test_feature_settings_can_be_overridden_and_are_checked(
     installed: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "warm.toml"
@@ -111,7 +109,7 @@ def test_settings_are_set_for_once_and_checked_against_the_world(
 
 
 @pytest.mark.slow
-def test_it_is_listed_with_its_package(installed: Path) -> None:
+def test_plugin_feature_is_listed_with_its_package(installed: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "sero_mj", "list"],
         env={**os.environ, "PYTHONPATH": str(installed)},
@@ -121,7 +119,7 @@ def test_it_is_listed_with_its_package(installed: Path) -> None:
     assert "round_arrows       sero_mj.viewer.decor.round_arrows:RoundArrows\n" in done.stdout
 
 
-def test_one_that_cannot_be_imported_is_told_and_left(
+def test_feature_that_cannot_be_imported_is_reported_and_skipped(
     installed: Path, world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     (installed / "temperature_gauge.py").write_text("import no_such_module\n")
@@ -135,7 +133,7 @@ def test_one_that_cannot_be_imported_is_told_and_left(
     ) in caplog.text
 
 
-def test_one_that_fails_while_it_draws_is_taken_out_and_the_robot_is_shown_on(
+def test_feature_that_fails_while_drawing_is_disabled(
     installed: Path, world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     (installed / "temperature_gauge.py").write_text(
@@ -152,6 +150,6 @@ def test_one_that_fails_while_it_draws_is_taken_out_and_the_robot_is_shown_on(
     assert all(type(each).__module__ != "temperature_gauge" for each in decor.features)
 
 
-def test_features_are_drawn_in_their_order(world: World) -> None:
+def test_features_are_drawn_in_declared_order(world: World) -> None:
     orders = [each.order for each in feature.make_features(world)]
     assert orders == sorted(orders) and len(orders) >= 8

@@ -1,4 +1,4 @@
-"""Angles in degrees where radians are expected are noticed."""
+"""Angles in degrees are detected where radians are expected."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ INF = np.inf
 
 
 def arm(**fields: object) -> SerialRobot:
-    """A revolute joint with limits, a continuous and a prismatic one."""
+    """Returns a revolute joint with limits, a continuous and a prismatic one."""
     return SerialRobot(
         name="arm",
         dh_params=[[0, 0, 0, 0.2]] * 3,
@@ -40,20 +40,20 @@ def arm(**fields: object) -> SerialRobot:
         ([-1.0 - FAR_BEYOND - 0.01, 0, 0], [1, 0, 0]),
         ([0, 90, 0], [0, 1, 0]),
         ([0, np.float32(-30.1), 0], [0, 1, 0]),
-        ([0, 20.0, 0], [0, 0, 0]),  # three turns
+        ([0, 20.0, 0], [0, 0, 0]),  # three revolutions
         ([0, 90.03417, 0], [0, 0, 0]),  # a measured angle of a wheel
         ([0, 4000.0, 0], [0, 0, 0]),  # a wheel
         ([0, 0, 500.0], [0, 0, 0]),  # a length
         ([np.nan, np.nan, np.nan], [0, 0, 0]),
     ],
 )
-def test_what_no_robot_reaches_looks_like_degrees(angles: list[float], expected: list[int]) -> None:
+def test_unreachable_angles_look_like_degrees(angles: list[float], expected: list[int]) -> None:
     found = look_like_degrees(arm(), np.array(angles, float))
     assert found.tolist() == [bool(each) for each in expected]
 
 
-def test_degrees_of_any_joint_are_noticed_in_all_poses_within_the_limits() -> None:
-    """By random poses: in rad nothing is noticed, in degrees nearly all are."""
+def test_degrees_of_any_joint_are_detected_in_all_poses_within_the_limits() -> None:
+    """Random poses: in rad none is detected, in degrees nearly all are."""
     (robot,) = load_scene("lwr").robots.values()
     poses = np.random.default_rng(0).uniform(*robot.display_ranges.T, (200, 7))
     assert not any(degrees_warning(robot, pose) for pose in poses)
@@ -61,7 +61,7 @@ def test_degrees_of_any_joint_are_noticed_in_all_poses_within_the_limits() -> No
     assert degrees_warning(robot, np.empty((0, 7))) == ""
 
 
-def test_fk_asks_about_degrees_before_it_prints(capsys: pytest.CaptureFixture[str]) -> None:
+def test_fk_warns_about_degrees_before_it_prints(capsys: pytest.CaptureFixture[str]) -> None:
     angles = ",".join(map(str, POSE))
     with pytest.raises(SystemExit, match=r"^0$"):
         main(["check", "--fk", "lwr", "--joint-angles", angles])
@@ -72,7 +72,7 @@ def test_fk_asks_about_degrees_before_it_prints(capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.parametrize(("key", "count"), [("joint_angles", 1), ("joint_angles_deg", 0)])
-def test_a_declared_pose_is_warned_of_once(
+def test_declared_pose_in_degrees_is_reported_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, key: str, count: int
 ) -> None:
     file = tmp_path / "scene.toml"
@@ -89,7 +89,7 @@ def test_a_declared_pose_is_warned_of_once(
         (f'[groups.all]\nrobots = ["lwr"]\njoint_angles = {POSE}\n', "group 'all': "),
     ],
 )
-def test_the_pose_of_a_double_and_of_a_group_is_warned_of(
+def test_pose_in_degrees_of_a_double_or_group_is_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, table: str, owner: str
 ) -> None:
     file = tmp_path / "scene.toml"
@@ -101,7 +101,7 @@ def test_the_pose_of_a_double_and_of_a_group_is_warned_of(
 
 
 @pytest.mark.parametrize(("amplitude", "asks"), [(40.0, True), (4.0, False)])
-def test_targets_beyond_the_limits_ask_about_degrees(
+def test_targets_beyond_the_limits_hint_at_degrees(
     tmp_path: Path, amplitude: float, asks: bool
 ) -> None:
     file = tmp_path / "scenario.toml"
@@ -118,7 +118,7 @@ def test_targets_beyond_the_limits_ask_about_degrees(
 
 
 @pytest.mark.extensions
-def test_a_table_in_degrees_is_warned_of_once_and_read(
+def test_table_in_degrees_is_reported_once_and_read(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     columns = [f"lwr_joint_angles[{i}]" for i in range(7)]
@@ -135,7 +135,7 @@ def test_a_table_in_degrees_is_warned_of_once_and_read(
 
 @pytest.mark.extensions
 @pytest.mark.parametrize("degrees", [False, True])
-def test_check_looks_at_all_of_a_recording(
+def test_check_tests_a_whole_recording_for_degrees(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], degrees: bool
 ) -> None:
     table = tmp_path / "run.csv"

@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg kinematics: numpy against scalar products, MuJoCo and published poses."""
+"""Denavit-Hartenberg kinematics: NumPy against scalar products, MuJoCo, and published poses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.kinematics.dh import COLUMNS, DhTable
 
 CONVENTIONS = ("craig", "standard")
-SPECIAL = [0.0, pi / 2, -pi / 2, pi, -pi]  # what real tables are made of
+SPECIAL = [0.0, pi / 2, -pi / 2, pi, -pi]  # values that occur in real tables
 ANGLES = st.sampled_from(SPECIAL) | st.floats(-2 * pi, 2 * pi)
 LENGTHS = st.just(0.0) | st.floats(-2.0, 2.0)
 ROWS = st.tuples(ANGLES, LENGTHS, ANGLES, LENGTHS)  # alpha, a, theta, d
@@ -42,7 +42,7 @@ def shift(x, z):
 
 
 def product(*matrices):
-    """Product of 4x4 lists, number by number: shares nothing with the code under test."""
+    """Returns the product of 4x4 lists, element by element, without the code under test."""
 
     def times(A, B):
         return [[sum(A[i][k] * B[k][j] for k in range(4)) for j in range(4)] for i in range(4)]
@@ -51,7 +51,7 @@ def product(*matrices):
 
 
 def scalar_frames(convention, rows, revolute, q):
-    """T_0_i for i = 0 to n by products of elementary matrices, as ROBOTS.md 4.1 writes them."""
+    """Returns T_0_i for i = 0 to n as products of elementary matrices, as in ROBOTS.md 4.1."""
     frames = [shift(0, 0)]
     for (alpha, a, theta, d), turns, value in zip(rows, revolute, q, strict=True):
         screw_x = (turn_x(alpha), shift(a, 0))
@@ -62,7 +62,7 @@ def scalar_frames(convention, rows, revolute, q):
 
 
 def angle_between(A, B):
-    """Largest angle (rad) between rotations (..., 3, 3), exact for small ones."""
+    """Returns the largest angle (rad) between rotations (..., 3, 3), exact for small ones."""
     off = np.linalg.norm(A - B, axis=(-2, -1)) / np.sqrt(8.0)
     return float(2.0 * np.arcsin(np.clip(off, 0.0, 1.0)).max())
 
@@ -82,7 +82,7 @@ def random_frame(rng):
 
 @st.composite
 def robots(draw, max_joints=MAX_JOINTS):
-    """A robot with frames at both ends, and joint values; the numbers come from a seed."""
+    """Returns a robot with frames at both ends, and joint values, generated from a seed."""
     n = draw(st.integers(1, max_joints))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     rows = rng.uniform(-0.4, 0.4, (n, 4))
@@ -155,7 +155,7 @@ def test_jacobian_and_joint_axes_equal_those_of_the_compiled_model(case):
     np.testing.assert_allclose(jacobian, np.vstack([linear, angular]), rtol=0, atol=1e-11)
     axes, points = robot.dh.joint_axes(robot.dh.frames(q, robot.base_frame))
     np.testing.assert_allclose(axes, data.xaxis, rtol=0, atol=1e-12)
-    # A slide's anchor may be anywhere on the body; a hinge's has to be on its axis.
+    # The anchor of a prismatic joint can be anywhere; that of a revolute joint is on its axis.
     hinges = robot.dh.revolute
     off = np.cross(data.xanchor - points, axes)[hinges]
     np.testing.assert_allclose(off, 0.0, rtol=0, atol=1e-12)
@@ -182,7 +182,7 @@ def test_jacobian_equals_finite_differences(case):
     joints=st.lists(st.tuples(ROWS, st.booleans(), ANGLES), min_size=1, max_size=6),
 )
 @settings(max_examples=examples(60), deadline=None)
-def test_standard_table_equals_modified_table_with_its_links_shifted_by_one(joints):
+def test_standard_table_equals_modified_table_shifted_by_one_link(joints):
     rows, revolute, q = zip(*joints, strict=True)
     standard = np.array(rows)
     modified = standard.copy()
@@ -231,7 +231,7 @@ def table_in_degrees(rows: Sequence, convention: str) -> DhTable:
     return DhTable.from_rows(np.array(rows) * (pi / 180, 1, 1, 1), convention)
 
 
-def test_puma_560_stands_where_the_robotics_toolbox_publishes_it():
+def test_puma_560_pose_equals_the_one_of_the_robotics_toolbox():
     # Source: petercorke/robotics-toolbox-python, docs/notebooks/kinematics.ipynb, pose qn.
     pose = table_in_degrees(PUMA_STANDARD, "standard").frames([0, pi / 4, pi, 0, pi / 4, 0])[-1]
     np.testing.assert_allclose(pose[:3, :3], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-12)
@@ -247,7 +247,7 @@ def test_standard_and_modified_puma_560_agree_at_any_pose():
     np.testing.assert_allclose(standard, modified, rtol=0, atol=1e-14)
 
 
-def test_panda_flange_at_zero_is_where_it_is_published():
+def test_panda_flange_at_zero_equals_the_published_one():
     # Source: RTB-matlab issue 125 (z = 0.926), ROBOTS.md 4.2 row 6.
     pose = table_in_degrees(PANDA, "craig").frames(np.zeros(7))[-1] @ PANDA_FLANGE
     np.testing.assert_allclose(pose[:3, :3], np.diag([1, -1, -1]), atol=1e-15)
@@ -255,7 +255,7 @@ def test_panda_flange_at_zero_is_where_it_is_published():
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
-def test_chain_of_slides_and_hinges_equals_the_robotics_toolbox_test(convention):
+def test_mixed_chain_equals_the_robotics_toolbox_test(convention):
     # Source: RTB test_fkine: P, R, P (theta = 2), R at 1, 2, 3, 4 is Rz(8 rad), z = 4.
     rows = [(0, 0, 0, 0), (0, 0, 0, 0), (0, 0, 2, 0), (0, 0, 0, 0)]
     table = DhTable.from_rows(rows, convention, revolute=[False, True, False, True])
@@ -265,7 +265,7 @@ def test_chain_of_slides_and_hinges_equals_the_robotics_toolbox_test(convention)
 
 
 @pytest.mark.parametrize("columns", list(permutations(COLUMNS)))
-def test_columns_may_stand_in_any_order(columns):
+def test_columns_can_be_in_any_order(columns):
     by_name = {"alpha": 0.1, "a": 0.2, "theta": 0.3, "d": 0.4}
     table = DhTable.from_rows([[by_name[name] for name in columns]], "craig", columns)
     assert {name: getattr(table, name).tolist() for name in by_name} == {
@@ -273,7 +273,7 @@ def test_columns_may_stand_in_any_order(columns):
     }
 
 
-def test_many_poses_at_once_equal_one_after_the_other():
+def test_batched_poses_equal_single_ones():
     table = table_in_degrees(PUMA_STANDARD, "standard")
     base, flange = np.array(product(turn_x(0.3), shift(1, 2))), np.array(shift(0.1, 0.2))
     q = np.random.default_rng(1).uniform(-pi, pi, (2, 3, 6))
@@ -288,7 +288,7 @@ def test_many_poses_at_once_equal_one_after_the_other():
         )
 
 
-def test_joint_angles_of_the_wrong_number_are_refused():
+def test_wrong_number_of_joint_angles_is_rejected():
     table = table_in_degrees(PUMA_STANDARD, "standard")
     with raises_with(key="joint_angles", reason="found (2, 5)", expected="6 in the last axis"):
         table.frames(np.zeros((2, 5)))

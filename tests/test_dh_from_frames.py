@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg tables found for chains of joint frames, against `kinematics.dh`."""
+"""Denavit-Hartenberg tables computed from chains of joint frames, checked by `kinematics.dh`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SERIAL = [name for name in paths.list_models() if not SerialRobot.from_model(nam
 
 
 def walk(joint_frames: Array, revolute: Bools, q: Array) -> Array:
-    """Frames of the base and of every link, (n + 1, 4, 4), joint by joint."""
+    """Returns the frames of the base and of every link, (n + 1, 4, 4), joint by joint."""
     found = [np.eye(4)]
     for T, turns, value in zip(joint_frames, revolute, q, strict=True):
         moved = frame(rotation_about(2, value)) if turns else frame(position=[0, 0, value])
@@ -28,7 +28,7 @@ def walk(joint_frames: Array, revolute: Bools, q: Array) -> Array:
 
 
 def assert_same(chain: DhChain, joint_frames: Array, revolute: Bools, flange: Array) -> None:
-    """The table, read by `DhTable`, has the links and the flange where the chain has them."""
+    """Asserts that the table, read by `DhTable`, has the chain's links and flange."""
     table = DhTable.from_rows(chain.rows, chain.convention, revolute=revolute)
     random = np.random.default_rng(7)
     for q in random.uniform(-1, 1, (20, len(joint_frames))) * np.where(revolute, np.pi, 1.0):
@@ -42,11 +42,11 @@ def assert_same(chain: DhChain, joint_frames: Array, revolute: Bools, flange: Ar
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
 @pytest.mark.parametrize("name", SERIAL)
-def test_a_robot_s_own_table_or_an_equal_one_is_found(name: str, convention: str) -> None:
+def test_table_of_a_robot_or_an_equivalent_one_is_found(name: str, convention: str) -> None:
     robot = SerialRobot.from_model(name)
     at_zero = robot.dh.frames(np.zeros(robot.n))
     axes, points = robot.dh.joint_axes(at_zero)
-    # Link frames as others have them: anywhere on the axis, turned about it.
+    # Link frames as in other software: anywhere on the axis, rotated about it.
     random = np.random.default_rng(1)
     links = [np.eye(4)]
     for z, point, angle, shift in zip(
@@ -65,7 +65,7 @@ def test_a_robot_s_own_table_or_an_equal_one_is_found(name: str, convention: str
 
 
 @pytest.mark.parametrize("name", ["lwr", "panda"])
-def test_tables_are_as_they_are_published(name: str) -> None:
+def test_computed_tables_equal_the_published_ones(name: str) -> None:
     robot = SerialRobot.from_model(name)
     joint_frames = robot.dh.link_transforms(np.zeros(7))
     chain = dh_from_frames(joint_frames, robot.dh.revolute, robot.T_n_flange)
@@ -76,7 +76,7 @@ def test_tables_are_as_they_are_published(name: str) -> None:
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
-def test_parallel_coincident_and_opposite_axes(convention: str) -> None:
+def test_parallel_coincident_and_opposite_axes_have_a_table(convention: str) -> None:
     half = rotation_about(0, np.pi)
     joint_frames = np.array(
         [
@@ -95,7 +95,7 @@ def test_parallel_coincident_and_opposite_axes(convention: str) -> None:
     assert np.abs(chain.rows[:, 1]).max() == pytest.approx(0.5)
 
 
-def test_axes_that_narrowly_miss_being_parallel_have_no_table_or_an_exact_one() -> None:
+def test_nearly_parallel_axes_have_an_exact_table_or_none() -> None:
     found = []
     for angle in (1e-12, 1e-8, 3.7e-6, 1e-3):
         second = frame(rotation_about(1, angle), [0.5, 0.2, 0.0])
@@ -119,7 +119,7 @@ poses = st.tuples(
     poses,
     st.sampled_from(CONVENTIONS),
 )
-def test_any_chain_has_a_table_or_none(joints, flange, convention) -> None:
+def test_any_chain_has_an_exact_table_or_none(joints, flange, convention) -> None:
     joint_frames = np.array(
         [frame(rotation_from_rpy(np.array(rpy)), xyz) for (rpy, xyz), _ in joints]
     )
@@ -129,7 +129,7 @@ def test_any_chain_has_a_table_or_none(joints, flange, convention) -> None:
     if chain is not None:
         assert_same(chain, joint_frames, revolute, T_n_flange)
         return
-    # Only axes that are parallel but for rounding have none.
+    # Only axes that are parallel up to rounding have none.
     sines = np.linalg.norm(np.cross([0, 0, 1], joint_frames[:, :3, 2]), axis=1)
     assert ((sines > 0) & (sines < 1e-4)).any() or T_n_flange[0, 2] ** 2 + T_n_flange[
         1, 2

@@ -1,4 +1,4 @@
-"""Parts of the DLR's systems: their tables, their proportions, and that they do not pretend."""
+"""Parts of the DLR systems: tables, proportions, and the note that they are approximate."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ BY_HAND = {
 
 
 def corners(world: World, data: mujoco.MjData) -> np.ndarray:
-    """All vertices of the meshes as they stand in the world, (k, 3), m."""
+    """Returns all mesh vertices in the world, (k, 3), m."""
     model = world.model
     found = []
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
@@ -91,7 +91,7 @@ def standing(*robots: SerialRobot, objects: tuple[Object, ...] = ()) -> np.ndarr
 
 
 @pytest.mark.parametrize("name", BY_HAND)
-def test_table_and_model_turn_as_their_joints_are_named(name):
+def test_table_and_model_agree_with_named_joint_rotations(name):
     robot = SerialRobot.from_model(name)
     world = World(Scene(robots=[robot]))
     data = world.make_data()
@@ -104,7 +104,7 @@ def test_table_and_model_turn_as_their_joints_are_named(name):
 
 
 @pytest.mark.parametrize("name", BY_HAND)
-def test_what_is_not_published_is_not_passed_off_as_data(name):
+def test_unpublished_data_is_marked_as_approximate(name):
     robot = SerialRobot.from_model(name)
     assert robot.note.endswith("approximate, not DLR data")
     text = (MODELS / name / "robot.toml").read_text()
@@ -112,7 +112,7 @@ def test_what_is_not_published_is_not_passed_off_as_data(name):
 
 
 @pytest.mark.parametrize("name", BY_HAND)
-def test_links_can_be_weighed_and_small_files_are_all_used(name):
+def test_links_have_mass_and_every_small_mesh_file_is_used(name):
     robot = SerialRobot.from_model(name)
     used = {mesh.file for link in robot.filenames for mesh in link}
     files = {path.name: path.stat().st_size for path in (MODELS / name / "meshes").glob("*.stl")}
@@ -124,14 +124,14 @@ def test_links_can_be_weighed_and_small_files_are_all_used(name):
     World(Scene(robots=[robot]), dynamic=True)
 
 
-def test_all_robots_share_the_colours_of_the_lwr(lwr):
+def test_all_robots_share_the_colors_of_the_lwr(lwr):
     shared = dict(lwr.colors)
     for name in BY_HAND:
         for colour, rgba in SerialRobot.from_model(name).colors.items():
             np.testing.assert_array_equal(shared.setdefault(colour, rgba), rgba)
 
 
-def test_justin_is_as_tall_as_is_published_and_stands_on_its_wheels():
+def test_justin_has_the_published_height_and_stands_on_its_wheels():
     torso = SerialRobot.from_model("justin_torso")
     chest = torso.base_frame @ torso.fwd_kin_base_to_flange()
     np.testing.assert_allclose(chest, move(z=1.41), atol=1e-12)
@@ -150,17 +150,17 @@ def test_biped_stands_flat_on_the_floor_in_its_shipped_pose():
     np.testing.assert_allclose(sole, [[0, 0, -1]] * 2, atol=1e-12)
     points = standing(standing_leg)
     assert abs(points[:, 2].min()) < 1e-3
-    # Foot and toe both touch: there are points on the floor behind the ankle and before the toes.
+    # Foot and toe both touch: points on the floor are behind the ankle and in front of the toes.
     floor = points[points[:, 2] < 2e-3]
     assert floor[:, 0].min() < -0.05 and floor[:, 0].max() > 0.14
 
 
-def test_the_last_joint_of_a_hit_finger_follows_the_one_before():
+def test_last_joint_of_a_hit_finger_follows_the_previous_one():
     finger = SerialRobot.from_model("hit_finger", joint_angles=[0.1, 0.5, 0.4])
     assert finger.home.tolist() == [0.1, 0.5, 0.4, 0.4]
 
 
-# The bases of the fingers of a right hand: eaa3/dlr_hit_hand_ii; this project's for the other.
+# Bases of the fingers of a right hand: eaa3/dlr_hit_hand_ii, or our own for the other hand.
 HIT = {
     "thumb": ([0.062569, 0.044545, 0.080045], [0.41136, -1.08366, 0.225804]),
     "index": ([-0.002530, 0.036800, 0.108744], [3.05433, -HALF_PI, 0]),
@@ -177,7 +177,7 @@ DLR = {
 
 
 @pytest.mark.parametrize(("model", "bases"), [("hit_finger", HIT), ("dlr_hand2_finger", DLR)])
-def test_fingers_stand_in_their_palm_and_close_to_the_inside(model, bases):
+def test_fingers_are_attached_to_their_palm_and_close_inward(model, bases):
     inside = standing(objects=(palm_of(model, "palm.xml"),))
     for name, (xyz, rpy) in bases.items():
         T = chain(move(*xyz), rot(2, rpy[2]), rot(1, rpy[1]), rot(0, rpy[0]))
@@ -186,7 +186,7 @@ def test_fingers_stand_in_their_palm_and_close_to_the_inside(model, bases):
         finger = SerialRobot.from_model(model)
         bent = T @ finger.fwd_kin_base_to_flange([0, *[1.0] * (finger.n - 1)])
         stretched = T @ finger.fwd_kin_base_to_flange(np.zeros(finger.n))
-        if name == "thumb":  # it comes to meet the others
+        if name == "thumb":  # the thumb opposes the other fingers
             assert bent[1, 3] < stretched[1, 3]
         else:
             assert bent[0, 3] > stretched[0, 3] + 0.02
@@ -197,7 +197,7 @@ def palm_of(model: str, file: str) -> Object:
 
 
 @pytest.mark.parametrize("model", ["hit_finger", "dlr_hand2_finger"])
-def test_the_left_palm_is_the_right_one_in_a_mirror(model):
+def test_left_palm_mirrors_the_right_one(model):
     right, left = (standing(objects=(palm_of(model, f),)) for f in ("palm.xml", "palm_left.xml"))
     right = right * (1, -1, 1)
     order = [np.lexsort(np.round(points, 6).T) for points in (right, left)]
@@ -210,7 +210,7 @@ SCRIPTED = sorted(path.parent.name for path in MODELS.glob("*/make_meshes.py"))
 
 @pytest.mark.skipif(importlib.util.find_spec("trimesh") is None, reason="needs trimesh")
 @pytest.mark.parametrize("name", sampled(SCRIPTED, 2))
-def test_mesh_script_reproduces_the_committed_files_byte_for_byte(name, tmp_path):
+def test_mesh_script_reproduces_the_committed_files(name, tmp_path):
     shutil.copytree(MODELS, tmp_path / "models", ignore=shutil.ignore_patterns("*.stl"))
     folder = tmp_path / "models" / name
     done = subprocess.run(

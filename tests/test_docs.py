@@ -1,4 +1,4 @@
-"""Runs the README and every page of docs/: files, commands and Python, in their order."""
+"""Runs the README and every page of docs/: files, commands and Python code, in order."""
 
 from __future__ import annotations
 
@@ -23,16 +23,17 @@ from window_tools import MISSING, screen
 BLOCK = re.compile(r"(?:<!-- test: (.+?) -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
 PICTURE = re.compile(r"((?:-o|--render) \S+\.(?:mp4|png))")
 SAMPLES = re.compile(r"--samples 8\b")
-WITH_FPS = re.compile(r"(sero-mj (?:render|simulate) .*\.mp4)")  # `compare` has the recording's
+# The recording's extra of `compare`.
+WITH_FPS = re.compile(r"(sero-mj (?:render|simulate) .*\.mp4)")
 DURATION = re.compile(r"--duration [23]\b")
 SENDER = re.compile(r"(sero-mj send \w+)$", re.MULTILINE)
 LOOP = re.compile(r"\bbegin \+ 3\b")  # s, of a loop in Python
 FILM_IN_PYTHON = re.compile(r"(render_video\(.+)\)$", re.MULTILINE)
-# What a block writes: an option's or a command's file, or the text of a call in Python.
+# Files that a block writes: the output file of a command, or the text of a Python call.
 OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xml|html|glb))")
-# A command with nothing that a shell would do for it.
+# A command without shell syntax.
 ALONE = re.compile(r"(?:\.venv/bin/)?sero-mj [^|&;<>$*`#]*(#.*)?|#.*|\s*")
-# A minute of windows, films and processes.
+# A minute of windows, videos and processes.
 LONGEST = ("compare", "control_laws", "controllers", "first_arm", "groups", "headless", "interact",
            "learning", "mirror", "player", "program_view", "recordings", "robots", "simulate",
            "tutorial", "view")  # fmt: skip
@@ -41,28 +42,28 @@ PAGES = sorted(
     key=lambda page: (page.stem in LONGEST, page),
 )
 EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
-# Of films and pictures: software takes most of the time of this test to draw them.
+# Videos and images take most of the time of this test, because they are rendered in software.
 SMALL, FPS = (480, 320), 10
 
 
 def shortened(text: str) -> str:
-    """A block of small drafts, films with few frames, short recordings, slow senders."""
+    """Shortens a block: small drafts, videos with few frames, short recordings, slow senders."""
     text = PICTURE.sub(r"\1 --quality draft --size {}x{}".format(*SMALL), text)
     text = SAMPLES.sub("--samples 4", text)
     text = DURATION.sub("--duration 1", text)
     text = LOOP.sub("begin + 1", text)
-    text = SENDER.sub(r"\1 --rate 250", text)  # 1000 packets/s take a quarter of a processor
+    text = SENDER.sub(r"\1 --rate 250", text)  # 1000 packets/s take a quarter of a CPU core
     text = WITH_FPS.sub(rf"\1 --fps {FPS}", text)
     return FILM_IN_PYTHON.sub(rf'\1, size={SMALL}, fps={FPS}, quality="draft")', text)
 
 
 def lacks(note: str) -> bool:
-    """Whether a block needs a package that is not installed here: `needs NAME`."""
+    """Returns whether a block needs a package that is not installed: `needs NAME`."""
     return note.startswith("needs ") and find_spec(note.removeprefix("needs ")) is None
 
 
 def open_window(language: str, text: str, folder: Path, environment: dict[str, str]) -> None:
-    """Runs what opens windows on a screen without a monitor, and closes what stays open."""
+    """Runs commands that open windows on a virtual screen, and closes windows that stay open."""
     if MISSING:
         return
     script = folder / "window.py"
@@ -78,7 +79,7 @@ def open_window(language: str, text: str, folder: Path, environment: dict[str, s
         for line in text.splitlines():
             process = subprocess.Popen(line.partition("#")[0].split(), cwd=folder, env=here)
             try:
-                # Of a window that is replaced while it searches, xdotool says that there is none.
+                # xdotool does not find a window that is replaced while it searches.
                 assert until(lambda: subprocess.call(opened, env=here, timeout=20) == 0)
                 assert process.poll() is None, f"{line}: it has ended"
             finally:
@@ -87,7 +88,7 @@ def open_window(language: str, text: str, folder: Path, environment: dict[str, s
 
 
 def open_page(text: str, folder: Path, environment: dict[str, str]) -> None:
-    """Runs what serves a page, asks for it, and ends it."""
+    """Runs a command that serves a page, requests the page, and ends the command."""
     for line in text.splitlines():
         arguments = line.partition("#")[0].split()
         process = subprocess.Popen(
@@ -107,11 +108,11 @@ def open_page(text: str, folder: Path, environment: dict[str, str]) -> None:
 
 
 class Shell:
-    """What a user types, in a folder of its own."""
+    """The shell of a user, in its own folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        # As on a server: its user has set neither.
+        # As on a server, where the user has set neither.
         self.environment = {key: each for key, each in os.environ.items() if key not in UNSET}
         command = folder / ".venv" / "bin" / "sero-mj"
         self.environment["PATH"] = f"{command.parent}:{os.environ['PATH']}"  # as if activated
@@ -139,7 +140,7 @@ class Shell:
                 self._check(line, *run_command(arguments, self.folder, self.environment))
 
     def begin(self, text: str) -> subprocess.Popen[bytes]:
-        """Starts what goes on in the background, and waits until it says that it does."""
+        """Starts a background process and waits until it reports that it is ready."""
         process = subprocess.Popen(
             text.split(), cwd=self.folder, env=self.environment, stdout=subprocess.PIPE
         )
@@ -148,7 +149,7 @@ class Shell:
 
     def _check(self, command: str, status: int, said: str) -> None:
         assert status == 0, f"{command}\n{said}"
-        assert "no good packet" not in said or "--wait 0" in command
+        assert "no valid packet" not in said or "--wait 0" in command
 
 
 @pytest.mark.thorough
@@ -158,7 +159,7 @@ class Shell:
 @pytest.mark.parametrize(
     "page", sampled(PAGES, len(PAGES) - len(LONGEST)), ids=[page.stem for page in PAGES]
 )
-def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path: Path) -> None:
+def test_every_block_of_the_documentation_runs(page: Path, tmp_path: Path) -> None:
     shell = Shell(tmp_path)
     environment = shell.environment
     (tmp_path / "out").mkdir()
@@ -206,7 +207,7 @@ def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.slow
-def test_the_demo_writes_a_film_and_a_picture_and_says_where(tmp_path: Path) -> None:
+def test_demo_writes_a_video_and_an_image_and_reports_where(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "sero_mj", "demo", "--duration", "0.5", "--size", "320x200"],
         cwd=tmp_path,
@@ -222,7 +223,7 @@ def test_the_demo_writes_a_film_and_a_picture_and_says_where(tmp_path: Path) -> 
 
 @pytest.mark.gl
 @pytest.mark.parametrize("script", EXAMPLES, ids=[script.stem for script in EXAMPLES])
-def test_an_example_is_short_and_writes_its_image(script: Path, tmp_path: Path) -> None:
+def test_example_is_short_and_writes_its_image(script: Path, tmp_path: Path) -> None:
     assert len(script.read_text("utf-8").splitlines()) <= 40
     subprocess.run([sys.executable, str(script)], cwd=tmp_path, check=True, timeout=100)
     image = f"{script.stem}.webp"
@@ -231,7 +232,7 @@ def test_an_example_is_short_and_writes_its_image(script: Path, tmp_path: Path) 
     assert f"examples/{script.name}\n" in page and f"(pictures/examples/{image})" in page
 
 
-def test_pages_show_pictures_and_lead_to_pages_that_exist() -> None:
+def test_images_and_links_of_pages_exist() -> None:
     for page in PAGES:
         text = page.read_text("utf-8")
         for picture in re.findall(r"!\[.+?\]\((.+?)\)", text):
@@ -240,7 +241,7 @@ def test_pages_show_pictures_and_lead_to_pages_that_exist() -> None:
             assert "_made/" in link or (page.parent / link).is_file(), f"{page.name}: {link}"
 
 
-def test_the_readme_is_short() -> None:
+def test_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= 200
 
 
@@ -252,7 +253,7 @@ def test_every_command_is_documented() -> None:
         assert f"| `sero-mj {command}" in text
 
 
-def test_make_is_what_the_readme_says() -> None:
+def test_make_targets_of_the_readme_exist() -> None:
     make = shutil.which("make")
     if make is None:
         pytest.skip("no make on this machine")

@@ -1,4 +1,4 @@
-"""Panels as trees of nodes: what is built, and what a user did comes back to who built it."""
+"""Panels as trees of nodes: building them, and returning user input to the widget's caller."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def ui() -> DomWidgets:
     return DomWidgets(lambda text: None)
 
 
-def test_it_has_all_that_panels_are_made_of(ui: DomWidgets) -> None:
+def test_dom_widgets_implement_the_widgets_protocol(ui: DomWidgets) -> None:
     widgets: Widgets = ui  # as mypy checks it
     assert widgets is ui
 
 
-def test_sections_nodes_and_tables_hold_what_is_built_in_them(ui: DomWidgets) -> None:
+def test_sections_nodes_and_tables_contain_the_widgets_built_inside(ui: DomWidgets) -> None:
     def build() -> None:
         if ui.header("One", is_open=True):
             ui.text("in one", "bad")
@@ -66,7 +66,7 @@ def test_sections_nodes_and_tables_hold_what_is_built_in_them(ui: DomWidgets) ->
     assert opened == [False, True]
 
 
-def test_what_a_user_did_is_returned_once_by_its_widget_only(ui: DomWidgets) -> None:
+def test_user_input_is_returned_once_and_by_its_widget_only(ui: DomWidgets) -> None:
     found: list[Any] = []
 
     def build() -> None:
@@ -93,7 +93,7 @@ def test_what_a_user_did_is_returned_once_by_its_widget_only(ui: DomWidgets) -> 
     nothing = (False, False, (False, False), (False, 0), (False, 1.0), (False, 0.5), "", False)
     assert found == [nothing]
     ids = [node["id"] for node in nodes]
-    assert len(set(ids)) == len(ids)  # also of two with the same label
+    assert len(set(ids)) == len(ids)  # even of two with the same label
     assert [node.get("text") for node in nodes[4:6]] == ["1.0 deg", "x 0.50"]
     assert nodes[3]["aria"] == "kind"
     for id_, value in zip(ids[1:], [True, True, 1, 9.0, -3, "A", True], strict=True):
@@ -104,7 +104,7 @@ def test_what_a_user_did_is_returned_once_by_its_widget_only(ui: DomWidgets) -> 
     assert found[2] == nothing
 
 
-def test_what_takes_no_input_takes_none(ui: DomWidgets) -> None:
+def test_disabled_widgets_take_no_input(ui: DomWidgets) -> None:
     def build() -> bool:
         ui.disable(is_off=True)
         ui.disable(is_off=False)
@@ -120,7 +120,7 @@ def test_what_takes_no_input_takes_none(ui: DomWidgets) -> None:
     assert (node["off"], pressed) == (True, [False])
 
 
-def test_what_was_done_to_a_widget_that_is_gone_is_not_kept_for_its_return(ui: DomWidgets) -> None:
+def test_input_of_a_removed_widget_is_not_returned_when_it_reappears(ui: DomWidgets) -> None:
     ui.tree_of(lambda: ui.button("go"), SIZE)
     ui.act("go", True)
     ui.tree_of(lambda: ui.text("nothing else"), SIZE)
@@ -129,7 +129,7 @@ def test_what_was_done_to_a_widget_that_is_gone_is_not_kept_for_its_return(ui: D
     assert pressed == [False]
 
 
-def test_ids_that_no_widget_has_are_not_stored(ui: DomWidgets) -> None:
+def test_unknown_widget_ids_are_not_stored(ui: DomWidgets) -> None:
     def build() -> None:
         if ui.header("Section", is_open=True) and ui.tree("node"):
             ui.end_tree()
@@ -148,7 +148,7 @@ def test_ids_that_no_widget_has_are_not_stored(ui: DomWidgets) -> None:
     assert ui.folds == {"Section": False}
 
 
-def test_places_and_tips_belong_to_the_widgets_they_are_given_for(ui: DomWidgets) -> None:
+def test_positions_and_tooltips_apply_to_the_right_widgets(ui: DomWidgets) -> None:
     def build() -> None:
         ui.width(0.0)
         ui.button("a", 3.0)
@@ -166,7 +166,7 @@ def test_places_and_tips_belong_to_the_widgets_they_are_given_for(ui: DomWidgets
     assert ui.room()[0] == SIZE[0]
 
 
-def test_what_was_built_takes_room_from_what_follows(ui: DomWidgets) -> None:
+def test_widgets_reduce_the_space_for_following_ones(ui: DomWidgets) -> None:
     line = PlotLine("msr", (1.0, 0.5, 0.0), np.zeros(2), np.zeros(2))
     plot, left = Plot("s", "torque [Nm]", [line], (-8.0, 0.0), (-1.0, 1.0), ()), list[float]()
 
@@ -208,7 +208,7 @@ JSON = st.recursive(
 
 
 @given(value=JSON)
-def test_whatever_a_browser_says_a_widget_returns_values_of_its_kind(value: Any) -> None:
+def test_widgets_return_valid_values_for_any_browser_input(value: Any) -> None:
     ui = DomWidgets(lambda text: None)
     found: list[Any] = []
 

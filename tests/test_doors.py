@@ -1,4 +1,4 @@
-"""Importers, controllers, tools and commands of other packages, found by entry points."""
+"""Importers, controllers, tools and commands of third-party packages, found by entry points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ SDF = PLUGINS / "two_links.sdf"
 
 
 def run(folder: Path, program: str, *arguments: str, code: int = 0) -> str:
-    """What a program says that has the packages of a folder; `sero-mj` where it is empty."""
+    """Returns the output of Python code, or of `sero-mj` if there is none, with a folder's
+    packages.
+    """
     environment = {key: value for key, value in os.environ.items() if key not in UNSET}
     status, said = (
         run_program(program, folder, environment)
@@ -33,7 +35,7 @@ def sdf(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_file_of_another_format_is_a_robot(sdf: Path) -> None:
+def test_importer_plugin_loads_a_robot_file(sdf: Path) -> None:
     printed = run(sdf, """
 import numpy as np, sero_mj
 robot = sero_mj.load_scene("two_links.sdf").robots["two_links"]
@@ -45,13 +47,13 @@ print(at[:, :3, 3].round(6).tolist(), at[2, :3, 2].round(6).tolist())
     assert names == (
         "['shoulder', 'elbow'] ['foot', 'upper_arm', 'fore_arm'] [[-2.0, 2.0], [-3.142, 3.142]]"
     )
-    # The elbow is 0.5 m from the shoulder, which turns it by 0.5 rad.
+    # The elbow is 0.5 m from the shoulder, which is rotated by 0.5 rad.
     assert positions == (
         "[[0.0, 0.0, 0.0], [0.0, 0.0, 0.4], [0.438791, 0.239713, 0.4]] [-0.479426, 0.877583, 0.0]"
     )
 
 
-def test_it_is_opened_by_its_ending_and_stands_in_scenes(sdf: Path) -> None:
+def test_imported_file_is_opened_by_its_suffix_and_used_in_scenes(sdf: Path) -> None:
     (sdf / "scene.toml").write_text(
         '[robots.arm]\nmodel = "two_links.sdf"\njoint_angles = [1, 0]\n'
     )
@@ -70,14 +72,14 @@ def test_it_is_opened_by_its_ending_and_stands_in_scenes(sdf: Path) -> None:
         ("<sdf><model><joint type='revolute'><child>a</child></joint></model></sdf>", "KeyError"),
     ],
 )
-def test_what_an_importer_cannot_read_names_the_file(sdf: Path, text: str, what: str) -> None:
+def test_unreadable_file_of_an_importer_plugin_is_named(sdf: Path, text: str, what: str) -> None:
     (sdf / "broken.sdf").write_text(text)
     said = run(sdf, "", "check", "broken.sdf", code=2)
     assert "broken.sdf: " in said and "Traceback" not in said
     assert what in said or "cannot be read by Sdf" in said
 
 
-def test_an_importers_own_faults_name_its_line(tmp_path: Path) -> None:
+def test_error_inside_an_importer_plugin_names_its_line(tmp_path: Path) -> None:
     code = (
         "from sero_mj.robots.importers.importer import Importer\n"
         "class Sdf(Importer):\n"
@@ -94,7 +96,7 @@ def test_an_importers_own_faults_name_its_line(tmp_path: Path) -> None:
     )
 
 
-def test_a_format_that_import_does_not_write_is_led_to_a_scene(sdf: Path) -> None:
+def test_import_of_an_unconvertible_format_suggests_a_scene(sdf: Path) -> None:
     said = run(sdf, "", "import", SDF.name, code=2)
     assert f"{SDF.name}: found .sdf; expected .urdf, .xacro, .xml. " in said
     assert said.endswith(f'model = "{SDF.name}" in [robots.NAME]\n')
@@ -102,7 +104,7 @@ def test_a_format_that_import_does_not_write_is_led_to_a_scene(sdf: Path) -> Non
     assert f'model = "{SDF.name}" in a scene' in said and "sero-mj import" not in said
 
 
-def test_without_the_package_it_is_named_as_what_it_is(tmp_path: Path) -> None:
+def test_file_format_is_named_without_its_importer_package(tmp_path: Path) -> None:
     (tmp_path / SDF.name).write_bytes(SDF.read_bytes())
     said = run(tmp_path, "", "check", SDF.name, code=2)
     assert said.startswith(f"sero-mj: {SDF.name}: is an SDF file; expected a TOML file")
@@ -130,7 +132,7 @@ time = 0.1
 """
 
 
-def test_a_controller_runs_in_scenarios_and_is_declared_like_ours(pd: Path) -> None:
+def test_controller_plugin_runs_in_scenarios_and_is_declared_like_ours(pd: Path) -> None:
     (pd / "s.toml").write_text(SCENARIO.format(bandwidth=20))
     printed = run(pd, """
 import numpy as np
@@ -143,14 +145,14 @@ moved = log.of("lwr", "joint_angles")[:, 0]
 times = log.times - 0.1
 print(np.abs(moved - np.where(times > 0, 0.1 * (1 - (1 + 20*times) * np.exp(-20*times)), 0)).max())
 """)  # fmt: skip
-    assert float(printed) < 2e-3  # the oscillator in closed form; motors are held for a step
+    assert float(printed) < 2e-3  # the closed-form oscillator; torques are held for one step
     (pd / "s.toml").write_text(SCENARIO.format(bandwidth=-1))
     said = run(pd, "", "check", "s.toml", code=2)
     assert "controllers.lwr.bandwidth: found -1; expected greater than 0" in said
     assert 'kind = "pd"' in run(pd, "", "list", "--fields", "scenarios")
 
 
-def test_a_controller_without_its_kind_is_told(pd: Path) -> None:
+def test_controller_plugin_without_kind_is_reported(pd: Path) -> None:
     file = pd / "pd_controller.py"
     file.write_text(file.read_text().replace('    kind: Literal["pd"] = "pd"\n', ""))
     (pd / "s.toml").write_text(SCENARIO.format(bandwidth=20))
@@ -158,7 +160,7 @@ def test_a_controller_without_its_kind_is_told(pd: Path) -> None:
     assert 'TypeError: PD has no field kind: Literal["pd"] = "pd"' in said
 
 
-def test_a_target_motion_is_followed_and_declared_like_ours(tmp_path: Path) -> None:
+def test_target_motion_plugin_is_followed_and_declared_like_ours(tmp_path: Path) -> None:
     install(tmp_path, "nodding", "sero_mj.target_motions", "nod", "Nod")
     (tmp_path / "nod.toml").write_text("""
 [robots.lwr]
@@ -189,7 +191,7 @@ print(np.abs(log.of("lwr", "joint_angles") - log.of("lwr", "target_angles")).max
 
 
 @pytest.mark.thorough
-def test_a_controller_is_chosen_and_tuned_while_a_robot_is_played_with(pd: Path) -> None:
+def test_controller_plugin_is_selected_and_tuned_in_a_live_simulation(pd: Path) -> None:
     printed = run(pd, """
 import sero_mj
 from scripted_widgets import ScriptedWidgets
@@ -221,7 +223,7 @@ with Mirror(endless_scene(sero_mj.load_scene("lwr"), "pd")) as mirror:
     assert "found 1000; expected less than or equal to 100" in refused
 
 
-def test_a_tool_takes_keys_and_clicks_draws_and_has_a_panel(tmp_path: Path) -> None:
+def test_tool_plugin_handles_keys_and_clicks_draws_and_has_a_panel(tmp_path: Path) -> None:
     install(tmp_path, "distance_tool", TOOLS, "distance", "Distance")
     printed = run(tmp_path, """
 import numpy as np
@@ -271,7 +273,7 @@ with Mirror(Scene(robots=[SerialRobot.from_model("lwr")])) as mirror:
 
 
 @pytest.mark.parametrize("part", ["state", "drag", "draw", "actions"])
-def test_whatever_part_of_a_tool_fails_the_rest_goes_on(tmp_path: Path, part: str) -> None:
+def test_failing_part_of_a_tool_does_not_stop_the_others(tmp_path: Path, part: str) -> None:
     body = "{'fail': lambda: 1 / 0}" if part == "actions" else "1 / 0"
     code = (
         "from sero_mj.viewer.session.tool import Grab, Tool\n"
@@ -311,10 +313,13 @@ with Mirror(load_scene("lwr")) as mirror:
         tools.call(tool, lambda _: act())
     print("partly" in tools, "jogging" in tools, shown.said)
 """)  # fmt: skip
-    assert "False True [('partly fails and is taken out: division by zero', True)]" in printed
+    assert (
+        "False True [('the tool partly has failed and is removed: division by zero', True)]"
+        in printed
+    )
 
 
-def test_a_controller_takes_over_what_another_has_built_up(tmp_path: Path) -> None:
+def test_controller_takes_over_the_state_of_its_predecessor(tmp_path: Path) -> None:
     code = (
         "from typing import Literal\n"
         "import numpy as np\n"
@@ -356,7 +361,7 @@ with Mirror(endless_scene(sero_mj.load_scene("lwr"), "pi")) as mirror:
     assert "'none' of pi 0.1" in printed and "subclass of ControllerDeclaration" in printed
 
 
-def test_a_tool_that_fails_is_told_and_taken_out(tmp_path: Path) -> None:
+def test_failing_tool_is_reported_and_removed(tmp_path: Path) -> None:
     code = (
         "from sero_mj.viewer.session.tool import Tool\n"
         "class Broken(Tool):\n"
@@ -372,15 +377,15 @@ with Mirror(load_scene("lwr")) as mirror:
     shown = Shown(mirror)
     tools = Tools(shown)
     print("broken" in tools, "missing" in tools, "jogging" in tools)
-    tools.ask(lambda tool: tool.advance(0.1))
+    tools.call_all(lambda tool: tool.advance(0.1))
     print("broken" in tools, shown.said)
 """)  # fmt: skip
-    lines = printed.splitlines()  # with those of the log
+    lines = printed.splitlines()  # including those of the log
     assert "True False True" in lines
-    assert lines[-1] == "False [('broken fails and is taken out: a fault', True)]"
+    assert lines[-1] == "False [('the tool broken has failed and is removed: a fault', True)]"
 
 
-def test_an_action_of_a_taken_name_is_told_and_left_out(tmp_path: Path) -> None:
+def test_action_with_a_duplicate_name_is_reported_and_skipped(tmp_path: Path) -> None:
     code = (
         "from sero_mj.viewer.session.tool import Key, Tool\n"
         "class Gap(Tool):\n"
@@ -391,7 +396,7 @@ def test_an_action_of_a_taken_name_is_told_and_left_out(tmp_path: Path) -> None:
     write_package(tmp_path, "gap", code, TOOLS, gap="Gap")
     printed = run(tmp_path, """
 from sero_mj import Mirror, load_scene
-from sero_mj.viewer.host.actions import Actions
+from sero_mj.viewer.session.tool import Actions
 from sero_mj.viewer.session.tool import Tools
 from shown import Shown
 with Mirror(load_scene("lwr")) as mirror:
@@ -401,11 +406,11 @@ with Mirror(load_scene("lwr")) as mirror:
     actions.perform("copy"), actions.perform("gap_copy")
     print(said)
 """)  # fmt: skip
-    assert "the action copy of the tool gap is left out: another one has this name" in printed
+    assert "the action copy of the tool gap is ignored: the name is taken" in printed
     assert printed.splitlines()[-1] == "[(\"the host's\", False), ('the gap', False)]"
 
 
-def test_a_command_that_cannot_be_added_is_told_and_left_out(tmp_path: Path) -> None:
+def test_command_that_cannot_be_added_is_reported_and_skipped(tmp_path: Path) -> None:
     code = "ORDER = 5\ndef add_to(commands):\n    raise ZeroDivisionError('a fault')\n"
     (tmp_path / "odd.py").write_text(code)
     register(tmp_path, "odd", COMMANDS, ["odd = odd"])
@@ -416,7 +421,7 @@ def test_a_command_that_cannot_be_added_is_told_and_left_out(tmp_path: Path) -> 
     assert "no command 'rendr'; did you mean 'render'?" in said and "Traceback" not in said
 
 
-def test_a_command_is_run_and_in_the_help(tmp_path: Path) -> None:
+def test_command_plugin_runs_and_is_in_the_help(tmp_path: Path) -> None:
     install(tmp_path, "payload_command", COMMANDS, "carry", "Carry")
     assert run(tmp_path, "", "carry", "lwr").startswith("lwr: at most ")
     assert "carry      print the payload of a stretched arm" in run(tmp_path, "", "--help")

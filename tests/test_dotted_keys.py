@@ -1,4 +1,4 @@
-"""Values set over those of files, by dotted keys with indices."""
+"""Overriding values of files by dotted keys with indices."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ names = st.from_regex(r"[a-z_][a-z0-9_-]{0,5}", fullmatch=True)
 
 
 @given(names, st.lists(names | st.integers(0, 99), max_size=5))
-def test_parts_are_those_that_a_key_was_written_of(first: str, rest: list[str | int]) -> None:
+def test_key_is_split_into_the_parts_it_was_built_from(first: str, rest: list[str | int]) -> None:
     key = first + "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in rest)
     assert parts_of(key) == [first, *rest]
 
@@ -30,12 +30,12 @@ def test_parts_are_those_that_a_key_was_written_of(first: str, rest: list[str | 
 @pytest.mark.parametrize(
     "key", ["", ".", "a.", "a..b", "[0]", "a[", "a[0", "a[-1]", "a[x]", "a[0]b"]
 )
-def test_what_is_no_key_is_refused(key: str) -> None:
+def test_invalid_key_is_rejected(key: str) -> None:
     with pytest.raises(ValueError, match="expected names with dots, and indices such as"):
         parts_of(key)
 
 
-def test_nothing_that_was_handed_in_is_changed() -> None:
+def test_with_value_does_not_change_its_arguments() -> None:
     table = {"a": {"b": [1, [2, 3]]}, "c": 4}
     assert with_value(table, ["a", "b", 1, 0], 9) == {"a": {"b": [1, [9, 3]]}, "c": 4}
     assert with_value(table, ["a", "d", "e"], 9)["a"] == {"b": [1, [2, 3]], "d": {"e": 9}}
@@ -44,7 +44,7 @@ def test_nothing_that_was_handed_in_is_changed() -> None:
     assert table == {"a": {"b": [1, [2, 3]]}, "c": 4}
 
 
-def test_single_elements_and_nested_tables_of_a_robots_own_file_are_set() -> None:
+def test_elements_and_nested_tables_of_a_robot_file_are_overridden() -> None:
     plain = load_scene("lwr_udp").robots["lwr"]
     robot = load_scene(
         "lwr_udp",
@@ -65,7 +65,7 @@ def test_single_elements_and_nested_tables_of_a_robots_own_file_are_set() -> Non
     assert robot.torque_limits is not None and robot.torque_limits.tolist() == [50.0] * 7
 
 
-def test_single_elements_of_a_scenarios_lists_are_set() -> None:
+def test_elements_of_lists_in_a_scenario_are_overridden() -> None:
     scenario = read_scenario(
         "impedance_push",
         {
@@ -113,7 +113,7 @@ def test_single_elements_of_a_scenarios_lists_are_set() -> None:
             "disturbances.load.mass",
             "there is no [disturbances.load], and for a new one kind: is",
         ),
-        ("expect.new.above", "there is no [expect.new], and for a new one found none of them; exp"),
+        ("expect.new.above", "there is no [expect.new], and for a new one found none; expected"),
         ("robots.lrw.show_axes", "there is no [robots.lrw]; did you mean 'lwr'?"),
         ("lwr.dynamics.joint.friction", "unknown key; available: centers_of_mass,"),
         ("view.look_art", "unknown key; did you mean 'look_at'?"),
@@ -124,7 +124,7 @@ def test_single_elements_of_a_scenarios_lists_are_set() -> None:
         ("run.duratio", "unknown key; did you mean 'duration'?"),
     ],
 )
-def test_a_wrong_key_gets_one_message(key: str, message: str, capsys: Any) -> None:
+def test_invalid_key_gets_one_message(key: str, message: str, capsys: Any) -> None:
     with pytest.raises(SystemExit):
         main(["simulate", "impedance_push", "--set", f"{key}=3"])
     (line,) = capsys.readouterr().err.splitlines()
@@ -162,7 +162,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("one", "other"), [*itertools.permutations(WRONG, 2)])
-def test_two_wrong_keys_are_told_both(one: str, other: str) -> None:
+def test_two_invalid_keys_are_both_reported(one: str, other: str) -> None:
     with pytest.raises(DeclarationError) as raised:
         read_scenario("drive_home", {key: WRONG[key] for key in (one, other)})
     told = [problem.key for problem in raised.value.problems]
@@ -170,13 +170,13 @@ def test_two_wrong_keys_are_told_both(one: str, other: str) -> None:
     assert all(any(each.endswith(key) for each in told) for key in (one, other)), told
 
 
-def test_what_is_set_as_no_key_with_a_value_is_told_at_once(capsys: Any) -> None:
+def test_all_set_options_without_a_value_are_reported_together(capsys: Any) -> None:
     with pytest.raises(SystemExit):
         main(["simulate", "drive_home", "--set", "nonsense", "--set", "lwr.show_axes"])
     assert "--set nonsense, --set lwr.show_axes: expected ROBOT" in capsys.readouterr().err
 
 
-def test_what_stands_in_a_robots_file_is_set_as_it_stands_there(tmp_path: Path) -> None:
+def test_values_of_a_robot_file_are_overridden_in_its_own_units(tmp_path: Path) -> None:
     (tmp_path / "arm").mkdir()
     (tmp_path / "arm" / "robot.toml").write_text(ARM)
     scene = tmp_path / "scene.toml"
@@ -199,12 +199,12 @@ def test_what_stands_in_a_robots_file_is_set_as_it_stands_there(tmp_path: Path) 
     assert arm("dynamics.mass_scale", 1.5).dynamics.masses[1] == 2.0
 
 
-def test_a_sweep_may_have_a_force_of_zero() -> None:
+def test_force_can_be_overridden_with_zero() -> None:
     scenario = read_scenario("impedance_push", {"disturbances.push.force": [0.0, 0.0, 0.0]})
     assert not scenario.disturbances["push"].force.any()
 
 
-def test_keys_reach_tables_that_the_file_does_not_have() -> None:
+def test_overrides_can_create_missing_tables() -> None:
     scenario = read_scenario(
         "impedance_push",
         {
@@ -241,7 +241,7 @@ def test_keys_reach_tables_that_the_file_does_not_have() -> None:
     assert scene.robots["lwr"].dynamics.coulomb_friction.tolist() == [0.5] * 7
 
 
-def test_keys_of_scenes_and_of_groups_are_reached() -> None:
+def test_keys_of_scenes_and_groups_are_overridden() -> None:
     scene = load_scene(
         "lwr_udp", {"sources.udp.port": 32123, "routes.lwr.commanded_torques": "udp.values1"}
     )
@@ -251,7 +251,7 @@ def test_keys_of_scenes_and_of_groups_are_reached() -> None:
     pushed = read_scenario(
         "justin_push",
         {
-            "controllers.justin_left_arm.stiffness": 100,  # over what is said of justin
+            "controllers.justin_left_arm.stiffness": 100,  # overrides the value of the group justin
             "justin.torque_limits": 50,
             "justin.base_frame.xyz[0]": 0.5,
             "groups.justin.show_arrows": False,
@@ -269,7 +269,7 @@ def test_keys_of_scenes_and_of_groups_are_reached() -> None:
         assert plain.scene.robots[name].show_arrows and not robot.show_arrows
 
 
-def test_lists_of_other_sizes_than_robots_of_a_group_have_are_told_once() -> None:
+def test_list_of_the_wrong_size_for_robots_of_a_group_is_reported_once() -> None:
     with pytest.raises(DeclarationError) as caught:
         load_scene("justin", {"justin.torque_limits": [1, 2, 3]})
     (problem,) = caught.value.problems
@@ -283,7 +283,7 @@ def test_lists_of_other_sizes_than_robots_of_a_group_have_are_told_once() -> Non
         ({"a.b": 1, "c.d": 2, "lwr.model": "lwr"}, {"a.b", "c.d", "lwr.model"}),
     ],
 )
-def test_every_wrong_setting_of_a_robot_alone_is_told(
+def test_all_invalid_overrides_of_a_robot_are_reported(
     settings: dict[str, object], keys: set[str]
 ) -> None:
     with pytest.raises(DeclarationError) as caught:

@@ -1,4 +1,4 @@
-"""What doubles have of their own: arrows, billboards, axes; and room for all of it."""
+"""Arrows, billboards and axes of doubles, and the space for all of them."""
 
 import mujoco
 import numpy as np
@@ -65,8 +65,8 @@ def arrows_of(buffer: GeomBuffer, joints) -> list[np.ndarray]:
     return [of_kind(belonging(buffer, Kind.ARROW, joint), GEOM.mjGEOM_BOX) for joint in joints]
 
 
-@pytest.mark.parametrize("target", [TARGET, POSE])  # also where its robot hides its links
-def test_arrows_stand_at_the_joints_of_the_target(target: np.ndarray) -> None:
+@pytest.mark.parametrize("target", [TARGET, POSE])  # also where the robot hides its links
+def test_arrows_are_at_the_joints_of_the_target_pose(target: np.ndarray) -> None:
     world = world_with(goal(joint_angles=target, torques=TORQUES, show_arrows=True))
     robot = world.scene.robots["lwr"]
     frames = robot.dh.frames(target, BASE)
@@ -85,7 +85,7 @@ def test_arrows_stand_at_the_joints_of_the_target(target: np.ndarray) -> None:
         assert 2 * boxes["size"][0, 2] == pytest.approx(width, rel=1e-5)
 
 
-def test_arrows_of_a_double_turn_as_fast_as_those_of_robots_wherever_it_stands() -> None:
+def test_arrows_of_a_double_rotate_as_fast_as_those_of_a_robot() -> None:
     world = world_with(goal(torques=TORQUES, show_arrows=True))
     robot = world.scene.robots["lwr"]
     data = world.make_data()
@@ -94,7 +94,7 @@ def test_arrows_of_a_double_turn_as_fast_as_those_of_robots_wherever_it_stands()
     for k in range(6):
         q[3] += 0.4  # only this joint moves
         world.set_input(data, "goal.joint_angles", q)
-        # The joint's frame if it did not turn; all before it stand still.
+        # The joint's frame if it did not rotate; all joints before it are fixed.
         axis_frame = robot.dh.frames(np.where(np.arange(7) == 3, 0.0, q), BASE)[4]
         first = belonging(draw(world, data, time=0.25 * k), Kind.ARROW, 7 + 3)["pos"][0]
         x, y, _ = axis_frame[:3, :3].T @ (first - axis_frame[:3, 3])
@@ -103,7 +103,7 @@ def test_arrows_of_a_double_turn_as_fast_as_those_of_robots_wherever_it_stands()
     assert speed == pytest.approx(np.full(5, np.sign(TORQUES[3]) * TURNING), abs=1e-3)
 
 
-def test_a_standard_table_has_its_arrows_about_the_axes_before_the_links() -> None:
+def test_arrows_of_a_standard_table_surround_the_axes_before_the_links() -> None:
     robot = SerialRobot(
         name="arm",
         dh_convention="standard",
@@ -117,14 +117,14 @@ def test_a_standard_table_has_its_arrows_about_the_axes_before_the_links() -> No
     buffer = draw(World(Scene(robots=[robot], doubles=[double], floor=False)))
     frames = robot.dh.frames(q, BASE)
     for joint, boxes in enumerate(arrows_of(buffer, range(3, 6))):
-        centre = frames[joint] @ [0, 0, robot.dh.d[joint], 1]  # where the housing is
+        centre = frames[joint] @ [0, 0, robot.dh.d[joint], 1]  # the radius of the housing
         out = boxes["pos"] - centre[:3]
         assert len(boxes) > 9
         assert np.abs(out @ frames[joint][:3, 2]).max() < 1e-6
         assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(len(boxes), 0.17), abs=1e-6)
 
 
-def test_a_sliding_joint_of_a_double_has_a_straight_arrow() -> None:
+def test_prismatic_joint_of_a_double_has_a_straight_arrow() -> None:
     robot = SerialRobot(
         name="arm", dh_convention="craig", dh_params=[[0.4, 0.1, 0.2, 0.3]],
         joint_types=["prismatic"], arrow_radius=0.2,
@@ -139,7 +139,7 @@ def test_a_sliding_joint_of_a_double_has_a_straight_arrow() -> None:
     assert row["rgba"] == pytest.approx([*NEGATIVE_RGBA[:3], 0.55])
 
 
-def test_billboards_say_whose_joint_it_is_on_a_tinted_panel() -> None:
+def test_billboards_of_a_double_name_the_joint_and_are_tinted() -> None:
     rgba = [0.9, 0.1, 0.2, 0.3]
     world = world_with(
         goal(torques=TORQUES, show_billboards=True, rgba=rgba),
@@ -161,7 +161,7 @@ def test_billboards_say_whose_joint_it_is_on_a_tinted_panel() -> None:
             colour = np.array([*tinted, PANEL_RGBA[3]])
         assert texts_in(view, rows, panel) == [text]
         assert panel["rgba"] == pytest.approx(colour, rel=1e-5)
-    # Every leader ends at its joint, the robot's where it is, the double's at its target.
+    # Each leader ends at its joint: the robot's at its pose, the double's at its target.
     robot = world.scene.robots["lwr"]
     leaders = of_kind(rows, GEOM.mjGEOM_TRIANGLE)
     assert len(leaders) == 14
@@ -172,13 +172,13 @@ def test_billboards_say_whose_joint_it_is_on_a_tinted_panel() -> None:
         assert view.project(tip)[0] == pytest.approx(view.project(centre)[0], abs=4.0)
 
 
-def test_what_its_billboards_say_may_be_its_own() -> None:
+def test_double_can_declare_its_own_billboard_lines() -> None:
     lines = [{"value": "joint_angles", "unit": "deg", "scale": 180 / np.pi, "decimals": 0}]
     q = np.deg2rad([10, 20, 30, 40, 50, 60, 70])
     own = goal(joint_angles=q, show_billboards=True, billboard_lines=lines)
     world = world_with(own, billboard_lines=["torques"])
     assert said(world)[:7:6] == ["goal A1     10 deg", "goal A6     70 deg"]
-    # Without lines of its own it says what its robot says, as far as it has values.
+    # Without its own lines it shows those of its robot for which it has values.
     double = goal(torques=TORQUES, show_billboards=True)
     world = world_with(double, billboard_lines=["joint_angles", "torques"])
     assert said(world)[:2] == ["goal A1  pos    -0.400 rad", "         msr    30.0 Nm"]
@@ -189,7 +189,7 @@ def test_what_its_billboards_say_may_be_its_own() -> None:
     assert said(world)[:2] == ["goal A1     2.00 Nm", "goal A2     2.00 Nm"]
 
 
-def test_axes_stand_at_its_links_and_flange() -> None:
+def test_axes_are_at_the_links_and_flange_of_a_double() -> None:
     world = world_with(goal(show_axes=True), axes_size=0.15, axes_transparency=0.2)
     robot = world.scene.robots["lwr"]
     frames = robot.dh.frames(TARGET, BASE)
@@ -209,7 +209,7 @@ def test_axes_stand_at_its_links_and_flange() -> None:
 EVERYTHING = {"show_arrows": True, "show_billboards": True, "show_axes": True, "torques": TORQUES}
 
 
-def test_without_a_target_nothing_is_there() -> None:
+def test_double_without_a_target_is_not_drawn() -> None:
     world = world_with(goal(joint_angles=None, **EVERYTHING))
     data = world.make_data()
     assert draw(world, data).count == 0
@@ -220,7 +220,7 @@ def test_without_a_target_nothing_is_there() -> None:
     assert draw(world, data).count == 0
 
 
-def test_where_it_coincides_with_its_robot_its_links_are_hidden_and_its_decor_is_not() -> None:
+def test_coincident_links_of_a_double_are_hidden_and_its_decor_is_not() -> None:
     world = world_with(goal(joint_angles=POSE, **EVERYTHING))
     data = world.make_data()
     buffer = draw(world, data)
@@ -235,10 +235,10 @@ def test_where_it_coincides_with_its_robot_its_links_are_hidden_and_its_decor_is
     assert (buffer.rows[: buffer.count]["pos"][:, 2] > -2).all()
 
 
-def test_links_fade_in_as_they_leave_those_of_the_robot() -> None:
+def test_links_fade_in_as_they_move_away_from_those_of_the_robot() -> None:
     world = world_with(goal(joint_angles=POSE))
     data = world.make_data()
-    model, last = world.model, world.doubles["goal"].bodies[0, -1]  # turned about its own axis
+    model, last = world.model, world.doubles["goal"].bodies[0, -1]  # rotated about its own axis
     for degrees in np.arange(0.25, 4.0, 0.1):
         world.set_input(data, "goal.joint_angles", [*POSE[:6], POSE[6] + np.deg2rad(degrees)])
         buffer = draw(world, data)
@@ -259,7 +259,7 @@ def test_links_fade_in_as_they_leave_those_of_the_robot() -> None:
         )
 
 
-def test_a_double_that_is_switched_off_is_gone_with_all_it_has() -> None:
+def test_double_that_is_switched_off_disappears_with_its_decor() -> None:
     path = Double(name="drive", of="lwr", path=[POSE, TARGET, TARGET + 0.3], path_length=3)
     world = world_with(goal(**EVERYTHING), path)
     toggles = toggles_of(world)
@@ -291,7 +291,7 @@ def test_a_double_that_is_switched_off_is_gone_with_all_it_has() -> None:
     assert buffer.hidden.tolist() == (model.geom_group == DOUBLE_GROUP).tolist()
 
 
-def test_a_packet_switches_a_double_and_a_scene_declares_it() -> None:
+def test_packet_and_scene_switch_a_double() -> None:
     world = world_with(goal(visible=False, **EVERYTHING))
     data, toggles = world.make_data(), toggles_of(world)
     for on in (False, True):  # first as declared
@@ -301,7 +301,7 @@ def test_a_packet_switches_a_double_and_a_scene_declares_it() -> None:
 
 
 @pytest.mark.parametrize("elbow", [-4.0, 9.0])
-def test_its_singularity_arrows_are_those_of_a_robot_in_its_pose(elbow: float) -> None:
+def test_singularity_arrows_of_a_double_equal_those_of_a_robot_in_its_pose(elbow: float) -> None:
     q = np.deg2rad([20, 40, 10, elbow, 30, 60, 0])
     fields = {"show_arrows": True, "arrow_quantity": "singularity"}
     far = np.deg2rad([0, 40, 0, -90, 0, 60, 0])
@@ -321,11 +321,11 @@ def test_its_singularity_arrows_are_those_of_a_robot_in_its_pose(elbow: float) -
             middle = [rows["pos"].mean(axis=0) for rows in (at_double, at_robot)]
             assert np.linalg.norm(middle[0] - middle[1]) < 0.02
     assert shown >= 2
-    assert not len(belonging(theirs, Kind.ARROW, 3))  # its robot stands far from it
+    assert not len(belonging(theirs, Kind.ARROW, 3))  # the robot is far from the singularity
 
 
 @pytest.mark.parametrize("convention", ["craig", "standard"])
-def test_its_jacobian_is_that_of_the_table_at_its_target(convention: str) -> None:
+def test_jacobian_of_a_double_equals_that_of_its_table_at_the_target(convention: str) -> None:
     rng = np.random.default_rng(3)
     table = rng.uniform(-0.8, 0.8, (4, 4))
     robot = SerialRobot(
@@ -345,13 +345,13 @@ def test_its_jacobian_is_that_of_the_table_at_its_target(convention: str) -> Non
         assert jacobian(world, data, world.owners[name]) == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_double_shows_the_quantity_of_its_robot_or_its_own() -> None:
+def test_double_shows_its_own_arrow_quantity_or_that_of_its_robot() -> None:
     for own, expected in ((None, 1), ("torques", 0)):
         world = world_with(goal(arrow_quantity=own), arrow_quantity="torque_error")
         assert toggles_of(world).arrow_quantity[7:].tolist() == [expected] * 7
 
 
-def test_51_joints_with_everything_and_a_double_each_find_room() -> None:
+def test_everything_on_51_joints_and_their_doubles_fits_the_buffer() -> None:
     rng = np.random.default_rng(1)
     table = SerialRobot.from_model("lwr").dh_params
     robots, doubles = [], []

@@ -1,4 +1,4 @@
-"""Transparent doubles: posed by their targets, out of the robot's way, along paths."""
+"""Transparent doubles: target poses, hiding coincident links, and paths."""
 
 from pathlib import Path
 
@@ -40,32 +40,32 @@ def posed(world: World) -> mujoco.MjData:
     return data
 
 
-def test_a_double_stands_at_its_target_on_its_robots_base() -> None:
+def test_double_is_at_its_target_on_the_base_of_its_robot() -> None:
     world = world_with(Double(name="target", of="lwr", joint_angles=TARGET))
     data = posed(world)
     robot = world.robots["lwr"].robot
     expected = robot.dh.frames(TARGET, robot.base_frame)
     (bodies,) = world.doubles["target"].bodies
-    # The base coincides with the robot's, so it is hidden; the links are elsewhere.
+    # The base coincides with the robot's, so it is hidden. The links are elsewhere.
     np.testing.assert_allclose(data.xpos[bodies[1:]], expected[1:, :3, 3], atol=1e-12)
     turned = data.xmat[bodies[1:]].reshape(-1, 3, 3)
     np.testing.assert_allclose(turned, expected[1:, :3, :3], atol=1e-12)
     assert data.xpos[bodies[0], 2] == -1000
-    # The robot itself stands where it stood.
+    # The robot itself did not move.
     actual = robot.dh.frames(POSE, robot.base_frame)
     np.testing.assert_allclose(data.xpos[world.robots["lwr"].bodies], actual[:, :3, 3], atol=1e-12)
 
 
-def test_links_that_coincide_with_the_robots_are_hidden_and_no_others() -> None:
+def test_only_links_that_coincide_with_the_robot_are_hidden() -> None:
     near = POSE.copy()
-    near[4] += 0.3  # the first four links are where the robot's are
+    near[4] += 0.3  # the first four links coincide with the robot's
     world = world_with(Double(name="target", of="lwr", joint_angles=near))
     heights = posed(world).xpos[world.doubles["target"].bodies[0], 2]
     assert (heights[:5] == -1000).all()
     assert (heights[5:] > -1).all()
 
 
-def test_without_a_target_a_double_is_out_of_sight() -> None:
+def test_double_without_a_target_is_out_of_view() -> None:
     world = world_with(Double(name="target", of="lwr"))
     assert (posed(world).xpos[world.doubles["target"].bodies, 2] == -1000).all()
     data = world.make_data()
@@ -76,7 +76,7 @@ def test_without_a_target_a_double_is_out_of_sight() -> None:
     assert (data.mocap_pos[world.doubles["target"].mocap, 2] == -1000).all()
 
 
-def test_a_double_is_transparent_takes_no_part_and_changes_no_scale() -> None:
+def test_double_is_transparent_without_contacts_and_keeps_the_scale() -> None:
     plain = world_with()
     world = world_with(Double(name="target", of="lwr"))
     model = world.model
@@ -88,12 +88,12 @@ def test_a_double_is_transparent_takes_no_part_and_changes_no_scale() -> None:
     assert not model.geom_contype[of_double].any()
     assert not model.geom_conaffinity[of_double].any()
     assert model.nq == plain.model.nq == 7
-    # A double out of sight must not make MuJoCo think that the scene is a kilometre large.
+    # A double out of view must not make MuJoCo treat the scene as a kilometer large.
     assert model.stat.extent == pytest.approx(plain.model.stat.extent, rel=0.1)
     assert bounding_sphere(world)[1] == pytest.approx(bounding_sphere(plain)[1])
 
 
-def test_a_double_is_a_little_smaller_than_its_robot() -> None:
+def test_double_is_slightly_smaller_than_its_robot() -> None:
     world = world_with(Double(name="target", of="lwr"))
     model = world.model
     volumes = {}
@@ -104,7 +104,7 @@ def test_a_double_is_a_little_smaller_than_its_robot() -> None:
     np.testing.assert_allclose(volumes[DOUBLE_GROUP], 0.985 * volumes[1], rtol=1e-4)
 
 
-def test_a_robot_without_meshes_has_doubles_as_well() -> None:
+def test_robot_without_meshes_can_have_doubles() -> None:
     robot = SerialRobot(
         name="arm",
         dh_convention="standard",
@@ -117,11 +117,11 @@ def test_a_robot_without_meshes_has_doubles_as_well() -> None:
     expected = robot.dh.frames([0.2, 0.5])
     bodies = world.doubles["target"].bodies[0]
     np.testing.assert_allclose(data.xpos[bodies[1:]], expected[1:, :3, 3], atol=1e-12)
-    shapes = sum(map(len, generated(robot)))  # without what is only drawn on them
+    shapes = sum(map(len, generated(robot)))  # without geoms that are only drawn on them
     assert (world.model.geom_group == DOUBLE_GROUP).sum() == shapes
 
 
-def test_a_path_is_a_row_of_doubles_fading_towards_its_start() -> None:
+def test_path_is_a_row_of_doubles_fading_towards_its_start() -> None:
     path = np.array([POSE, TARGET, TARGET + 0.5])
     double = Double(name="drive", of="lwr", path=path, path_length=5)
     poses = double.poses()
@@ -136,7 +136,7 @@ def test_a_path_is_a_row_of_doubles_fading_towards_its_start() -> None:
     robot = part.robot
     expected = robot.dh.frames(poses, robot.base_frame)
     np.testing.assert_allclose(data.xpos[part.bodies[2, 1:]], expected[2, 1:, :3, 3], atol=1e-12)
-    assert (data.xpos[part.bodies[0], 2] == -1000).all()  # it begins where the robot is
+    assert (data.xpos[part.bodies[0], 2] == -1000).all()  # it begins at the robot's pose
     opacity = [
         world.model.geom_rgba[world.model.geom_bodyid == row[3]][0, 3] for row in part.bodies
     ]
@@ -177,7 +177,7 @@ def test_a_path_is_a_row_of_doubles_fading_towards_its_start() -> None:
         ),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_a_double_is_told(tmp_path: Path, text: str, problem: str) -> None:
+def test_invalid_doubles_are_rejected(tmp_path: Path, text: str, problem: str) -> None:
     file = tmp_path / "s.toml"
     file.write_text(f'[robots.lwr]\nmodel = "lwr"\n{text}\n')
     with pytest.raises(DeclarationError) as caught:
@@ -197,7 +197,7 @@ def test_packets_move_robot_and_double(tmp_path: Path) -> None:
         robot = scene.robots["lwr"]
         sent = np.frombuffer(packets.at(1.0)).reshape(2, 7)
         ahead = np.frombuffer(packets.at(1.0 + LEAD)).reshape(2, 7)
-        np.testing.assert_allclose(sent[1], ahead[0])  # the command runs ahead of the robot
+        np.testing.assert_allclose(sent[1], ahead[0])  # the command leads the robot
         for name, bodies in (
             ("lwr", mirror.world.robots["lwr"].bodies),
             ("commanded", mirror.world.doubles["commanded"].bodies[0]),
@@ -208,11 +208,11 @@ def test_packets_move_robot_and_double(tmp_path: Path) -> None:
 
 
 def robot_joint(name: str) -> str:
-    """Name of the joint that moves a link, e.g. of `target/link4`."""
+    """Returns the name of the joint that moves a link, for example of `target/link4`."""
     return ["A1", "A2", "E1", "A3", "A4", "A5", "A6"][int(name[-1]) - 1]
 
 
-def test_a_double_is_picked_by_its_name() -> None:
+def test_picking_a_double_returns_its_name() -> None:
     world = world_with(Double(name="target", of="lwr", joint_angles=TARGET), base_frame={})
     data, view = posed(world), view_at()
     toggles = toggles_of(world)
@@ -228,8 +228,8 @@ def test_a_double_is_picked_by_its_name() -> None:
 
 
 @pytest.mark.parametrize("convention", ["craig", "standard"])
-def test_a_rod_is_long_enough_for_its_stroke(convention: str) -> None:
-    """Pulled out to its limit, the rod of a prismatic joint still reaches back to its housing."""
+def test_rod_is_long_enough_for_its_stroke(convention: str) -> None:
+    """Extended to its limit, the rod of a prismatic joint still reaches back to its housing."""
     robot = SerialRobot(
         name="slide",
         dh_convention=convention,
@@ -242,13 +242,13 @@ def test_a_rod_is_long_enough_for_its_stroke(convention: str) -> None:
     data = world.make_data()
     frames = robot.dh.frames([0.5])
     axis, point = robot.dh.joint_axes(robot.dh.frames([0.0]))
-    start = point[0] - (0.2 * axis[0] if convention == "craig" else 0.0)  # where d begins
+    start = point[0] - (0.2 * axis[0] if convention == "craig" else 0.0)  # the origin of d
     capsules = (world.model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).nonzero()[0]
     ends = []
     for geom in capsules:
         half = data.geom_xmat[geom].reshape(3, 3)[:, 2] * world.model.geom_size[geom, 1]
         ends += [data.geom_xpos[geom] - half, data.geom_xpos[geom] + half]
-    # Or its round end does, where that would be below the base.
+    # Or its rounded end does, if that would be below the base.
     radius = world.model.geom_size[capsules, 0].max()
     assert np.linalg.norm(np.array(ends) - start, axis=1).min() < radius + 1e-6
     assert frames.shape == (2, 4, 4)

@@ -1,4 +1,4 @@
-"""Masses, inertia and friction: the LWR's against published figures, all against Newton-Euler."""
+"""Masses, inertias and friction: the LWR against published values, all against Newton-Euler."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ def bias(world: World, q, velocities=None) -> np.ndarray:
     return data.qfrc_bias.copy()
 
 
-def test_lwr_is_held_against_gravity_by_the_published_torques(lwr):
-    # ROBOTS.md 1.4: KDL's base parameters (identified) need 46.0 and 12.9 Nm, ISIR's figures times
-    # 1.083 need 46.0 and 13.2. Rounding to 0.1 is half of that apart; at joint 4 the sets are
-    # 0.23 Nm rms apart.
+def test_lwr_gravity_torques_equal_the_published_ones(lwr):
+    # ROBOTS.md 1.4: KDL's identified base parameters require 46.0 and 12.9 Nm, and ISIR's values
+    # times 1.083 require 46.0 and 13.2 Nm. Rounding to 0.1 explains half of the difference; at
+    # joint 4 the sets differ by 0.23 Nm rms.
     world = World(Scene(robots=[lwr], floor=False), dynamic=True)
     torques = np.abs(bias(world, np.deg2rad([0, 90, 0, 0, 0, 0, 0])))
     assert torques[1] == pytest.approx(46.0, abs=0.05)
@@ -67,7 +67,7 @@ def test_lwr_is_held_against_gravity_by_the_published_torques(lwr):
     assert torques[[1, 3]] == pytest.approx([42.4, 12.2], abs=0.05)
 
 
-def test_lwr_weighs_what_it_weighs_and_its_figures_are_the_sources(lwr):
+def test_lwr_mass_and_dynamics_equal_their_sources(lwr):
     dynamics = robot_dynamics(lwr)
     assert dynamics.estimated == ()
     assert dynamics.masses[1:].sum() == pytest.approx(13.44, abs=0.01)
@@ -76,13 +76,13 @@ def test_lwr_weighs_what_it_weighs_and_its_figures_are_the_sources(lwr):
     assert dynamics.motor_inertias.tolist() == [3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394]
     gyration = np.sqrt(np.linalg.eigvalsh(dynamics.tensors) / dynamics.masses[:, None])
     assert (gyration > 0.015).all() and (gyration < 0.085).all()  # within a link's housing
-    # The tensors of links 1, 2 and 5 lean as the links do: from -y below to +y above, or back.
+    # The tensors of links 1, 2 and 5 lean like the links: from -y below to +y above, or back.
     at_zero = lwr.dh.frames(np.zeros(7))[:, :3, :3]
     in_base = at_zero @ dynamics.tensors @ np.swapaxes(at_zero, -1, -2)
     assert np.sign(in_base[[1, 2, 3, 4, 5], 1, 2]).tolist() == [-1, -1, 1, 1, -1]
 
 
-def test_gravity_and_velocity_torques_are_newtons_and_eulers(world):
+def test_bias_torques_equal_newton_euler(world):
     (part,) = world.robots.values()
     (dynamics,) = world.dynamics.values()
     rng = np.random.default_rng(5)
@@ -92,7 +92,7 @@ def test_gravity_and_velocity_torques_are_newtons_and_eulers(world):
         np.testing.assert_allclose(bias(world, q, v), expected, rtol=0, atol=1e-9)
 
 
-def test_mass_matrix_is_newtons_and_eulers_and_that_of_the_motors(world):
+def test_mass_matrix_equals_newton_euler_plus_motor_inertias(world):
     (part,) = world.robots.values()
     (dynamics,) = world.dynamics.values()
     n = part.robot.n
@@ -111,7 +111,7 @@ def test_mass_matrix_is_newtons_and_eulers_and_that_of_the_motors(world):
         np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-9)
 
 
-def test_mujoco_has_repaired_nothing(world):
+def test_mujoco_does_not_repair_the_declared_dynamics(world):
     (part,) = world.robots.values()
     (dynamics,) = world.dynamics.values()
     assert not re.search("balanceinertia|boundmass=.[^0]", world._spec.to_xml())
@@ -126,7 +126,7 @@ def test_mujoco_has_repaired_nothing(world):
     np.testing.assert_array_equal(world.model.dof_frictionloss, dynamics.coulomb_friction)
 
 
-def test_the_variant_to_look_at_stays_as_it_was(lwr, lwr_world):
+def test_display_model_has_no_dynamics(lwr, lwr_world):
     model = lwr_world.model
     assert not lwr_world.dynamic and lwr_world.dynamics == {}
     assert not model.dof_armature.any() and not model.dof_frictionloss.any()
@@ -165,7 +165,7 @@ def test_estimates_are_physical_for_any_table(rows, convention):
     check_physical(SerialRobot(dh_convention=convention, dh_params=[list(row) for row in rows]))
 
 
-def test_estimates_of_the_lwr_are_near_its_figures(lwr):
+def test_estimates_for_the_lwr_are_near_its_values(lwr):
     declared = robot_dynamics(lwr)
     estimated = robot_dynamics(SerialRobot.from_model("lwr", dynamics=Dynamics()))
     assert set(estimated.estimated) == {
@@ -177,14 +177,14 @@ def test_estimates_of_the_lwr_are_near_its_figures(lwr):
     assert (ratio > 0.5).all() and (ratio < 1.6).all()
 
 
-def test_grown_links_weigh_what_their_shapes_do():
-    # One cylinder about the joint, and the flange's capsule; as MuJoCo adds them up.
+def test_masses_of_generated_links_are_those_of_their_shapes():
+    # One cylinder about the joint and the flange's capsule, which MuJoCo adds up.
     robot = SerialRobot(
         dh_convention="craig", dh_params=[[0, 0, 0, 0]], flange_frame={"xyz": [0, 0, 1.0]},
         dynamics={"density": 500.0},
     )  # fmt: skip
     dynamics = robot_dynamics(robot)
-    r = 0.02  # as `housing_radii` has it
+    r = 0.02  # as in `housing_radii`
     rod = 0.8 * 0.9 * r
     cylinder = np.pi * r**2 * 2.5 * r
     capsule = np.pi * rod**2 * 1.0 + 4 / 3 * np.pi * rod**3
@@ -193,7 +193,7 @@ def test_grown_links_weigh_what_their_shapes_do():
 
 
 def stl(triangles: np.ndarray) -> bytes:
-    """A binary STL of triangles (m, 3, 3)."""
+    """Returns a binary STL of triangles (m, 3, 3)."""
     rows = np.zeros((len(triangles), 50), np.uint8)
     rows[:, 12:48] = triangles.astype("<f4").reshape(-1, 9).view(np.uint8)
     return bytes(80) + len(triangles).to_bytes(4, "little") + rows.tobytes()
@@ -204,7 +204,7 @@ CORNERS = np.array([[0.1, 0, 0], [0.4, 0, 0], [0.1, 0.3, 0], [0.1, 0, 0.3]])
 FACES = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 
 
-def test_links_with_meshes_weigh_what_their_hull_does(tmp_path):
+def test_masses_of_links_with_meshes_are_those_of_their_hulls(tmp_path):
     (tmp_path / "link.stl").write_bytes(stl(CORNERS[FACES]))
     robot = SerialRobot(
         dh_convention="craig", dh_params=[[0, 0, 0, 0.2]] * 2, directory=str(tmp_path),
@@ -213,17 +213,17 @@ def test_links_with_meshes_weigh_what_their_hull_does(tmp_path):
     )  # fmt: skip
     dynamics = robot_dynamics(robot)
     volume = 0.15**3 / 6
-    # Two meshes in one place weigh as one.
+    # Two meshes in the same place count once.
     np.testing.assert_allclose(dynamics.masses[:2], 1000 * volume, rtol=1e-6)
     np.testing.assert_allclose(dynamics.centers[:2], [CORNERS.mean(axis=0) / 2] * 2, atol=1e-8)
-    # A corner of a cube: Ixx = 3 m a2 / 40, Ixy = m a2 / 80, about the centre of mass.
+    # A corner of a cube: Ixx = 3 m a2 / 40, Ixy = m a2 / 80, about the center of mass.
     expected = np.full((3, 3), 1 / 80) + np.diag([3 / 40 - 1 / 80] * 3)
     np.testing.assert_allclose(dynamics.tensors[1], 1000 * volume * 0.15**2 * expected, rtol=1e-5)
-    assert dynamics.masses[2] > 0  # nothing is seen of it; its housing grows from the table
+    assert dynamics.masses[2] > 0  # invisible; its housing is generated from the table
     World(Scene(robots=[robot]), dynamic=True)
 
 
-def test_a_mesh_that_mujoco_refuses_is_named(tmp_path):
+def test_mesh_that_mujoco_rejects_is_named(tmp_path):
     flat = CORNERS * [1, 1, 0]
     (tmp_path / "flat.stl").write_bytes(stl(flat[FACES]))
     fields = {"directory": str(tmp_path), "filenames": ["", "flat.stl"]}
@@ -241,7 +241,7 @@ def test_a_mesh_that_mujoco_refuses_is_named(tmp_path):
         World(Scene(objects=[plate]))
 
 
-def test_a_flat_mesh_of_a_link_weighs_what_a_sheet_of_a_millimetre_does(tmp_path):
+def test_flat_mesh_has_the_mass_of_a_sheet_of_one_millimeter(tmp_path):
     sheet = CORNERS[[0, 1, 2, 3]]
     sheet[3] = [0.4, 0.3, 0]
     (tmp_path / "flat.stl").write_bytes(stl(sheet[FACES]))
@@ -254,7 +254,7 @@ def test_a_flat_mesh_of_a_link_weighs_what_a_sheet_of_a_millimetre_does(tmp_path
     World(Scene(robots=[robot]), dynamic=True)
 
 
-def test_frames_of_figures_are_those_that_are_declared(lwr):
+def test_tensors_are_read_in_the_declared_frames(lwr):
     dynamics = robot_dynamics(lwr)
     again = SerialRobot.from_model(
         "lwr",
@@ -382,11 +382,11 @@ def refused(**dynamics) -> list[Problem]:
         ),
     ],
 )
-def test_wrong_figures_are_told_with_link_and_number(dynamics, problem):
+def test_invalid_dynamics_are_reported_with_link_and_number(dynamics, problem):
     assert refused(**dynamics) == [problem]
 
 
-def test_wrong_figures_in_a_file_have_file_and_line(tmp_path):
+def test_invalid_dynamics_in_a_file_are_reported_with_file_and_line(tmp_path):
     file = tmp_path / "robot.toml"
     file.write_text(
         'dh_convention = "craig"\ndh_params = [[0, 0, 0, 0.1]]\n[dynamics]\nmotor_inertias = [-1]\n'
@@ -399,7 +399,7 @@ def test_wrong_figures_in_a_file_have_file_and_line(tmp_path):
     ]  # fmt: skip
 
 
-def test_one_figure_over_the_files_leaves_the_others(lwr, tmp_path):
+def test_one_value_set_over_those_of_a_file_leaves_the_others(lwr, tmp_path):
     robot = SerialRobot.from_model("lwr", dynamics={"coulomb_friction": [0.0] * 7})
     assert not robot.dynamics.coulomb_friction.any()
     np.testing.assert_array_equal(robot.dynamics.masses, lwr.dynamics.masses)
@@ -416,7 +416,7 @@ def test_one_figure_over_the_files_leaves_the_others(lwr, tmp_path):
     ]  # fmt: skip
 
 
-def test_elastic_joints_need_motors():
+def test_elastic_joints_require_motor_inertias():
     fields = {"dynamics": {"motor_inertias": [0.1, 0]}, "elastic_joints": True}
     robot = SerialRobot(name="arm", dh_convention="craig", dh_params=[[0, 0, 0, 0.1]] * 2, **fields)
     with pytest.raises(DeclarationError) as caught:
@@ -427,10 +427,10 @@ def test_elastic_joints_need_motors():
             "joint 2: found 0; expected a motor inertia above 0 for a robot with elastic_joints",
         )
     ]
-    World(Scene(robots=[robot]))  # to look at it is right
+    World(Scene(robots=[robot]))  # valid for display
 
 
-def test_check_says_what_is_estimated(tmp_path, capsys):
+def test_check_reports_estimated_values(tmp_path, capsys):
     (tmp_path / "scene.toml").write_text(
         '[robots.lwr]\nmodel = "lwr"\n[robots.arm]\ndh_convention = "craig"\n'
         "dh_params = [[0, 0, 0, 0.1]]\n[robots.arm.dynamics]\ncoulomb_friction = [0.2]\n"
@@ -439,15 +439,15 @@ def test_check_says_what_is_estimated(tmp_path, capsys):
         main(["check", str(tmp_path / "scene.toml")])
     assert done.value.code == 0
     told = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    assert [line for line in told if line.startswith(("weighs", "dynamics"))] == [
-        "weighs 15.95 kg, as declared",
+    assert [line for line in told if line.startswith(("mass", "dynamics"))] == [
+        "mass: 15.95 kg, as declared",
         "dynamics: as declared",
-        "weighs 0.005474 kg, estimated: none are declared, its shapes count with 840 kg/m3",
+        "mass: 0.005474 kg, estimated: none are declared, its shapes count with 840 kg/m3",
         "dynamics: estimated motor_inertias, viscous_friction, joint_stiffness, joint_damping",
     ]
 
 
-def test_links_collide_with_the_floor_but_not_within_a_housing(lwr):
+def test_links_collide_with_the_floor_but_not_inside_a_housing(lwr):
     world = World(Scene(robots=[lwr]), dynamic=True)
     model, data = world.model, world.make_data()
     rng = np.random.default_rng(8)
@@ -459,7 +459,7 @@ def test_links_collide_with_the_floor_but_not_within_a_housing(lwr):
         for pair in data.contact.geom:
             met.add(tuple(sorted(model.body(model.geom_bodyid[geom]).name for geom in pair)))
     assert ("lwr/link7", "world") in met
-    # Folded up, the hand meets its own base; nothing nearer ever touches.
+    # Folded up, the hand touches its own base. Closer links never touch.
     assert all(a in ("lwr/", "lwr/link1") or b == "world" for a, b in met), met
     mujoco.mj_resetData(model, data)
     mujoco.mj_forward(model, data)
@@ -467,7 +467,7 @@ def test_links_collide_with_the_floor_but_not_within_a_housing(lwr):
 
 
 @pytest.mark.parametrize("convention", ["craig", "standard"])
-def test_grown_robots_do_not_stand_in_a_collision(convention):
+def test_generated_robots_do_not_collide_in_their_initial_pose(convention):
     half_pi = 1.5707963267948966
     turns = [0, 1, -1, -1, 1, 1, -1] if convention == "craig" else [1, -1, -1, 1, 1, -1, 0]
     offsets = [0.31, 0, 0.4, 0, 0.39, 0, 0]
@@ -487,21 +487,21 @@ def test_grown_robots_do_not_stand_in_a_collision(convention):
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_a_balanced_tensor_is_physical_keeps_its_axes_and_a_right_one_is_left(seed: int) -> None:
+def test_balanced_tensor_is_physical_with_the_same_axes(seed: int) -> None:
     rng = np.random.default_rng(seed)
     axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     moments, mass = rng.uniform(-0.5, 2.0, 3), rng.uniform(0.1, 5.0)
     tensor = axes @ np.diag(moments) @ axes.T
     balanced = balanced_tensor(tensor, mass)
     assert inertia_problem(balanced) is None
-    assert np.allclose(tensor @ balanced, balanced @ tensor)  # the same axes
-    least = 0.4 * mass * 0.005**2  # of a ball; all moments may have been below zero
+    assert np.allclose(tensor @ balanced, balanced @ tensor)  # the same principal axes
+    least = 0.4 * mass * 0.005**2  # of a sphere; all moments may have been negative
     assert np.linalg.eigvalsh(balanced)[2] == pytest.approx(max(moments.max(), least))
     if inertia_problem(tensor) is None and moments.min() > least:
         assert balanced == pytest.approx(tensor)
 
 
-def test_mending_says_what_it_changed_and_the_robot_can_be_simulated() -> None:
+def test_repair_reports_its_changes_and_the_robot_can_be_simulated() -> None:
     table = {
         "masses": [1.0, 2.0, 0.5],
         "centers_of_mass": np.zeros((3, 3)),
@@ -524,7 +524,7 @@ def test_mending_says_what_it_changed_and_the_robot_can_be_simulated() -> None:
     World(Scene(robots=[robot]), dynamic=True)
 
 
-def test_an_inertia_that_no_mass_within_the_link_can_have_is_told() -> None:
+def test_inertia_too_large_for_its_link_is_reported() -> None:
     lwr = SerialRobot.from_model("lwr")
     declared = robot_dynamics(lwr)
     assert about_large_inertias(lwr, declared) == []
@@ -558,7 +558,7 @@ _ARM = {
         ({"torque_limits": [0.05, 50, np.inf]}, 1, ["joint J1 needs up to"]),
     ],
 )
-def test_units_that_no_robot_has_are_noted(
+def test_implausible_units_are_reported(
     changed: dict[str, object], masses: float, expected: list[str]
 ) -> None:
     dynamics = {
@@ -572,6 +572,6 @@ def test_units_that_no_robot_has_are_noted(
 
 
 @pytest.mark.parametrize("name", ["lwr", "panda", "dlr_hand2_finger", "scara", "ups_leg"])
-def test_units_of_shipped_robots_are_not_noted(name: str) -> None:
+def test_units_of_shipped_robots_are_plausible(name: str) -> None:
     robot = SerialRobot.from_model(name)
     assert about_units(robot, robot_dynamics(robot)) == []

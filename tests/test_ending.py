@@ -1,4 +1,4 @@
-"""Commands that are ended from outside say what they have seen."""
+"""Commands that are terminated report what they have received."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ structure = "2F"
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no such signals")
 @pytest.mark.parametrize("command", ["status", "record"])
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
-def test_a_command_that_is_ended_says_what_came(
+def test_terminated_command_reports_what_it_received(
     command: str, sent: signal.Signals, tmp_path: Path
 ) -> None:
     file = tmp_path / "scene.toml"
@@ -51,7 +51,7 @@ def test_a_command_that_is_ended_says_what_came(
         end = time.monotonic() + 20.0
         while heard < 10 and time.monotonic() < end:
             time.sleep(0.05)
-            try:  # refused until it listens
+            try:  # rejected until it listens
                 heard += sock.send(struct.pack("<2d", 0.0, 0.0)) > 0
             except ConnectionRefusedError:
                 heard = 0

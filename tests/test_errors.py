@@ -1,4 +1,4 @@
-"""How messages show values: as TOML writes them, whatever their type in Python."""
+"""Values in messages are shown in TOML syntax, regardless of their type in Python."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ def test_values_are_shown_as_in_toml(value: Any, text: str) -> None:
 
 
 @given(_nested)
-def test_whatever_is_shown_is_short_and_names_no_python(value: Any) -> None:
+def test_messages_are_short_and_contain_no_python_repr(value: Any) -> None:
     text = shown(value)
     assert len(text) < 20_000
     assert not any(each in text for each in ("array(", "<class", "<object", "datetime", "b'"))
 
 
-def test_a_missing_key_is_told_in_words() -> None:
+def test_missing_key_is_described_in_words() -> None:
     assert reason_of(KeyError("topic")) == "has no 'topic'"
     assert reason_of(FileNotFoundError(2, "No such file", "x")) == "No such file"

@@ -1,4 +1,4 @@
-"""Expressions in routes: what they compute, against Python and numpy; what is wrong is told."""
+"""Route expressions: their values against Python and NumPy, and errors."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def value_of(text: str) -> Value:
 
 
 def computed(text: str, data: dict[str, Array] = DATA) -> Array:
-    """By our own parser, as it runs with every packet; flat."""
+    """Returns the value from our parser, as evaluated with every packet, flat."""
     value = value_of(text)
     affine: Affine = value.compile(value.entries.size)
     by_origin = {origin: data[name].ravel() for name, origin in ORIGINS.items()}
@@ -56,7 +56,7 @@ def computed(text: str, data: dict[str, Array] = DATA) -> Array:
 
 
 class Numpy(ast.NodeTransformer):
-    """Lists are put one after the other; several numbers in brackets pick several rows."""
+    """Lists are concatenated; several numbers in brackets select several rows."""
 
     def visit_List(self, node: ast.List) -> ast.AST:
         self.generic_visit(node)
@@ -70,7 +70,7 @@ class Numpy(ast.NodeTransformer):
 
 
 def by_python(text: str, data: dict[str, Array] = DATA) -> Array:
-    """By Python's own parser and numpy; flat."""
+    """Returns the value from Python's parser and NumPy, flat."""
     tree = Numpy().visit(ast.parse(text.replace("my-udp", "my_udp").strip(), mode="eval"))
     spaces: dict[str, dict[str, Array]] = {}
     for name, array in data.items():
@@ -130,7 +130,7 @@ def by_python(text: str, data: dict[str, Array] = DATA) -> Array:
         "3 * kN * m / (2 * Nm)",
     ],
 )
-def test_an_expression_means_what_it_means_to_numpy(text: str) -> None:
+def test_expression_equals_the_numpy_result(text: str) -> None:
     np.testing.assert_allclose(computed(text), by_python(text), rtol=1e-13, atol=1e-13)
 
 
@@ -157,11 +157,11 @@ ENTRIES = st.one_of(st.floats(-1e3, 1e3, allow_subnormal=False), st.just(np.nan)
 
 @settings(deadline=None, max_examples=examples(200))
 @given(FOURS, arrays(np.float64, 4, elements=ENTRIES), arrays(np.float64, 4, elements=ENTRIES))
-def test_any_expression_means_what_it_means_to_numpy(text: str, one: Array, two: Array) -> None:
+def test_any_expression_equals_the_numpy_result(text: str, one: Array, two: Array) -> None:
     data = {**DATA, "udp.values0": one, "my-udp.values0": two}
     plain = text.replace("deg", "0.0174532925199433").replace("mm", "0.001").replace("cm", "0.01")
     expected = by_python(text, data)
-    # Sums may cancel: what rounding leaves is small beside the largest number on the way.
+    # Sums may cancel: the rounding error is small beside the largest intermediate value.
     size = 1e3 * 4.0 ** text.count("*") * 2.0 ** text.count("+")
     np.testing.assert_allclose(computed(plain, data), expected, rtol=1e-9, atol=1e-13 * size)
 
@@ -172,7 +172,7 @@ WORDS += [*"+-*/()[],:", "0", "1", "2", "1.5", "1e308", "$", " ", " "]
 
 @settings(deadline=None)
 @given(st.lists(st.sampled_from(WORDS), max_size=14).map(" ".join))
-def test_any_words_have_a_meaning_or_are_refused(text: str) -> None:
+def test_any_text_is_evaluated_or_rejected(text: str) -> None:
     try:
         value = value_of(text)
     except RouteError as error:
@@ -185,7 +185,7 @@ def test_any_words_have_a_meaning_or_are_refused(text: str) -> None:
 @pytest.mark.parametrize(
     "text", ["udp.values0", "udp.values0[::-1] * 2 + 1", "udp.values0 - my-udp.values0[0]"]
 )
-def test_values_over_time_are_those_of_every_moment(text: str) -> None:
+def test_values_over_time_equal_the_values_at_each_time(text: str) -> None:
     random = np.random.default_rng(2)
     times = {origin: random.normal(size=(5, 4)) for origin in ORIGINS.values()}
     affine = value_of(text).compile(4)
@@ -207,17 +207,17 @@ def test_long_expressions_are_compiled_quickly(text: str) -> None:
 @pytest.mark.parametrize(
     "text", ["udp.values0", "udp.values0[0:4]", "[udp.values0]", "1 * udp.values0"]
 )
-def test_what_changes_nothing_is_a_copy(text: str) -> None:
+def test_identity_expressions_are_compiled_to_a_copy(text: str) -> None:
     assert value_of(text).compile(4).whole == ORIGINS["udp.values0"]
 
 
 @pytest.mark.parametrize("text", ["udp.values0[::-1]", "udp.values0[0:3]", "-udp.values0"])
-def test_what_changes_something_is_none(text: str) -> None:
+def test_expressions_that_change_values_are_not_a_copy(text: str) -> None:
     value = value_of(text)
     assert value.compile(value.entries.size).whole is None
 
 
-def test_pieces_of_one_event_are_one_term() -> None:
+def test_slices_of_one_event_are_merged_into_one_term() -> None:
     affine = value_of("[udp.values0[3], 0, -udp.values0[1], udp.values0[0], 1]").compile(5)
     (term,) = affine.terms
     assert term.take.tolist() == [3, 1, 0]
@@ -225,13 +225,13 @@ def test_pieces_of_one_event_are_one_term() -> None:
     assert affine.offset.tolist() == [0.0, 0.0, 0.0, 0.0, 1.0]
 
 
-def test_what_comes_bit_for_bit_stays_so() -> None:
+def test_copied_values_are_identical_bit_for_bit() -> None:
     bits = np.array([-0.0, 5e-324, 0.1, np.nan])
     found = computed("udp.values0[3,2,1,0]", {**DATA, "udp.values0": bits})
     assert found.tobytes() == bits[::-1].tobytes()
 
 
-def test_infinity_minus_infinity_is_quiet() -> None:
+def test_infinity_minus_infinity_raises_no_warning() -> None:
     huge = {**DATA, "udp.values0": np.full(4, 1e300)}
     assert np.isnan(computed("udp.values0 * 1e10 - udp.values0 * 1e10", huge)).all()
 
@@ -250,7 +250,7 @@ def test_infinity_minus_infinity_is_quiet() -> None:
         ("[]", "character 2: found ']', expected an event such as"),
         ("1 $ 2", "character 3: found '$', expected +, -, * or / between spaces, or the end"),
         ("not not 1", "character 5: found 'not', expected an event such as udp.values0, a number, "
-         "( or [; 'not' only stands in front of all"),
+         "( or [; 'not' must be the first word"),
         ("1e999", "character 1: found '1e999', expected a smaller number"),
         ("1e308 * 1e308", "character 1: found '1e308 * 1e308', expected finite numbers"),
         ("(" * 41 + "1", "character 41: found '(', expected at most 40 brackets within each other"),
@@ -261,43 +261,43 @@ def test_infinity_minus_infinity_is_quiet() -> None:
         ("udp.vectors0[2]", "character 14: found '2', expected 0 to 1, or -1 to -2 from the end: "
          "udp.vectors0 has 2 rows"),
         ("udp.vectors0[0][3]", "character 17: found '3', expected 0 to 2, or"),
-        ("udp.values0[2:2]", "character 12: found '[', expected a slice with something in it"),
+        ("udp.values0[2:2]", "character 12: found '[', the slice is empty"),
         ("udp.values0[::0]", "character 15: found '0', expected a step other than 0"),
         ("udp.values0[]", "character 13: found ']', expected a whole number or a slice such as"),
         ("udp.values0[1.5]", "character 13: found '1.5', expected a whole number"),
         ("udp.values0[0;2]", "character 14: found ';', expected : , or ]"),
         ("udp.values0[0,x]", "character 15: found 'x', expected a whole number"),
-        ("udp.values0[0][0]", "character 15: found '[', expected none: udp.values0[0] is a single"),
-        ("udp.values0 + [1, 2]", "character 13: found '+', expected as many on both sides; there "
-         "are 4 values and 2 values"),
-        ("udp.values0 - udp.vectors0", "there are 4 values and 2 x 3 values"),
+        ("udp.values0[0][0]", "character 15: found '[', udp.values0[0] is a single number"),
+        ("udp.values0 + [1, 2]", "character 13: found '+', expected the same number on both "
+         "sides; found 4 values and 2 values"),
+        ("udp.values0 - udp.vectors0", "found 4 values and 2 x 3 values"),
         ("udp.values0 * my-udp.values0", "character 13: found '*', expected a constant on one "
-         "side: a route adds multiples of what is received"),
-        ("2 / udp.values0", "character 3: found '/', expected a constant behind it"),
-        ("udp.values0 / [1, 0, 1, 1]", "character 13: found '/', expected no 0 behind it"),
-        ("udp.values0 * deg + 3 * mm", "character 19: found '+', expected one unit on both sides; "
-         "there are an angle (rad) and a length (m)"),
-        ("[1 * deg, 2 * mm] - [1 * deg, 2 * N]", "there are a length (m) and a force (N)"),
-        ("udp.matrices0 + 2", "character 15: found '+', expected nothing but a number or a length "
-         "beside frames, as in frames * mm"),
-        ("udp.matrices0 * [1, 2]", "found '*', expected nothing but a number or a length beside"),
-        ("2 / udp.matrices0", "found '/', expected nothing but a number or a length beside"),
-        ("udp.matrices0 * udp.matrices0", "expected nothing but a number or a length beside"),
-        ("udp.values0 * udp.matrices0", "expected nothing but a number or a length beside"),
-        ("udp.matrices0 * deg", "character 15: found '*', expected a length beside frames; found "
-         "an angle (rad)"),
-        ("udp.matrices0 * mm * mm", "character 20: found '*', expected a length beside frames"),
-        ("udp.matrices0 / mm", "character 15: found '/', expected a length beside frames"),
-        ("-1 * udp.matrices0", "character 4: found '*', expected a number above 0 beside it; "
+         "side: routes can only add multiples of numbers"),
+        ("2 / udp.values0", "character 3: found '/', expected a constant after it"),
+        ("udp.values0 / [1, 0, 1, 1]", "character 13: found '/', expected a divisor other than 0"),
+        ("udp.values0 * deg + 3 * mm", "character 19: found '+', expected the same unit on both "
+         "sides; found an angle (rad) and a length (m)"),
+        ("[1 * deg, 2 * mm] - [1 * deg, 2 * N]", "found a length (m) and a force (N)"),
+        ("udp.matrices0 + 2", "character 15: found '+', frames can only be multiplied by a number "
+         "or a length, as in frames * mm"),
+        ("udp.matrices0 * [1, 2]", "found '*', frames can only be multiplied by a number"),
+        ("2 / udp.matrices0", "found '/', frames can only be multiplied by a number or a length"),
+        ("udp.matrices0 * udp.matrices0", "frames can only be multiplied by a number or a length"),
+        ("udp.values0 * udp.matrices0", "frames can only be multiplied by a number or a length"),
+        ("udp.matrices0 * deg", "character 15: found '*', expected a length as the factor of "
+         "frames; found an angle (rad)"),
+        ("udp.matrices0 * mm * mm", "character 20: found '*', expected a length as the factor"),
+        ("udp.matrices0 / mm", "character 15: found '/', expected a length as the factor"),
+        ("-1 * udp.matrices0", "character 4: found '*', expected a factor above 0; "
          "found -1"),
-        ("udp.matrices0 * 0", "expected a number above 0 beside it; found 0"),
-        ("-udp.matrices0", "character 1: found '-', expected no frames beside it"),
-        ("[udp.matrices0]", "character 1: found '[', expected no frames beside it"),
-        ("udp.matrices0[0][1]", "character 17: found '[', expected none: udp.matrices0[0] is a "
+        ("udp.matrices0 * 0", "expected a factor above 0; found 0"),
+        ("-udp.matrices0", "character 1: found '-', frames cannot be indexed or combined"),
+        ("[udp.matrices0]", "character 1: found '[', frames cannot be indexed or combined"),
+        ("udp.matrices0[0][1]", "character 17: found '[', udp.matrices0[0] is a "
          "frame, which cannot be indexed"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_pointed_at(text: str, message: str) -> None:
+def test_error_points_to_its_position(text: str, message: str) -> None:
     with pytest.raises(RouteError) as caught:
         value_of(text)
     assert str(caught.value).startswith(f"'{text}', character ")
@@ -342,7 +342,7 @@ def test_every_entry_has_its_own_unit() -> None:
         ("udp.values0 + 1", "[1.0, 1.0, 2.0, 0.0]"),
     ],
 )
-def test_a_zero_keeps_its_sign(text: str, expected: str | None) -> None:
+def test_zero_keeps_its_sign(text: str, expected: str | None) -> None:
     numbers = np.array([-0.0, 0.0, 1.0, -1.0])
     found = value_of(text).compile(4).evaluate(lambda _: numbers)
     if expected is None:

@@ -1,4 +1,4 @@
-"""Controllers that are libraries and programs: equal logs, and whatever such programs do wrong."""
+"""Controllers in libraries and programs: equal logs, and handling of their errors."""
 
 from __future__ import annotations
 
@@ -25,12 +25,14 @@ from sero_mj import SerialRobot
 from sero_mj.base.errors import DeclarationError, SimulationError
 from sero_mj.cli.new import snippets
 from sero_mj.data.drive.mirror import Mirror
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.control.controller import Sensed, Target
 from sero_mj.simulate.control.robot_model import RobotModel
 from sero_mj.simulate.external_control.exchange import State, modulus_of
 from sero_mj.simulate.external_control.library import HEADER
 from sero_mj.simulate.external_control.program import held_port
 from sero_mj.simulate.runs.run_source import RunSource
+from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulated_scene import simulated_scene
 from sero_mj.simulate.simulation import Simulation
@@ -77,7 +79,7 @@ void forks(struct sero_mj_robot *r) {
 }
 void forks_and_exits(struct sero_mj_robot *r) { forks(r); exit(0); }
 """
-# A program that is right, but for what its mode says; the law is that of the library.
+# A correct program except for the errors of its mode. The control law is that of the library.
 PEER = """
 import os, socket, subprocess, sys, time
 import numpy as np
@@ -128,7 +130,7 @@ while True:
     peer.sendto(back, robot)
 """
 
-# The same over shared memory.
+# The same program over shared memory.
 MEMORY = (
     PEER[: PEER.index("peer = socket")]
     + """
@@ -161,7 +163,7 @@ BY_MEMORY = (
 
 
 class Law:
-    """The same law in Python."""
+    """The same control law in Python."""
 
     def __init__(self, model: Any) -> None:
         self.model = model
@@ -214,7 +216,7 @@ def signals(simulated: Simulation) -> dict[str, np.ndarray]:
     return {key: value for key, value in simulated.log.signals.items() if key not in own}
 
 
-def test_logs_of_a_law_are_equal_in_python_as_a_library_and_as_a_program(folder: Path) -> None:
+def test_logs_are_equal_for_a_control_law_in_python_library_and_program(folder: Path) -> None:
     by_library = signals(simulation(folder, LIBRARY))
     for other in (
         simulation(folder, LIBRARY, isolated=True),
@@ -234,7 +236,7 @@ def test_logs_of_a_law_are_equal_in_python_as_a_library_and_as_a_program(folder:
         assert values == pytest.approx(by_library[key], abs=1e-9), key
 
 
-def test_a_library_knows_its_first_step_and_whether_there_is_gravity(folder: Path) -> None:
+def test_library_gets_the_first_step_and_the_gravity_flag(folder: Path) -> None:
     first = signals(simulation(folder, LIBRARY, duration=0.01, function="first"))
     assert first["lwr_commanded_torques"][1].tolist() == [1.0] * 7
     assert first["lwr_commanded_torques"][2].tolist() == [0.0] * 7
@@ -248,10 +250,10 @@ def test_a_library_knows_its_first_step_and_whether_there_is_gravity(folder: Pat
     ("function", "said"),
     [
         ("crash", r"law.so: crash has ended its process: SIGSEGV"),
-        ("hang", "hang does not come back within 0.5 s"),
+        ("hang", "hang did not return within 0.5 s"),
     ],
 )
-def test_a_library_in_a_process_of_its_own_may_fail(folder: Path, function: str, said: str) -> None:
+def test_errors_of_an_isolated_library_are_reported(folder: Path, function: str, said: str) -> None:
     settings = {"function": function, "isolated": True, "patience": 0.5}
     with pytest.raises(SimulationError, match=rf"lwr at 0.051\d* s: .*{said}"):
         signals(simulation(folder, LIBRARY, **settings))
@@ -263,10 +265,10 @@ def test_a_library_in_a_process_of_its_own_may_fail(folder: Path, function: str,
         ("*(volatile int *)0 = 1", "SIGSEGV; Fatal Python error: Segmentation fault"),
         ("exit(0)", "exit status 0; constructor"),
         ("for (;;) pause()", "is not loaded within 0.5 s"),
-        ("", "SIGBUS; Fatal Python error: Bus error"),  # the file is torn
+        ("", "SIGBUS; Fatal Python error: Bus error"),  # the file is corrupted
     ],
 )
-def test_what_a_library_does_as_it_is_loaded_ends_its_own_process_only(
+def test_constructor_of_a_library_ends_only_its_own_process(
     tmp_path: Path, constructor: str, said: str
 ) -> None:
     begin = 'fprintf(stderr, "constructor in %d\\n", getpid());'
@@ -283,7 +285,7 @@ def test_what_a_library_does_as_it_is_loaded_ends_its_own_process_only(
     assert "law.so" in problem.message and said in problem.message
 
 
-def test_simulate_fails_where_an_isolated_library_exits(tmp_path: Path, capsys: Any) -> None:
+def test_simulate_fails_if_an_isolated_library_exits(tmp_path: Path, capsys: Any) -> None:
     boot = "static void __attribute__((constructor)) boot(void) { exit(0); }"
     compiled(tmp_path, f"{LAW}\n{boot}")
     with pytest.raises(DeclarationError):
@@ -293,13 +295,13 @@ def test_simulate_fails_where_an_isolated_library_exits(tmp_path: Path, capsys: 
     assert status == 2 and "law.so has ended the process that loads it: exit status 0" in err
 
 
-def test_an_isolated_library_is_never_loaded_here(folder: Path) -> None:
+def test_isolated_library_is_never_loaded_in_this_process(folder: Path) -> None:
     shutil.copy(folder / "law.so", folder / "alone.so")
     signals(simulation(folder, LIBRARY, isolated=True, file="alone.so"))
     assert "alone.so" not in Path("/proc/self/maps").read_text()
 
 
-def test_what_an_isolated_library_has_forked_ends_with_it(
+def test_process_forked_by_an_isolated_library_ends_with_it(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
@@ -313,13 +315,13 @@ def test_what_an_isolated_library_has_forked_ends_with_it(
 
 
 @pytest.mark.parametrize("isolated", [False, True])
-def test_a_library_for_more_joints_is_told(folder: Path, isolated: bool) -> None:
-    said = r"law.so: eight writes torques of more joints than there are; expected 7$"
+def test_library_for_more_joints_is_reported(folder: Path, isolated: bool) -> None:
+    said = r"law.so: eight has written torques of more than 7 joints$"
     with pytest.raises(SimulationError, match=said):
         signals(simulation(folder, LIBRARY, function="eight", isolated=isolated))
 
 
-def test_a_library_that_crashes_here_is_named(folder: Path) -> None:
+def test_library_that_crashes_in_this_process_is_named(folder: Path) -> None:
     simulation(folder, LIBRARY)  # writes the file
     command = [
         "-m",
@@ -345,7 +347,7 @@ def test_a_library_that_crashes_here_is_named(folder: Path) -> None:
         ({"function": "contrl", "isolated": True}, "function", "has no function contrl"),
     ],
 )
-def test_libraries_that_cannot_be_loaded_are_told(
+def test_library_that_cannot_be_loaded_is_reported(
     folder: Path, settings: dict[str, Any], key: str, said: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
@@ -358,19 +360,19 @@ def test_libraries_that_cannot_be_loaded_are_told(
 @pytest.mark.parametrize(
     ("mode", "said"),
     [
-        ("never", r"no answer of .*python.* to step 1 within 0.3 s"),
-        ("silent", r"no answer of .* to step 50 within 0.2 s"),
-        ("dies", r"exit status 3; its last lines: a line before \| the joint is too hot"),
+        ("never", r"no answer from .*python.* to step 1 within 0.3 s"),
+        ("silent", r"no answer from .* to step 50 within 0.2 s"),
+        ("dies", r"exit status 3; its last output: a line before \| the joint is too hot"),
         ("crashes", "was ended by SIGABRT"),
     ],
 )
-def test_programs_that_do_not_answer_end_the_run(folder: Path, mode: str, said: str) -> None:
+def test_program_that_does_not_answer_ends_the_run(folder: Path, mode: str, said: str) -> None:
     settings = {"first_patience": 0.3 if mode == "never" else 10.0, "patience": 0.2}
     with pytest.raises(SimulationError, match=said):
         signals(simulation(folder, program(mode), **settings))
 
 
-def test_a_shown_run_whose_program_dies_says_so(
+def test_live_run_reports_that_its_program_has_ended(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     shown = RunSource(run=simulation(folder, program("dies")))
@@ -379,7 +381,7 @@ def test_a_shown_run_whose_program_dies_says_so(
     assert "has ended with exit status 3" in str(shown.error)
 
 
-def test_the_time_line_ends_where_a_program_has_died(folder: Path) -> None:
+def test_timeline_ends_where_a_program_has_ended(folder: Path) -> None:
     simulated = simulation(folder, program("dies"))
     with Mirror(simulated_scene(simulated)) as mirror:
         clock = Clock(mirror)
@@ -391,7 +393,7 @@ def test_the_time_line_ends_where_a_program_has_died(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("mode", ["late start", "wrong size", "other steps", "twice", "megabytes"])
-def test_what_else_programs_do_is_survived(
+def test_other_errors_of_programs_do_not_change_the_run(
     folder: Path, mode: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     expected = signals(simulation(folder, LIBRARY))
@@ -403,12 +405,12 @@ def test_what_else_programs_do_is_survived(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="its libraries are ELF files")
-def test_a_library_for_another_machine_is_told(folder: Path) -> None:
+def test_library_for_another_machine_is_reported(folder: Path) -> None:
     library = bytearray((folder / "law.so").read_bytes())
     is_arm = library[18] == 183
     library[18] = 62 if is_arm else 183
     (folder / "other.so").write_bytes(library)
-    said = f"is a library for {'x86-64' if is_arm else 'aarch64'}; expected one for"
+    said = f"is a library for {'x86-64' if is_arm else 'aarch64'}; expected a library for"
     with pytest.raises(DeclarationError, match=said):
         simulation(folder, LIBRARY, file="other.so")
 
@@ -417,26 +419,24 @@ def test_a_library_for_another_machine_is_told(folder: Path) -> None:
     ("mode", "why"),
     [
         ("wrong size", r"\(found \w+ bytes; expected 64\)"),
-        ("other steps", r"\(to another step than \d+\)"),
+        ("other steps", r"\(expected step \d+\)"),
     ],
 )
-def test_why_an_answer_was_not_applied_is_told(
+def test_reasons_for_ignored_answers_are_reported(
     folder: Path, mode: str, why: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     signals(simulation(folder, program(mode)))
-    assert re.search(rf"\d+ answers were not applied {why}, 0 steps had none", caplog.text)
+    assert re.search(rf"\d+ answers were ignored {why}, 0 steps had no answer", caplog.text)
 
 
-def test_a_command_that_is_no_number_is_not_applied(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_nan_command_is_not_applied(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(SimulationError, match="to step 50"):
         signals(simulation(folder, program("nan"), patience=0.1))
-    assert "1 answers were not applied (to step 50: not finite), 1 steps had none" in caplog.text
+    assert "1 answers were ignored (step 50: not finite), 1 steps had no answer" in caplog.text
 
 
-def test_numbers_may_be_among_a_programs_words(folder: Path) -> None:
-    """So that a sweep can vary its gains."""
+def test_program_arguments_can_be_numbers(folder: Path) -> None:
+    """This lets a sweep vary the program's gains."""
     words = ["cat", "{port}", 0.5, 3]
     declared = simulation(folder, program("right"), command=words).scenario.controllers["lwr"]
     assert declared.command == ["cat", "{port}", "0.5", "3"]
@@ -445,7 +445,7 @@ def test_numbers_may_be_among_a_programs_words(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("on_silence", ["hold", "gravity_compensation"])
-def test_a_run_may_go_on_without_answers(
+def test_run_continues_without_answers_if_declared(
     folder: Path, on_silence: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     settings = {"on_silence": on_silence, "patience": 0.05}
@@ -473,12 +473,14 @@ def test_a_run_may_go_on_without_answers(
 @pytest.mark.parametrize(
     ("mode", "said"),
     [
-        ("never", r"no answer of .*python.* to step 1 within 0.3 s"),
-        ("dies", r"exit status 3; its last lines: the joint is too hot"),
+        ("never", r"no answer from .*python.* to step 1 within 0.3 s"),
+        ("dies", r"exit status 3; its last output: the joint is too hot"),
         ("other steps", r"to step 1 within 0.3 s"),
     ],
 )
-def test_programs_over_shared_memory_may_fail(folder: Path, mode: str, said: str) -> None:
+def test_errors_of_programs_over_shared_memory_are_reported(
+    folder: Path, mode: str, said: str
+) -> None:
     settings = {"first_patience": 10.0 if mode == "dies" else 0.3}
     with pytest.raises(SimulationError, match=said):
         signals(simulation(folder, by_memory(mode), **settings))
@@ -487,7 +489,7 @@ def test_programs_over_shared_memory_may_fail(folder: Path, mode: str, said: str
 
 
 @pytest.mark.parametrize("answer", ["< step:1I 4x torques:7d", "< 8x torques:7d"])
-def test_a_program_over_shared_memory_may_be_late_once(
+def test_program_over_shared_memory_may_be_late_once(
     folder: Path, answer: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     settings = {"on_silence": "hold", "patience": 0.1, "answer": answer}
@@ -509,22 +511,22 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def test_a_program_and_what_it_has_started_end_with_the_run(folder: Path) -> None:
+def test_program_and_its_children_end_with_the_run(folder: Path) -> None:
     signals(simulation(folder, program("forks")))
     for name in ("pid", "child"):
         pid = int((folder / name).read_text())
         assert until(lambda pid=pid: not is_running(pid)), name
 
 
-def test_ports_of_programs_are_given_once() -> None:
+def test_ports_of_programs_are_unique() -> None:
     held = [held_port() for _ in range(300)]
     numbers = {each.getsockname()[1] for each in held}
     for each in held:
         each.close()
-    assert len(numbers) == 300 and max(numbers) < 32768  # from where on the system gives them
+    assert len(numbers) == 300 and max(numbers) < 32768  # the start of the system's ephemeral ports
 
 
-def test_ports_of_programs_leave_random_numbers_of_the_user_alone() -> None:
+def test_choosing_ports_does_not_change_the_random_state_of_the_user() -> None:
     random.seed(1)
     before = random.getstate()
     ports = []
@@ -536,7 +538,7 @@ def test_ports_of_programs_leave_random_numbers_of_the_user_alone() -> None:
     assert ports[0] != ports[1]
 
 
-def test_a_run_that_is_given_up_ends_its_program(folder: Path) -> None:
+def test_deleted_run_ends_its_program(folder: Path) -> None:
     simulated = simulation(folder, program("right"))
     simulated.advance(10)
     pid = int((folder / "pid").read_text())
@@ -545,7 +547,7 @@ def test_a_run_that_is_given_up_ends_its_program(folder: Path) -> None:
     assert until(lambda: not is_running(pid))
 
 
-def test_ctrl_c_ends_all_while_a_program_is_awaited(folder: Path) -> None:
+def test_ctrl_c_while_waiting_for_a_program_ends_everything(folder: Path) -> None:
     (folder / "pid").unlink(missing_ok=True)
     simulation(folder, program("never"), first_patience=60.0)
     command = [
@@ -572,7 +574,7 @@ def test_ctrl_c_ends_all_while_a_program_is_awaited(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("clock", "kind"), [("lockstep", "B"), ("lockstep", "b"), ("real_time", "B")]
 )
-def test_a_small_counter_begins_at_0_again(folder: Path, clock: str, kind: str) -> None:
+def test_small_counter_wraps_to_0(folder: Path, clock: str, kind: str) -> None:
     (folder / "counts.py").write_text(
         "import socket, sys\n"
         "peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\n"
@@ -592,20 +594,20 @@ def test_a_small_counter_begins_at_0_again(folder: Path, clock: str, kind: str) 
 @pytest.mark.parametrize(
     ("kind", "expected"), [("<u2", 1 << 16), ("<f4", 1 << 24), ("<f8", 1 << 53)]
 )
-def test_counters_begin_again_where_numbers_end(kind: str, expected: int) -> None:
+def test_modulus_of_counters_follows_their_type(kind: str, expected: int) -> None:
     assert modulus_of(np.zeros(1, kind)) == expected
 
 
-def test_in_real_time_commands_come_within_their_step(folder: Path) -> None:
+def test_real_time_commands_arrive_within_their_step(folder: Path) -> None:
     simulated = simulation(folder, program("right"), duration=0.5, clock="real_time")
     for _ in simulated.run():
         pass
     ages = simulated.log.signals["lwr_command_age"].ravel()[1:]
-    assert ages.min() == 0.0 and ages.max() < 0.4  # on a machine that is busy with other tests
+    assert ages.min() == 0.0 and ages.max() < 0.4  # on a busy machine
     assert (simulated.log.signals["lwr_step_lateness"] >= 0.0).all()
 
 
-def test_real_time_that_is_missed_is_reported_and_can_be_expected(
+def test_missed_real_time_is_reported_and_can_be_expected(
     folder: Path, capsys: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     simulation(folder, program("right"), duration=0.2)  # writes the file
@@ -643,34 +645,60 @@ def test_real_time_that_is_missed_is_reported_and_can_be_expected(
     assert "is not controlled in real time" in str(caught.value)
 
 
-def test_in_real_time_the_end_of_a_program_is_seen_at_once(folder: Path) -> None:
+class SlowInRealTime:
+    """A third-party controller, which waits for the wall clock and logs nothing."""
+
+    is_in_real_time = True
+
+    def torques(self, sensed: Any, target: Any, out: Any) -> None:
+        clock.sleep(0.003)
+
+
+def test_step_lateness_of_any_real_time_controller_can_be_expected() -> None:
+    scenario = Scenario(
+        Scene(robots=[SerialRobot.from_model("lwr")]),
+        controllers={"lwr": SlowInRealTime()},
+        expect={
+            "in_time": {"measure": "real_time_factor", "above": 0.95},
+            "late": {"measure": "step_lateness", "above": 0.01},
+        },
+        duration=0.02,
+    )
+    simulated = Simulation(scenario)
+    for _ in simulated.run():
+        pass
+    assert {each.name: each.holds for each in simulated.outcomes()} == {
+        "in_time": False,
+        "late": True,
+    }
+
+
+def test_end_of_a_program_is_detected_at_once_in_real_time(folder: Path) -> None:
     with pytest.raises(SimulationError, match="exit status 3") as caught:
         signals(simulation(folder, program("dies"), duration=0.5, clock="real_time"))
-    assert caught.value.time < 0.4  # of a patience of 1 s, on a machine that is busy
+    assert caught.value.time < 0.4  # with a patience of 1 s, on a busy machine
 
 
-def test_in_real_time_a_command_that_is_old_at_the_end_is_told(
+def test_old_command_at_the_end_of_a_real_time_run_is_reported(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     signals(simulation(folder, program("silent"), duration=0.2, clock="real_time"))
-    assert any("no command for 0.1" in record.message for record in caplog.records)
+    assert any("no command in the last 0.1" in record.message for record in caplog.records)
 
 
-def test_in_real_time_a_viewer_gets_steps_answered_too(folder: Path) -> None:
+def test_live_real_time_run_gets_its_steps_answered(folder: Path) -> None:
     simulated = simulation(folder, program("right"), duration=0.5, clock="real_time")
     shown = RunSource(run=simulated)
-    for time in np.arange(0.0, 0.51, 0.05):  # all steps of a picture at once
+    for time in np.arange(0.0, 0.51, 0.05):  # all steps of a frame at once
         clock.sleep(0.05)
         shown.advance_to(time)
     ages = simulated.log.signals["lwr_command_age"].ravel()[1:]
-    assert (ages < 0.005).mean() > 0.8  # on a machine that is busy with other tests
+    assert (ages < 0.005).mean() > 0.8  # on a busy machine
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="threads cannot be moved here")
 @pytest.mark.parametrize("same_core", [True, False])
-def test_in_lockstep_a_program_runs_on_the_core_of_the_simulation(
-    folder: Path, same_core: bool
-) -> None:
+def test_lockstep_program_runs_on_the_core_of_the_simulation(folder: Path, same_core: bool) -> None:
     simulated = simulation(folder, program("right"), same_core=same_core)
     simulated.advance(50)
     process = simulated.controlled[0].controller.controller._link._program._child.process
@@ -680,7 +708,7 @@ def test_in_lockstep_a_program_runs_on_the_core_of_the_simulation(
     assert len(cores) == (1 if same_core else len(os.sched_getaffinity(0)))
 
 
-def test_angles_may_be_commanded_to_springs_of_the_robot(folder: Path) -> None:
+def test_program_can_command_angles_to_joint_springs(folder: Path) -> None:
     law = PEER[PEER.index('    back["torques"] = (') : PEER.index('    if mode == "never"')]
     (folder / "angles.py").write_text(
         PEER.replace('("torques", "<f8", n)])\npeer', '("joint_angles", "<f8", n)])\npeer')
@@ -721,7 +749,7 @@ def test_angles_may_be_commanded_to_springs_of_the_robot(folder: Path) -> None:
         ('kind = "shm"\ncommand = ["{memory}{turn}{done}"]\nport = 9', "port", "UDP"),
     ],
 )
-def test_wrong_declarations_name_their_key(
+def test_invalid_declarations_name_their_key(
     tmp_path: Path, controller: str, key: str, said: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
@@ -730,7 +758,7 @@ def test_wrong_declarations_name_their_key(
     assert said in caught.value.problems[0].message
 
 
-def test_states_have_what_a_law_by_computed_torques_needs() -> None:
+def test_states_contain_the_terms_for_computed_torque_control() -> None:
     model = RobotModel.of(SerialRobot.from_model("lwr"))
     state = State("< coriolis:7d mass_matrix:49d step:1I", model)
     sensed, target = Sensed(7), Target(7)
@@ -744,13 +772,15 @@ def test_states_have_what_a_law_by_computed_torques_needs() -> None:
     assert abs(values["coriolis"]).max() > 0.01
 
 
-def test_where_nobody_listens_is_told(folder: Path) -> None:
+def test_port_without_a_listener_is_reported(folder: Path) -> None:
     controller = 'kind = "udp"\nport = 9\nfirst_patience = 0.2'
-    with pytest.raises(SimulationError, match=r"within 0\.2 s: nobody listens at 127\.0\.0\.1:9"):
+    with pytest.raises(
+        SimulationError, match=r"within 0\.2 s: no program listens at 127\.0\.0\.1:9"
+    ):
         signals(simulation(folder, controller))
 
 
-def test_a_program_that_is_not_there_is_told(folder: Path) -> None:
+def test_missing_program_is_reported(folder: Path) -> None:
     with pytest.raises(
         DeclarationError, match=r"scenario\.toml:\d+: controllers\.lwr\.command: no file "
     ):
@@ -791,7 +821,7 @@ def build_program(folder: Path) -> None:
         ("controller-udp-python", "py", lambda folder: None),
     ],
 )
-def test_controllers_that_snippets_print_follow_their_target(
+def test_printed_controller_snippets_follow_their_target(
     name: str, ending: str, build: Callable[[Path], None], tmp_path: Path, capsys: Any
 ) -> None:
     assert name in snippets()
@@ -805,7 +835,7 @@ def test_controllers_that_snippets_print_follow_their_target(
     assert status == 0, out
 
 
-def test_a_controller_with_a_wrong_sign_fails_what_is_expected(tmp_path: Path, capsys: Any) -> None:
+def test_controller_with_a_wrong_sign_fails_its_expectations(tmp_path: Path, capsys: Any) -> None:
     _, text, _ = run(capsys, "new", "--snippet", "controller-c")
     (tmp_path / "controller.c").write_text(text.replace("stiffness = 800.0", "stiffness = -80.0"))
     _, scenario, _ = run(capsys, "new", "--snippet", "controller-c", "--scene")

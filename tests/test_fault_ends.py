@@ -1,4 +1,4 @@
-"""Faults that end: what was broken is whole again, and what else is broken stays so."""
+"""Faults that end: the faulty component recovers, and other faults remain."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def during(begin: float, end: float | None, **fault: Any) -> dict[str, Any]:
         {"kind": "frozen_sensor", "signal": "angles", "joints": ["A1"]},
     ],
 )
-def test_sensors_read_the_truth_again(fault: dict[str, Any]) -> None:
+def test_sensors_recover_after_a_fault(fault: dict[str, Any]) -> None:
     log = ran(faults={"it": during(0.2, 0.3, **fault)}).log
     for signal in SIGNALS:
         row = SIGNALS.index(signal)
@@ -69,7 +69,7 @@ def test_sensors_read_the_truth_again(fault: dict[str, Any]) -> None:
         assert differs[201:301].any() == (signal == fault.get("signal", "angles"))
 
 
-def test_drives_and_bearings_are_whole_again() -> None:
+def test_drives_and_bearings_recover_after_a_fault() -> None:
     drive = {"kind": "controller", "joints": ["A2"], "gain": 0.0}
     dry = {"kind": "friction", "joints": ["A1"], "added_coulomb": 40.0, "viscous": 3.0}
     simulation = ran(duration=3.0, faults={"a": during(0.2, 0.3, **drive),
@@ -84,7 +84,7 @@ def test_drives_and_bearings_are_whole_again() -> None:
     assert np.abs(angles - expected)[-1].max() < 1e-3
 
 
-def test_noise_goes_on_as_if_nothing_had_been() -> None:
+def test_noise_after_a_fault_is_the_same_as_without_it() -> None:
     noisy = {"sensors": {"lwr": {"torques": {"noise": 0.1, "resolution": 0.01, "delay": 3}}}}
     fault = {"it": during(0.2, 0.3, **BIAS)}
     once, never = (ran(**noisy, **each).log for each in ({"faults": fault}, {}))
@@ -93,7 +93,7 @@ def test_noise_goes_on_as_if_nothing_had_been() -> None:
     np.testing.assert_array_equal(once.of("lwr", "torques")[305:], never.of("lwr", "torques")[305:])
 
 
-def test_what_is_broken_besides_stays_broken() -> None:
+def test_other_faults_remain_when_one_ends() -> None:
     log = ran(
         faults={
             "dead": during(0.1, None, kind="dead_sensor", joints=["A2"]),
@@ -117,7 +117,7 @@ def test_what_is_broken_besides_stays_broken() -> None:
     np.testing.assert_array_equal(angles[301:, A3], true[301:, A3])
 
 
-def test_drives_that_are_broken_twice_end_one_by_one() -> None:
+def test_overlapping_drive_faults_end_one_by_one() -> None:
     weak = {"kind": "controller", "joints": ["A2"], "gain": 0.9}
     weaker = {**weak, "joints": ["A2", "A3"], "gain": 0.8}
     simulation = Simulation(
@@ -130,7 +130,7 @@ def test_drives_that_are_broken_twice_end_one_by_one() -> None:
     assert (gains == 1.0).all()
 
 
-def test_a_plot_shows_until_when() -> None:
+def test_plot_shows_when_a_fault_ends() -> None:
     (span,) = spans_of(scenario(faults={"it": during(0.2, 0.3, **BIAS)}))
     assert (span.begin, span.end, span.is_fault) == (0.2, 0.3, True)
 
@@ -145,7 +145,7 @@ def test_a_plot_shows_until_when() -> None:
         ("inf", Problem("faults.x.end", found=math.inf, expected="a finite number")),
     ],
 )
-def test_ends_that_cannot_be_are_told(tmp_path: Path, end: str, problem: Problem) -> None:
+def test_invalid_fault_ends_are_rejected(tmp_path: Path, end: str, problem: Problem) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(
         f"[robots.lwr]\nmodel = 'lwr'\n[run]\nduration = 0.1\n"

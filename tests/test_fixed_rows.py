@@ -1,4 +1,4 @@
-"""Rows of DH tables without a joint: the frame to declare instead is in the message."""
+"""Fixed rows of DH tables are rejected, and the message contains the frame to declare instead."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ GEN3 = [
     [np.pi, 0, np.pi, -(0.1059 + 0.0615)],
 ]
 # The same robot by Kinova's URDF, gen3_macro.xacro of ros_kortex, 7dof (commit 6cd75d4): origins of
-# joint_1 to joint_7 and of end_effector, x, y, z and roll. All turn about z.
+# joint_1 to joint_7 and of end_effector, x, y, z and roll. All joints rotate about z.
 GEN3_URDF = [
     [0, 0, 0.15643, 3.1416],
     [0, 0.005375, -0.12838, 1.5708],
@@ -55,7 +55,7 @@ def declared_in(text: str) -> dict[str, object]:
     return tomllib.loads(line)
 
 
-def test_a_fixed_first_row_is_the_base_frame_that_the_message_has() -> None:
+def test_error_for_a_fixed_first_row_contains_the_base_frame() -> None:
     types = ["revolute"] * 7
     base = declared_in(said(GEN3, ["fixed", *types], dh_convention="standard"))
     robot = SerialRobot(dh_params=GEN3[1:], joint_types=types, dh_convention="standard", **base)  # type: ignore[arg-type]
@@ -67,18 +67,18 @@ def test_a_fixed_first_row_is_the_base_frame_that_the_message_has() -> None:
             turned = rotation_about(0, roll) @ rotation_about(2, angle)
             expected = expected @ frame(turned, np.array(xyz))
         difference = robot.fwd_kin_base_to_flange(q) - expected
-        # The table leaves out what the URDF has between axes of the wrist, 0.18 mm each.
+        # The table omits the 0.18 mm offsets that the URDF has between the wrist axes.
         assert np.linalg.norm(difference[:3, 3]) < 0.0006
         assert np.abs(difference[:3, :3]).max() < 1e-4
 
 
-def test_a_table_in_degrees_is_a_robot_whatever_its_file_is_called(tmp_path: Path) -> None:
+def test_table_in_degrees_is_a_robot_in_a_file_of_any_name(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('dh_convention = "standard"\ndh_params_deg = [[90, 0, 0, 0.2]]\n')
     assert [robot.n for robot in load_scene(file).robots.values()] == [1]
 
 
-def test_fixed_rows_at_the_end_are_the_flange_frame() -> None:
+def test_error_for_fixed_last_rows_contains_the_flange_frame() -> None:
     rows = [[0, 0, 0, 300], [1.5, 200, 0, 0], [0, 100, 1.0, 50]]
     types = ["revolute", "revolute", "fixed"]
     text = said(rows, types, dh_convention="craig", length_unit="mm")
@@ -87,7 +87,7 @@ def test_fixed_rows_at_the_end_are_the_flange_frame() -> None:
     assert flange == {"xyz": [0.1, 0, 0.05], "rpy_deg": [0, 0, pytest.approx(57.2958)]}
 
 
-def test_elsewhere_other_frames_are_named() -> None:
+def test_error_for_a_fixed_row_in_between_names_joint_frames() -> None:
     types = ["revolute", "fixed", "revolute"]
     text = said(np.zeros((3, 4)), types, dh_convention="craig")
     assert "declare the robot by joint_frames" in text

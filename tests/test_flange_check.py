@@ -1,4 +1,4 @@
-"""The received flange frame against the robot's own: numbers, bars, line and words."""
+"""The received flange frame against the computed one: difference, bars, line and labels."""
 
 import numpy as np
 import pytest
@@ -51,13 +51,13 @@ def world() -> World:
 
 
 def own_flange(world: World, name: str = "lwr") -> np.ndarray:
-    """T_base_flange from the DH table."""
+    """Returns T_base_flange from the DH table."""
     robot = world.scene.robots[name]
     return robot.dh.frames(robot.joint_angles)[-1] @ robot.flange_frame
 
 
 def displaced(world: World, name: str, mm: float, deg: float, seed: int = 0) -> np.ndarray:
-    """T_base_flange, moved and turned by so much in some direction."""
+    """Returns T_base_flange, translated and rotated by these amounts in a random direction."""
     rng = np.random.default_rng(seed)
     away, axis = rng.normal(size=(2, 3))
     own = own_flange(world, name)
@@ -74,7 +74,7 @@ def draw(world: World, data, view=None, toggles=None):
 
 
 def bars_and_line(rows):
-    """The received frame's bars and the line, that is, boxes that are not in front of the eye."""
+    """Returns the bars of the received frame and the line, excluding boxes in front of the eye."""
     boxes = of_kind(rows, GEOM.mjGEOM_BOX)
     solid = boxes[boxes["emission"] < 1]
     return solid[:3], solid[3:]
@@ -82,9 +82,7 @@ def bars_and_line(rows):
 
 @settings(max_examples=examples(50), deadline=None)
 @given(mm=st.floats(0, 500), deg=st.floats(0, 180), seed=st.integers(0, 2**31))
-def test_the_difference_is_that_of_the_displacement(
-    world: World, mm: float, deg: float, seed: int
-) -> None:
+def test_difference_equals_the_displacement(world: World, mm: float, deg: float, seed: int) -> None:
     data = world.make_data()
     assert flange_difference(world, data, "lwr") is None
     world.set_input(data, "lwr.flange_check", displaced(world, "lwr", mm, deg, seed))
@@ -94,7 +92,7 @@ def test_the_difference_is_that_of_the_displacement(
     assert np.rad2deg(found[1]) == pytest.approx(deg, abs=1e-5)
 
 
-def test_the_received_frame_stands_where_it_was_received_in_the_base(world: World) -> None:
+def test_received_frame_is_drawn_relative_to_the_base(world: World) -> None:
     data = world.make_data()
     T = displaced(world, "lwr", 120, 30)
     world.set_input(data, "lwr.flange_check", T)
@@ -134,7 +132,7 @@ def on_card(name: str, mm: float, deg: float) -> list[str]:
         (80.0, 12.5, True),
     ],
 )
-def test_above_either_tolerance_it_is_red_beside_the_flange_else_in_the_corner(
+def test_difference_is_red_at_the_flange_above_a_tolerance_else_in_the_corner(
     world: World, mm: float, deg: float, off: bool
 ) -> None:
     data, view = world.make_data(), view_at(distance=3)
@@ -166,7 +164,7 @@ def test_above_either_tolerance_it_is_red_beside_the_flange_else_in_the_corner(
         assert line["rgba"][0] == pytest.approx(red)
 
 
-def test_tolerances_are_the_robots_own() -> None:
+def test_tolerances_are_declared_per_robot() -> None:
     world = world_of_arms("lwr", flange_tolerance=0.02, flange_tolerance_deg=5.0)
     data = world.make_data()
     for mm, deg, off in ((19.9, 4.9, False), (20.1, 0, True), (0, 5.1, True)):
@@ -175,7 +173,7 @@ def test_tolerances_are_the_robots_own() -> None:
         assert len(belonging(buffer, Kind.CHECK)) == off
 
 
-def test_several_robots_each_have_their_own_and_one_without_has_none() -> None:
+def test_several_robots_each_have_their_own_check() -> None:
     world = world_of_arms("first", "second", "third", "fourth", "fifth")
     data, view = world.make_data(), view_at(distance=7)
     assert draw(world, data, view)[0].count == 0
@@ -189,7 +187,7 @@ def test_several_robots_each_have_their_own_and_one_without_has_none() -> None:
     assert sorted(buffer.items[: buffer.count][kinds == Kind.CHECK]) == [0, 3]
     assert texts_in(view, rows, first) == on_card("first", 40, 0)
     assert texts_in(view, rows, fourth) == on_card("fourth", 0, 33)
-    # Those that agree share one panel.
+    # Checks within tolerance share one panel.
     corner = of_kind(rows, GEOM.mjGEOM_BOX)[-3]
     agreeing = [
         "second flange check   0.25 mm    0.12 deg",
@@ -197,10 +195,10 @@ def test_several_robots_each_have_their_own_and_one_without_has_none() -> None:
     ]
     assert texts_in(view, rows, corner) == agreeing
     solid = of_kind(rows, GEOM.mjGEOM_BOX)
-    assert (solid["emission"] < 1).sum() == 4 * 3 + 3  # the fourth is only turned: no line
+    assert (solid["emission"] < 1).sum() == 4 * 3 + 3  # the fourth is only rotated: no line
 
 
-def test_when_the_base_moves_the_difference_stays_and_the_frame_goes_along(world: World) -> None:
+def test_moving_the_base_moves_the_received_frame_and_keeps_the_difference(world: World) -> None:
     data = world.make_data()
     T = displaced(world, "lwr", 15, 3)
     world.set_input(data, "lwr.flange_check", T)
@@ -213,7 +211,7 @@ def test_when_the_base_moves_the_difference_stays_and_the_frame_goes_along(world
     assert tip == pytest.approx((moved @ T @ [0, 0, 0.16, 1])[:3], abs=1e-5)
 
 
-def test_when_the_robot_moves_the_difference_follows(world: World) -> None:
+def test_moving_the_robot_changes_the_difference(world: World) -> None:
     data = world.make_data()
     world.set_input(data, "lwr.flange_check", own_flange(world))
     q = POSE.copy()
@@ -223,7 +221,7 @@ def test_when_the_robot_moves_the_difference_follows(world: World) -> None:
     assert labels(rows) == on_card("lwr", 0, 7.5)
 
 
-def test_no_data_or_nan_shows_nothing_and_the_other_robot_goes_on() -> None:
+def test_no_data_or_nan_hides_the_check_of_that_robot_only() -> None:
     world = world_of_arms("first", "second")
     data = world.make_data()
     for name in ("first", "second"):
@@ -245,7 +243,7 @@ def test_no_data_or_nan_shows_nothing_and_the_other_robot_goes_on() -> None:
     assert draw(world, data)[0].count == 0
 
 
-def test_switched_off_nothing_is_shown(world: World) -> None:
+def test_check_that_is_switched_off_is_not_drawn(world: World) -> None:
     data, toggles = world.make_data(), toggles_of(world)
     world.set_input(data, "lwr.flange_check", displaced(world, "lwr", 30, 4))
     toggles.flange_checks = False
@@ -261,7 +259,7 @@ def test_switched_off_nothing_is_shown(world: World) -> None:
     assert draw(declared, data)[0].count == 0
 
 
-def test_cards_of_checks_keep_clear_of_billboards_and_of_the_corner() -> None:
+def test_check_billboards_do_not_overlap_others_or_the_corner() -> None:
     world = world_of_arms("first", "second", show_billboards=True, torques=np.full(7, 3.0))
     data, view = world.make_data(), view_at(distance=4)
     world.set_input(data, "first.flange_check", displaced(world, "first", 30, 4))

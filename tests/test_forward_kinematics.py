@@ -1,4 +1,4 @@
-"""MuJoCo's forward kinematics of a flange against the numpy ones."""
+"""MuJoCo's forward kinematics of a flange against NumPy's."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from sero_mj.base import paths
 
 
 @pytest.mark.parametrize("name", sorted(paths.list_models()))
-def test_both_ways_agree(name: str) -> None:
-    """Of tables in both conventions, branched, sliding and coupled joints."""
+def test_mujoco_and_numpy_kinematics_agree(name: str) -> None:
+    """Tables in both conventions, with branches and prismatic and coupled joints."""
     robot = SerialRobot.from_model(name)
     flange = ForwardKinematics(robot)
     q = np.random.default_rng(3).uniform(-1.5, 1.5, (4, 5, robot.n))
@@ -21,7 +21,7 @@ def test_both_ways_agree(name: str) -> None:
     assert flange(q[:0]).shape == (0, 5, 4, 4)
 
 
-def test_a_mirrored_robot_and_one_without_a_table_as_well() -> None:
+def test_kinematics_of_mirrored_robots_and_robots_without_a_table_agree() -> None:
     frames = [{"xyz": [0.0, 0.0, 0.3]}, {"xyz": [0.2, 0.0, 0.1], "rpy_deg": [90, 20, 0]}]
     robots = [
         SerialRobot.from_model("lwr", mirrored=True),
@@ -33,7 +33,7 @@ def test_a_mirrored_robot_and_one_without_a_table_as_well() -> None:
         np.testing.assert_allclose(ForwardKinematics(robot)(q), expected, atol=1e-12)
 
 
-def test_independent_joints_are_enough_and_another_number_is_told() -> None:
+def test_independent_joints_suffice_and_wrong_numbers_are_rejected() -> None:
     couplings = {"J3": {"to": "J2", "ratio": -1.0, "offset": 0.2}}
     robot = SerialRobot(
         name="r", dh_convention="craig", couplings=couplings,
@@ -45,7 +45,7 @@ def test_independent_joints_are_enough_and_another_number_is_told() -> None:
         flange(np.zeros(4))
 
 
-def test_what_it_returns_is_the_callers_to_keep() -> None:
+def test_returned_arrays_are_not_overwritten() -> None:
     flange = ForwardKinematics(SerialRobot.from_model("scara"))
     first = flange(np.zeros(4))
     kept = first.copy()

@@ -1,4 +1,4 @@
-"""Rigid frames: the maths against MuJoCo's own, and frames as files write them."""
+"""Rigid frames: the math against MuJoCo's, and frames as written in files."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_rotation_about_an_axis_follows_the_right_hand(axis, angle):
     )
 
 
-def test_rotations_about_an_axis_come_in_the_shape_of_the_angles():
+def test_rotations_about_an_axis_have_the_shape_of_the_angles():
     angles = np.linspace(-3, 3, 6).reshape(2, 3)
     stack = frames.rotation_about(1, angles)
     assert stack.shape == (2, 3, 3, 3)
@@ -61,8 +61,8 @@ def test_rotations_about_an_axis_come_in_the_shape_of_the_angles():
 
 @given(THREE_ANGLES)
 @settings(deadline=None)
-def test_roll_pitch_yaw_turn_about_the_fixed_axes_as_in_urdf(rpy):
-    # Quaternions multiply from the left when each turn is about a fixed axis.
+def test_roll_pitch_yaw_rotate_about_fixed_axes_as_in_urdf(rpy):
+    # Quaternions multiply from the left if each rotation is about a fixed axis.
     quat = np.array([1.0, 0.0, 0.0, 0.0])
     for axis, angle in enumerate(rpy):
         mujoco.mju_mulQuat(quat, quat_about(axis, angle), quat.copy())
@@ -85,7 +85,7 @@ def test_quaternion_of_any_length_gives_the_rotation_of_its_unit_quaternion(quat
     )
 
 
-def test_frame_is_identity_unless_given_a_rotation_or_a_position():
+def test_frame_defaults_to_the_identity():
     np.testing.assert_array_equal(frames.frame(), np.eye(4))
     T = frames.frame(frames.rotation_about(2, math.pi / 2), np.array([1.0, 2.0, 3.0]))
     np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-15)
@@ -101,7 +101,7 @@ def test_inverse_undoes_a_frame_and_a_stack_of_frames(rpy, position):
 
 
 @given(st.floats(0, math.pi), st.tuples(*[st.floats(-1, 1)] * 3))
-@example(1e-9, (1.0, 0.0, 0.0))  # arccos of the trace would give 0 here
+@example(1e-9, (1.0, 0.0, 0.0))  # arccos of the trace would return 0 here
 @example(math.pi - 1e-9, (0.0, 1.0, 0.0))  # and pi here
 @example(math.pi, (0.0, 0.0, 1.0))
 @settings(deadline=None)
@@ -114,7 +114,7 @@ def test_rotation_angle_is_exact_from_zero_to_pi(angle, axis):
     assert frames.rotation_angle(rotation_by_mujoco(quat)) == pytest.approx(angle, abs=1e-14)
 
 
-def test_frame_is_read_from_rows_from_sixteen_numbers_and_from_a_table():
+def test_frame_is_read_from_rows_sixteen_numbers_or_a_table():
     T = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
     flat = [number for row in T for number in row]
     quarter = {"xyz": [1, 2, 3], "rpy_deg": [0, 0, 90]}
@@ -125,7 +125,7 @@ def test_frame_is_read_from_rows_from_sixteen_numbers_and_from_a_table():
     np.testing.assert_array_equal(read({"xyz": [1, 2, 3]})[:3, 3], [1, 2, 3])
 
 
-def test_reading_a_frame_leaves_the_array_that_was_given_alone():
+def test_reading_a_frame_does_not_change_its_argument():
     given_frame = np.eye(4)
     read(given_frame)[0, 3] = 5.0
     np.testing.assert_array_equal(given_frame, np.eye(4))
@@ -138,20 +138,20 @@ def test_rotation_typed_with_four_digits_becomes_the_nearest_exact_one():
     np.testing.assert_allclose(T[:3, :3], frames.rotation_about(2, math.pi / 4), atol=1e-15)
 
 
-def test_rotation_that_is_exact_is_kept_to_the_last_bit():
+def test_exact_rotation_is_read_without_rounding():
     exact = frames.rotation_about(2, 0.3)
     np.testing.assert_array_equal(read(frames.frame(exact))[:3, :3], exact)
 
 
-def test_last_row_that_is_not_exactly_0_0_0_1_is_refused():
-    # Kept, a 1.000009 would scale everything the frame is applied to.
+def test_inexact_last_row_is_rejected():
+    # An accepted 1.000009 would scale everything the frame is applied to.
     problem = Problem(
         reason="last row is", found=[0.0, 0.0, 0.0, 1.000009], expected="[0, 0, 0, 1] (row-major)"
     )
     assert refusal([*EYE[:3], [0, 0, 0, 1.000009]]) == problem
 
 
-def test_vector_of_the_right_length_in_the_wrong_shape_is_refused_without_contradiction():
+def test_vector_in_the_wrong_shape_is_rejected_without_contradiction():
     assert refusal({"xyz": [[1, 2, 3]]}).found is None
 
 
@@ -212,7 +212,7 @@ NOT_A_ROTATION = Problem(reason="upper left 3 x 3 is not a rotation (orthonormal
         ({"xyz": [True, False, True]}, Problem(found=[True, False, True], expected="numbers")),
     ],
 )
-def test_wrong_frame_is_refused_with_what_was_found_and_what_is_right(value, problem):
+def test_invalid_frame_is_rejected_with_found_and_expected_values(value, problem):
     assert refusal(value) == problem
 
 
@@ -225,21 +225,21 @@ def test_wrong_frame_is_refused_with_what_was_found_and_what_is_right(value, pro
 )
 @example([1e200, 1e200, 0, 0, -1e200, 1e200, 0, 0, 0, 0, 1e200, 0])
 @settings(deadline=None, max_examples=examples(60))
-def test_any_sixteen_numbers_are_a_rigid_frame_or_refused(twelve):
+def test_any_sixteen_numbers_are_a_rigid_frame_or_rejected(twelve):
     try:
         T = read([*twelve, 0, 0, 0, 1])
     except ValueError:
         return
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(T[:3, :3]) > 0
-    # Sixteen numbers that are far from a rotation must not be repaired in silence.
+    # Sixteen numbers far from a rotation must not be repaired without a warning.
     np.testing.assert_allclose(T.ravel()[:12], twelve, atol=2e-3)
 
 
 @given(st.lists(st.floats(), min_size=4, max_size=4))
 @example([1e200, 0.0, 0.0, 0.0])
 @settings(deadline=None, max_examples=examples(60))
-def test_any_four_numbers_are_a_rotation_or_refused(quat):
+def test_any_four_numbers_are_a_rotation_or_rejected(quat):
     try:
         T = read({"quat": quat})
     except ValueError:

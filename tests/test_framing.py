@@ -1,4 +1,4 @@
-"""Where cameras stand so that robots are in pictures of every shape, in all of their poses."""
+"""Camera positions that show robots in all their poses and in images of every shape."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def shipped() -> list[str]:
 def corners_in_picture(
     world: World, camera: mujoco.MjvCamera, data: mujoco.MjData, size, needed: float
 ) -> bool:
-    """Whether the corners of all boxes about robots are in the picture."""
+    """Returns whether the corners of all bounding boxes of robots are in the image."""
     scene = mujoco.MjvScene(world.model, maxgeom=0)
     mujoco.mjv_updateCamera(world.model, data, camera, scene)
     stand_back(scene, camera, *size, needed)
@@ -60,7 +60,7 @@ def justin() -> World:
 
 @pytest.mark.gl
 @pytest.mark.parametrize("name", sampled(sorted(shipped(), key="hit_hand_grasp".__ne__), 1))
-def test_no_robot_touches_the_border_of_a_picture(name: str) -> None:
+def test_no_robot_touches_the_border_of_an_image(name: str) -> None:
     world = World(load_scene(name))
     data = world.make_data()
     Placer(world).place(data)
@@ -75,7 +75,7 @@ def test_no_robot_touches_the_border_of_a_picture(name: str) -> None:
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_view_holds_all_poses_that_are_known(justin: World, size) -> None:
+def test_view_contains_all_known_poses(justin: World, size) -> None:
     poses = [driven(justin, x, y) for x, y in ((0.8, 0.4), (-0.8, 0.4), (0.0, -1.5))]
     camera = find_camera(justin)
     framing = Framing(justin, camera)
@@ -87,7 +87,7 @@ def test_a_view_holds_all_poses_that_are_known(justin: World, size) -> None:
     assert all(corners_in_picture(justin, camera, p, size, framing.needed) for p in poses)
 
 
-def test_a_view_holds_a_robot_all_around_a_turntable(justin: World) -> None:
+def test_view_contains_a_robot_throughout_a_turntable(justin: World) -> None:
     poses = [driven(justin, 1.2, 0.0)]
     camera = find_camera(justin)
     framing = Framing(justin, camera)
@@ -98,7 +98,7 @@ def test_a_view_holds_a_robot_all_around_a_turntable(justin: World) -> None:
         assert corners_in_picture(justin, camera, poses[0], SIZES[2], framing.needed)
 
 
-def test_a_view_stays_where_it_shows_all_poses_or_a_user_has_placed_it(justin: World) -> None:
+def test_view_is_unchanged_if_it_shows_all_poses_or_was_set_by_the_user(justin: World) -> None:
     for wanted, poses in ((None, [driven(justin, 0.01, 0.0)]), ("0,-10,3", [driven(justin, 5, 0)])):
         camera = find_camera(justin, wanted)
         before = camera.distance, *camera.lookat, camera.azimuth
@@ -106,12 +106,12 @@ def test_a_view_stays_where_it_shows_all_poses_or_a_user_has_placed_it(justin: W
         assert (camera.distance, *camera.lookat, camera.azimuth) == before
 
 
-def test_a_page_holds_all_poses_that_it_plays(justin: World, monkeypatch) -> None:
+def test_page_view_contains_all_poses_it_plays(justin: World, monkeypatch) -> None:
     pose = driven(justin, 1.5, -0.5)
     monkeypatch.setattr(capture_file, "known_poses", lambda *times: [pose])
     scene = load_scene("justin")
     scene.routes = {}  # moved by hand, so it is not live
-    scene.view.follow = None  # else the camera follows instead
+    scene.view.follow = None  # otherwise the camera would follow
     page = capture_file.capture(scene, seconds=0.1, fps=10.0)
     assert page.camera.distance > scene.view.distance
     for size in SIZES:
@@ -119,9 +119,9 @@ def test_a_page_holds_all_poses_that_it_plays(justin: World, monkeypatch) -> Non
     assert capture_file.eye(page)["aspect"] == pytest.approx(page.needed, abs=1e-4)
 
 
-def test_the_initial_view_of_a_window_holds_a_recording(justin: World) -> None:
+def test_initial_window_view_contains_all_poses_of_a_recording(justin: World) -> None:
     navigator, pose = Navigator(justin), driven(justin, 1.5, 0.0)
-    navigator.hold(iter([]), SIZES[1])  # as of live sources
+    navigator.hold(iter([]), SIZES[1])  # as for live sources
     declared = navigator.camera.distance
     assert declared == pytest.approx(2.9)
     navigator.hold(iter([pose]), SIZES[1])
@@ -147,16 +147,17 @@ def test_short_recordings_are_read_before_they_are_shown(is_live, end, step, cou
     assert not times or (times[0], times[-1]) == (end, 0.0)
 
 
-def test_what_a_view_leaves_out_on_purpose_stays_out() -> None:
+def test_deliberately_close_view_stays_close() -> None:
     scene = load_scene("lwr")
-    scene.view.look_at, scene.view.distance = np.array([0.0, 0.0, 1.1]), 0.3  # its hand
+    # The hand of the robot.
+    scene.view.look_at, scene.view.distance = np.array([0.0, 0.0, 1.1]), 0.3
     world = World(scene)
     camera = find_camera(world)
     Framing(world, camera).hold(camera, [world.make_data()], SIZES[1])
     assert camera.distance == pytest.approx(0.3)
 
 
-def test_boxes_that_turn_with_geoms_are_inside_those_that_do_not(justin: World) -> None:
+def test_bounding_boxes_of_geoms_contain_their_rotated_boxes(justin: World) -> None:
     data = driven(justin, 0.3, 0.1)
     corners = geom_corners(justin.model, data)
     lows, highs = geom_boxes(justin.model, data)
@@ -164,7 +165,7 @@ def test_boxes_that_turn_with_geoms_are_inside_those_that_do_not(justin: World) 
     assert corners.max(axis=1) == pytest.approx(highs, abs=1e-12)
 
 
-def test_a_robot_whose_base_is_far_from_where_it_is_declared_is_in_the_picture() -> None:
+def test_robot_far_from_its_declared_base_is_in_the_image() -> None:
     world = World(Scene(robots=[SerialRobot.from_model("lwr")]))
     data, camera = world.make_data(), find_camera(world)
     framing, distance = Framing(world, camera), camera.distance
@@ -175,5 +176,5 @@ def test_a_robot_whose_base_is_far_from_where_it_is_declared_is_in_the_picture()
     assert camera.distance < 2 * distance
     placed = camera.lookat.copy()
     world.set_input(data, "lwr.base_frame", frame(position=[41.0, -30.0, 0.0]))
-    framing.fit(camera, data)  # it does not follow
+    framing.fit(camera, data)  # the camera does not follow
     assert (camera.lookat == placed).all()

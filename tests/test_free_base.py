@@ -1,4 +1,4 @@
-"""Robots whose base is free: physics, controllers, logs, and what shows them."""
+"""Robots with a free base: physics, controllers, logs, and display."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ G = 9.81
 
 
 def walker(**fields: object) -> list[SerialRobot]:
-    """A body that is free, and a leg on its last link."""
+    """Returns a free body with a leg on its last link."""
     still = {"viscous_friction": [0.0, 0.0], "coulomb_friction": [0.0, 0.0]}
     links = {
         "masses": [4.0, 2.0, 1.0], "centers_of_mass": [[0.03, 0.02, 0.05]] * 3,
@@ -45,11 +45,9 @@ def walker(**fields: object) -> list[SerialRobot]:
 
 
 def momentum(robots: list[SerialRobot], before: np.ndarray, after: np.ndarray, step: float):
-    """Linear and angular momentum about the world's origin, by differences of the DH frames.
+    """Returns linear and angular momentum about the world's origin, by differences of DH frames.
 
-    Args:
-        before: base pose (7,) and angles (4,) of leg and body.
-        after: the same, a step later.
+    `before` and `after` are base pose (7,) and angles (4,) of leg and body, one step apart.
     """
     leg, body = robots
     found = np.zeros(6)
@@ -74,7 +72,7 @@ def momentum(robots: list[SerialRobot], before: np.ndarray, after: np.ndarray, s
     return found
 
 
-def test_inner_torques_change_no_momentum_and_gravity_changes_it_by_the_weight() -> None:
+def test_internal_torques_conserve_momentum_and_gravity_changes_it() -> None:
     robots = walker()
     plant = Plant(World(Scene(robots=robots, floor=False), dynamic=True), timestep=1e-4)
     rng = np.random.default_rng(2)
@@ -92,7 +90,7 @@ def test_inner_torques_change_no_momentum_and_gravity_changes_it_by_the_weight()
     mass = sum(robot_dynamics(robot).masses.sum() for robot in robots)
     time = 1e-4 * (len(seen) - 3)
     np.testing.assert_allclose((end - start)[:3], [0, 0, -mass * G * time], atol=0.01)
-    # About the centre of mass of all nothing turns it; about the origin gravity does.
+    # There is no moment about the center of mass. About the origin, gravity has one.
     middle = []
     for each in seen:
         T = frame(rotation_from_quat(each[3:7]), each[:3])
@@ -106,10 +104,10 @@ def test_inner_torques_change_no_momentum_and_gravity_changes_it_by_the_weight()
         middle.append(total / mass)
     turn = np.cross(np.mean(middle, axis=0), [0, 0, -mass * G]) * time
     np.testing.assert_allclose((end - start)[3:], turn, atol=0.02)
-    assert np.abs(seen[-1][7:] - seen[0][7:]).max() > 0.02  # the joints did move
+    assert np.abs(seen[-1][7:] - seen[0][7:]).max() > 0.02  # the joints moved
 
 
-def test_a_controller_knows_how_its_free_base_leans() -> None:
+def test_controller_model_uses_the_orientation_of_the_free_base() -> None:
     simulation = Simulation(Scenario(Scene(robots=walker(), floor=False), duration=0.1))
     plant, whole = simulation.plant, simulation.whole_body
     assert whole is not None
@@ -150,7 +148,7 @@ def run_of(duration: float = 0.3) -> Simulation:
     return Simulation(scenario)
 
 
-def test_a_log_has_the_pose_of_the_base_and_shows_it() -> None:
+def test_log_contains_the_base_pose_and_shows_it() -> None:
     simulation = run_of()
     simulation.advance(simulation.steps)
     logged = simulation.log.signals["body_base_frame"]
@@ -159,7 +157,7 @@ def test_a_log_has_the_pose_of_the_base_and_shows_it() -> None:
     np.testing.assert_allclose(logged[-1][:3, 3], simulation.plant.data.qpos[free][:3])
     times = simulation.log.times
     fall = START[2, 3] - logged[:, 2, 3]
-    assert 0.2 < fall[-1] < 0.6  # 0.44 m, but for what the links do meanwhile
+    assert 0.2 < fall[-1] < 0.6  # 0.44 m, except for the motion of the links meanwhile
     mirror = Mirror(simulated_scene(simulation))
     with mirror:
         for row in (100, 299):
@@ -176,7 +174,7 @@ def test_a_log_has_the_pose_of_the_base_and_shows_it() -> None:
             )
 
 
-def test_a_recorded_run_has_the_base_as_well(tmp_path: Path) -> None:
+def test_recorded_run_contains_the_base_pose(tmp_path: Path) -> None:
     simulation = run_of(0.1)
     path = tmp_path / "run.mcap"
     with RunRecorder(simulation, path) as recorder:
@@ -190,7 +188,7 @@ def test_a_recorded_run_has_the_base_as_well(tmp_path: Path) -> None:
     np.testing.assert_allclose(error, MEASURES["flange_error"][1](simulation.log, "leg"))
 
 
-def test_a_run_begins_anew_where_the_base_is_declared() -> None:
+def test_restarted_run_begins_at_the_declared_base_pose() -> None:
     simulation = run_of(0.1)
     simulation.advance(simulation.steps)
     first = simulation.rows.copy()
@@ -199,7 +197,7 @@ def test_a_run_begins_anew_where_the_base_is_declared() -> None:
     np.testing.assert_array_equal(simulation.rows, first)
 
 
-def test_a_planar_base_slides_and_turns_freely_in_its_plane_and_stays_in_it() -> None:
+def test_planar_base_moves_freely_in_its_plane_only() -> None:
     normal = START[:3, :3].T @ [0, 0, 1]
     robots = walker(free_base="planar", base_normal=normal)
     plant = Plant(World(Scene(robots=robots, floor=False), dynamic=True), timestep=1e-4)
@@ -223,10 +221,10 @@ def test_a_planar_base_slides_and_turns_freely_in_its_plane_and_stays_in_it() ->
     start = momentum(robots, seen[0], seen[2], 2e-4)
     end = momentum(robots, seen[-3], seen[-1], 2e-4)
     np.testing.assert_allclose((end - start)[[0, 1, 5]], 0.0, atol=0.01)
-    assert np.abs(seen[-1][:3] - seen[0][:3]).max() > 1e-3  # the base did move
+    assert np.abs(seen[-1][:3] - seen[0][:3]).max() > 1e-3  # the base moved
 
 
-def test_a_planar_base_is_held_up_so_its_joints_feel_gravity_as_on_a_fixed_one() -> None:
+def test_joints_on_a_planar_base_feel_gravity_as_on_a_fixed_one() -> None:
     angles = {"body": np.array([0.4, -0.7]), "leg": np.array([0.2, 0.9])}
     held = []
     for free_base in ("planar", False):
@@ -237,19 +235,19 @@ def test_a_planar_base_is_held_up_so_its_joints_feel_gravity_as_on_a_fixed_one()
         assert np.abs(torques).max() > 0.1
 
 
-def test_it_lies_on_the_floor_and_touches_it_with_several_links() -> None:
+def test_fallen_robot_rests_on_several_links() -> None:
     simulation = run_of(2.0)
     simulation.advance(simulation.steps)
     logged = simulation.log.signals["body_base_frame"]
     assert 0.0 < logged[-1][2, 3] < 0.4
-    assert logged[:, 2, 3].min() > -0.1  # it does not sink in
+    assert logged[:, 2, 3].min() > -0.1  # it does not sink into the floor
     assert np.abs(logged[-1] - logged[-100]).max() < 0.1
     model, data = simulation.plant.model, simulation.plant.data
     touching = {model.geom_bodyid[g] for pair in data.contact.geom for g in pair}
     assert len(touching) > 1
 
 
-def test_mirroring_places_a_free_base_by_its_input() -> None:
+def test_mirror_sets_a_free_base_from_its_input() -> None:
     world = World(Scene(robots=walker()))
     data = world.make_data()
     T = frame(position=np.array([1.0, 2.0, 3.0]))
@@ -258,7 +256,7 @@ def test_mirroring_places_a_free_base_by_its_input() -> None:
     np.testing.assert_allclose(world.frame(data, "body/base"), T)
 
 
-def test_a_base_is_not_free_and_mounted() -> None:
+def test_base_cannot_be_free_and_mounted() -> None:
     with pytest.raises(DeclarationError) as caught:
         SerialRobot(
             name="r", dh_convention="craig", dh_params=[[0, 0, 0, 1]], mount="a/flange",
@@ -269,7 +267,7 @@ def test_a_base_is_not_free_and_mounted() -> None:
     )
 
 
-def test_without_gravity_a_robot_floats_and_what_moves_turns_the_rest() -> None:
+def test_robot_floats_without_gravity_and_counter_rotates() -> None:
     scenario = Scenario(
         Scene(robots=walker(), floor=False),
         controllers={"leg": {"kind": "joint_impedance", "stiffness": 20.0}},
@@ -282,12 +280,12 @@ def test_without_gravity_a_robot_floats_and_what_moves_turns_the_rest() -> None:
     data, model = made.plant.data, made.plant.world.model
     mujoco.mj_subtreeVel(model, data)
     base = made.log.of("body", "base_frame")
-    assert np.abs(base[-1, :3, :3] - base[0, :3, :3]).max() > 5e-3  # it turns the other way
+    assert np.abs(base[-1, :3, :3] - base[0, :3, :3]).max() > 5e-3  # it rotates the other way
     assert np.abs(base[-1, :3, 3] - base[0, :3, 3]).max() < 0.2
     np.testing.assert_allclose(data.subtree_linvel[0], 0.0, atol=2e-4)  # falling: 4.9
 
 
-def test_controllers_and_physics_have_the_same_gravity() -> None:
+def test_controllers_and_physics_use_the_same_gravity() -> None:
     held = []
     for gravity in (-G, -1.62):
         robot = SerialRobot.from_model("lwr", joint_angles=[0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0])

@@ -1,4 +1,4 @@
-"""The gallery: its page is what its list says, and nothing that is shipped is missing."""
+"""The gallery: its page matches its list, and all shipped robots are shown."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def gallery() -> ModuleType:
     return import_script(ROOT / "docs" / "gallery.py")
 
 
-def test_page_and_pictures_are_those_of_the_list(gallery):
+def test_page_and_images_match_the_list(gallery):
     names = [shot.name for shot in gallery.SHOTS]
     assert len(set(names)) == len(names)
     assert {path.stem for path in gallery.PICTURES.glob("*.webp")} == {*names}
@@ -24,7 +24,7 @@ def test_page_and_pictures_are_those_of_the_list(gallery):
 
 
 @pytest.mark.thorough
-def test_every_shot_can_be_made_and_every_shipped_robot_is_shown(gallery):
+def test_every_shot_has_a_scene_and_every_shipped_robot_is_shown(gallery):
     shown = set()
     for shot in gallery.SHOTS:
         scene = gallery.scene_of(shot)
@@ -35,7 +35,7 @@ def test_every_shot_can_be_made_and_every_shipped_robot_is_shown(gallery):
 
 
 @pytest.mark.gl
-def test_a_shot_makes_its_picture(gallery, tmp_path):
+def test_shot_renders_its_image(gallery, tmp_path):
     (shot,) = [shot for shot in gallery.SHOTS if shot.name == "flange_check"]
     file = tmp_path / "flange_check.png"
     render_image(gallery.scene_of(shot), file, size=(300, 220), camera=shot.camera, quality="draft")

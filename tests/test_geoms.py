@@ -44,14 +44,14 @@ def test_struct_view_reads_what_the_binding_writes_in_every_geom() -> None:
         scene.geoms[i].label = f"geom {i}"
         assert view["type"][i] == int(mujoco.mjtGeom.mjGEOM_CAPSULE)
         assert view["pos"][i].tolist() == [1.0, 2.0, i]
-        # The binding writes a C string; what was behind its end stays there.
+        # The binding writes a C string, and bytes after its end remain.
         assert view["label"][i].split(b"\0")[0] == f"geom {i}".encode()
         np.testing.assert_array_equal(view["rgba"][i], scene.geoms[i].rgba)
 
 
 def test_struct_view_does_not_change_the_scene() -> None:
     scene = a_scene()
-    for i in (0, 49):  # MuJoCo leaves them as the memory was, in which there may be NaN
+    for i in (0, 49):  # MuJoCo leaves this memory uninitialized, so it may contain NaN
         start = np.full(3, 1.0 + i)
         mujoco.mjv_initGeom(
             scene.geoms[i], mujoco.mjtGeom.mjGEOM_BOX, start, start, np.eye(3).ravel(), np.ones(4)
@@ -74,7 +74,7 @@ def test_struct_view_rejects_another_memory_layout(monkeypatch) -> None:
         struct_view(a_scene())
 
 
-def test_a_scene_writer_appends_geoms_and_returns_the_number_dropped() -> None:
+def test_scene_writer_appends_geoms_and_returns_the_number_dropped() -> None:
     scene = a_scene(10)
     host = SceneWriter(scene)
     scene.ngeom = 6
@@ -85,7 +85,7 @@ def test_a_scene_writer_appends_geoms_and_returns_the_number_dropped() -> None:
     assert [g.label for g in scene.geoms[6:10]] == [f"label {i}" for i in range(4)]
 
 
-def test_a_buffer_allocates_all_rows_or_none_and_counts_dropped_ones() -> None:
+def test_buffer_allocates_all_rows_or_none_and_counts_dropped_ones() -> None:
     buffer = GeomBuffer(capacity=10)
     assert len(buffer.take(8, 6)) == 8
     assert len(buffer.take(3, 6)) == 0
@@ -109,7 +109,7 @@ def test_decor_has_its_category_and_casts_no_shadow() -> None:
     assert (rows["segid"] == -1).all()
 
 
-def test_set_geom_cuts_nothing_from_a_label_of_99_characters() -> None:
+def test_set_geom_stores_labels_of_99_characters() -> None:
     rows = np.zeros(1, GEOM)
     rows["label"] = b"x" * 99
     geom = mujoco.MjvGeom()

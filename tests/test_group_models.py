@@ -1,4 +1,4 @@
-"""Models that are groups: their robots, where these stand, what a scene sets, what can be wrong."""
+"""Group models: their robots and poses, overrides in a scene, and errors."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ base_frame = { xyz = [0.0, 0.2, 0.0], rpy = [-0.5, 0.0, 0.0] }
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with a finger, a hand of these, and a body with two hands."""
+    """Returns a folder with a finger, a hand of these, and a body with two hands."""
     for name, text in (("finger/robot", FINGER), ("hand/group", HAND), ("body/group", BODY)):
         (tmp_path / name).parent.mkdir()
         (tmp_path / f"{name}.toml").write_text(text)
@@ -96,13 +96,13 @@ def changed(folder: Path, name: str, old: str, new: str) -> None:
 
 
 def finger(*q: float) -> np.ndarray:
-    """A finger's flange in its base, by hand."""
+    """Returns a finger's flange in its base, computed by hand."""
     steps = (rot(2, q[0]), move(z=0.02), rot(0, np.pi / 2), move(x=0.01), rot(2, q[1]))
-    # Craig: the turn about x comes before a; here both are along x.
+    # Craig: the rotation about x precedes a; here both are along x.
     return chain(*steps, move(x=0.05))
 
 
-def test_a_model_becomes_robots_and_groups_in_the_order_of_its_members(folder: Path) -> None:
+def test_group_model_becomes_robots_and_groups_in_the_order_of_its_members(folder: Path) -> None:
     scene = loaded(folder, '[groups.b]\nmodel = "body"\n')
     one = ["index", "thumb", "nail"]
     robots = ["b_trunk", *(f"b_left_{n}" for n in one), *(f"b_right_{n}" for n in one)]
@@ -114,7 +114,7 @@ def test_a_model_becomes_robots_and_groups_in_the_order_of_its_members(folder: P
     assert scene.robots["b_left_nail"].axes_size == 0.03
 
 
-def test_members_stand_where_products_of_frames_have_them(folder: Path) -> None:
+def test_members_are_at_the_products_of_their_frames(folder: Path) -> None:
     world = World(loaded(folder, '[groups.b]\nmodel = "body"\nbase_frame = { xyz = [1, 2, 0] }\n'))
     data = world.make_data()
     trunk = chain(move(1, 2, 0), finger(0, 0))
@@ -130,7 +130,7 @@ def test_members_stand_where_products_of_frames_have_them(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_objects_of_a_model_move_with_it(folder: Path, side: str) -> None:
+def test_objects_of_a_group_model_move_with_it(folder: Path, side: str) -> None:
     world = World(loaded(folder, '[groups.b]\nmodel = "body"\n', {"b_trunk.joint_angles": [1, 2]}))
     data = world.make_data()
     turn = 0.5 if side == "right" else -0.5
@@ -140,7 +140,7 @@ def test_objects_of_a_model_move_with_it(folder: Path, side: str) -> None:
     np.testing.assert_allclose(at, chain(wrist, move(0, 0, 0.05)), atol=1e-9)
 
 
-def test_a_scene_sets_fields_of_members_and_defaults_of_the_group(folder: Path) -> None:
+def test_scene_overrides_fields_of_members_and_defaults_of_the_group(folder: Path) -> None:
     scene = loaded(
         folder,
         """
@@ -165,7 +165,7 @@ def test_a_scene_sets_fields_of_members_and_defaults_of_the_group(folder: Path) 
     assert scene.robots["b_trunk"].torque_limits is not None
 
 
-def test_a_model_is_a_scene_by_itself_and_robots_and_groups_in_python(folder: Path) -> None:
+def test_group_model_is_a_scene_and_is_created_from_python(folder: Path) -> None:
     assert [*load_scene(folder / "hand" / "group.toml").robots] == [
         "hand_index", "hand_thumb", "hand_nail"
     ]  # fmt: skip
@@ -181,7 +181,7 @@ def test_a_model_is_a_scene_by_itself_and_robots_and_groups_in_python(folder: Pa
         group_from_model(str(folder / "hand"), "left", mirored=True)
 
 
-def test_mistakes_are_told_with_the_file_and_line_of_the_model(folder: Path) -> None:
+def test_errors_in_a_group_model_name_its_file_and_line(folder: Path) -> None:
     changed(folder, "hand/group.toml", "joint_angles = [0.1, 0.2]", "joint_angles = [0.1]")
     changed(folder, "hand/group.toml", '"thumb/flange"', '"thum/flange"')
     changed(folder, "hand/group.toml", "size = [0.02, 0.08, 0.1]", "size = [0.02, 0.08]")
@@ -226,7 +226,7 @@ def test_mistakes_are_told_with_the_file_and_line_of_the_model(folder: Path) -> 
     ]
 
 
-def test_mistakes_in_the_scene_are_told_with_its_own_line(folder: Path) -> None:
+def test_errors_in_the_scene_name_its_own_line(folder: Path) -> None:
     text = """[groups.h]
 model = "hand"
 mount = "arm/flanje"
@@ -296,7 +296,7 @@ model = "hand"
     ]
 
 
-def test_models_are_found_from_any_working_directory(
+def test_group_models_are_found_from_any_working_directory(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed(folder, "body/group.toml", 'model = "hand"\nmount', 'model = "../hand"\nmount')
@@ -326,7 +326,7 @@ def test_models_are_found_from_any_working_directory(
     assert lines == {f"{folder.name}/finger/robot.toml:3"}
 
 
-def test_a_model_in_itself_is_told(folder: Path) -> None:
+def test_group_model_that_contains_itself_is_rejected(folder: Path) -> None:
     changed(
         folder, "hand/group.toml", "[robots.index]", '[groups.x]\nmodel = "body"\n[robots.index]'
     )
@@ -335,7 +335,7 @@ def test_a_model_in_itself_is_told(folder: Path) -> None:
     assert problem == Problem("groups.x.model", circle, file="hand/group.toml", line=6)
 
 
-def test_values_set_for_members_of_a_model_are_told_by_their_names(folder: Path) -> None:
+def test_values_set_for_group_members_are_reported_by_their_names(folder: Path) -> None:
     (folder / "scene.toml").write_text('[groups.b]\nmodel = "body"\njoint_angles = [1, 2]\n')
     robots = ["trunk", *(f"{side}_{n}" for side in ("left", "right")
                          for n in ("index", "thumb", "nail"))]  # fmt: skip
@@ -352,7 +352,7 @@ def test_values_set_for_members_of_a_model_are_told_by_their_names(folder: Path)
         assert str(caught.value) == f"{folder}/scene.toml{text}"
 
 
-def test_a_group_alone_that_is_wrong_is_all_that_is_told(folder: Path) -> None:
+def test_single_invalid_group_is_the_only_error(folder: Path) -> None:
     assert told(folder, '[groups.h]\nmodel = "hnd"\n') == [
         Problem(
             "groups.h.model",
@@ -363,7 +363,7 @@ def test_a_group_alone_that_is_wrong_is_all_that_is_told(folder: Path) -> None:
     ]
 
 
-def test_fk_and_check_say_what_a_group_holds(
+def test_fk_and_check_list_the_robots_of_a_group(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in (folder / "hand", folder / "hand" / "group.toml"):
@@ -382,14 +382,14 @@ def test_fk_and_check_say_what_a_group_holds(
     )
 
 
-def test_objects_need_a_robot_to_carry_them(folder: Path) -> None:
+def test_objects_of_a_group_model_need_a_base_robot(folder: Path) -> None:
     (folder / "hand/group.toml").write_text('[objects.palm]\nshape = "sphere"\nsize = [0.1]\n')
     reason = "no robot to carry it that is neither mounted on another nor mirrored"
     problem = told(folder, '[groups.h]\nmodel = "hand"\n')[0]
     assert problem == Problem("objects.palm", reason, file="hand/group.toml", line=1)
 
 
-def test_a_model_in_itself_by_way_of_a_link_is_told(folder: Path) -> None:
+def test_group_model_that_contains_itself_through_a_link_is_rejected(folder: Path) -> None:
     (folder / "hand/again").symlink_to(folder / "hand")
     changed(folder, "hand/group.toml", "[objects", '[groups.x]\nmodel = "again"\n[objects')
     circle = "models of groups are in each other in a circle: hand in hand"

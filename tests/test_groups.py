@@ -1,4 +1,4 @@
-"""Groups of robots: routes that are shared out, switches, defaults and doubles of all."""
+"""Groups of robots: shared routes, switches, defaults and doubles."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def robot(name: str, **fields: Any) -> SerialRobot:
 
 
 def justin(routes: dict[str, Any] | None = None, structure: str = "9F9F", **fields: Any) -> Scene:
-    """Arms with a coupled joint on a torso, in a group of their own that comes last."""
+    """Returns arms with a coupled joint on a torso, in a group of their own that is listed last."""
     on = {"mount": "torso/flange", "couplings": {"J3": {"to": "J2", "ratio": 2.0}}}
     return Scene(
         robots=[
@@ -79,7 +79,7 @@ def told(scene: Scene) -> list[str]:
     return [str(problem) for problem in wire(scene).problems]
 
 
-def test_a_route_to_a_group_gives_every_robot_its_share_in_order() -> None:
+def test_route_to_a_group_gives_every_robot_its_slice_in_order() -> None:
     scene = justin({"justin.joint_angles": "udp.values0", "justin.torques": "-2 * udp.values1"})
     world, data = received(scene, values0=np.arange(9.0), values1=np.arange(9.0))
     assert angles(world, data) == {
@@ -89,7 +89,7 @@ def test_a_route_to_a_group_gives_every_robot_its_share_in_order() -> None:
     assert data.userdata[world.slots["right.torques"]].tolist() == [-12.0, -14.0, -16.0]
 
 
-def test_coupled_joints_may_be_left_out_of_the_whole_packet() -> None:
+def test_coupled_joints_can_be_omitted_from_the_packet_of_a_group() -> None:
     scene = justin(
         {"justin.joint_angles": "udp.values0 * deg", "arms.torques": "udp.values1"}, "7F4F"
     )
@@ -100,7 +100,7 @@ def test_coupled_joints_may_be_left_out_of_the_whole_packet() -> None:
     np.testing.assert_array_equal(torques, [3, 4, np.nan])
 
 
-def test_a_wrong_size_is_told_with_the_count_of_every_robot() -> None:
+def test_wrong_size_is_reported_with_the_count_of_every_robot() -> None:
     scene = justin({"justin.joint_angles": "udp.values0[0:8]", "justin.torques": "udp.values1"})
     assert told(scene) == [
         "routes.justin.joint_angles: udp.values0[0:8] has 8 values; justin.joint_angles takes 9: "
@@ -108,7 +108,7 @@ def test_a_wrong_size_is_told_with_the_count_of_every_robot() -> None:
     ]
 
 
-def test_mistyped_inputs_and_groups_are_told_by_the_users_own_key() -> None:
+def test_mistyped_inputs_and_groups_are_reported_by_the_declared_key() -> None:
     scene = justin({"justin.torqes": "udp.values0", "justn.torques": "udp.values0"})
     assert told(scene) == [
         "routes.justin.torqes: no input 'torqes' of justin; did you mean 'torques'?",
@@ -116,14 +116,14 @@ def test_mistyped_inputs_and_groups_are_told_by_the_users_own_key() -> None:
     ]
 
 
-def test_two_routes_to_one_input_are_told() -> None:
+def test_two_routes_to_one_input_are_rejected() -> None:
     scene = justin({"justin.torques": "udp.values0", "left.torques": "udp.values1[0:3]"})
     assert told(scene) == [
-        "routes.left.torques: left.torques has a route already, justin.torques; remove one of them"
+        "routes.left.torques: left.torques already has the route justin.torques. Remove one of them"
     ]
 
 
-def test_an_input_that_not_all_have_is_told() -> None:
+def test_input_that_not_all_robots_have_is_rejected() -> None:
     robots = [robot("left", inputs=["currents"]), robot("right")]
     scene = Scene(
         robots=robots, groups=[Group(name="arms", robots=["left", "right"])],
@@ -136,7 +136,7 @@ def test_an_input_that_not_all_have_is_told() -> None:
     ]
 
 
-def test_the_base_of_a_group_is_that_of_the_robot_that_stands_in_the_world() -> None:
+def test_base_of_a_group_is_the_base_of_its_unmounted_robot() -> None:
     scene = justin({"justin.base_frame": "udp.matrices0"}, "1M")
     T = np.eye(4)
     T[:3, 3] = 1.0, 2.0, 3.0
@@ -145,7 +145,7 @@ def test_the_base_of_a_group_is_that_of_the_robot_that_stands_in_the_world() -> 
     np.testing.assert_allclose(world.frame(data, "head/base")[:3, 3], [1.0, 2.0, 3.3])
 
 
-def test_a_switch_of_a_group_is_that_of_all() -> None:
+def test_switch_of_a_group_switches_all_its_robots() -> None:
     scene = justin(
         {"justin.show_arrows": "not udp.values0", "arms.show_axes": "udp.values1"}, "1F1F"
     )
@@ -159,14 +159,14 @@ def test_a_switch_of_a_group_is_that_of_all() -> None:
     assert shown == {"left", "right"}
 
 
-def test_outputs_of_a_group_can_be_read() -> None:
+def test_outputs_of_a_group_can_be_routed() -> None:
     routes = {"left.billboard_values": "arms.joint_angles[3:6]"}
     routes["right.joint_angles"] = "udp.values0"
     world, data = received(justin(routes, "3F"), values0=[1.0, 2.0, 3.0])
     assert data.userdata[world.slots["left.billboard_values"]].tolist() == [1.0, 2.0, 3.0]
 
 
-def test_defaults_count_less_than_what_a_robot_sets_itself() -> None:
+def test_robot_fields_override_group_defaults() -> None:
     groups = [
         Group(name="all", robots=["pair", "head"], show_axes=True, billboard_scale=0.09),
         Group(name="pair", robots=["left", "right"], billboard_scale=0.07),
@@ -177,10 +177,10 @@ def test_defaults_count_less_than_what_a_robot_sets_itself() -> None:
     assert found == {
         "left": (False, 0.07), "right": (True, 0.07), "head": (True, 0.09), "torso": (False, 0.05),
     }  # fmt: skip
-    assert mine.billboard_scale == 0.05  # what was handed in is left as it is
+    assert mine.billboard_scale == 0.05  # the argument is not changed
 
 
-def test_robots_are_stale_and_have_lines_by_the_routes_of_their_group() -> None:
+def test_staleness_and_billboard_lines_follow_the_routes_of_the_group() -> None:
     scene = justin({"justin.joint_angles": "udp.values0", "arms.torques": "udp.values1"},
                    "9F6F")  # fmt: skip
     world = World(scene)
@@ -191,7 +191,7 @@ def test_robots_are_stale_and_have_lines_by_the_routes_of_their_group() -> None:
     assert [line.value for line in declared_lines(world.owners["head"], scene)] == ["joint_angles"]
 
 
-def test_a_double_of_a_group_is_one_of_every_robot_and_stands_on_itself() -> None:
+def test_double_of_a_group_has_doubles_of_all_robots_on_each_other() -> None:
     at = np.array([0.4, 0.3, 0.5, 0.1, 0.2, 0.4, 0.3, 0.1, 0.2])
     double = Double(name="goal", of="justin", joint_angles=at, rgba=[1, 0, 0, 0.5])
     scene = justin({"goal.visible": "udp.values0"}, "1F", doubles=[double])
@@ -199,7 +199,7 @@ def test_a_double_of_a_group_is_one_of_every_robot_and_stands_on_itself() -> Non
     mirror = Mirror(scene)
     mirror.advance(0.0)
     world, data = mirror.world, mirror.data
-    # By hand: the goal's arm stands on the goal's torso, not on the robot's.
+    # By hand: the goal's arm is on the goal's torso, not on the robot's.
     torso, left = scene.robots["torso"], scene.robots["left"]
     base = torso.base_frame @ torso.fwd_kin_base_to_flange(at[:2]) @ left.base_frame
     np.testing.assert_allclose(
@@ -210,7 +210,7 @@ def test_a_double_of_a_group_is_one_of_every_robot_and_stands_on_itself() -> Non
     np.testing.assert_allclose(first, base[:3, 3], atol=1e-12)
 
 
-def test_a_double_without_a_pose_leaves_the_others_on_the_robots() -> None:
+def test_doubles_without_a_pose_stay_at_their_robots() -> None:
     doubles = [Double(name="goal", of="justin")]
     scene = justin({"goal_left.joint_angles": "udp.values0"}, "3F", doubles=doubles)
     world, data = received(scene, values0=[0.1, 0.2, 0.3])
@@ -220,7 +220,7 @@ def test_a_double_without_a_pose_leaves_the_others_on_the_robots() -> None:
     np.testing.assert_allclose(world.frame(data, "goal_left/flange"), expected, atol=1e-12)
 
 
-def test_a_packet_that_is_played_moves_all_of_a_group() -> None:
+def test_sent_packet_moves_all_robots_of_a_group() -> None:
     scene = justin({"justin.joint_angles": "udp.values0", "justin.torques": "udp.values1"})
     packets = MotionPackets(scene)
     values = np.frombuffer(packets.at(0.4), "<f8")
@@ -228,7 +228,7 @@ def test_a_packet_that_is_played_moves_all_of_a_group() -> None:
     found = angles(world, data)
     assert all(np.abs(values).max() > 0.01 for values in found.values())
     assert found["left"][2] == pytest.approx(2.0 * found["left"][1])
-    assert np.abs(values[9:]).max() > 0.1  # torques that hold it
+    assert np.abs(values[9:]).max() > 0.1  # torques that hold the robots
 
 
 WRONG = """\
@@ -270,7 +270,7 @@ model = "lwr"
 """
 
 
-def test_wrong_groups_are_all_told_at_once_with_their_lines(tmp_path: Path) -> None:
+def test_invalid_groups_are_reported_together_with_their_lines(tmp_path: Path) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text(WRONG)
     assert problems_in(path) == [
@@ -284,7 +284,7 @@ def test_wrong_groups_are_all_told_at_once_with_their_lines(tmp_path: Path) -> N
     ]
 
 
-def test_values_can_be_set_for_a_group_on_the_command_line(tmp_path: Path) -> None:
+def test_group_values_can_be_overridden_on_the_command_line(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(
         '[robots.a]\nmodel = "lwr"\nshow_arrows = false\n[robots.b]\nmodel = "lwr"\n'
@@ -297,7 +297,7 @@ def test_values_can_be_set_for_a_group_on_the_command_line(tmp_path: Path) -> No
     assert scene.routes == {}
 
 
-def test_a_wrong_group_is_not_told_again_by_its_routes(tmp_path: Path) -> None:
+def test_invalid_group_is_not_reported_again_by_its_routes(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(
         """[robots.a]
@@ -355,9 +355,9 @@ def posed(folder: Path, **overrides: Any) -> Scene:
     return load_scene(path, {key.replace("__", "."): each for key, each in overrides.items()})
 
 
-def test_a_group_declares_what_its_robots_share(tmp_path: Path) -> None:
+def test_group_declares_values_shared_by_its_robots(tmp_path: Path) -> None:
     scene = posed(tmp_path)
-    np.testing.assert_allclose(scene.robots["b"].home, [0.1, 0.2, 0.4])  # not its own zeros
+    np.testing.assert_allclose(scene.robots["b"].home, [0.1, 0.2, 0.4])  # not the robot's zeros
     np.testing.assert_array_equal(scene.robots["a"].home, range(1, 8))
     world = World(scene)
     data = world.make_data()
@@ -371,25 +371,26 @@ def test_a_group_declares_what_its_robots_share(tmp_path: Path) -> None:
     mine = robot("head", joint_angles=[0.5])
     scene = Scene(robots=[robot("left"), mine], groups=groups[::-1])
     assert [each.home.tolist() for each in scene.robots.values()] == [[6, 7, 8], [9]]
-    assert mine.home.tolist() == [0.5]  # what was handed in is left as it is
+    assert mine.home.tolist() == [0.5]  # the argument is not changed
     late = Scene(robots=[robot("left")], groups=groups[:1])
     assert late.robots["left"].home.tolist() == [1, 2, 3]
 
 
-def test_poses_of_groups_are_set_on_the_command_line(tmp_path: Path) -> None:
+def test_group_poses_can_be_overridden_on_the_command_line(tmp_path: Path) -> None:
     scene = posed(tmp_path, pair__joint_angles=[*range(9)], pair__torques=[*range(9)])
     np.testing.assert_allclose(scene.robots["b"].home, [0, 1, 2])
     np.testing.assert_array_equal(scene.robots["a"].home, range(2, 9))
-    assert set(scene.routes) == {"b.billboard_values"}  # of what is set nothing is routed
+    assert set(scene.routes) == {"b.billboard_values"}  # values that are set have no routes
     scene = posed(tmp_path, a__joint_angles=[0] * 7, pair__billboard_values=[1] * 10)
-    assert scene.robots["a"].home.tolist() == [0] * 7  # a robot's counts more than its group's
+    # A robot's value takes precedence over its group's.
+    assert scene.robots["a"].home.tolist() == [0] * 7
     np.testing.assert_allclose(scene.robots["b"].home, [0.1, 0.2, 0.4])
     assert set(scene.routes) == {"b.joint_angles", "pair.torques"}
     scene = posed(tmp_path, **{"a__joint_angles[2]": 0.5})
     assert scene.robots["a"].home.tolist() == [1, 2, 0.5, 4, 5, 6, 7]
 
 
-def test_groups_and_doubles_have_poses_in_degrees(tmp_path: Path) -> None:
+def test_groups_and_doubles_accept_poses_in_degrees(tmp_path: Path) -> None:
     shared = "joint_angles = [0.1, 0.2, 1, 2, 3, 4, 5, 6, 7]"
     in_degrees = POSED.replace(shared, "joint_angles_deg = [10, 20, 1, 2, 3, 4, 5, 6, 7]")
     goal = '[doubles.goal]\nof = "pair"\njoint_angles_deg = [1, 2, 3, 4, 5, 6, 7, 8, 90]\n'
@@ -401,7 +402,7 @@ def test_groups_and_doubles_have_poses_in_degrees(tmp_path: Path) -> None:
     of_a, of_b = scene.doubles["goal_a"].joint_angles, scene.doubles["goal_b"].joint_angles
     assert of_a is not None and of_b is not None
     np.testing.assert_allclose(np.rad2deg([*of_a, *of_b]), [3, 4, 5, 6, 7, 8, 90, 1, 2])
-    # What is set in one unit replaces the other, in files as on the way to the robots.
+    # A value set in one unit replaces the other, in files and in overrides.
     scene = posed(tmp_path, pair__joint_angles_deg=[*range(9)])
     np.testing.assert_allclose(np.rad2deg(scene.robots["a"].home), range(2, 9))
     assert set(scene.routes) == {"pair.torques", "b.billboard_values"}
@@ -421,7 +422,7 @@ def test_groups_and_doubles_have_poses_in_degrees(tmp_path: Path) -> None:
         Double(name="goal", of="a", joint_angles=[0], joint_angles_deg=[0])
 
 
-def test_wrong_values_of_a_group_are_told_once(
+def test_wrong_values_of_a_group_are_reported_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def told_of(setting: str) -> list[str]:
@@ -454,7 +455,7 @@ def test_wrong_values_of_a_group_are_told_once(
     ]
 
 
-def test_inputs_of_groups_are_set_by_its_name() -> None:
+def test_inputs_of_groups_are_set_by_the_group_name() -> None:
     world = World(justin(doubles=[Double(name="goal", of="arms")]))
     data = world.make_data()
     world.set_input(data, "justin.joint_angles", np.arange(7.0) / 10)
@@ -476,7 +477,7 @@ def test_inputs_of_groups_are_set_by_its_name() -> None:
     assert {owners[i] for i in world.frames.owner[toggles.axes]} == {"left", "right"}
 
 
-def test_wrong_inputs_of_groups_are_told_by_its_name() -> None:
+def test_wrong_inputs_of_groups_are_reported_by_the_group_name() -> None:
     world = World(justin(doubles=[Double(name="goal", of="arms")]))
     data = world.make_data()
     each = "torso 2, head 1, left 3, right 3, or 7 without the coupled joints"
@@ -497,10 +498,10 @@ def test_wrong_inputs_of_groups_are_told_by_its_name() -> None:
         with pytest.raises((UnknownName, ValueError)) as caught:
             world.set_input(data, target, values)
         assert str(caught.value) == text
-    np.testing.assert_array_equal(data.qpos, 0.0)  # of no robot, where it is wrong for one
+    np.testing.assert_array_equal(data.qpos, 0.0)  # no robot is set if one value is invalid
 
 
-def test_a_viewer_hands_on_what_is_set_for_a_group() -> None:
+def test_viewer_forwards_inputs_set_for_a_group() -> None:
     worlds = [World(justin()) for _ in range(2)]
     user, shown = worlds[0].make_data(), worlds[1].make_data()
     memory = SceneMemory(worlds[0], user)
@@ -519,13 +520,13 @@ def test_a_viewer_hands_on_what_is_set_for_a_group() -> None:
         RobotInputs(viewer, "amrs")
 
 
-def test_a_group_of_too_many_is_told() -> None:
+def test_group_of_too_many_robots_is_rejected() -> None:
     with pytest.raises(DeclarationError) as caught:
         Group(name="crowd", robots=["r"] * 401)
     assert str(caught.value) == "robots: found 401 entries; expected at most 400"
 
 
-def test_deeply_nested_groups_are_resolved_in_no_time() -> None:
+def test_deeply_nested_groups_are_resolved_quickly() -> None:
     groups = [Group(name="g0", robots=["head"])]
     groups += [Group(name=f"g{i}", robots=[f"g{i - 1}"] * 2) for i in range(1, 100)]
     with pytest.raises(DeclarationError) as caught:
@@ -533,7 +534,7 @@ def test_deeply_nested_groups_are_resolved_in_no_time() -> None:
     assert len(caught.value.problems) == 99
 
 
-def test_the_panel_shows_a_group_as_a_tree_whose_switches_are_those_of_all() -> None:
+def test_panel_shows_a_group_as_a_tree_with_switches_for_all_robots() -> None:
     doubles = [Double(name="goal", of="arms", joint_angles=np.zeros(6))]
     world = World(justin(doubles=doubles))
     toggles = Toggles(world)
@@ -554,7 +555,7 @@ def test_the_panel_shows_a_group_as_a_tree_whose_switches_are_those_of_all() -> 
     assert not toggles.doubles.any()
 
 
-def test_controllers_of_a_group_are_those_of_its_robots() -> None:
+def test_controllers_of_a_group_apply_to_its_robots() -> None:
     soft, stiff = ({"kind": "joint_impedance", "stiffness": k, "damping": 0.7} for k in (1, 2))
     free = {"kind": "gravity_compensation"}
     scenario = Scenario(
@@ -572,7 +573,7 @@ def test_controllers_of_a_group_are_those_of_its_robots() -> None:
     ]
 
 
-def test_a_group_without_data_says_so_once_with_its_doubles_below() -> None:
+def test_group_without_data_is_reported_once_and_doubles_below() -> None:
     routes = {
         "justin.joint_angles": "udp.values0",
         "arms.torques": "more.values0",
@@ -593,11 +594,11 @@ def test_a_group_without_data_says_so_once_with_its_doubles_below() -> None:
 
     assert written(udp=-1, other=2.0) == ["goal: no data for 2.0 s", "justin: no data yet"]
     assert written(udp=-1) == ["justin: no data yet"]
-    some = written(more=2.0)  # of the arms only, so each says so
+    some = written(more=2.0)  # only of the arms, so each reports it
     assert some == ["left: no data for 2.0 s", "right: no data for 2.0 s"]
 
 
-def test_a_double_of_a_group_with_too_many_angles_is_told_once() -> None:
+def test_double_of_a_group_with_too_many_angles_is_reported_once() -> None:
     with pytest.raises(DeclarationError) as caught:
         justin(doubles=[Double(name="goal", of="arms", joint_angles=np.zeros(5))])
     assert str(caught.value) == (

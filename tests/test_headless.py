@@ -1,4 +1,4 @@
-"""Rendered pictures, checked for what they must show."""
+"""Rendered images, checked for what they must show."""
 
 from contextlib import nullcontext
 
@@ -48,12 +48,12 @@ def renderer(world: World):
 
 
 def changed(a, b):
-    """Where two pictures differ by more than noise, (height, width) bool."""
+    """Returns where two images differ by more than noise, (height, width) bool."""
     return np.abs(a.astype(int) - b.astype(int)).max(axis=2) > 25
 
 
 @pytest.mark.parametrize("joint", range(7))
-def test_every_arrow_is_seen_in_its_colour_at_its_joint(world, renderer, joint: int) -> None:
+def test_every_arrow_is_visible_in_its_color_at_its_joint(world, renderer, joint: int) -> None:
     data = world.make_data()
     complete = renderer.render(data)
     renderer.toggles.arrows[joint] = False
@@ -62,14 +62,14 @@ def test_every_arrow_is_seen_in_its_colour_at_its_joint(world, renderer, joint: 
     finally:
         renderer.toggles.arrows[joint] = True
     rows, columns = np.nonzero(changed(complete, without))
-    # The missing arrow is noticed, even the thin one of 2 % of the limit ...
+    # The missing arrow makes a difference, even the thin one of 2 % of the limit ...
     assert len(rows) > 60
-    # ... where it belongs ...
+    # ... at its joint ...
     centre, depth = renderer.decor.view.project(data.site_xpos[world.joints.centre_site[joint]])
     reach = 0.17 / renderer.decor.view.pixel_size(float(depth))
     away = np.hypot(columns - centre[0], (SIZE[1] - rows) - centre[1])
     assert (away < reach).all()
-    # ... and in the colour of its sign: orange has more red than blue, blue the reverse.
+    # ... and in the color of its sign: orange has more red than blue, blue the reverse.
     red, _, blue = complete[rows, columns].mean(axis=0)
     assert np.sign(red - blue) == np.sign(TORQUES[joint])
 
@@ -86,7 +86,7 @@ def test_arrow_width_in_pixels_grows_with_the_torque(world, renderer) -> None:
     assert (np.diff(areas) > 0.15 * np.array(areas[:-1])).all()
 
 
-def test_billboard_text_is_white_on_its_dark_panel(renderer, world) -> None:
+def test_billboard_text_is_white_on_its_dark_background(renderer, world) -> None:
     data = world.make_data()
     renderer.toggles.arrows[:] = False
     renderer.toggles.billboards[:] = True
@@ -105,10 +105,10 @@ def test_billboard_text_is_white_on_its_dark_panel(renderer, world) -> None:
         box = pixels[
             round(middle - height / 2) : round(middle + height / 2),
             round(x - width / 2) : round(x + width / 2),
-        ][6:-6]  # without the round corners
+        ][6:-6]  # without the rounded corners
         bright = box.min(axis=2) > 150
         assert 0.02 < bright.mean() < 0.5
-        # The text reaches from one padding to the other, and is not on them.
+        # The text reaches from one padding to the other and does not cover them.
         columns = np.nonzero(bright.any(axis=0))[0]
         pad = PADDING * font.height
         assert abs(columns[0] - pad) <= 3
@@ -116,7 +116,7 @@ def test_billboard_text_is_white_on_its_dark_panel(renderer, world) -> None:
         assert np.median(box) < 90  # the panel behind it
 
 
-def test_picture_without_decor_is_mujocos_own(world) -> None:
+def test_image_without_decor_equals_the_one_of_mujoco(world) -> None:
     data = world.make_data()
     camera = find_camera(world)
     with HeadlessRenderer(world, 160, 120) as ours:
@@ -127,7 +127,7 @@ def test_picture_without_decor_is_mujocos_own(world) -> None:
         assert np.array_equal(got, plain.render())
 
 
-def test_widths_of_the_font_are_those_of_mujoco(world) -> None:
+def test_font_widths_equal_those_of_mujoco(world) -> None:
     at_150 = mujoco.mjtFontScale.mjFONTSCALE_150
     with mujoco.Renderer(world.model, 16, 16, font_scale=at_150) as renderer:
         context = Font.of_context(renderer._mjr_context)
@@ -136,19 +136,19 @@ def test_widths_of_the_font_are_those_of_mujoco(world) -> None:
 
 
 @pytest.mark.parametrize("scale", FONT_HEIGHTS)
-def test_heights_of_the_font_sizes_are_those_of_mujoco(scale: int, world) -> None:
+def test_font_heights_equal_those_of_mujoco(scale: int, world) -> None:
     font = getattr(mujoco.mjtFontScale, f"mjFONTSCALE_{scale}")
     with mujoco.Renderer(world.model, 16, 16, font_scale=font) as renderer:
         assert renderer._mjr_context.charHeight == FONT_HEIGHTS[scale]
 
 
-def test_text_grows_with_the_picture(world) -> None:
+def test_text_size_grows_with_the_image_size(world) -> None:
     heights = [line_height(world, 2 * h, h) for h in (300, 480, 800, 1080, 2160)]
     assert heights == [18, 18, 28, 38, 76]
     assert [line_height(world, h, 2 * h) for h in (300, 480, 800, 1080, 2160)] == heights
 
 
-def test_an_arrow_geom_is_drawn_as_long_as_we_think() -> None:
+def test_arrow_geom_is_drawn_with_the_assumed_length() -> None:
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><geom size=".001"/></worldbody></mujoco>'
     )
@@ -173,7 +173,7 @@ def test_an_arrow_geom_is_drawn_as_long_as_we_think() -> None:
     assert (200.5 - rows.min()) / per_metre == pytest.approx(length, abs=0.008)
 
 
-def test_a_named_camera_looks_at_its_target(lwr) -> None:
+def test_named_camera_looks_at_its_target(lwr) -> None:
     camera = Camera(position=[2.0, 1.0, 1.5], look_at=[0.1, 0.2, 0.3])
     world = World(Scene(robots=[lwr], cameras={"front": camera}))
     with HeadlessRenderer(world, 320, 240, "front") as renderer:
@@ -185,7 +185,7 @@ def test_a_named_camera_looks_at_its_target(lwr) -> None:
         find_camera(world, "fron")
 
 
-def test_a_free_camera_takes_azimuth_elevation_distance(world) -> None:
+def test_free_camera_takes_azimuth_elevation_distance(world) -> None:
     camera = find_camera(world, "30,-20,3.5")
     assert (camera.azimuth, camera.elevation, camera.distance) == (30, -20, 3.5)
     expected = (
@@ -197,14 +197,14 @@ def test_a_free_camera_takes_azimuth_elevation_distance(world) -> None:
             find_camera(world, wrong)
 
 
-def test_the_scenes_view_is_where_one_looks_from(lwr) -> None:
+def test_declared_view_sets_the_camera(lwr) -> None:
     view = View(azimuth_deg=12.0, elevation_deg=-3.0, distance=4.0, look_at=[0, 0, 1])
     camera = find_camera(World(Scene(robots=[lwr], view=view)))
     assert (camera.azimuth, camera.elevation, camera.distance) == (12, -3, 4)
     assert camera.lookat == pytest.approx([0, 0, 1])
 
 
-def test_the_default_view_holds_the_whole_robot(lwr) -> None:
+def test_default_view_contains_the_whole_robot(lwr) -> None:
     world = World(Scene(robots=[lwr]))
     centre, radius = bounding_sphere(world)
     data = world.make_data()
@@ -213,7 +213,7 @@ def test_the_default_view_holds_the_whole_robot(lwr) -> None:
         pixels, _ = renderer.decor.view.project(data.xpos[world.robots["lwr"].bodies])
     assert (pixels > 20).all() and (pixels < [780, 580]).all()
     assert 0.5 < radius < 0.8
-    assert np.ptp(pixels[:, 1]) > 300  # and is no speck in it
+    assert np.ptp(pixels[:, 1]) > 300  # and the robot is not tiny
     assert centre[2] == pytest.approx(0.59, abs=0.05)
 
 
@@ -221,20 +221,20 @@ FOLDED = np.deg2rad([0, 100, 0, 118, 0, 0, 0])
 
 
 def in_picture(world: World, camera: mujoco.MjvCamera, data: mujoco.MjData) -> bool:
-    """Whether the middles of all geoms of the robot are in a square picture."""
+    """Returns whether the centers of all geoms of the robot are in a square image."""
     scene = mujoco.MjvScene(world.model, 10)
     mujoco.mjv_updateCamera(world.model, data, camera, scene)
     view = ImageView.of_scene(scene, 600, 600)
     return bool(view.sees(*view.project(data.geom_xpos[world.geoms_in_view()])).all())
 
 
-def test_a_robot_that_data_move_out_of_the_picture_is_brought_back_into_it() -> None:
+def test_robot_that_moves_out_of_the_image_is_brought_back() -> None:
     world = world_of(joint_angles=FOLDED)
     navigator, data = Navigator(world), world.make_data()
     navigator.advance(data)
     declared = navigator.camera.distance
     assert in_picture(world, navigator.camera, data)
-    data.qpos[:] = 0.0  # upright: its first packet
+    data.qpos[:] = 0.0  # upright: the pose of the first packet
     mujoco.mj_kinematics(world.model, data)
     assert not in_picture(world, navigator.camera, data)
     navigator.advance(data)
@@ -248,7 +248,7 @@ def test_a_robot_that_data_move_out_of_the_picture_is_brought_back_into_it() -> 
     assert in_picture(world, navigator.camera, data)
 
 
-def test_a_camera_stays_where_the_robot_is_in_its_picture() -> None:
+def test_camera_is_unchanged_while_the_robot_is_in_the_image() -> None:
     world = world_of(joint_angles=np.zeros(7))
     navigator, data = Navigator(world), world.make_data()
     before = navigator.camera.distance, *navigator.camera.lookat
@@ -258,7 +258,7 @@ def test_a_camera_stays_where_the_robot_is_in_its_picture() -> None:
     assert (navigator.camera.distance, *navigator.camera.lookat) == before
 
 
-def test_a_camera_that_was_placed_or_moved_stays() -> None:
+def test_camera_set_by_the_user_is_unchanged() -> None:
     world = world_of(joint_angles=FOLDED)
     data = world.make_data()
     data.qpos[:] = 0.0
@@ -275,25 +275,25 @@ def test_a_camera_that_was_placed_or_moved_stays() -> None:
     assert navigator.camera.distance == moved
 
 
-def test_sizes_out_of_range_are_refused(world) -> None:
+def test_image_sizes_out_of_range_are_rejected(world) -> None:
     for size in ((0, 100), (100, 20000)):
         told = {"found": size, "expected": "1 to 16384 pixels a side"}
         with raises_with(RenderError, key="image size", **told):
             HeadlessRenderer(world, *size)
 
 
-def test_an_odd_picture_size_works(world) -> None:
+def test_odd_image_sizes_work(world) -> None:
     with HeadlessRenderer(world, 51, 33) as renderer:
         assert renderer.render(world.make_data()).shape == (33, 51, 3)
 
 
 def mixed_colours(picture: np.ndarray) -> int:
-    """How many colours a picture has: samples of a pixel mix those on both sides of an edge."""
+    """Returns the number of colors of an image; multisampling mixes colors at edges."""
     return len(np.unique(picture.reshape(-1, 3), axis=0))
 
 
 @pytest.mark.thorough
-def test_a_draft_has_no_shadows_and_hard_edges(world) -> None:
+def test_draft_has_no_shadows_and_hard_edges(world) -> None:
     pictures = {}
     for quality in ("normal", "draft"):
         with HeadlessRenderer(world, *SIZE, quality=quality) as renderer:
@@ -304,12 +304,12 @@ def test_a_draft_has_no_shadows_and_hard_edges(world) -> None:
     assert mixed_colours(pictures["draft"]) < 0.5 * mixed_colours(pictures["normal"])
 
 
-def test_a_draft_has_the_textures_that_opengl_would_make(world, monkeypatch) -> None:
+def test_draft_textures_equal_those_of_opengl(world, monkeypatch) -> None:
     pictures = []
     for _ in range(2):
         with HeadlessRenderer(world, *SIZE, quality="draft") as renderer:
             pictures.append(renderer.render(world.make_data()).astype(int))
-        # The second one's are made by OpenGL.
+        # OpenGL generates those of the second image.
         monkeypatch.setattr(
             render, "without_textures", lambda model: nullcontext(np.zeros(0, np.intp))
         )
@@ -318,7 +318,7 @@ def test_a_draft_has_the_textures_that_opengl_would_make(world, monkeypatch) -> 
 
 
 @pytest.mark.thorough
-def test_a_fine_picture_is_smoother_and_has_the_same_size_panels_and_text(world) -> None:
+def test_fine_image_is_smoother_with_equal_sizes_of_panels_and_text(world) -> None:
     pictures, panels = {}, {}
     for quality in ("normal", "fine"):
         with HeadlessRenderer(world, *SIZE, quality=quality, renderer="classic") as renderer:
@@ -329,12 +329,12 @@ def test_a_fine_picture_is_smoother_and_has_the_same_size_panels_and_text(world)
     assert np.array_equal(*centres)
     fine, normal = pictures["fine"], pictures["normal"]
     assert fine.shape == normal.shape
-    assert np.abs(fine.astype(float) - normal).mean() < 3.0  # the same picture
+    assert np.abs(fine.astype(float) - normal).mean() < 3.0  # the same image
     assert mixed_colours(fine) > 1.2 * mixed_colours(normal)
 
 
 @pytest.mark.parametrize(("quality", "dpi"), [("normal", None), ("fine", 300)])
-def test_a_fine_picture_says_its_resolution(quality, dpi, lwr, tmp_path) -> None:
+def test_image_file_contains_its_resolution(quality, dpi, lwr, tmp_path) -> None:
     file = tmp_path / "lwr.png"
     scene, options = Scene(robots=[lwr]), {"size": (120, 90), "quality": quality}
     render_image(scene, file, **options, renderer="classic")
@@ -344,12 +344,12 @@ def test_a_fine_picture_says_its_resolution(quality, dpi, lwr, tmp_path) -> None
         assert dpi is None or picture.info["dpi"] == pytest.approx((dpi, dpi), abs=0.1)
 
 
-def test_an_unknown_quality_is_refused(world) -> None:
+def test_unknown_quality_is_rejected(world) -> None:
     with raises_with(RenderError, key="quality", found="best", expected="draft, normal, fine"):
         HeadlessRenderer(world, 64, 48, quality="best")  # type: ignore[arg-type]
 
 
-def test_what_is_rendered_leaves_the_model_as_it_was(world) -> None:
+def test_rendering_does_not_change_the_model(world) -> None:
     def state() -> list[float]:
         model = world.model
         quality = model.vis.quality
@@ -365,7 +365,7 @@ def test_what_is_rendered_leaves_the_model_as_it_was(world) -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["lwr_udp", "haptic_position", "justin_push", "lwr_hit_hand"])
 @pytest.mark.parametrize("size", sampled([(390, 844), (640, 480), (600, 600), (1280, 800)], 1))
-def test_robots_are_in_pictures_of_any_shape(name: str, size: tuple[int, int]) -> None:
+def test_robots_are_inside_images_of_any_shape(name: str, size: tuple[int, int]) -> None:
     world = World(load_scene(name))
     data, camera = world.make_data(), find_camera(world)
     Placer(world).place(data)
@@ -379,6 +379,6 @@ def test_robots_are_in_pictures_of_any_shape(name: str, size: tuple[int, int]) -
     ahead = (np.array(camera.lookat) - view.position) @ view.forward
     if size[0] / size[1] >= 4 / 3:
         assert ahead == pytest.approx(camera.distance, rel=1e-6)
-    else:  # at most as a picture of 4:3 would show it, and not much smaller than there is room
+    else:  # at most as large as in a 4:3 image, and not much smaller than the space allows
         assert ahead <= 4 / 3 * camera.distance * size[1] / size[0] * (1 + 1e-6)
         assert np.ptp(pixels[:, 0]) > 0.15 * size[0] or np.ptp(pixels[:, 1]) > 0.2 * size[1]

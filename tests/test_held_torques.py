@@ -1,4 +1,4 @@
-"""Robots without data: what holds them against gravity, in pictures, films and pages."""
+"""Gravity torques of robots without data, in images, videos and pages."""
 
 from __future__ import annotations
 
@@ -47,23 +47,23 @@ def legend(scene: Scene) -> str:
     [
         ({"joint_angles": BENT}, "round arrows: gravity torque of the model"),
         ({"joint_angles": BENT, "torques": np.ones(7)}, "round arrows: joint torque"),
-        ({}, ""),  # upright: no arrow can be seen
+        ({}, ""),  # upright: no arrow is visible
         ({"joint_angles": BENT, "show_arrows": False}, ""),
     ],
 )
-def test_the_legend_tells_of_arrows_that_are_there(fields: dict[str, Any], first: str) -> None:
+def test_legend_describes_visible_arrows_only(fields: dict[str, Any], first: str) -> None:
     scene = Scene(robots=[SerialRobot.from_model("lwr", **{"show_arrows": True, **fields})])
     assert legend(scene).partition("\n")[0] == first
 
 
-def test_a_floating_robot_has_neither_arrows_nor_a_legend_of_them(caplog) -> None:
+def test_floating_robot_has_no_arrows_and_no_legend(caplog) -> None:
     scene = lwr(joint_angles=BENT, free_base=True)
     with caplog.at_level(logging.WARNING):
         assert legend(scene) == ""
     assert "no gravity torque: robots.lwr: has a free base" in caplog.text
 
 
-def test_a_live_robot_has_the_legend_before_its_first_packet() -> None:
+def test_live_robot_has_a_legend_before_its_first_packet() -> None:
     robot = SerialRobot.from_model("lwr", show_arrows=True)
     sources = {"udp": {"kind": "udp", "port": 0, "structure": "7d"}}
     scene = Scene(robots=[robot], sources=sources, routes={"lwr.torques": "udp.values0"})
@@ -71,7 +71,7 @@ def test_a_live_robot_has_the_legend_before_its_first_packet() -> None:
 
 
 @pytest.mark.gl
-def test_a_picture_shows_them_as_if_they_were_received(tmp_path: Path) -> None:
+def test_image_shows_gravity_torques_like_received_ones(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     found = []
     for scene, shown in (
@@ -86,7 +86,7 @@ def test_a_picture_shows_them_as_if_they_were_received(tmp_path: Path) -> None:
 
 
 @pytest.mark.gl
-def test_a_film_shows_them_in_every_frame(tmp_path: Path, monkeypatch) -> None:
+def test_video_shows_gravity_torques_in_every_frame(tmp_path: Path, monkeypatch) -> None:
     torques = []
 
     def noted(mirror: Mirror, renderer: Any, *rest: Any) -> Any:
@@ -100,7 +100,7 @@ def test_a_film_shows_them_in_every_frame(tmp_path: Path, monkeypatch) -> None:
     assert torques == [True, True]
 
 
-def test_a_page_has_them_with_their_name() -> None:
+def test_page_contains_gravity_torques_with_their_label() -> None:
     found = capture(lwr(joint_angles=BENT, show_billboards=True))
     assert found.values["torques"][0] == pytest.approx(held())
     assert [line.head.split()[1] for line in found.lines[1]] == ["model"]

@@ -1,4 +1,4 @@
-"""The DLR/HIT Hand II: its kinematics from packets, its weight, and its grasp in simulation."""
+"""The DLR/HIT Hand II: its kinematics from packets, its weight, and a simulated grasp."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def turn(axis: int, angle: float) -> np.ndarray:
 
 
 def fingertip(finger: str, angles: np.ndarray) -> np.ndarray:
-    """The tip in the palm's frame, by the plane in which the finger bends."""
+    """Returns the fingertip in the palm frame, by planar kinematics of the finger."""
     x, y, z, roll, pitch, yaw = BASES[finger]
     R = turn(2, yaw) @ turn(1, pitch) @ turn(0, roll)
     abduction, bend, outer = angles
@@ -47,7 +47,7 @@ def fingertip(finger: str, angles: np.ndarray) -> np.ndarray:
 
 
 def packet(sender: socket.socket, scene: str, numbers: np.ndarray) -> Mirror:
-    """A mirror that has received one packet."""
+    """Returns a mirror that has received one packet."""
     declared = load_scene(find_scene(scene))
     declared.sources["udp"]["port"] = 0
     mirror = Mirror(declared)
@@ -60,7 +60,7 @@ def packet(sender: socket.socket, scene: str, numbers: np.ndarray) -> Mirror:
 
 
 @pytest.mark.parametrize("scene", ["hit_hand", "lwr_hit_hand"])
-def test_a_packet_of_the_independent_joints_moves_the_hand(scene: str) -> None:
+def test_packet_of_the_independent_joints_moves_the_hand(scene: str) -> None:
     rng = np.random.default_rng(3)
     arm = 7 if scene == "lwr_hit_hand" else 0
     own, bent = rng.uniform(-1.0, 1.0, arm), rng.uniform(0.0, 1.0, (5, 3))
@@ -76,9 +76,10 @@ def test_a_packet_of_the_independent_joints_moves_the_hand(scene: str) -> None:
     for finger, angles, shown in zip(FINGERS, bent, torques[arm:].reshape(5, 3), strict=True):
         tip = world.frame(data, f"hand_{finger}/flange")[:3, 3]
         expected = T[:3, :3] @ fingertip(finger, angles) + T[:3, 3]
-        np.testing.assert_allclose(tip, expected, atol=2e-6)  # angles of files are rounded
+        np.testing.assert_allclose(tip, expected, atol=2e-6)  # angles in files are rounded
         got = data.userdata[world.slots[f"hand_{finger}.torques"]]
-        np.testing.assert_allclose(got, [*shown, np.nan])  # of the coupled joint none is known
+        # The torque of the coupled joint is unknown.
+        np.testing.assert_allclose(got, [*shown, np.nan])
     mirror.close()
 
 
@@ -91,11 +92,11 @@ def grasp(friction: float | None = None) -> Simulation:
 
 
 @pytest.mark.thorough
-def test_the_arm_carries_the_weight_of_the_hand() -> None:
+def test_arm_carries_the_weight_of_the_hand() -> None:
     simulation = grasp()
     robots, log = simulation.robots, simulation.log
     model, data = simulation.plant.model, simulation.plant.data
-    # The shapes of the palm have their centre where MuJoCo finds it; the rest is from tables.
+    # The center of the palm's shapes is the one that MuJoCo computes; the rest is from tables.
     body = model.body("hand_thumb/on_base")
     R = data.xmat[model.body("arm/flange").id].reshape(3, 3)
     flange, middle = data.xpos[model.body("arm/flange").id], data.xipos[body.id]
@@ -104,7 +105,7 @@ def test_the_arm_carries_the_weight_of_the_hand() -> None:
     adapter = 1000.0 * np.pi * 0.032**2 * 0.02, np.array([0.0, 0.0, 0.01])
     start = np.concatenate([log.of(name, "actual_angles")[0] for name in ("arm", *HAND)])
     parameters = {name: robot_dynamics(robots[name]) for name in ("arm", *HAND)}
-    # Its own links, then what is at the flange, and the fingers by their tables.
+    # Its own links, then everything at the flange, and the fingers by their tables.
 
     def energy(q: np.ndarray) -> float:
         arm = robots["arm"]
@@ -132,7 +133,7 @@ def test_the_arm_carries_the_weight_of_the_hand() -> None:
 
 
 @pytest.mark.thorough
-def test_distal_joints_follow_the_medial_ones_also_under_load() -> None:
+def test_distal_joints_follow_the_medial_ones_under_load() -> None:
     log = grasp().log
     for name in HAND:
         angles = log.of(name, "actual_angles")
@@ -141,13 +142,13 @@ def test_distal_joints_follow_the_medial_ones_also_under_load() -> None:
 
 
 @pytest.mark.thorough
-def test_the_hand_holds_the_can_by_friction_and_by_nothing_else() -> None:
+def test_hand_holds_the_can_by_friction_only() -> None:
     simulation = grasp()
     outcomes = simulation.outcomes()
     assert [outcome.name for outcome in outcomes if not outcome.holds] == []
-    # In the end, when all is at rest, the hand carries its weight.
+    # At the end, when everything is at rest, the hand carries the can's weight.
     force = sum(simulation.log.signals[f"{name}_contact_force"][-200:] for name in HAND)
     np.testing.assert_allclose(force.mean(axis=0), [0.0, 0.0, -0.2 * 9.81], atol=0.15)
     failed = [outcome.name for outcome in grasp(0.05).outcomes() if not outcome.holds]
     assert "lifted_can_height" in failed
-    assert grasp(0.05).log.signals["can_frame"][-1, 2, 3] < 0.42  # on the table, lying or not
+    assert grasp(0.05).log.signals["can_frame"][-1, 2, 3] < 0.42  # on the table, lying or upright

@@ -1,4 +1,4 @@
-"""`view(overlay)`: our window beside a loop that steps a model of its own."""
+"""`view(overlay)`: our window beside a loop that steps its own model."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ overlay = sero_mj.overlay(model, data, doubles=[goal, twin])
 camera = find_camera(overlay.world)  # that of the window, which stands still
 with sero_mj.view(overlay, size=(640, 480)) as viewer:
     assert viewer.data is data
-    first = viewer.picture()
+    first = viewer.image()
     size = first.shape[1::-1]
     assert np.abs(first.astype(int) - overlay.image(*size, camera)).mean() < 0.5
     viewer.set("goal.joint_angles", [1.5, 0.8, 0.5, 0.0])
-    second = viewer.picture()
+    second = viewer.image()
     assert np.abs(second.astype(int) - first).mean() > 0.5
     data.ctrl[:] = 1.0
     for _ in range(200):
@@ -83,7 +83,7 @@ with sero_mj.view(overlay, size=(640, 480)) as viewer:
         assert viewer.sync()
     # Torques of the drives, a double that was set behind the viewer's back, the pose, and the time.
     overlay.set("twin.joint_angles", [-1.0, 0.4, 0.2, 0.0])
-    third = viewer.picture()
+    third = viewer.image()
     mujoco.mj_forward(model, data)
     expected = overlay.image(*size, camera)
     assert np.abs(third.astype(int) - second).mean() > 0.5
@@ -129,9 +129,9 @@ with sero_mj.view(overlay, web=True) as viewer:
     for _ in range(5):
         mujoco.mj_step(model, data)
         assert viewer.sync()
-    shown = viewer.picture()
+    shown = viewer.image()
     viewer.set("goal.joint_angles", [1.5, 0.8, 0.5, 0.0])
-    assert not (viewer.picture() == shown).all()
+    assert not (viewer.image() == shown).all()
 print("well")
 """
 
@@ -142,7 +142,7 @@ print("well")
 @pytest.mark.parametrize(
     "text", sampled([SCRIPT, PASSIVE, LOOP, PAGE], 2), ids=["window", "MuJoCo's", "loop", "page"]
 )
-def test_a_host_shows_a_loop_of_the_users_own(tmp_path: Path, text: str) -> None:
+def test_window_or_page_shows_a_user_loop(tmp_path: Path, text: str) -> None:
     script = tmp_path / "loop.py"
     script.write_text(text.format(folder=str(Path(__file__).parent)))
     with screen() as display:
@@ -157,7 +157,7 @@ def test_a_host_shows_a_loop_of_the_users_own(tmp_path: Path, text: str) -> None
     assert "double" not in done.stderr
 
 
-def test_what_is_watched_is_a_copy_that_a_pause_holds_still() -> None:
+def test_watched_data_is_a_copy_that_a_pause_freezes() -> None:
     model, data = arm()
     overlay = sero_mj.overlay(model, data)
     watch = Watch(overlay.world)

@@ -20,7 +20,7 @@ from runs import simulated
 from sero_mj.base.errors import RenderError, UsageError
 from sero_mj.load import load_scene
 from sero_mj.study import run_report
-from sero_mj.study.run_marks import marks_of
+from sero_mj.study.run_report import marks_of
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.player.capture import capture
 from sero_mj.viewer.player.encode import encode
@@ -151,7 +151,7 @@ def test_a_recording_without_a_whole_packet_leaves_no_page(tmp_path: Path, whole
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(whole.read_bytes()[:30_000])
     status, said = run_command("export", str(torn), "-o", "torn.html", folder=tmp_path)
-    assert status == 2 and "no good packet" in said
+    assert status == 2 and "no valid packet" in said
     assert not (tmp_path / "torn.html").exists()
 
 

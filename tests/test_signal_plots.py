@@ -1,4 +1,4 @@
-"""Plots of any signals: of sources and runs, of joints, and of a program."""
+"""Plots of signals: of sources and runs, of joints, and of a program."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sero_mj import Mirror, Scene, SerialRobot
 from sero_mj.base.errors import UsageError
 from sero_mj.data.receive.mailbox import Packets
 from sero_mj.load import load_scene
-from sero_mj.viewer.panels.signal_plots import MOST_LINES, MOST_PLOTS
+from sero_mj.viewer.panels.signal_plots import MAX_LINES, MAX_PLOTS
 from sero_mj.viewer.program.outbox import Outbox, UserSignals
 from sero_mj.viewer.session.binned_history import SPAN, BinnedHistory
 from sero_mj.viewer.session.signals import PROGRAM, PlotSignal
@@ -35,7 +35,7 @@ def make_tool(scene: Scene | None = None) -> tuple[Plots, Shown]:
 
 
 def choose(tool: Plots, plot: str, group: str, signal: str) -> ScriptedWidgets:
-    """What is built after the user has chosen a signal."""
+    """Returns the panel after the user has chosen a signal."""
     tool.build_area(ScriptedWidgets({"##plot": plot, "##group": group, "##signal": signal}))
     ui = ScriptedWidgets()
     tool.build_area(ui)
@@ -43,11 +43,11 @@ def choose(tool: Plots, plot: str, group: str, signal: str) -> ScriptedWidgets:
 
 
 def samples(values: Any, ages: Any) -> np.ndarray:
-    """Rows of a program."""
+    """Returns samples of a program."""
     return np.column_stack([time.monotonic() - np.asarray(ages), values])
 
 
-def test_what_a_program_plots_is_shown_in_plots_of_its_own_with_peaks_and_gaps() -> None:
+def test_program_signals_are_plotted_separately_with_peaks_and_gaps() -> None:
     tool, shown = make_tool()
     shown.data.time = 100.0
     tool.watch()
@@ -56,7 +56,7 @@ def test_what_a_program_plots_is_shown_in_plots_of_its_own_with_peaks_and_gaps()
     values[2000] = 50.0  # one sample
     values[1000:1400] = np.nan
     values[10] = np.inf
-    tool.hear({"error": samples(values, ages), "speed": samples([3.0], [0.1])})
+    tool.receive({"error": samples(values, ages), "speed": samples([3.0], [0.1])})
     assert tool.shows_area and tool.area == "Plots"
     ui = ScriptedWidgets()
     tool.build_area(ui)
@@ -71,13 +71,13 @@ def test_what_a_program_plots_is_shown_in_plots_of_its_own_with_peaks_and_gaps()
     assert line.x[np.isnan(line.y)] == pytest.approx(-3.0, abs=0.5)
     assert speed.y_range[0] < 3.0 < speed.y_range[1] < 3.1
     assert len(line.x) < 1.5 * ui.points
-    # Of the samples of a paused view nobody could say when they were.
+    # Samples for a paused view would have no time.
     shown.clock.is_paused = True
-    tool.hear({"later": samples([1.0], [0.0])})
+    tool.receive({"later": samples([1.0], [0.0])})
     assert "later" not in tool.signals.groups[PROGRAM]
 
 
-def test_signals_are_put_into_plots_and_taken_out_of_them() -> None:
+def test_signals_are_added_to_plots_and_removed() -> None:
     tool, _ = make_tool()
     ui = choose(tool, "new plot", "lwr", "A1.joint_angles")
     ui = choose(tool, "plot 1", "lwr", "A2.joint_angles")
@@ -101,16 +101,16 @@ def test_signals_are_put_into_plots_and_taken_out_of_them() -> None:
     assert [plot.y_label for plot in ui.plots] == ["plot 1"]
     for k in range(20):
         tool.plots.toggle(0, PlotSignal(PROGRAM, f"{k}"))
-    assert len(tool.plots.shown[0]) == MOST_LINES
+    assert len(tool.plots.shown[0]) == MAX_LINES
     for k in range(20):
         tool.plots.add(PlotSignal(PROGRAM, f"more {k}"))
-    assert len(tool.plots.shown) == MOST_PLOTS
+    assert len(tool.plots.shown) == MAX_PLOTS
     choose(tool, "new plot", "lwr", "A6.torques")
-    assert tool.shown.said[-1] == ("8 plots are as many as there can be", True)  # type: ignore[attr-defined]
+    assert tool.shown.said[-1] == ("at most 8 plots can be shown", True)  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
-def test_a_signal_of_a_run_shows_the_past_as_soon_as_it_is_chosen() -> None:
+def test_signal_of_a_run_shows_the_past_once_selected() -> None:
     scene = load_scene("impedance_push")
     with Mirror(scene) as mirror:
         shown = Shown(mirror)
@@ -119,7 +119,7 @@ def test_a_signal_of_a_run_shows_the_past_as_soon_as_it_is_chosen() -> None:
         while clock.time < 2.0:
             clock.advance(0.02)
         clock.is_paused = True
-        clock.on_moment = tool.watch
+        clock.on_state = tool.watch
         clock.advance(0.02)
         choose(tool, "new plot", "simulation", "lwr_torques[1]")
         choose(tool, "plot 1", "lwr", "A2.joint_angles")
@@ -136,7 +136,7 @@ def test_a_signal_of_a_run_shows_the_past_as_soon_as_it_is_chosen() -> None:
         assert torque.y.min() == pytest.approx(wanted.min(), rel=1e-6)
         assert angle.y[-1] == pytest.approx(rows[-1, columns["lwr_joint_angles"].start + 1])
         assert len(angle.x) >= 100
-        clock.seek(1.0)  # what comes later is not there any more
+        clock.seek(1.0)  # later values are no longer there
         clock.advance(0.0)
         ui = ScriptedWidgets()
         tool.build_area(ui)
@@ -163,7 +163,7 @@ def test_every_packet_of_a_live_source_counts_and_silence_is_a_gap() -> None:
             values = np.zeros((50, *shape))
             values.reshape(50, -1)[25, 3] = 7.0 if k == 250 else 0.0
             arrivals = source.now() - np.arange(0.05, 0.0, -0.001)
-            tool.signals._hear("udp", Packets({key: values}, arrivals, 1))
+            tool.signals._on_packets("udp", Packets({key: values}, arrivals, 1))
         tool.watch()
     times, values = tool.signals.of(signal, data.time, 980)
     assert values.max() == 7.0
@@ -174,20 +174,20 @@ def test_every_packet_of_a_live_source_counts_and_silence_is_a_gap() -> None:
     assert BinnedHistory().until(None)[0].shape == (0,)
 
 
-def test_plots_are_kept_for_their_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plots_are_saved_for_their_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tool, _ = make_tool()
-    assert tool.kept is None
+    assert tool.saved_state is None
     for signal in (PlotSignal("lwr", "A3.torques"), PlotSignal(PROGRAM, "error")):
         tool.plots.add(signal)
     tool.shows_torques = False
-    kept = tool.kept
+    kept = tool.saved_state
     again, _ = make_tool()
-    again.take_kept(kept)
+    again.restore_saved(kept)
     assert again.state == tool.state
     kept["plots"].append([["lwr", "A99.torques"], ["gone", "values0[1]"]])
-    again.take_kept(kept)
+    again.restore_saved(kept)
     assert again.state == tool.state
-    again.hear({"error": samples([1.0], [0.0])})  # it has a plot
+    again.receive({"error": samples([1.0], [0.0])})  # it has a plot
     assert again.state == tool.state
 
 
@@ -202,7 +202,7 @@ def test_plots_are_kept_for_their_scene(tmp_path: Path, monkeypatch: pytest.Monk
         ("more", 1.0, "plot 'more': found 101 signals; expected at most 100"),
     ],
 )
-def test_what_cannot_be_plotted_is_told(name: Any, value: Any, message: str) -> None:
+def test_invalid_signals_are_rejected(name: Any, value: Any, message: str) -> None:
     outbox = Outbox(lambda tool, message: True)
     outbox.add = lambda tool, take: None  # type: ignore[method-assign]
     signals = UserSignals(outbox)
@@ -213,7 +213,7 @@ def test_what_cannot_be_plotted_is_told(name: Any, value: Any, message: str) -> 
     assert message in str(caught.value)
 
 
-def test_samples_that_nobody_takes_are_few() -> None:
+def test_samples_that_are_not_fetched_are_limited() -> None:
     taken = []
     outbox = Outbox(lambda tool, message: True)
     outbox.add = lambda tool, take: taken.append(take)  # type: ignore[method-assign]
@@ -228,15 +228,15 @@ def test_samples_that_nobody_takes_are_few() -> None:
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(NO_WINDOW), reason=f"needs {', '.join(NO_WINDOW)}")
-def test_a_window_opens_its_plots_for_what_a_program_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_window_opens_plots_for_signals_of_a_program(monkeypatch: pytest.MonkeyPatch) -> None:
     with screen() as display:
         monkeypatch.setenv("DISPLAY", display)
         monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
         scene = Scene(robots=[SerialRobot.from_model("lwr")], name="plots")
         with sero_mj.view(scene, size=(800, 400)) as viewer:
-            height = viewer.picture().shape[0]
+            height = viewer.image().shape[0]
             viewer.plot("error", 0.1)
-            assert until(lambda: viewer.picture().shape[0] < height - 100, 60)  # for a strip below
+            assert until(lambda: viewer.image().shape[0] < height - 100, 60)  # for a strip below
             os.kill(viewer._process._process.pid, 9)
             assert until(lambda: not viewer.sync(), 60)
             viewer.plot("error", 0.1)

@@ -1,4 +1,4 @@
-"""The start page: what it lists, what was viewed lately, what is awaited, and what files mean."""
+"""The start page: its list, recent views, ports that receive data, and opened files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.load import load_scene
 from sero_mj.viewer.host.start_page import ExpectedPackets, PortMonitor, sections
 from sero_mj.viewer.session import recent_views as recent
-from sero_mj.viewer.session.recent_views import MOST, RecentView, recent_views, remember_view
+from sero_mj.viewer.session.recent_views import MAX_VIEWS, RecentView, recent_views, remember_view
 from sero_mj.viewer.web import uploads
 
 ARM = """
@@ -56,7 +56,7 @@ def titles(section: str) -> list[str]:
     return [tile.title for each in sections() if each.title == section for tile in each.tiles]
 
 
-def test_all_that_is_shipped_is_shown_once_with_its_picture() -> None:
+def test_every_shipped_item_is_listed_once_with_its_image() -> None:
     found = sections()
     assert [section.title for section in found] == [
         "Simulations", "Live robots", "Robots", "Parts of robots",
@@ -67,15 +67,15 @@ def test_all_that_is_shipped_is_shown_once_with_its_picture() -> None:
     for section in found:
         for tile in section.tiles:
             assert tile.about, tile.title
-            assert tile.picture is not None, f"{tile.title}: run make gallery"
-            with Image.open(tile.picture) as image:
-                assert image.size == recent.PICTURE_SIZE
+            assert tile.image is not None, f"{tile.title}: run make gallery"
+            with Image.open(tile.image) as image:
+                assert image.size == recent.IMAGE_SIZE
                 assert np.asarray(image.convert("L")).std() > 10, tile.title  # not blank
     shown = {f"{name}.jpg" for name in names}
     assert {file.name for file in (paths.scenes_dir() / "pictures").iterdir()} == shown
 
 
-def test_a_tile_opens_what_its_name_says_also_where_a_scene_hides_a_group() -> None:
+def test_tile_opens_the_item_it_names() -> None:
     (tile,) = [
         tile for each in sections() if each.title == "Robots" for tile in each.tiles
         if tile.title == "biped"
@@ -84,32 +84,32 @@ def test_a_tile_opens_what_its_name_says_also_where_a_scene_hides_a_group() -> N
     assert load_scene("biped").sources  # the live one
 
 
-def test_what_was_viewed_comes_first_with_how_it_was_left(tmp_path: Path, state: Path) -> None:
+def test_recent_views_come_first_with_their_last_state(tmp_path: Path, state: Path) -> None:
     scene = tmp_path / "mine.toml"
     scene.write_text(ARM.format(port=0))
     grey = np.full((800, 1280, 3), 77, np.uint8)
     remember_view(RecentView(str(scene)), grey)
-    remember_view(RecentView("lwr_udp"), None)  # without a picture it has the shipped one
+    remember_view(RecentView("lwr_udp"), None)  # without its own image, it has the shipped one
     remember_view(RecentView(str(scene)), grey)
     first = sections()[0]
-    assert first.title == "Recent"
+    assert first.title == "Recent views"
     assert [tile.title for tile in first.tiles] == ["mine.toml", "lwr_udp"]
     mine, lwr = first.tiles
-    assert mine.picture is not None
-    assert lwr.picture == paths.scenes_dir() / "pictures" / "lwr_udp.jpg"
-    with Image.open(mine.picture) as image:
-        assert image.size == recent.PICTURE_SIZE
+    assert mine.image is not None
+    assert lwr.image == paths.scenes_dir() / "pictures" / "lwr_udp.jpg"
+    with Image.open(mine.image) as image:
+        assert image.size == recent.IMAGE_SIZE
         assert abs(int(np.asarray(image).mean()) - 77) < 2
     scene.unlink()
-    assert titles("Recent") == ["lwr_udp"]
+    assert titles("Recent views") == ["lwr_udp"]
 
 
-def test_only_the_latest_are_remembered_and_damage_is_forgotten(state: Path) -> None:
-    names = paths.list_all()[: MOST + 3]
+def test_only_the_latest_views_are_stored_and_damaged_ones_ignored(state: Path) -> None:
+    names = paths.list_all()[: MAX_VIEWS + 3]
     for name in names:
         remember_view(RecentView(name), np.zeros((30, 40, 3), np.uint8))
     assert [view.scene for view in recent_views()] == names[:2:-1]
-    assert len(list((state / "recent").glob("*.jpg"))) == MOST
+    assert len(list((state / "recent").glob("*.jpg"))) == MAX_VIEWS
     for text in ("", "{", "[1]", '[{"scene": 3}]', '[{"scene": "a\\u0000", "replay": ""}]'):
         (state / "recent.json").write_text(text)
         assert recent_views() == []
@@ -119,7 +119,7 @@ def test_only_the_latest_are_remembered_and_damage_is_forgotten(state: Path) -> 
 
 @contextmanager
 def hearing(tmp_path: Path, *sizes: int) -> Iterator[tuple[PortMonitor, socket.socket, int]]:
-    """Who listens for scenes with packets of these sizes at one port, and who sends to it."""
+    """Yields a monitor for scenes with packets of these sizes at one port, and its sender."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -134,21 +134,21 @@ def hearing(tmp_path: Path, *sizes: int) -> Iterator[tuple[PortMonitor, socket.s
 
 
 def until(listening: PortMonitor, text: str) -> ExpectedPackets:
-    """What is awaited, once its text has this in it."""
+    """Returns the expected item once its text contains `text`."""
     end = time.monotonic() + 10.0
     while time.monotonic() < end:
-        (found,) = listening.awaited()
+        (found,) = listening.expected()
         if text in found.text:
             return found
         threading.Event().wait(0.01)
     raise AssertionError(found.text)
 
 
-def test_data_that_is_awaited_is_heard(tmp_path: Path) -> None:
+def test_incoming_data_is_shown(tmp_path: Path) -> None:
     with hearing(tmp_path, 16, 24) as (listening, sender, port), listening:
-        (nothing,) = listening.awaited()
-        assert nothing.text == f"UDP 127.0.0.1:{port}: nothing yet"
-        assert nothing.expected == "16 bytes (cell16.toml) or 24 (cell24.toml)"
+        (nothing,) = listening.expected()
+        assert nothing.text == f"UDP 127.0.0.1:{port}: no packets yet"
+        assert nothing.packets == "16 bytes (cell16.toml) or 24 (cell24.toml)"
         assert nothing.command == f"sero-mj send {tmp_path / 'cell16.toml'}"
         assert (nothing.mood, nothing.shown) == ("plain", [])
         for _ in range(5):
@@ -157,30 +157,30 @@ def test_data_that_is_awaited_is_heard(tmp_path: Path) -> None:
         assert (found.mood, found.command) == ("good", "")
         assert [Path(view.scene).name for view in found.shown] == ["cell24.toml"]
         sender.send(bytes(10))
-        found = until(listening, "1/s of 10 bytes, which is not expected")
+        found = until(listening, "1/s of 10 bytes (unexpected size)")
         assert found.mood == "bad"
 
 
-def test_a_port_that_is_in_use_is_told(tmp_path: Path) -> None:
+def test_port_in_use_is_reported(tmp_path: Path) -> None:
     with hearing(tmp_path, 16) as (listening, _, port):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.bind(("127.0.0.1", port))
             with listening:
-                (found,) = listening.awaited()
+                (found,) = listening.expected()
         assert found.text.startswith(f"UDP port {port} on 127.0.0.1 is in use by another program")
         assert (found.mood, found.command) == ("bad", "")
 
 
-def test_scenes_that_are_wrong_are_not_listened_for(tmp_path: Path) -> None:
+def test_invalid_scenes_are_not_monitored(tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.toml"
     for text in ("[", "sources = 3", "[sources]\na = 1", '[sources.a]\nkind = "udp"\nport = -1\n'):
         wrong.write_text(text)
         with PortMonitor([RecentView(str(wrong)), RecentView("none.toml")]) as listening:
-            assert listening.awaited() == []
+            assert listening.expected() == []
 
 
 def record(path: Path, scene: str, files: Mapping[str, bytes]) -> None:
-    """A recording of `moving` packets of a source `arm`."""
+    """Writes a recording of `moving` packets of a source `arm`."""
     with RecordingWriter(path, about={"scene": scene}) as writer:
         writer.add_source("arm", kind="udp", declared=DECLARED, events=EVENTS, size=168)
         for name, contents in files.items():
@@ -189,14 +189,14 @@ def record(path: Path, scene: str, files: Mapping[str, bytes]) -> None:
             writer.write_raw("arm", packet, writer.clock.monotonic_ns / 1e9 + k)
 
 
-def test_a_recording_is_shown_by_the_scene_of_its_sources(tmp_path: Path) -> None:
+def test_recording_is_shown_by_the_scene_of_its_sources(tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     record(recording, "mine", {})
     with pytest.raises(UsageError) as told:
         view_of_file(recording, None)
     assert str(told.value) == (
-        "run.mcap: found no scene that shows it; sero-mj view SCENE --replay run.mcap shows it "
-        "by one"
+        "run.mcap: no scene found that has its sources. "
+        "Choose one: sero-mj view SCENE --replay run.mcap"
     )
     scene = tmp_path / "mine.toml"
     scene.write_text(ARM.format(port=0))
@@ -214,7 +214,7 @@ def test_a_recording_is_shown_by_the_scene_of_its_sources(tmp_path: Path) -> Non
         view_of_file(recording, "lwr_udp")
 
 
-def test_a_recording_brings_its_own_scene(tmp_path: Path) -> None:
+def test_recording_contains_its_own_scene(tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     files = {"cell/mine.toml": ARM.format(port=0).encode()}
     record(recording, "mine", files)
@@ -223,7 +223,7 @@ def test_a_recording_brings_its_own_scene(tmp_path: Path) -> None:
     assert is_temporary(view)
 
 
-def test_files_are_told_apart(tmp_path: Path) -> None:
+def test_files_are_opened_by_kind(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"nothing\.mcap: no such file"):
         view_of_file(tmp_path / "nothing.mcap", None)
     view = view_of_file(Path("robot.urdf"), None)
@@ -241,18 +241,21 @@ def test_files_are_told_apart(tmp_path: Path) -> None:
         (["RUN.MCAP", "notes.txt"], "RUN.MCAP"),
     ],
 )
-def test_of_several_files_one_is_opened(names: list[str], chosen: str) -> None:
+def test_main_file_of_several_files_is_opened(names: list[str], chosen: str) -> None:
     assert uploads.main_file([PurePosixPath(name) for name in names]) == PurePosixPath(chosen)
 
 
 @pytest.mark.parametrize(
     ("names", "text"),
     [
-        (["a.txt", "b", "c", "d"], "found a.txt, b, c, ...; expected a file that ends in .toml"),
-        (["a.urdf", "b.urdf"], "found a.urdf and b.urdf; drop one of them, or its folder"),
+        (
+            ["a.txt", "b", "c", "d"],
+            "found a.txt, b, c, ...; expected a file with the extension .toml",
+        ),
+        (["a.urdf", "b.urdf"], "found a.urdf and b.urdf; drop only one of them, or its folder"),
     ],
 )
-def test_what_cannot_be_opened_is_told(names: list[str], text: str) -> None:
+def test_files_that_cannot_be_opened_are_reported(names: list[str], text: str) -> None:
     with pytest.raises(UsageError) as told:
         uploads.main_file([PurePosixPath(name) for name in names])
     assert str(told.value).startswith(text)
@@ -266,26 +269,32 @@ def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
     except UsageError:
         return
     assert Path("/folder", found).resolve().is_relative_to("/folder")
-    assert 0 <= size <= uploads.MOST_BYTES
+    assert 0 <= size <= uploads.MAX_BYTES
 
 
 @pytest.mark.parametrize(
     ("message", "text"),
     [
-        ("nonsense", "found no list of files; expected paths and sizes"),
-        (b"\xff", "found no list of files"),
-        ('[{"path": "a.toml", "size": 1e999}]', "found no list of files"),
-        ('[{"path": "a.toml", "size": 1.5}]', "found no list of files"),
-        ("[" * 100_000, "found no list of files"),
-        ('{"files": []}', "found no list of files"),  # without a key
-        ('[{"path": "a.toml", "size": 1, "more": 1}]', "found no list of files"),
+        ("nonsense", "expected a list of files with paths and sizes"),
+        (b"\xff", "expected a list of files"),
+        ('[{"path": "a.toml", "size": 1e999}]', "expected a list of files"),
+        ('[{"path": "a.toml", "size": 1.5}]', "expected a list of files"),
+        ("[" * 100_000, "expected a list of files"),
+        ('{"files": []}', "expected a list of files"),  # without a key
+        ('[{"path": "a.toml", "size": 1, "more": 1}]', "expected a list of files"),
         ('[{"path": "' + "a/" * 30 + 'a.toml", "size": 1}]', "found the path 'a/a/"),
-        ("[]", "found no file; drop a robot, a scene or a recording"),
-        ('[{"path": "../a", "size": 1}]', "found the path '../a'; expected a plain one"),
+        ("[]", "the drop contains no file; drop a robot"),
+        (
+            '[{"path": "../a", "size": 1}]',
+            "found the path '../a'; expected a relative path without",
+        ),
         ('[{"path": "/etc/a", "size": 1}]', "found the path '/etc/a'"),
         (r'[{"path": "C:\\a", "size": 1}]', "found the path 'C:"),
-        ('[{"path": "a.toml", "size": 900000000}]', "found 900 MB; a page takes at most 500"),
-        (json.dumps([{"path": f"{k}", "size": 0} for k in range(2001)]), "found 2001 files; at"),
+        ('[{"path": "a.toml", "size": 900000000}]', "found 900 MB; expected at most 500"),
+        (
+            json.dumps([{"path": f"{k}", "size": 0} for k in range(2001)]),
+            "found 2001 files; expected at",
+        ),
     ],
 )
 def test_lists_of_files_are_checked(message: str | bytes, text: str) -> None:
@@ -297,7 +306,7 @@ def test_lists_of_files_are_checked(message: str | bytes, text: str) -> None:
 
 
 class Uploading:
-    """A connection over which a browser says some things and then leaves."""
+    """A connection over which a browser sends some messages and then leaves."""
 
     def __init__(self, said: list[str | bytes]) -> None:
         self.left, self.answers = said, list[dict[str, str]]()
@@ -322,14 +331,14 @@ PARTS = st.lists(st.one_of(st.binary(max_size=5), st.text(max_size=3)), max_size
     PARTS,
     st.booleans(),
 )
-def test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all(
+def test_uploads_are_stored_completely_or_not_at_all(
     tmp_path_factory: pytest.TempPathFactory,
     files: list[tuple[str, bytes]],
     longer: int,
     said: list[bytes | str],
     honest: bool,
 ) -> None:
-    """An honest browser says what it has listed, another one something else, of other lengths."""
+    """An honest browser sends what it has listed; another one sends something else."""
     folder = tmp_path_factory.mktemp("uploaded")
     listed = [
         {"path": path, "size": len(content) + (0 if honest else longer)} for path, content in files
@@ -338,7 +347,7 @@ def test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all(
         said = [content for _, content in files if content]
     first = json.dumps({"key": "k", "files": listed})
     line, opened = Uploading([first, *said]), list[Path]()
-    # On a thread of its own: Playwright keeps a loop running on that of tests.
+    # On its own thread: Playwright keeps an event loop running on the test thread.
     with (
         patch.object(uploads, "make_temporary_folder", lambda: folder),
         patch.object(uploads, "drops", uploads.Drops()),

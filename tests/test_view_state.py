@@ -1,4 +1,4 @@
-"""What a user has set of a view: as text, taken back, and copied as a command."""
+"""The state of a view: as text, undone, and copied as a command."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from sero_mj.viewer.decor.handles import SEGMENTS
 from sero_mj.viewer.decor.toggles import PART_NAMES, Toggles
 from sero_mj.viewer.image.camera import find_camera
 from sero_mj.viewer.image.switches import SWITCH_NAMES, apply_switches, switches_text
-from sero_mj.viewer.session.recent_views import file_of, find_view, keep_view
+from sero_mj.viewer.session.recent_views import file_of, load_view, save_view
 from sero_mj.viewer.session.view_state import (
     ViewSnapshot,
     ViewState,
@@ -46,7 +46,7 @@ def world() -> World:
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=examples(40))
-def test_switches_come_back_from_their_text(world: World, seed: int) -> None:
+def test_toggles_round_trip_through_text(world: World, seed: int) -> None:
     rng = np.random.default_rng(seed)
     toggles, again = Toggles(world), Toggles(world)
     for name in SWITCH_NAMES:
@@ -65,7 +65,7 @@ def test_switches_come_back_from_their_text(world: World, seed: int) -> None:
         assert np.array_equal(getattr(toggles, name), getattr(again, name)), name
 
 
-def test_states_come_back_from_their_text(world: World) -> None:
+def test_states_round_trip_through_text(world: World) -> None:
     state = ViewState("150,-15,2.2,0.1,0,0.5", {"arrows": "10101010101010"}, "lwr/A2", 1.25)
     assert ViewState.from_text(state.to_text()) == state
     assert ViewState().to_text() == "{}"
@@ -79,20 +79,20 @@ def test_states_come_back_from_their_text(world: World) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "found no state of a view in '': "),
-        ("[1]", "found no state of a view in '[1]': "),
-        ('{"colour":1}', "found no state of a view in "),
-        ('{"time":"x"}', "found no state of a view in "),
-        ('{"switches":3}', "found no state of a view in "),
+        ("", "view: '' is not a valid view: "),
+        ("[1]", "view: '[1]' is not a valid view: "),
+        ('{"colour":1}', "colour: "),
+        ('{"time":"x"}', "time: "),
+        ('{"switches":3}', "switches: "),
     ],
 )
-def test_what_is_no_state_is_refused(text: str, expected: str) -> None:
+def test_invalid_states_are_rejected(text: str, expected: str) -> None:
     with pytest.raises(UsageError) as caught:
         ViewState.from_text(text)
-    assert str(caught.value).startswith(expected)
+    assert expected in str(caught.value)
 
 
-def test_a_state_of_another_scene_is_shown_as_far_as_it_fits(world: World) -> None:
+def test_state_of_another_scene_is_applied_as_far_as_it_fits(world: World) -> None:
     state = ViewState("there", {"arrow": "1", "legend": "0", "axes": "01"}, "kuka/A9")
     toggles = Toggles(world)
     camera, joint, wrong = apply_state(world, toggles, state)
@@ -104,7 +104,7 @@ def test_a_state_of_another_scene_is_shown_as_far_as_it_fits(world: World) -> No
     assert wrong[3].startswith("no joint 'kuka/A9'")
 
 
-def test_wrong_switches_and_cameras_are_refused(world: World) -> None:
+def test_invalid_toggles_and_cameras_are_rejected(world: World) -> None:
     toggles = Toggles(world)
     with pytest.raises(UsageError, match="legend: found '2'; expected digits from 0 to 1"):
         apply_switches(world, toggles, {"legend": "2"})
@@ -113,11 +113,11 @@ def test_wrong_switches_and_cameras_are_refused(world: World) -> None:
     with raises_with(UnknownName, kind="joint", name="lwr/A7", near="lwr/A6"):
         apply_switches(world, toggles, {}, "lwr/A7")
     for wrong in ("1,2", "1,2,3,4", "1,2,0,0,0,0", "1,2,3,4,5,nan"):
-        with pytest.raises(UsageError, match="with ,x,y,z of what it looks at"):
+        with pytest.raises(UsageError, match="the look-at point ,x,y,z"):
             find_camera(world, wrong)
 
 
-def test_what_is_taken_back_is_as_it_was_to_the_last_bit(world: World) -> None:
+def test_undo_restores_a_view_bit_for_bit(world: World) -> None:
     camera, toggles = find_camera(world), Toggles(world)
     before = ViewSnapshot.of(camera, toggles, follows=False)
     camera.azimuth += 1e-13 * camera.azimuth
@@ -130,34 +130,34 @@ def test_what_is_taken_back_is_as_it_was_to_the_last_bit(world: World) -> None:
     assert ViewSnapshot.of(camera, toggles, follows=True).lookat is None
 
 
-def test_a_view_is_kept_for_its_scene(
+def test_view_is_saved_for_its_scene(
     world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     scene = world.scene
-    assert find_view(scene) is None
+    assert load_view(scene) is None
     state = ViewState("150,-15,2.2,0.1,0,0.5", {"legend": "0"}, "lwr/A2", 1.25)
-    keep_view(scene, state, {"plot": True}, {"plot": [1]})
+    save_view(scene, state, {"plot": True}, {"plot": [1]})
     (file,) = (tmp_path / "sero-mj" / "views").iterdir()
     assert file == file_of(scene) and file.name.startswith("impedance_push-")
-    assert find_view(scene) == (state._replace(time=None), {"plot": True}, {"plot": [1]})
-    assert find_view(load_scene("lwr")) is None
+    assert load_view(scene) == (state._replace(time=None), {"plot": True}, {"plot": [1]})
+    assert load_view(load_scene("lwr")) is None
     for text in ("", "{}", '{"view": "[]", "layout": {}}', '{"view": "{}", "layout": 3}', "\0"):
         file.write_text(text)
-        with pytest.raises(UsageError, match=r"found no view \(.*--fresh makes a new one"):
-            find_view(scene)
+        with pytest.raises(UsageError, match=r"no valid view \(.*use --fresh to ignore it"):
+            load_view(scene)
     long = state._replace(switches={"axes": "01" * 50_000}, time=None)
-    keep_view(scene, long, {"plot": True}, {"plot": ["x" * 500_000]})
-    assert find_view(scene) == (long, {"plot": True}, {"plot": ["x" * 500_000]})
-    keep_view(scene, long, {"plot": True}, {"plot": ["x" * 2_000_000]})
-    assert find_view(scene) == (long, {"plot": True}, {})
+    save_view(scene, long, {"plot": True}, {"plot": ["x" * 500_000]})
+    assert load_view(scene) == (long, {"plot": True}, {"plot": ["x" * 500_000]})
+    save_view(scene, long, {"plot": True}, {"plot": ["x" * 2_000_000]})
+    assert load_view(scene) == (long, {"plot": True}, {})
     file.unlink()
     file.parent.rmdir()
     file.parent.write_text("a file where the folder should be")
-    keep_view(scene, state, {}, {})  # is no reason to fail
+    save_view(scene, state, {}, {})  # this must not raise
 
 
-def test_what_changes_without_a_rest_is_one_step() -> None:
+def test_continuous_changes_are_one_undo_step() -> None:
     state = [0]
     undo = Undo(lambda: state[0], lambda value: state.__setitem__(0, value))
     now = 0.0
@@ -174,15 +174,15 @@ def test_what_changes_without_a_rest_is_one_step() -> None:
     assert undo.undo() == "nothing to undo"
     go([1, 2, 3])
     go([4, 5])
-    go([6], seconds=0.0)  # not yet at rest
-    assert undo.undo() == "undone; Ctrl+Y does it again"
+    go([6], seconds=0.0)  # not yet settled
+    assert undo.undo() == "undone; Ctrl+Y redoes it"
     assert state == [5]
     undo.undo()
     assert state == [3]
-    assert undo.redo() == "done again"
+    assert undo.redo() == "redone"
     assert state == [5]
     go([9])
-    assert undo.redo() == "nothing to do again"
+    assert undo.redo() == "nothing to redo"
     undo.undo()
     undo.undo()
     undo.undo()
@@ -191,7 +191,7 @@ def test_what_changes_without_a_rest_is_one_step() -> None:
 
 
 def blocks(picture: np.ndarray) -> np.ndarray:
-    """Means of 8 x 8 pixels: screens without multisampling have other edges."""
+    """Returns means of 8 x 8 pixels, because screens without multisampling have other edges."""
     high, wide = (size // 8 * 8 for size in picture.shape[:2])
     cut = picture[:high, :wide].astype(float)
     return cut.reshape(high // 8, 8, wide // 8, 8, 3).mean(axis=(1, 3))
@@ -215,12 +215,12 @@ def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
 @pytest.mark.gl
 @pytest.mark.live
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
-def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
+def test_keys_undo_and_redo_and_the_copied_command_renders_the_image(
     window: Driven,
 ) -> None:
-    picture = "w.picture().tobytes().hex()"
+    picture = "w.image().tobytes().hex()"
     window.tool("mousemove", 5, 200)
-    window.key("space")  # stands still, so that its arrows do
+    window.key("space")  # paused, so that its arrows do not move
     window.settle()
     first = window.ask(picture)
     window.key("a")
@@ -234,7 +234,7 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     assert window.ask("w.toggles.selected") == 1
     window.ask("setattr(w, 'command', ['lwr'])")
     window.key("ctrl+c")
-    assert window.ask("w.notice.text") == "copied: the command that renders this picture"
+    assert window.ask("w.notice.text") == "copied the command that renders this image"
     command = window.ask("w.gl.clipboard")
     words = shlex.split(command)
     assert words[:3] == ["sero-mj", "render", "lwr"]
@@ -245,14 +245,14 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
         words[3:3] = ["--set", setting]
     subprocess.run([sys.executable, "-m", *("sero_mj", *words[1:])], cwd=ROOT, check=True,
                    capture_output=True)  # fmt: skip
-    width, height = window.ask("w.picture_size")
+    width, height = window.ask("w.image_size")
     shown = np.frombuffer(bytes.fromhex(window.ask(picture)), np.uint8).reshape(height, width, 3)
     rendered = np.array(Image.open(out).convert("RGB"))
     assert shown.shape == rendered.shape
     assert np.abs(blocks(shown) - blocks(rendered)).max() < 45
     for _ in range(window.ask("w.tools['undo'].undo.count")):
         window.key("ctrl+z")
-    assert window.ask("w.notice.text") == "undone; Ctrl+Y does it again"
+    assert window.ask("w.notice.text") == "undone; Ctrl+Y redoes it"
     window.until("not w.toggles.arrows.any()")
     assert window.ask(picture) == first
     window.key("ctrl+y")
@@ -270,7 +270,7 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     window.until("w.toggles.arrows.all()")
 
 
-def test_a_selected_joint_has_a_ring_about_its_axis() -> None:
+def test_selected_joint_has_a_ring_about_its_axis() -> None:
     world = world_of(joint_angles=[0.3, 0.6, 0.0, -1.2, 0.0, 0.8, 0.0])
     data, toggles, decor = world.make_data(), Toggles(world), Decor(world)
     without = decor.draw(data, toggles, view_at()).count
@@ -279,7 +279,7 @@ def test_a_selected_joint_has_a_ring_about_its_axis() -> None:
     rows = buffer.rows[: buffer.count][-(buffer.count - without) :]
     rows = rows[np.abs(rows["emission"] - 0.9) < 1e-6]
     assert len(rows) == SEGMENTS == buffer.count - without
-    T = world.scene.robots["lwr"].kinematics.frames(data.qpos[:7])[4]  # by numpy
+    T = world.scene.robots["lwr"].kinematics.frames(data.qpos[:7])[4]  # by NumPy
     away = rows["pos"] - data.site_xpos[world.joints.centre_site[3]]
     axis = data.site_xmat[world.joints.centre_site[3]].reshape(3, 3)[:, 2]
     assert np.abs(away @ axis).max() < 1e-6
@@ -291,7 +291,7 @@ def test_a_selected_joint_has_a_ring_about_its_axis() -> None:
 # ---- files that are dropped
 
 
-def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path) -> None:
+def test_dropped_file_is_opened_and_an_invalid_one_changes_nothing(tmp_path: Path) -> None:
     options = view.ViewOptions(scene="lwr_udp")
     session = view.Session(options, on_page=False)
     for name, text, expected in (
@@ -317,7 +317,7 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
     urdf.write_text(urdf_text.replace('<link name="b"/>', f'<link name="b">{mesh}</link>'))
     session.open(urdf)
     warning, *_ = session._warnings
-    assert "gone.stl" in warning  # which the window or page then says, too
+    assert "gone.stl" in warning  # which the window or page then shows, too
     urdf.write_text(urdf_text)
     scene = session.open(urdf).world.scene
     assert not any("gone" in each for each in session._warnings)
@@ -329,17 +329,17 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
 @pytest.mark.gl
 @pytest.mark.live
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
-def test_a_file_dropped_on_a_window_ends_it_for_another_scene(window: Driven) -> None:
+def test_file_dropped_on_a_window_opens_another_scene(window: Driven) -> None:
     drop = "w.gl._on_drop(None, ['/tmp/there.toml'])"  # xdotool drops no files
     window.ask(drop)
-    window.until("w.notice.text == 'there.toml: files are opened by `sero-mj view` alone'")
+    window.until("w.notice.text == 'there.toml: only `sero-mj view` opens dropped files'")
     window.ask("globals().update(load=__import__('sero_mj.load', fromlist=['x']).load_scene)")
     window.ask("setattr(w.others, 'opener', lambda path: load('no such scene'))")
     window.ask(drop)
     window.until("\"no scene or robot 'no such scene'\" in w.notice.text and w.notice.is_bad")
     assert window.ask("w.is_open and w.others.chosen is None")
     window.ask("setattr(w.others, 'opener', lambda path: Mirror(load('justin')))")
-    window.ask("setattr(w.others, '_close', lambda: None)")  # else it cannot be asked
+    window.ask("setattr(w.others, '_close', lambda: None)")  # otherwise it cannot be queried
     window.ask(drop)
     assert (
         window.until("w.others.chosen is not None and w.others.chosen.world.scene.name") == "justin"

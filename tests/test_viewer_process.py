@@ -55,20 +55,20 @@ def viewer() -> Iterator[Viewer]:
 
 
 def test_it_is_shown_without_any_call_and_no_call_waits_for_it(viewer: Viewer) -> None:
-    assert until(lambda: viewer.pictures > 5, PATIENCE)
+    assert until(lambda: viewer.frame_count > 5, PATIENCE)
     assert viewer.url is not None and answers(viewer.url)
     process = process_of(viewer)
     process.send_signal(signal.SIGSTOP)  # as if it were in the middle of a long picture
     try:
-        shown, begin = viewer.pictures, time.monotonic()
+        shown, begin = viewer.frame_count, time.monotonic()
         for k in range(1000):
             viewer.set("mine.torques", np.full(7, float(k)))
             assert viewer.sync()
         assert time.monotonic() - begin < 1.0
-        assert viewer.pictures == shown
+        assert viewer.frame_count == shown
     finally:
         process.send_signal(signal.SIGCONT)
-    assert until(lambda: viewer.pictures > shown, PATIENCE)
+    assert until(lambda: viewer.frame_count > shown, PATIENCE)
 
 
 def test_what_sources_bring_comes_back_and_what_is_set_stays(viewer: Viewer) -> None:
@@ -98,9 +98,9 @@ def test_what_sources_bring_comes_back_and_what_is_set_stays(viewer: Viewer) -> 
 @pytest.mark.thorough
 def test_a_picture_has_all_that_was_set_before(viewer: Viewer) -> None:
     viewer.set("mine.joint_angles", np.zeros(7))
-    before = viewer.picture()
+    before = viewer.image()
     viewer.set("mine.joint_angles", [0, 1.5, 0, 0, 0, 0, 0])
-    after = viewer.picture()
+    after = viewer.image()
     assert before.shape == after.shape == (800, 1280, 3)
     assert (np.abs(before.astype(int) - after) > 30).any(axis=2).sum() > 5000
     with raises_with(UnknownName, kind="input of mine", name="joint_angle", near="joint_angles"):
@@ -121,9 +121,9 @@ def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser:
     page.on("websocket", watch)
     page.goto(viewer.url)
     assert until(lambda: page.wait_for_timeout(100) or len(states) > 10, PATIENCE)
-    before = viewer.pictures
+    before = viewer.frame_count
     page.wait_for_timeout(1500)
-    assert viewer.pictures > before + 22  # and not 10 a second, as where nobody looks
+    assert viewer.frame_count > before + 22  # and not 10 a second, as where nobody looks
     seen = len(states)
     assert until(lambda: page.wait_for_timeout(100) or len(states) > seen, PATIENCE)
     assert "closed" not in states
@@ -154,11 +154,11 @@ def test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along(
     for _ in range(100):
         again.set("lwr.torques", np.ones(7))
         assert not again.sync()
-    with pytest.raises(RenderError, match="no picture: the viewer is closed"):
-        again.picture()
+    with pytest.raises(RenderError, match="no image: the viewer is closed"):
+        again.image()
     again.close()
     (record,) = caplog.records
-    assert record.getMessage() == "the viewer has died, your program goes on: SIGKILL"
+    assert record.getMessage() == "the viewer process ended; your program continues: SIGKILL"
 
 
 @pytest.mark.thorough
@@ -173,7 +173,7 @@ def test_what_goes_wrong_there_is_told_here(caplog: pytest.LogCaptureFixture) ->
     with raises_with(UnknownName, kind="camera", name="frnt"):
         sero_mj.view("lwr", web=True, camera="frnt")
     with pytest.raises(
-        RenderError, match=r"no page at 'nowhere\.invalid': this machine has no such"
+        RenderError, match=r"cannot serve a page at 'nowhere\.invalid': this machine has no such"
     ):
         sero_mj.view("lwr", web=True, host="nowhere.invalid")
 
@@ -196,9 +196,9 @@ try:
         time.sleep(0.01)
 except KeyboardInterrupt:
     time.sleep(0.2)
-    shown = viewer.pictures
+    shown = viewer.frame_count
     time.sleep(0.5)
-    print("interrupted", viewer.is_open, viewer.pictures > shown, flush=True)
+    print("interrupted", viewer.is_open, viewer.frame_count > shown, flush=True)
 sys.stdin.readline()
 """
 
@@ -242,10 +242,10 @@ def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
             assert viewer.url is None
             viewer._ipython_display_()
             assert "window is in a window on the screen" in capfd.readouterr().out
-            assert until(lambda: viewer.pictures > 3, PATIENCE)
+            assert until(lambda: viewer.frame_count > 3, PATIENCE)
             clicks: list[tuple[Any, str, threading.Thread]] = []
             viewer.on_click(lambda *click: clicks.append((*click, threading.current_thread())))
-            assert viewer.picture().shape == (300 - 29, 400, 3)
+            assert viewer.image().shape == (300 - 29, 400, 3)
 
             def click(x: int, y: int) -> None:
                 command = ["xdotool", "mousemove", str(x), str(y), "click", "1"]
@@ -253,8 +253,8 @@ def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
 
             def robot_was_clicked() -> bool:
                 click(200, 150)
-                shown = viewer.pictures
-                assert until(lambda: viewer.pictures > shown + 2, PATIENCE)
+                shown = viewer.frame_count
+                assert until(lambda: viewer.frame_count > shown + 2, PATIENCE)
                 viewer.sync()
                 return bool(clicks)
 
@@ -270,7 +270,7 @@ def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
 def test_a_class_of_a_script_is_refused_with_what_to_do() -> None:
     scene = Scene(robots=[SerialRobot.from_model("lwr")])
     scene.sources["mine"] = lambda: None
-    with pytest.raises(UsageError, match=r"cannot be handed to the viewer's process .*picklable"):
+    with pytest.raises(UsageError, match=r"cannot be sent to the viewer's process .*picklable"):
         sero_mj.view(scene, web=True)
 
 

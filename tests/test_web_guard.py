@@ -25,7 +25,7 @@ from websockets.sync.client import connect
 
 from sero_mj import Mirror
 from sero_mj.base.errors import RenderError, UsageError
-from sero_mj.cli.browser import leading_to
+from sero_mj.cli.browser import redirect_to
 from sero_mj.load import load_scene
 from sero_mj.viewer.web.guard import is_loopback
 from sero_mj.viewer.web.host import WebHost
@@ -84,7 +84,9 @@ def test_every_path_refuses_hosts_of_others(page: WebHost) -> None:
         ):
             status, text, _ = get(page.server.port, path, Host=host)
             assert status == 403, (path, host)
-            expected = f"found Host {host!r}; expected localhost; the page is for this machine only"
+            expected = (
+                f"found Host {host!r}; expected localhost; only this machine can open the page"
+            )
             assert expected in text
     before = page.server.guard.refused
     assert before == 4 * len(PATHS)
@@ -441,7 +443,7 @@ def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path)
         assert served.ask("w.is_seen") is False
         with closing(context.new_page()) as second:
             # As `view` opens it, without the token in the arguments of a program.
-            file = leading_to(f"{served.url}#view=x")
+            file = redirect_to(f"{served.url}#view=x")
             assert file.stat().st_mode & 0o077 == 0
             second.goto(file.as_uri())
             second.wait_for_url(f"{plain}#view=x")

@@ -29,7 +29,7 @@ from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver, World
 from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.viewer.decor.geom_buffer import Kind
-from sero_mj.viewer.host.restoring import keep, restore
+from sero_mj.viewer.host.restoring import restore, save
 from sero_mj.viewer.image.scene_decor import SceneDecor
 from sero_mj.viewer.player.frame import shown_bodies
 from sero_mj.viewer.web import browsers
@@ -54,7 +54,7 @@ from sero_mj.viewer.web.messages import (
     PageMessage,
     PageSize,
     PointerMessage,
-    Said,
+    Received,
     ViewMessage,
     Wheel,
     Widget,
@@ -351,7 +351,7 @@ def test_a_link_opens_the_page_with_its_view(page: WebHost, client: PageClient) 
     assert page.clock.is_paused
     client.say("view", text="<script>")
     client.until(lambda: page.notice.is_bad)
-    assert page.notice.text.startswith("found no state of a view in '<script>': ")
+    assert page.notice.text.startswith("view: '<script>' is not a valid view: ")
 
 
 def test_panels_switch_what_is_shown_and_the_time_line_scrubs(
@@ -366,7 +366,7 @@ def test_panels_switch_what_is_shown_and_the_time_line_scrubs(
     client.say("widget", tree="timeLine", id="##time", value=0.2)
     client.until(lambda: page.clock.time == 0.2)
     client.until(lambda: client.state["time"] == pytest.approx(0.2, abs=1e-3))
-    client.say("widget", tree="panel", id="copy a link to this view", value=True)
+    client.say("widget", tree="panel", id="copy link to this view", value=True)
     assert client.until(lambda: client.events)[0]["copy"].startswith(page.link.partition("%22")[0])
     client.say("fold", tree="panel", id="Sources", open=False)
     client.until(lambda: client.widget("panel", "Sources")["nodes"] == [])
@@ -379,7 +379,7 @@ def test_sections_are_as_they_were_left_when_it_is_started_again(
     client.say("fold", tree="panel", id="Model", open=True)
     client.say("fold", tree="panel", id="lwr/lwr", open=False)
     client.until(lambda: client.widget("panel", "Model")["open"])
-    keep(page)
+    save(page)
     with Mirror(load_scene("impedance_push", by_hand=True)) as mirror, WebHost(mirror) as again:
         restore(again)
         with PageClient(again) as other:
@@ -483,8 +483,8 @@ def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebHost]:
 def test_whatever_a_browser_says_the_page_goes_on(fuzzed: WebHost, said: list[Any]) -> None:
     reader = MessageReader(ForScene)
     messages = [message for each in said if (message := reader.read(json.dumps(each)))]
-    fuzzed._input.take(Said(message, MessageSender(1, is_local=True)) for message in messages)
-    fuzzed.decor.lay_out(fuzzed.data, fuzzed.view.picture(fuzzed.data))
+    fuzzed._input.take(Received(message, MessageSender(1, is_local=True)) for message in messages)
+    fuzzed.decor.lay_out(fuzzed.data, fuzzed.view.of_data(fuzzed.data))
     assert np.isfinite(fuzzed.navigator.camera.lookat).all()
 
 
@@ -614,12 +614,12 @@ def test_a_browser_that_sends_too_much_waits(page: WebHost, client: PageClient) 
     """While the page shows no frames, messages stay in the connection, and later all arrive."""
     client.say("key", key="t")
     client.until(lambda: client.state["panel"] is None)
-    refused, sent = page.browsers.refused, 3 * browsers._MOST_SAID
+    refused, sent = page.browsers.refused, 3 * browsers._MAX_QUEUED
     with ThreadPoolExecutor(1) as thread:
         # An odd number of times.
         sending = thread.submit(lambda: [client.say("key", key="t") for _ in range(sent + 1)])
-        assert until(lambda: len(page.browsers._said) == browsers._MOST_SAID, 20)
-        client.until(lambda: len(page.browsers._said) < 10 and sending.done())
+        assert until(lambda: len(page.browsers._queue) == browsers._MAX_QUEUED, 20)
+        client.until(lambda: len(page.browsers._queue) < 10 and sending.done())
     client.until(lambda: client.state["panel"] is not None)
     assert page.browsers.refused == refused
 
@@ -628,7 +628,7 @@ def test_a_page_closes_while_a_browser_waits(home: None) -> None:
     with Mirror(load_scene("lwr")) as mirror, WebHost(mirror) as page, PageClient(page) as client:
         with ThreadPoolExecutor(1) as thread, suppress(ConnectionClosed):
             sending = thread.submit(lambda: [client.say("hold") for _ in range(10_000)])
-            assert until(lambda: len(page.browsers._said) == browsers._MOST_SAID, 20)
+            assert until(lambda: len(page.browsers._queue) == browsers._MAX_QUEUED, 20)
             page.close()
             sending.result(10)
         assert not page.server.is_running
@@ -637,7 +637,7 @@ def test_a_page_closes_while_a_browser_waits(home: None) -> None:
 def test_no_more_browsers_are_let_in_than_can_be_served(
     page: WebHost, client: PageClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(browsers, "_MOST_BROWSERS", 1)
+    monkeypatch.setattr(browsers, "_MAX_BROWSERS", 1)
     address = socket_url(page.url, "/live")
     with connect(address) as other, pytest.raises(ConnectionClosed, match="1013"):
         other.recv(timeout=5)
@@ -694,7 +694,9 @@ def test_a_port_that_is_taken_is_told(home: None) -> None:
         port = taken.getsockname()[1]
         with pytest.raises(RenderError) as found:
             WebHost(mirror, port=port)
-        assert str(found.value) == f"no page at 127.0.0.1:{port}: Address already in use"
+        assert (
+            str(found.value) == f"cannot serve a page at 127.0.0.1:{port}: Address already in use"
+        )
         for wrong in (70000, -1, "a"):
             with pytest.raises(RenderError, match=f"port {wrong!r}: expected 1 to 65535"):
                 WebHost(mirror, port=wrong)  # type: ignore[arg-type]
@@ -708,11 +710,11 @@ def test_screenshots_and_films_are_made_of_pages_too(tmp_path: Path, home: None)
         page.frame()
         page.actions.press("f2")
         page.actions.press("f3")
-        assert said[-1].startswith("filming to ")
+        assert said[-1].startswith("recording a video: ")
         for _ in range(6):
             page.frame()
         page.actions.press("f3")
-        assert said[-1] == "the film is complete"
+        assert said[-1] == "video recording stopped"
         assert until(lambda: page.frame() and sum("saved: " in each for each in said) == 2)
         expected = page.picture()
     (picture,), (film,) = tmp_path.glob("*.png"), tmp_path.glob("*.mp4")

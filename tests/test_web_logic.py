@@ -106,20 +106,20 @@ def test_it_says_why_it_is_a_page_once_there_is_a_scene(
         with pytest.raises(SystemExit):
             main(["view", scene])
         err = capsys.readouterr().err
-        assert ("no display for a window, so it is a page" in err) == said, scene
+        assert ("no display for a window, serving a web page" in err) == said, scene
 
 
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ({"window": True, "port": 8080}, "--port is for the page"),
-        ({"window": True, "host": "0.0.0.0"}, "--host is for the page"),
-        ({"window": True, "token": True}, "--token is for the page"),
-        ({"window": True, "no_token": True}, "--no-token is for the page"),
-        ({"window": True, "no_browser": True}, "--no-browser is for the page"),
-        ({"token": True, "no_token": True}, "--token and --no-token: expected one"),
-        ({"web": True, "size": (640, 480)}, "--size is for the window"),
-        ({"port": 8080, "full_screen": True}, "--full-screen is for the window"),
+        ({"window": True, "port": 8080}, "--port needs --web"),
+        ({"window": True, "host": "0.0.0.0"}, "--host needs --web"),
+        ({"window": True, "token": True}, "--token needs --web"),
+        ({"window": True, "no_token": True}, "--no-token needs --web"),
+        ({"window": True, "no_browser": True}, "--no-browser needs --web"),
+        ({"token": True, "no_token": True}, "--token cannot be combined with --no-token"),
+        ({"web": True, "size": (640, 480)}, "--size needs a window"),
+        ({"port": 8080, "full_screen": True}, "--full-screen needs a window"),
         ({"window": True}, "no display for a window"),
         ({"size": (640, 480)}, "no display for a window"),
     ],

@@ -18,8 +18,8 @@ pytestmark = [
 ]
 # Else most of the time went to films, which software draws, and to pages of what was kept.
 _BLACK_PICTURES = """[setattr(w.tools["pulling"]._exports, "add", lambda *_: 0),
-    setattr(type(w), "picture_size", (64, 48)),
-    setattr(type(w), "picture", lambda self: np.zeros((48, 64, 3), np.uint8))] and None""".replace(
+    setattr(type(w), "image_size", (64, 48)),
+    setattr(type(w), "image", lambda self: np.zeros((48, 64, 3), np.uint8))] and None""".replace(
     "\n", " "
 )
 EVENTS, AT_ONCE = 2000 if examples(100) >= 100 else 200, 40

@@ -588,7 +588,7 @@ def test_graphics_that_the_browser_takes_away_are_told_and_come_back(
         " player.view.renderer.getContext().getExtension('WEBGL_lose_context');"
         " graphics.loseContext(); }"
     )
-    problem = page.locator("#problem", has_text="taken the graphics away")
+    problem = page.locator("#problem", has_text="suspended WebGL")
     problem.wait_for(state="visible")
     page.evaluate("() => graphics.restoreContext()")
     problem.wait_for(state="hidden")

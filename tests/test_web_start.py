@@ -209,7 +209,7 @@ def test_files_are_taken_whole_and_what_is_wrong_is_told(opened: Opened) -> None
         assert told["text"] == "r.urdf: found 300000 bytes; expected a robot"
         assert 1 < told["seconds"] < 60
         answer = opened.upload(browser.key, [{"path": "a.toml", "size": 2}], b"abc")
-        assert answer == {"error": "a.toml: found other contents than its 2 bytes"}
+        assert answer == {"error": "a.toml: expected contents of 2 bytes"}
     assert opened.asked.empty()
 
 
@@ -218,7 +218,7 @@ def test_refused_drops_leave_nothing_and_full_space_is_told(
 ) -> None:
     monkeypatch.setattr(uploads, "drops", uploads.Drops())
     monkeypatch.setattr(start_host, "drops", uploads.drops)
-    monkeypatch.setattr(uploads, "MOST_BYTES", 1000)
+    monkeypatch.setattr(uploads, "MAX_BYTES", 1000)
     folders = paths.make_temporary_folder().parent
     with Onlooker(opened) as browser:
         before = set(folders.iterdir())
@@ -247,9 +247,12 @@ def test_refused_drops_leave_nothing_and_full_space_is_told(
 @pytest.mark.parametrize(
     ("listed", "told"),
     [
-        ([{"path": "a.toml", "size": float("inf")}], "found no list of files; expected paths"),
-        ([{"path": f"{'x' * 300}/a.toml", "size": 1}], f"{'x' * 300}/a.toml: cannot be kept: "),
-        ([{"path": "m", "size": 0}, {"path": "m/a.toml", "size": 1}], "m/a.toml: cannot be kept: "),
+        ([{"path": "a.toml", "size": float("inf")}], "expected a list of files with paths"),
+        ([{"path": f"{'x' * 300}/a.toml", "size": 1}], f"{'x' * 300}/a.toml: cannot be stored: "),
+        (
+            [{"path": "m", "size": 0}, {"path": "m/a.toml", "size": 1}],
+            "m/a.toml: cannot be stored: ",
+        ),
     ],
 )
 def test_files_that_cannot_be_kept_are_told_by_their_own_names(
@@ -387,7 +390,7 @@ def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
             page.wait_for_function("() => document.title === 'evil - sero-mj'", timeout=60_000)
             dialog = page.get_by_role("dialog", name="This file asks to run programs")
             dialog.get_by_text(f"run the program touch {ran} '{{port}}'").wait_for()
-            dialog.get_by_role("button", name="show only").click()
+            dialog.get_by_role("button", name="display only").click()
             dialog.wait_for(state="hidden")
             page.get_by_role("button", name="programs of this file").click()
             assert not ran.exists()

@@ -205,13 +205,13 @@ def test_a_film_is_as_long_as_it_was_filmed(window: Driven) -> None:
 
     folder: Path = window.folder  # type: ignore[attr-defined]
     window.key("F3")
-    window.until("w.tools['pictures'].capture.seconds > 1.0")
+    window.until("w.tools['images'].writer.seconds > 1.0")
     window.key("F3")
     window.until("'film of' in w.notice.text and 'saved' in w.notice.text")
     (film,) = folder.glob("lwr_*.mp4")
     with av.open(str(film)) as container:
         frames = sum(1 for _ in container.decode(video=0))
-    assert frames / 30 == pytest.approx(window.ask("w.tools['pictures'].capture.seconds"), abs=0.3)
+    assert frames / 30 == pytest.approx(window.ask("w.tools['images'].writer.seconds"), abs=0.3)
 
 
 @pytest.mark.thorough
@@ -335,12 +335,12 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
             window.until("w.clock.time in [each.time for each in w.tools['bookmarks'].all()]")
             assert window.ask("any(bookmark.is_mark for bookmark in w.tools['bookmarks'].all())")
             window.key("k")
-            window.until("'page of what was kept: live_' in w.notice.text")
+            window.until("'page saved: live_' in w.notice.text")
             window.until("w.tools['rolling_recorder']._exports._made is not None")
             film = window.ask("w.tools['rolling_recorder']._exports._made[0].process.args")
             # It takes its time without a GPU.
             window.ask("w.tools['rolling_recorder']._exports._made[0].process.kill()")
-            window.until("w.notice.text.startswith('no film live_') and w.notice.is_bad")
+            window.until("w.notice.text.startswith('video live_') and w.notice.is_bad")
             kept = tmp_path / next(each for each in film if each.endswith(".mcap"))
             assert kept.with_suffix(".html").stat().st_size > 200_000
             run = read_run(kept)
@@ -378,7 +378,7 @@ import sero_mj
 from sero_mj.base.errors import RenderError
 with sero_mj.view("lwr", size=(320, 240)) as viewer:
     assert viewer.sync()
-    viewer.picture()
+    viewer.image()
 assert not viewer.is_open
 assert not viewer.sync()
 viewer.close()
@@ -422,14 +422,14 @@ scene = sero_mj.Scene(robots=[sero_mj.SerialRobot.from_model("lwr", show_arrows=
 clicks = []
 with sero_mj.view(scene, size=(400, 300)) as viewer:
     viewer.on_click(lambda picked, gesture: clicks.append(gesture))
-    before = viewer.picture()
+    before = viewer.image()
     rounds, end = 0, time.monotonic() + 1.5
     while viewer.sync() and time.monotonic() < end:
         viewer.set("lwr.joint_angles", [0.4, 0.5, 0, -1, 0, 1, 0])
         viewer.robot("lwr").torques = np.full(7, 40.0)
         rounds += 1
         time.sleep(0.0005)
-    after = viewer.picture()
+    after = viewer.image()
     assert before.shape == after.shape and (before != after).mean() > 0.01
     assert rounds > 100, rounds  # it did not wait for the screen in every round
     assert abs(viewer.world.frame(viewer.data, "lwr/flange")[1, 3]) > 0.05
@@ -437,7 +437,7 @@ with sero_mj.view(scene, size=(400, 300)) as viewer:
         viewer.set("lwr.joint_angle", [0.0] * 7)
     except sero_mj.SeroError as error:
         assert "joint_angles" in str(error)
-    assert not clicks and viewer.pictures > 1
+    assert not clicks and viewer.frame_count > 1
 print("done")
 """
 
@@ -455,7 +455,7 @@ _BLENDED = """(lambda np, setting, full, placed, bare: [
 ])(
     __import__("numpy"),
     __import__("sero_mj.viewer.image.typesetting", fromlist=[""]),
-    w.picture(),
+    w.image(),
     w.decor._typesetter.place(w.decor.panels),
     [w.decor.panels.clear(), w.decor.render(w.gl), w.gl.read(w.decor.rect)][2],
 )"""
@@ -473,7 +473,7 @@ _JAGGED = """(lambda np, mujoco, rect, smooth: (lambda raw: [
     mujoco.mjr_readPixels(raw, None, rect, w.gl.context) or w.gl.context.windowSamples,
     int((np.abs(raw[::-1].astype(int) - smooth).max(axis=2) > 8).sum()),
 ])(np.empty((rect.height, rect.width, 3), np.uint8)))(
-    __import__("numpy"), __import__("mujoco"), w.decor.rect, w.picture(),
+    __import__("numpy"), __import__("mujoco"), w.decor.rect, w.image(),
 )"""
 
 
@@ -486,7 +486,7 @@ def test_pictures_of_a_window_are_as_smooth_as_the_window(window: Driven) -> Non
 
 @pytest.mark.thorough
 def test_on_a_slow_machine_a_moving_view_is_drawn_quickly_and_comes_back(window: Driven) -> None:
-    picture = "w.picture()[::4, ::4].astype(int)"
+    picture = "w.image()[::4, ::4].astype(int)"
     before = np.array(window.ask(picture))
     window.ask("setattr(w._pace, 'slow', 0.0)")  # whatever this machine can do
     window.ask("vars(w._pace).pop('is_quick') and vars(w).pop('_draw') and None")

@@ -23,9 +23,9 @@ from sero_mj.load import load_scene
 from sero_mj.simulate.tools.bookmarks import Bookmarks
 from sero_mj.viewer.host.live import LiveHost
 from sero_mj.viewer.image.clicks import CLICKS, KEYS
-from sero_mj.viewer.panels.help import build_help
-from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line, build_time_line
-from sero_mj.viewer.session.capture import PictureWriter, due_frames, unused_name
+from sero_mj.viewer.panels.dialogs import build_help
+from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line, build_timeline
+from sero_mj.viewer.session.capture import ImageWriter, due_frames, unused_name
 from sero_mj.viewer.session.clock import SPEEDS, Clock, Tick, time_text
 from sero_mj.viewer.session.input import (
     DOUBLE_CLICK_TIME,
@@ -38,9 +38,9 @@ from sero_mj.viewer.session.input import (
     Moved,
 )
 from sero_mj.viewer.session.keys import (
-    HOST_KEYS,
-    HOST_MOUSE,
     MORE_KEYS,
+    VIEWER_KEYS,
+    VIEWER_MOUSE,
     help_columns,
 )
 from sero_mj.viewer.session.status_line import clock_text, source_text, status_pieces
@@ -135,7 +135,7 @@ def test_a_paused_clock_steps_and_seeks(simulated: Mirror) -> None:
 def test_plots_are_as_fine_at_a_low_frame_rate(simulated: Mirror) -> None:
     clock, seen = Clock(simulated), []
     clock.advance(0.0)
-    clock.on_moment = lambda: seen.append(simulated.data.time)
+    clock.on_state = lambda: seen.append(simulated.data.time)
     clock.advance(0.1)
     assert len(seen) >= 10
     assert np.diff(seen).max() < 0.011
@@ -147,7 +147,7 @@ def test_after_a_jump_plots_show_what_was_before_it(
     simulated: Mirror, way: tuple[float, ...]
 ) -> None:
     clock, history = Clock(simulated), TorqueHistory(simulated.world)
-    clock.on_moment = lambda: history.add(simulated.data)
+    clock.on_state = lambda: history.add(simulated.data)
     clock.pause()
     for goal in way:
         clock.seek(goal)
@@ -171,7 +171,7 @@ def test_a_plot_that_is_opened_after_a_jump_shows_what_was_before_it(simulated: 
     clock.seek(2.0)
     while clock.advance(0.01):
         pass  # a simulation may need several frames
-    clock.on_moment = lambda: history.add(simulated.data)
+    clock.on_state = lambda: history.add(simulated.data)
     assert clock.advance(0.01)
     times, (measured, *_) = history.of(1)
     assert times[0] == pytest.approx(-2.0, abs=0.01)
@@ -189,7 +189,7 @@ def test_at_the_end_the_same_key_begins_anew(simulated: Mirror) -> None:
     assert clock.pause() == "from the start"
     assert (clock.time, clock.is_paused) == (0.0, False)
     assert clock.pause() == "paused"
-    assert clock.pause() == "goes on"
+    assert clock.pause() == "continues"
 
 
 def test_speeds_have_ends(simulated: Mirror) -> None:
@@ -207,7 +207,7 @@ def test_what_is_live_has_no_past_before_anything_came() -> None:
     clock = Clock(mirror)
     assert clock.is_live
     assert clock.end is None
-    assert "robot's" in clock.faster(1)
+    assert clock.faster(1) == "the speed of live sources cannot be changed"
     clock.seek(5.0)
     assert clock.time == 0.0 and not clock.is_past
     assert clock_text(clock) == ("live", "plain")  # whether all is well, the sources say
@@ -315,10 +315,10 @@ def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
     clock = Clock(mirror)  # type: ignore[arg-type]
     clock.is_live = True
     bookmarks = Bookmarks(bare(mirror, clock))
-    clock.on_moment = bookmarks.watch
+    clock.on_state = bookmarks.watch
     mirror.goes_on(clock, 1.0)
     assert bookmarks.all() == []
-    assert bookmarks.go(1) == "nothing was found or marked after this"
+    assert bookmarks.go(1) == "no marks or faults after this time"
     world.set_input(mirror.data, "lwr.torques", [0, 1.1 * robot.torque_limits[1], 0, 0, 0, 0, 0])
     mirror.goes_on(clock, 1.0)  # beyond its limit all along: found once
     world.set_input(mirror.data, "lwr.torques", np.zeros(7))
@@ -387,7 +387,7 @@ def test_the_time_line_pauses_steps_seeks_and_shows_marks(simulated: Mirror) -> 
     def does(label: str, value: Any = True) -> ScriptedWidgets:
         ui = ScriptedWidgets({label: value})
         ticks = [Tick(1.0, "mark", is_mark=True), Tick(2.0, "A2: too much", is_mark=False)]
-        build_time_line(ui, clock, ticks)
+        build_timeline(ui, clock, ticks)
         return ui
 
     does("##time", 2.0)  # goes to what happened, and stays there
@@ -409,7 +409,7 @@ def test_the_time_line_pauses_steps_seeks_and_shows_marks(simulated: Mirror) -> 
     does("play###pause")
     assert not clock.is_paused
     narrow = ScriptedWidgets(size=(20.0, 2.0))
-    build_time_line(narrow, clock, [])
+    build_timeline(narrow, clock, [])
     assert ("slide", "##time") in narrow.built
     assert ("choose", "##speed") not in narrow.built
 
@@ -460,7 +460,7 @@ def found(**values: Any) -> dict[str, Any]:
         ({"malformed": 7, "fault_age": 9}, "udp: 1000/s, 3 ms old, 7 not applied", "good"),
         (
             {"receiving": False, "age": 2.5, "malformed": 7, "fault_age": 0.1},
-            "udp: nothing usable for 2.5 s, 7 not applied",
+            "udp: no valid packet for 2.5 s, 7 not applied",
             "bad",
         ),
         ({"receiving": False, "age": 2.5}, "udp: quiet for 2.5 s", "bad"),
@@ -513,7 +513,7 @@ def test_two_clicks_of_the_right_button_centre() -> None:
         return mouse.take(Event("release", x, 60, time + 0.05, RIGHT))
 
     assert click(1.0) is None
-    assert click(1.2) == Clicked(50, 60, 1.2, centre=True)
+    assert click(1.2) == Clicked(50, 60, 1.2, center=True)
     assert click(1.4) is None  # a third is a first
     assert click(3.0) is None  # too late
     assert click(3.2, x=90.0) is None  # too far
@@ -543,21 +543,21 @@ def test_files_get_names_that_are_free(tmp_path: Path) -> None:
 
 
 def test_two_screenshots_within_a_second_are_two_files(tmp_path: Path) -> None:
-    capture = PictureWriter("lwr", tmp_path)
+    capture = ImageWriter("lwr", tmp_path)
     with patch("sero_mj.viewer.session.capture.datetime") as clock:
         clock.now.return_value = datetime(2026, 5, 4, 17, 3, 12)
         for value in (0, 255):
-            capture.picture(np.full((4, 4, 3), value, np.uint8))
+            capture.save_screenshot(np.full((4, 4, 3), value, np.uint8))
     capture.close()
     found = {int(np.asarray(Image.open(file)).max()) for file in tmp_path.glob("*.png")}
     assert found == {0, 255}
 
 
 def test_no_key_means_two_things_and_each_is_done() -> None:
-    assert not set(KEYS) & {*HOST_KEYS, *MORE_KEYS}
-    assert not set(HOST_KEYS) & set(MORE_KEYS)
+    assert not set(KEYS) & {*VIEWER_KEYS, *MORE_KEYS}
+    assert not set(VIEWER_KEYS) & set(MORE_KEYS)
     more = {key.action for key in MORE_KEYS.values() if not key.action.startswith("camera_")}
-    assert more - {"last_joint"} <= {key.action for key in HOST_KEYS.values()}
+    assert more - {"last_joint"} <= {key.action for key in VIEWER_KEYS.values()}
 
 
 class FakeClock:
@@ -574,8 +574,8 @@ class Host(LiveHost):
     """Notes what it says and is asked for, and shows nothing."""
 
     is_open = is_due = True
-    frame = picture = close = request_close = None  # type: ignore[assignment]
-    picture_size = to_clipboard = None  # type: ignore[assignment]
+    frame = image = close = request_close = None  # type: ignore[assignment]
+    image_size = to_clipboard = None  # type: ignore[assignment]
     decor = SimpleNamespace(fixed="")  # type: ignore[assignment]
 
     def __init__(self, world: World) -> None:
@@ -623,8 +623,8 @@ def test_the_help_says_everything_that_the_tables_hold() -> None:
         for key, (meaning, _) in table.items():
             if key[0] != "shift" and key[1:] not in (("double",), ("check",)):
                 assert meaning in words, key
-    assert {key.text for key in HOST_KEYS.values()} <= words
-    assert set(HOST_MOUSE.values()) <= words
+    assert {key.text for key in VIEWER_KEYS.values()} <= words
+    assert set(VIEWER_MOUSE.values()) <= words
 
 
 @pytest.mark.parametrize("width", [70.0, 20.0])
@@ -647,9 +647,9 @@ def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_area: boo
             upper, right = rect.bottom + rect.height, rect.left + rect.width
             covered[rect.bottom : upper, rect.left : right] += 1
     assert (covered == 1).all()
-    assert places.picture.bottom == 52 or (has_area and size[0] < 1000)
+    assert places.image.bottom == 52 or (has_area and size[0] < 1000)
     bare = arrange(size, 18, has_status=False, has_time=False, has_area=False)
-    assert bare.picture == (0, 0, *size)
+    assert bare.image == (0, 0, *size)
 
 
 def test_without_its_user_interface_a_window_says_so(

@@ -47,7 +47,7 @@ def test_random_events_do_not_end_a_window(display: str, tmp_path: Path) -> None
         window.until("w.gl.size == (320, 240)")
         # Wherever the camera has gone, and whatever was switched off: as the scene declares it.
         window.ask("[w.actions.press(key) for key in ('escape', '0', 'r', 'backspace')] and None")
-        window.until("(w.picture().max(axis=(0, 1)) > 100).all()")
+        window.until("(w.image().max(axis=(0, 1)) > 100).all()")
     assert window.process.exitcode == 0
     told = errors.read_text().splitlines()
     assert [line for line in told if " was not finished; this makes it: " not in line] == []

@@ -124,7 +124,7 @@ class Visitor:
             "document.documentElement.dataset.ready === '1' && player.state && player.now.control"
         )
         served.visitors.append(self)
-        if served.ask("w.has_time_line"):  # which takes room from the picture
+        if served.ask("w.has_timeline"):  # which takes room from the picture
             self.until("!document.getElementById('timeline').hidden")
         if self.page.evaluate("player.isInControl"):
             self.has_told_its_size()

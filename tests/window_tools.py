@@ -25,7 +25,7 @@ import os
 os.environ["MUJOCO_GL"] = "glfw"
 from sero_mj.cli.arguments import read_scene, replay_instead
 from sero_mj.data.drive.mirror import Mirror
-from sero_mj.viewer.host.restoring import keep, restore
+from sero_mj.viewer.host.restoring import restore, save
 from sero_mj.viewer.window.host import Window
 from pathlib import Path
 scene, settings, size, options, replay, control = json.loads(sys.argv[1])
@@ -67,7 +67,7 @@ with Mirror(scene) as mirror, Window(mirror, size=size, folder=Path(), **options
     w._pace.is_quick = lambda view, now: True
     draw = w._draw
     def draw_some(*given):
-        if frames % 6 == 0 or w.tools.takes_pictures:
+        if frames % 6 == 0 or w.tools.takes_images:
             draw(*given)
     w._draw = draw_some
     while w.frame():

@@ -22,49 +22,49 @@ from .terminal import escape_output
 log = logging.getLogger(__name__)
 
 _DESCRIPTION = """\
-sero-mj shows what a torque-controlled robot feels. It mirrors a real robot or simulates one, and
-draws torques as round arrows about the joints, in a window, on a web page, in images and videos.
+sero-mj mirrors or simulates torque-controlled robots. It draws torques as arrows that rotate about
+the joints, in a window, on a web page, in images and videos.
 """
 _EPILOG = """\
-Without a command, sero-mj shows a start page, as `sero-mj view` does. Try it in two terminals:
-  sero-mj send lwr_udp                     send a motion to port 32000, as the robot would
-  sero-mj view lwr_udp                     show the robot that moves
+Without a command, sero-mj shows a start page. To try it, run in two terminals:
+  sero-mj send lwr_udp      send a motion to port 32000, as a robot would
+  sero-mj view lwr_udp      show the moving robot
 
 SCENE is a file or a name from `sero-mj list`. Help for one command: sero-mj render --help
 """
-GROUPS = ("see", "receive", "simulate", "analyse", "files")
+GROUPS = ("see", "receive", "simulate", "analyze", "files")
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs one command; exits with 0, or with 2 and a clear line when it cannot be done.
+    """Runs one command and exits with its status, or with 2 and an error message.
 
-    Ctrl+C is left to `__main__`, where it is caught while commands are loaded as well.
+    `__main__` handles Ctrl+C, also during imports.
     """
     escape_output()
     logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING)
-    given = sys.argv[1:] if arguments is None else arguments
-    if not given or (given[0].startswith("--") and given[0] not in ("--help", "--version")):
-        given = ["view", *given]  # the start page
-    given = translated(given)
+    words = sys.argv[1:] if arguments is None else arguments
+    if not words or (words[0].startswith("--") and words[0] not in ("--help", "--version")):
+        words = ["view", *words]  # the start page
+    words = translated(words)
     try:
         check_backend()
         choose_backend()
-        if not given[0].startswith("-") and given[0] not in plugins(COMMANDS):
-            raise UnknownName("command", given[0], plugins(COMMANDS))
-        options = _parser(given[0]).parse_args(join_negative_values(given))
+        if not words[0].startswith("-") and words[0] not in plugins(COMMANDS):
+            raise UnknownName("command", words[0], plugins(COMMANDS))
+        options = _parser(words[0]).parse_args(join_negative_values(words))
         status = options.run(options)
         sys.stdout.flush()
     except DeclarationError as error:
         count = len(error.problems)
         if count > 1:
-            print(f"sero-mj: {count} things are wrong:", file=sys.stderr)
+            print(f"sero-mj: {count} errors:", file=sys.stderr)
         for problem in error.problems:
             print(f"sero-mj: {problem}" if count == 1 else f"  {problem}", file=sys.stderr)
         sys.exit(2)
     except SeroError as error:
         print(f"sero-mj: {error}", file=sys.stderr)
         sys.exit(2)
-    except BrokenPipeError:  # the reader of a pipe has gone, as in `sero-mj list | head -1`
+    except BrokenPipeError:  # the reader of a pipe has ended, as in `sero-mj list | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     sys.exit(status)
@@ -74,17 +74,19 @@ class Command(Protocol):
     """The interface of a command: a module, or another object that an entry point names.
 
     Attributes:
-        ORDER: position in the help, lowest first. The commands of sero-mj have 10 to 99.
-        GROUP: heading in the help, one of `GROUPS` or a new one (default: "more").
+        ORDER: position in the help; the commands of sero-mj have 10 to 99.
+        GROUP: heading in the help: one of `GROUPS` or a new one (default: "more").
     """
 
     ORDER: int
 
     def add_to(self, commands: Any) -> None:
-        """Adds the command to the subparsers of argparse, see `_arguments.command`."""
+        """Adds the command to the subparsers of argparse, see `arguments.command`."""
 
 
-class _Listed:
+class _CommandList:
+    """Stands in for the subparsers of argparse, and sorts the help lines of commands by group."""
+
     def __init__(self, commands: Any) -> None:
         self._commands = commands
         self.groups: dict[str, list[str]] = {group: [] for group in GROUPS}
@@ -100,16 +102,16 @@ class _Listed:
         )
 
 
-def _add_commands(listed: _Listed) -> None:
+def _add_commands(listed: _CommandList) -> None:
     for name, command in sorted(load_all(COMMANDS).items(), key=lambda item: item[1].ORDER):
         try:
             listed.group = getattr(command, "GROUP", "more")
             command.add_to(listed)
-        except Exception as error:  # from another package
+        except Exception as error:  # an error in another package
             point = plugins(COMMANDS)[name]
             if is_own(point):
                 raise
-            log.warning("%s; left out", PluginError(COMMANDS, point, error))
+            log.warning("command skipped: %s", PluginError(COMMANDS, point, error))
 
 
 def _parser(wanted: str) -> argparse.ArgumentParser:
@@ -126,7 +128,7 @@ def _parser(wanted: str) -> argparse.ArgumentParser:
     if wanted in plugins(COMMANDS):
         load_plugin(COMMANDS, wanted).add_to(commands)
         return parser
-    listed = _Listed(commands)
+    listed = _CommandList(commands)
     _add_commands(listed)
     parser.description = f"{_DESCRIPTION}\n{listed.text()}"
     parser.epilog = _EPILOG
@@ -167,12 +169,12 @@ _OLD: Mapping[str, tuple[str, Callable[[list[str]], list[str]]]] = {
 
 
 def translated(arguments: list[str]) -> list[str]:
-    """Returns a command line in which an old name is replaced, and prints a note about it."""
+    """Returns a command line with the current name of a renamed command, and prints a note."""
     name, *rest = arguments
     if name not in _OLD or name in plugins(COMMANDS):
         return arguments
     new, translate = _OLD[name]
     if not {"-h", "--help"} & {*rest}:
-        note = f"note: 'sero-mj {name}' is now 'sero-mj {new}'; the old name works in version 0.2"
+        note = f"note: 'sero-mj {name}' is now 'sero-mj {new}'; 0.2 still accepts the old name"
         print(note, file=sys.stderr)
     return translate(rest)

@@ -1,4 +1,4 @@
-"""Shared by commands: parser, scene, settings, tables of output, interruption."""
+"""Functions that commands share: parser, scenes and recordings, output, interruption."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from ..base.errors import (
 )
 from ..base.options import Options
 from ..base.plugins import NETWORKS, load_plugin, plugins
-from .options import add_options, read_options
+from .options import add_options, read_options, usage_of
 from .terminal import make_console, plain
 
 if TYPE_CHECKING:
@@ -47,14 +47,13 @@ T = TypeVar("T", bound=Options)
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """A parser that reports an error in one line, as this program does everywhere."""
+    """A parser that reports an error in one line and exits with 2."""
 
     def error(self, message: str) -> NoReturn:
-        """Prints the line and exits with 2."""
         self.exit(2, printable(f"{self.prog}: {message}; see {self.prog} --help\n"))
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        # Help may be colored (from Python 3.14 on), and has no texts of files.
+        # From Python 3.14 on, help has colors, which must not be escaped.
         super()._print_message(message, plain(file or sys.stderr))
 
 
@@ -75,17 +74,14 @@ def command(
 ) -> Callable[[Commands], None]:
     """Returns the function that adds a command to the program's parser.
 
-    Args:
-        name: name of the command.
-        run: function of the options that returns the exit status.
-        kind: declaration of the options. The first line of its docstring describes the command.
-        text: help text. The first paragraph (the examples) precedes the options, the rest follows.
+    `run` returns the exit status. The first line of the docstring of `kind` describes the command.
+    The first paragraph of `text` (the examples) precedes the options in the help, the rest follows.
     """
     summary, *_ = str(kind.__doc__).splitlines()
     examples, _, notes = text.partition("\n\n")
 
-    def run_with(given: argparse.Namespace) -> int:
-        options = read_options(kind, vars(given))
+    def run_with(arguments: argparse.Namespace) -> int:
+        options = read_options(kind, vars(arguments))
         options.apply()
         return run(options)
 
@@ -98,27 +94,28 @@ def command(
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         add_options(parser, kind)
+        parser.usage = f"{parser.prog} [options] {usage_of(kind)}".rstrip()
         parser.set_defaults(run=run_with)
 
     return add_to
 
 
-def check_ending(given: str, path: Path, endings: Collection[str]) -> None:
-    """Raises UsageError for a file name with another ending; `given` is cited in the message."""
+def check_ending(option: str, path: Path, endings: Collection[str]) -> None:
+    """Raises UsageError for a file name with another ending; `option` begins the message."""
     if path.suffix.lower() not in endings:
-        raise UsageError(f"{given}: expected a name that ends in {', '.join(endings)}")
+        raise UsageError(f"{option}: expected a name that ends in {', '.join(endings)}")
 
 
 def check_new(paths: Iterable[Path], hint: str) -> None:
-    """Raises UsageError if one of these files exists; `hint` says what to do about it."""
+    """Raises UsageError if one of these files exists; `hint` is the remedy in the message."""
     for path in paths:
         if path.exists():
-            raise UsageError(f"{path} is there already; {hint}")
+            raise UsageError(f"{path} already exists; {hint}")
 
 
 @contextlib.contextmanager
 def writing() -> Iterator[None]:
-    """Converts errors of writing a file, within the context, to UsageError."""
+    """Converts an OSError within the context to a UsageError that names the file."""
     try:
         yield
     except OSError as error:
@@ -126,7 +123,7 @@ def writing() -> Iterator[None]:
 
 
 def pace(done: int, begin: float, workers: int) -> str:
-    """How many tasks are done per second since `begin`, and by how many workers."""
+    """Returns a text with the tasks per second since `begin` and the number of workers."""
     rate = done / (time.perf_counter() - begin)
     return f"{rate:.1f}/s, {workers} {'worker' if workers == 1 else 'workers'}"
 
@@ -135,9 +132,9 @@ def pace(done: int, begin: float, workers: int) -> str:
 def progress_bar(
     what: str, *, quiet: bool, stays: bool = False, note: Callable[[], str] | None = None
 ) -> Iterator[Callable[[int, int], None]]:
-    """Shows progress on a terminal; yields a function of the amount done and the total.
+    """Shows a progress bar on a terminal; yields a function of the amount done and the total.
 
-    `stays` keeps the bar at the end. `note` returns further text behind the bar.
+    With `stays` the bar remains visible at the end. `note` returns text to show after the bar.
     """
     from rich import progress as bars
     from rich.table import Column
@@ -161,7 +158,7 @@ def progress_bar(
     task = bar.add_task(what, total=None)
 
     def update(done: int, total: int) -> None:
-        bar.start()  # only now: an error before leaves no empty bar
+        bar.start()  # started late, so that an earlier error leaves no empty bar
         bar.update(task, completed=done, total=total)
 
     try:
@@ -172,7 +169,10 @@ def progress_bar(
 
 
 def overrides(settings: Sequence[str]) -> dict[str, Any]:
-    """Parses `--set robot.field=value`: TOML, or numbers with commas; raises UsageError."""
+    """Parses `--set robot.field=value`, whose value is TOML or numbers with commas.
+
+    Raises UsageError for a setting without a key or `=`.
+    """
     result: dict[str, Any] = {}
     wrong = []
     for setting in settings:
@@ -191,7 +191,7 @@ def _value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         pass
-    try:  # more lenient than TOML, which wants a digit before every point
+    try:  # more lenient than TOML, which requires a digit before every point
         return [float(part) for part in text.split(",")]
     except ValueError:
         return text
@@ -205,23 +205,23 @@ def read_scene(
     trusted: bool = False,
     replay: Path | None = None,
 ) -> Scene:
-    """Loads a scene by name, file or network address, applies `--set`, and prints its programs.
+    """Loads a scene by name, file or network address, and applies `--set`, see `load_scene`.
 
-    See `load_scene` for `by_hand`, `trusted` and `replay`.
+    Prints the programs that a scenario of the scene starts.
     """
     from ..load import load_scene
 
     name = network_scene(name) or name
-    given = overrides(settings)
-    with named_settings(given):
-        scene = load_scene(name, given, by_hand=by_hand, trusted=trusted, replay=replay)
+    values = overrides(settings)
+    with named_settings(values):
+        scene = load_scene(name, values, by_hand=by_hand, trusted=trusted, replay=replay)
     for source in scene.sources.values():
         print_programs(getattr(getattr(source, "run", None), "scenario", None))
     return scene
 
 
 def network_scene(name: str) -> str | None:
-    """Writes a scene of the robot at an address, `ros2://` say; returns None for other names."""
+    """Writes a scene for the robot at an address such as `ros2://HOST`; None for other names."""
     scheme, separator, _ = name.partition("://")
     if not separator or scheme not in plugins(NETWORKS):
         return None
@@ -229,34 +229,31 @@ def network_scene(name: str) -> str | None:
 
 
 def print_programs(scenario: Scenario | None) -> None:
-    """Prints what the simulation of a scenario starts or loads."""
+    """Prints the programs that a scenario starts and the libraries that it loads."""
     request = None if scenario is None else scenario.request()
     for action in () if request is None else request.actions:
         print(f"will {action}", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
-def named_settings(given: Mapping[str, Any], option: str = "--set") -> Iterator[None]:
-    """Names the option in problems of fields that it has set."""
+def named_settings(settings: Mapping[str, Any], option: str = "--set") -> Iterator[None]:
+    """Names the option in reported problems of the fields that it sets."""
     try:
         yield
     except DeclarationError as error:
-        problems = (_as_set(problem, given, option) for problem in error.problems)
+        problems = (_as_set(problem, settings, option) for problem in error.problems)
         raise DeclarationError(list(dict.fromkeys(problems))) from None
 
 
-def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
-    for target in given:
-        field = target.partition(".")[2]
-        # As keys stand in a scene, in a robot's own file, and where there is nothing to set.
-        for key in filter(
-            None, (rf"\w+\.{re.escape(target)}", re.escape(field), re.escape(target))
-        ):
-            if found := re.fullmatch(rf"{key}(\..+)?", problem.key):
-                return replace(
-                    problem, key=f"{option} {target}{found[1] or ''}", file=None, line=None
-                )
-        # A table on the way to it is wrong as a whole, or unknown.
+def _as_set(problem: Problem, settings: Mapping[str, Any], option: str) -> Problem:
+    for target in settings:
+        escaped = re.escape(target)
+        # The key in a scene, in a robot file, and of an unknown robot.
+        for key in (rf"\w+\.{escaped}", re.escape(target.partition(".")[2]), escaped):
+            if key and (found := re.fullmatch(rf"{key}(\..+)?", problem.key)):
+                own = f"{option} {target}{found[1] or ''}"
+                return replace(problem, key=own, file=None, line=None)
+        # The problem is about a table that contains the field.
         inside = problem.key, problem.key.partition(".")[2]
         if any("." in key and target.startswith(f"{key}.") for key in inside):
             return Problem(f"{option} {target}", problem.message)
@@ -270,19 +267,19 @@ def replay_instead(
     source: str | None = None,
     columns: Sequence[str] = (),
 ) -> None:
-    """Replaces every source of a scene that is in the recording by its replay.
+    """Replaces the sources of a scene by replays of a recording or table.
 
     Args:
-        scene: is changed.
-        file: the recording, or a table.
-        start: where to begin, s since the recording began; at its first packet when None.
-        source: of a recording of ROS, that moves the robot of a scene without sources; of a table,
-            the source of the scene whose packets it has.
-        columns: of a table, `SIGNAL=COLUMNS`.
+        scene: the scene, which is modified.
+        file: a recording or table.
+        start: start time in seconds since the recording began; None for the first packet.
+        source: for a ROS recording, the recorded source that moves the robot of a scene without
+            sources; for a table, the source of the scene that the table replaces.
+        columns: `SIGNAL=COLUMNS` for each signal of a table.
 
     Raises:
-        RecordingError: it cannot be read.
-        UsageError: it has none of the scene's sources, or ends before `start`.
+        RecordingError: the recording cannot be read.
+        UsageError: the recording has none of the scene's sources, or ends before `start`.
     """
     from ..data.drive.wiring import topics_of
     from ..data.record.csv_files import is_table, parse_columns
@@ -295,7 +292,11 @@ def replay_instead(
         find_tables(file).move_scene(scene, file, parse_columns(columns), start, source)
         return
     if source is not None:
-        _check_source(scene, file, source)
+        if scene.sources:
+            own = ", ".join(scene.sources)
+            reason = f"scene '{scene.name}' has its own sources ({own}), which are replayed by name"
+            raise UsageError(f"--source {source}: {reason}. Leave out --source.")
+        look_into(file).choose_source(source)
     led = look_into(file).lead(scene, source)
     scene.robots, scene.sources, scene.routes = led.robots, led.sources, led.routes
     recording = look_into(file, topics_of(scene))
@@ -304,13 +305,13 @@ def replay_instead(
     both = [name for name in scene.sources if name in recorded]
     if not both:
         found = ", ".join(recorded) or "no source"
-        expected = ", ".join(scene.sources) or "none: it has no sources"
+        expected = ", ".join(scene.sources) or "no source"
         if recording.names_joints and len(recorded) > 1 and not scene.sources:
             there = recording.about_sources()
             raise UsageError(
-                f"--replay {file} has several sources: {there}; it is not clear which moves scene "
-                f"'{scene.name}'; choose with --source {next(iter(recorded))}, say, or by "
-                "source or topics of a source of kind = 'replay' in the scene"
+                f"--replay {file} has several sources: {there}. Choose the one that moves scene "
+                f"'{scene.name}', for example with --source {next(iter(recorded))}, or declare a "
+                "source of kind = 'replay' with source or topics in the scene."
             )
         raise UsageError(f"--replay {file} has {found}; scene '{scene.name}' expects {expected}")
     for name in both:
@@ -320,25 +321,13 @@ def replay_instead(
             scene.sources[name]["start"] = start
 
 
-def _check_source(scene: Scene, file: Path, source: str) -> None:
-    from ..data.record.formats import look_into
-
-    if scene.sources:
-        own = ", ".join(scene.sources)
-        raise UsageError(
-            f"--source {source}: scene '{scene.name}' has sources of its own, {own}, which are "
-            "replayed by their names; leave it out"
-        )
-    look_into(file).choose_source(source)
-
-
 def print_json(found: Any) -> None:
-    """Prints JSON; NaN and infinity, which JSON does not have, become null."""
+    """Prints JSON, with null for NaN and infinity."""
     print(json.dumps(finite(found), indent=2))
 
 
 def finite(found: Any) -> Any:
-    """Returns what JSON can have: NaN and infinity become None, and mappings dictionaries."""
+    """Returns a copy for JSON, with None for NaN and infinity."""
     if isinstance(found, Mapping):
         return {key: finite(value) for key, value in found.items()}
     if isinstance(found, list | tuple):
@@ -351,8 +340,8 @@ def finite(found: Any) -> Any:
 def print_table(table: Table) -> None:
     """Prints a table in full width, even if the terminal or pipe is narrower."""
     console = make_console()
-    endless = console.options.update_width(10_000)
-    console.width = max(console.width, console.measure(table, options=endless).maximum)
+    unlimited = console.options.update_width(10_000)
+    console.width = max(console.width, console.measure(table, options=unlimited).maximum)
     console.print(table)
 
 
@@ -363,10 +352,10 @@ def read_recorded_run(
     robots: Sequence[str] = (),
     columns: Sequence[str] = (),
 ) -> RunLog:
-    """Reads a recording or a table.
+    """Reads a recording, or a table with `columns` as `SIGNAL=COLUMNS`.
 
-    Without a `scene` its robots are those in the recording. `source` limits it to one source, and
-    `robots` to a scene with one of these names. `columns` are those of a table, `SIGNAL=COLUMNS`.
+    Without a `scene`, the recording itself selects a scene, which must have one of `robots` if
+    there are any. `source` selects one source of the recording.
     """
     from ..data.record.csv_files import is_table, parse_columns
     from ..data.record.formats import open_recording
@@ -374,14 +363,14 @@ def read_recorded_run(
 
     if is_table(path):
         if scene is None:
-            raise UsageError(f"{path} does not say what its robots are: give --scene SCENE")
+            raise UsageError(f"{path}: a table does not describe its robots; add --scene SCENE")
         from ..simulate.runs.tables import find_tables
 
         return find_tables(path).read_run(path, scene, source, parse_columns(columns))
     if scene is None:
         with open_recording(path) as recording:
             found = list(recording.scenes("--scene NAME", source, robots))
-        why: list[SeroError] = []
+        errors: list[SeroError] = []
         for name in found:
             try:
                 possible = read_scene(name)
@@ -391,9 +380,9 @@ def read_recorded_run(
                         note_choice(path, name)
                     return run
             except SeroError as error:
-                why.append(error)
-        if why:
-            raise UsageError(paths.without_temporary(str(why[0])))
+                errors.append(error)
+        if errors:
+            raise UsageError(paths.without_temporary(str(errors[0])))
     try:
         return read_run(path, source, scene=scene)
     except RecordingError as error:
@@ -403,16 +392,16 @@ def read_recorded_run(
 
 
 def note_choice(recording: Path, scene: str) -> None:
-    """Prints a note that a shipped robot was chosen for a recording of ROS by its joints' names."""
+    """Prints a note if a shipped robot was chosen for a ROS recording by its joint names."""
     from ..data.record.formats import look_into
 
     if not paths.is_temporary(scene) and look_into(recording).names_joints:
-        chosen = f"does not describe its robot; {scene} has the joints that it names"
+        chosen = f"does not describe its robot; showing {scene}, which has the same joint names"
         print(f"note: {recording} {chosen}", file=sys.stderr)
 
 
 def check_span(recording: PacketFile, start: float | None, option: str = "--start") -> None:
-    """Raises UsageError if a recording has no data from `start` on, in seconds."""
+    """Raises UsageError if a recording has no data after `start`, in seconds."""
     from ..data.record.replay import check_start
 
     if start is not None:
@@ -424,7 +413,7 @@ def check_span(recording: PacketFile, start: float | None, option: str = "--star
 
 @contextlib.contextmanager
 def until_ended() -> Iterator[None]:
-    """Lets Ctrl-C and SIGTERM (`kill`, `timeout`) end the context instead of the command."""
+    """Makes Ctrl+C and SIGTERM (`kill`, `timeout`) end the context instead of the command."""
     if threading.current_thread() is not threading.main_thread():
         with contextlib.suppress(KeyboardInterrupt):
             yield

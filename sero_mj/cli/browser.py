@@ -1,4 +1,4 @@
-"""Opens a page in the user's browser, without showing its token to other users."""
+"""Opens a page in the user's browser without showing its token to other users."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..viewer.image.backend import has_display
 
 
 def can_open_browser() -> bool:
-    """Whether someone sits at this machine, with a terminal and a display."""
+    """Whether this process has a terminal and a display, and is not in an SSH session."""
     is_remote = bool(os.environ.get("SSH_CONNECTION") or os.environ.get("SSH_TTY"))
     return sys.stdout.isatty() and has_display() and not is_remote
 
@@ -23,21 +23,21 @@ def can_open_browser() -> bool:
 def open_in_browser(url: str) -> None:
     """Opens a page in the user's browser, if there is one.
 
-    All users of a machine can see the arguments of its programs. So the browser is started with
-    the name of a file that only its user can read, and that file leads to the page.
+    All users of a machine can read the arguments of processes. Therefore, the browser gets the name
+    of a file that only this user can read, and that redirects to the page.
     """
-    file = leading_to(url)
+    file = redirect_to(url)
 
     def open_it() -> None:
         with suppress(webbrowser.Error, OSError):
             webbrowser.open(file.as_uri())
 
-    # Some browsers let their caller wait.
+    # In a thread, because some browsers block.
     threading.Thread(target=open_it, name="sero-mj browser", daemon=True).start()
 
 
-def leading_to(url: str) -> Path:
-    """Returns a file that leads a browser to a page; it exists until this process ends."""
+def redirect_to(url: str) -> Path:
+    """Returns a file that redirects to a page and exists until this process ends."""
     file = make_temporary_folder() / "open.html"
     file.touch(0o600)
     target = html.escape(url)

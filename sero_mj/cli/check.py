@@ -1,4 +1,4 @@
-"""`sero-mj check`: whether a scene is valid, and what it contains."""
+"""`sero-mj check`: reports errors and contents of a scene, or what works on this machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..base import paths, trust
 from ..base.errors import UsageError, did_you_mean, in_one_line
 from ..base.frames import rpy_from_rotation
 from ..base.options import JointValues, Option, positional
-from .arguments import command, read_scene, replay_instead, writing
+from .arguments import command, writing
 from .shared_options import JsonOptions, PackageOptions, ReplayOptions
 
 if TYPE_CHECKING:
@@ -25,23 +25,24 @@ if TYPE_CHECKING:
     from ..robots.declared.robot import SerialRobot
     from ..robots.declared.scene import Scene
 
-_MOST_NAMED = 24  # joints
-_TIED = "\0"  # a space at which no line is broken
+_NAMED_JOINTS = 24  # further joints are only counted
+_NO_BREAK = "\0"  # a space at which no line is broken
 _HELP = """\
 examples:
   sero-mj check lwr_udp                  errors of a scene, or its contents
   sero-mj check lwr --deg --joint-angles 0,30,0,-90,0,60,0    forward kinematics
   sero-mj check                          what works on this machine, and what to install
 
-A scene is read and compiled; no source is opened. All errors are printed at once, with file and
-line, and the exit status is 2. A recording is checked in the scene that `sero-mj view` shows it by,
-or in that of SCENE --replay REC.
+The command reads and compiles a scene, and opens no source. It prints all errors with file and
+line, and exits with 2 if there are any. A recording is checked in the same scene in which
+`sero-mj view` shows it, or in SCENE if SCENE --replay REC is used.
 
---fk and --joint-angles print base-to-flange by the DH table and by MuJoCo, and their difference.
+--fk and --joint-angles print the base-to-flange transform from the DH table, the one from MuJoCo,
+and their difference.
 
---schema prints the JSON schema of a kind of file. Editors with Taplo (for VS Code: Even Better
-TOML) then complete and check the files whose first line is `#:schema ./scene.json`. The files of
-`sero-mj new` begin with such a line.
+--schema prints the JSON schema of one kind of file. Editors with Taplo (VS Code: Even Better TOML)
+use it to complete and check files whose first line is `#:schema ./scene.json`. The files written by
+`sero-mj new` start with such a line.
 """
 GROUP, ORDER = "files", 50
 
@@ -50,13 +51,13 @@ class CheckOptions(PackageOptions, ReplayOptions, JsonOptions):
     """Check a scene, a recording or this machine.
 
     Attributes:
-        scene: scene, robot or recording: a file, or a shipped name (default: check this machine).
-        fk: print base-to-flange of a robot by DH and by MuJoCo.
-        joint_angles: joint values with commas, rad or m; implies --fk (default: home).
-        of: robot of a scene that has several, for --fk.
-        deg: --joint-angles are in degrees.
+        scene: scene, robot or recording: a file or a shipped name (default: check this machine).
+        fk: print the base-to-flange transform of a robot.
+        joint_angles: comma-separated joint values, rad or m; implies --fk (default: home).
+        of: robot for --fk, in a scene with several robots.
+        deg: read --joint-angles in degrees.
         schema_of: print the JSON schema of robot, group, scene or scenario files, for editors.
-        output: write the schema to this file.
+        output: file for the schema (default: standard output).
         as_json: print JSON (forward kinematics, or this machine).
     """
 
@@ -74,20 +75,20 @@ class CheckOptions(PackageOptions, ReplayOptions, JsonOptions):
     def _check_kind(self) -> Self:
         is_fk = self.fk or self.joint_angles is not None
         if self.schema_of is None:
-            self.refuse(("output",), " is for --schema")
+            self.refuse(("output",), " needs --schema")
         elif self.scene is not None:
             raise ValueError(f"--schema {self.schema_of}: found {self.scene}; expected no scene")
         if not is_fk:
-            self.refuse(("of", "deg"), " is for --fk")
+            self.refuse(("of", "deg"), " needs --fk")
         if self.scene is None:
-            self.refuse(("fk", "joint_angles"), " is for a robot; name one")
+            self.refuse(("fk", "joint_angles"), " needs a robot: add its name")
         if self.as_json and (self.scene is not None) != is_fk:
-            raise ValueError("--json is for --fk, or without a scene")
+            raise ValueError("--json needs --fk, or no scene")
         return self
 
 
 def run(options: CheckOptions) -> int:
-    """Checks; returns the exit status."""
+    """Runs the requested check; returns the exit status."""
     if options.schema_of is not None:
         return _print_schema(options.schema_of, options.output)
     if options.scene is None:
@@ -124,14 +125,12 @@ def _check_scene(options: CheckOptions) -> int:
     from ..viewer.decor.feature import make_features
     from ..viewer.image.camera import list_cameras
     from .opening import with_scene
-    from .status import AngleQuestions
+    from .status import DegreesCheck
 
     options = with_scene(options)
     assert options.scene is not None
-    trust.log.setLevel(logging.ERROR)  # what is withheld is listed below
-    scene = read_scene(options.scene, replay=options.replay)
-    if options.replay is not None:
-        replay_instead(scene, options.replay, options.start, options.source, options.columns)
+    trust.log.setLevel(logging.ERROR)  # withheld actions are listed below
+    scene = options.read_replayed(options.scene)
     world = World(scene)
     make_features(world)
     own = scene.file and not paths.is_temporary(scene.file)
@@ -141,19 +140,19 @@ def _check_scene(options: CheckOptions) -> int:
     for name, part in world.robots.items():
         print("\n".join(_about_robot(name, part.robot)))
     wiring = wire(scene)
-    questions = AngleQuestions(scene, wiring)
+    degrees = DegreesCheck(scene, wiring)
     taken = {(o.name, o.key) for route in wiring.routes for o in route.value.origins if o.is_event}
     for name, source in wiring.sources.items():
         events = ", ".join(
-            f"{event} ({' x '.join(map(str, shape))})".replace(" ", _TIED)
+            f"{event} ({' x '.join(map(str, shape))})".replace(" ", _NO_BREAK)
             for event, shape in source.events.items()
         )
         text = f"{name}: {source.about}, {source.size} bytes: {events}"
         lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
-        print(lines.replace(_TIED, " "))
+        print(lines.replace(_NO_BREAK, " "))
         print(_unused(name, source, taken), end="")
-        if isinstance(source, FileSource) and (question := questions.about_recording(source)):
-            print(f"          note: {question}")
+        if isinstance(source, FileSource) and (warning := degrees.check_recording(source)):
+            print(f"          note: {warning}")
     for name in scene.groups:
         robots = [scene.robots[each] for each in scene.members(name) or []]
         joints = sum(robot.n for robot in robots)
@@ -164,15 +163,15 @@ def _check_scene(options: CheckOptions) -> int:
     _print_decor(scene)
     for target, text in scene.routes.items():
         for event, names in parts_of_origin(text):
-            whom = "" if names is None else f": {', '.join(names)}"
-            print(fill(f"  route   {event} -> {target}{whom}", 100, subsequent_indent=" " * 10))
+            listed = "" if names is None else f": {', '.join(names)}"
+            print(fill(f"  route   {event} -> {target}{listed}", 100, subsequent_indent=" " * 10))
     for item in scene.objects:
         mass = "" if item.mass is None else f": {item.mass:g} kg, free in simulation"
         print(f"  object  {item.name}{mass}")
     for camera in list_cameras(world):
         print(f"  camera  {camera}")
     for action in () if scene.withheld is None else scene.withheld.actions:
-        print(f"  would   {action}, if it is simulated")
+        print(f"  asks to {action} when simulated")
     model = world.model
     print(f"  model   {model.nbody} bodies, {model.ngeom} geoms, {model.nmeshface} mesh triangles")
     return 0
@@ -194,7 +193,7 @@ def _kind(robot: SerialRobot) -> str:
         look = "geoms of its MJCF"
     elif robot.filenames:
         has_mesh = any(part.file for link in robot.filenames for part in link)
-        look = "meshes" if has_mesh else "boxes, cylinders and the like"
+        look = "meshes" if has_mesh else "primitive shapes"
     else:
         look = f"shapes generated from its {'joints' if robot.dh is None else 'DH table'}"
     return f"{robot.n} joints, {table}, {look}"
@@ -212,14 +211,14 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     lines.append(fill(f"          joints: {_in_order(robot)}", 100, subsequent_indent=" " * 18))
     lines.append(f"          flange: {_about_flange(robot)}")
     if robot.free_base:
-        how = "in a plane" if robot.free_base == "planar" else "freely"
-        lines.append(f"          base: {robot.base_joint} moves it {how}; input {name}.base_frame")
+        how = "planar" if robot.free_base == "planar" else "free"
+        lines.append(f"          base: {how} joint {robot.base_joint}, input {name}.base_frame")
     limbs = robot.limb_joints
     if len(limbs) > 1:
         each = ", ".join(f"{limb} {len(joints)}" for limb, joints in limbs.items())
         lines.append(fill(f"          limbs: {each}", 100, subsequent_indent=" " * 17))
     dynamics = robot_dynamics(robot)
-    lines.append(f"          weighs {about_masses(robot, dynamics)}")
+    lines.append(f"          mass: {about_masses(robot, dynamics)}")
     estimated = [key for key in dynamics.estimated if key != "masses"]
     about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
     repaired = [f"          repaired  {line}" for line in robot.dynamics.repaired]
@@ -231,44 +230,41 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
 
 
 def _in_order(robot: SerialRobot) -> str:
-    """The joints in the order of their values in packets, and which need none there."""
     units = ["m" if kind == "prismatic" else "rad" for kind in robot.types]
     mixed = len(set(units)) > 1
     names = [f"{name} ({unit})" if mixed else name
              for name, unit in zip(robot.names, units, strict=True)]  # fmt: skip
-    text = ", ".join(names[:_MOST_NAMED])
-    if len(names) > _MOST_NAMED:
-        text += f" and {len(names) - _MOST_NAMED} more"
+    text = ", ".join(names[:_NAMED_JOINTS])
+    if len(names) > _NAMED_JOINTS:
+        text += f" and {len(names) - _NAMED_JOINTS} more"
     if robot.couplings:
-        count = len(robot.couplings)
-        follow = "1 follows another" if count == 1 else f"{count} follow others"
-        text += f"; {robot.coupled.k} values suffice, as {follow}"
+        text += f"; {len(robot.couplings)} coupled, so packets may have {robot.coupled.k} values"
     return text
 
 
 def _about_flange(robot: SerialRobot) -> str:
     link = robot.flange_link
     own = "" if robot.link_names is None else f" ({robot.link_names[link]})"
-    on = f"link{link}{own}, which joint {robot.names[link - 1]} moves"
+    on = f"link{link}{own}, moved by joint {robot.names[link - 1]}"
     T = robot.fwd_kin_base_to_flange(np.zeros(robot.n))
     at, rpy = (
         ", ".join(f"{value:g}" for value in np.round(values, digits) + 0.0)
         for values, digits in ((T[:3, 3], 4), (np.rad2deg(rpy_from_rotation(T[:3, :3])), 2))
     )
-    return f"on {on}; at zero at ({at}) m, rpy ({rpy}) deg"
+    return f"on {on}; at joint values 0: ({at}) m, rpy ({rpy}) deg"
 
 
 def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:
     if not any(of == name for of, _ in taken):
-        return "            no route leads from it\n"
+        return "            no route uses it\n"
     if "structure" not in getattr(source, "model_fields_set", ()):
-        return ""  # nobody has asked for all that is in these packets
+        return ""  # the packet format is not the user's choice
     known = {getattr(source, key, "") for key in ("sequence", "time", "lock")}
     unused = [e for e in source.events if (name, e) not in taken and e not in known]
+    if not unused:
+        return ""
     text = f"not used: {', '.join(unused)}"
-    return f"{fill(text, 100, initial_indent=' ' * 12, subsequent_indent=' ' * 12)}\n" * bool(
-        unused
-    )
+    return fill(text, 100, initial_indent=" " * 12, subsequent_indent=" " * 12) + "\n"
 
 
 def _print_kinematics(options: CheckOptions, name: str) -> int:
@@ -280,25 +276,25 @@ def _print_kinematics(options: CheckOptions, name: str) -> int:
         q = np.array(options.joint_angles)
         coupled = robot.coupled
         if len(q) not in (coupled.n, coupled.k):
-            fewer = f", or {coupled.k} without the coupled ones" if coupled.is_coupled else ""
+            fewer = f", {coupled.k} of them independent" if coupled.is_coupled else ""
             found = f"found {len(q)} number{'s' * (len(q) != 1)}"
             raise UsageError(f"--joint-angles: {found}; {robot.name} has {robot.n} joints{fewer}")
         if options.deg:
-            turns = robot.kinematics.revolute
-            turns = turns if len(q) == coupled.n else turns[coupled.independent]
-            q = np.where(turns, np.deg2rad(q), q)
+            revolute = robot.kinematics.revolute
+            revolute = revolute if len(q) == coupled.n else revolute[coupled.independent]
+            q = np.where(revolute, np.deg2rad(q), q)
         q = q if len(q) == coupled.n else coupled.positions(q)
         if not options.deg and (warning := degrees_warning(robot, q)):
-            print(f"WARNING: {warning} Use --deg.", file=sys.stderr)
+            print(f"warning: {warning} Use --deg.", file=sys.stderr)
     result = _by_both(robot, q)
     if options.as_json:
         print(json.dumps({key: np.asarray(value).tolist() for key, value in result.items()}))
         return 0
     with np.printoptions(precision=6, suppress=True, floatmode="fixed"):
-        how = "its DH table" if robot.dh is not None else "its joint frames"
+        how = "the DH table" if robot.dh is not None else "the joint frames"
         by_table, by_mujoco = (np.round(result[key], 6) + 0.0 for key in ("dh", "mujoco"))  # no -0
-        print(f"T_base_flange of {robot.name}, by {how}\n{by_table}")
-        print(f"by MuJoCo\n{by_mujoco}")
+        print(f"T_base_flange of {robot.name}, from {how}\n{by_table}")
+        print(f"from MuJoCo\n{by_mujoco}")
     print(
         f"difference: {result['position_difference']:.1e} m, {result['angle_difference']:.1e} rad"
     )
@@ -317,19 +313,18 @@ def _robot_of(name: str, of: str | None) -> SerialRobot:
         found = f"has {len(robots)} robots"
         raise UsageError(f"{name}: {found}; expected --of with one of {', '.join(robots)}")
     if of not in robots:
-        raise UsageError(f"{name}: has no robot '{of}'{did_you_mean(of, robots)}")
+        raise UsageError(f"{name} has no robot '{of}'{did_you_mean(of, robots)}")
     return robots[of]
 
 
 def _by_both(robot: Any, q: Any) -> dict[str, Any]:
-    """Returns base-to-flange by DH and by MuJoCo, and their difference (m, rad)."""
     import mujoco
 
     from ..base import frames
     from ..robots.assemble.world import World
     from ..robots.declared.scene import Scene
 
-    # Alone: what carries it does not matter from its base on.
+    # The mount does not affect the transform from base to flange.
     alone = robot.model_copy(update={"mount": None})
     world = World(Scene(robots=[alone], floor=False))
     data = world.make_data()

@@ -1,7 +1,4 @@
-"""`sero-mj compare`: how much recordings of a robot differ, and what explains it.
-
-More than two are compared with the first, or each with itself, by what `--engine` names.
-"""
+"""`sero-mj compare`: reports how recordings of a robot differ, and what explains the difference."""
 
 from __future__ import annotations
 
@@ -34,41 +31,40 @@ _HELP = """\
 examples:
   sero-mj compare simulated.mcap real.mcap --offset auto --plot difference.pdf
   sero-mj compare run.mcap                              commanded and measured torque of one run
-  sero-mj compare good.mcap runs/*.mcap --table table.csv   a row for each recording
+  sero-mj compare good.mcap runs/*.mcap --table table.csv   one row per recording
 
-Recordings of simulations and of robots alike; differences are A less B. Time counts from the start
-of a simulation, or from the first packet of a robot. Beneath stands for every joint what explains
-the difference: sign, gain, bias, delay or noise of a torque sensor or a drive, friction, a payload,
-a joint that is stuck. Of many recordings there is a row for each, made by all cores, or by workers
-of a Dask cluster, which are sent the recordings. The exit status is 1 when a tolerance is exceeded,
-2 when they, or one of many, cannot be compared.
+Differences are A minus B. Time starts at the beginning of a simulation, or at the first packet of a
+robot. For each joint, the report explains the difference: sign, gain, bias, delay or noise of a
+torque sensor or drive, friction, a payload, or a stuck joint. Several recordings are compared in
+parallel by local processes or by the workers of a Dask cluster, and the report has one row for each
+recording. The exit status is 1 if a tolerance is exceeded, and 2 if a recording cannot be compared.
 """
-GROUP, ORDER = "analyse", 40
+GROUP, ORDER = "analyze", 40
 _WIDTH = 70  # of explanations in a table of many recordings
-_OF_MANY = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
+_BATCH_OPTIONS = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
 
 class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
     """Compare recordings of a robot, joint by joint.
 
     Attributes:
-        a: a recording, or a table (.csv).
-        b: another one (default: commanded with measured torques of A).
-        more: further ones, which A is compared with as well.
-        each: every recording by itself, as A without B.
-        against_model: with the robot's own model, in the same motion, instead of another recording.
-        robot: which robot; NAME,NAME where it has two names.
-        source: which source; NAME,NAME for A and B (default: all).
-        offset: added to the times of B, s; auto finds it by the motion.
-        plot: a figure: .png, .pdf or .svg.
-        csv: both and their difference.
-        table: a row for each of many recordings, or for one.
-        as_json: print the table as JSON.
-        output: a page that plays both, with what explains the difference on its time line.
-        render: a film of A with arrows on the difference, and a transparent double for B.
-        tolerance_torque: exit with 1 where measured torques differ by more, Nm (N).
-        tolerance_angle: likewise for angles, degrees; of sliding joints mm.
-        quiet: no table, no progress bar.
+        a: recording or table (.csv).
+        b: second recording (default: compare commanded with measured torques of A).
+        more: further recordings to compare with A.
+        each: compare commanded with measured torques of every recording.
+        against_model: compare with the robot's own model in the same motion.
+        robot: robot to compare; NAME,NAME if it has different names in A and B.
+        source: source to read; NAME,NAME for A and B (default: all).
+        offset: offset added to the times of B, s; auto estimates it from the motion.
+        plot: draw a figure: .png, .pdf or .svg.
+        csv: write both recordings and their difference to a table.
+        table: write one row per recording to a table.
+        as_json: print the result as JSON.
+        output: write a page that plays both, with explanations of the difference on its timeline.
+        render: render a video of A with the difference as arrows, and a transparent double for B.
+        tolerance_torque: exit with 1 if measured torques differ by more than this, Nm (N).
+        tolerance_angle: exit with 1 if angles differ by more than this, degrees (prismatic: mm).
+        quiet: print no table and no progress bar.
     """
 
     a: Annotated[Path, positional("A.mcap")]
@@ -92,27 +88,27 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
     @model_validator(mode="after")
     def _check_second(self) -> Self:
         if self.b is not None and self.against_model and not self.each:
-            expected = "one recording, or --each as well"
-            raise ValueError(f"--against-model: found {self.b} as well; expected {expected}")
+            expected = "one recording, or also --each"
+            raise ValueError(f"--against-model: found a second recording; expected {expected}")
         if self.b is None or self.each:
-            why = "with --each every one stands for itself" if self.each else "found one"
-            self.refuse(("offset", "tolerance_angle"), f" is for two recordings; {why}")
-        if self.is_many:
-            why = " is for one comparison; --table has a row for each of many"
+            why = "--each" if self.each else "a single recording"
+            self.refuse(("offset", "tolerance_angle"), f" cannot be combined with {why}")
+        if self.is_batch:
+            why = " needs a single comparison. Use --table for several."
             self.refuse(("plot", "output", "render", "csv"), why)
         else:
-            self.refuse(("jobs", "engine"), " is for many recordings: --table, or --each")
+            self.refuse(("jobs", "engine"), " needs --table or --each")
         return self
 
     @property
-    def is_many(self) -> bool:
-        """Whether there is a row for every recording."""
+    def is_batch(self) -> bool:
+        """Whether the result has one row per recording."""
         return self.each or bool(self.more) or self.table is not None
 
 
 def run(options: CompareOptions) -> int:
-    """Compares; returns 0, or 1 when a tolerance is exceeded."""
-    return _compare_many(options) if options.is_many else _compare_two(options)
+    """Compares recordings; returns 0, 1 if a tolerance is exceeded, or 2 if a recording fails."""
+    return _compare_many(options) if options.is_batch else _compare_two(options)
 
 
 def _compare_two(options: CompareOptions) -> int:
@@ -120,11 +116,11 @@ def _compare_two(options: CompareOptions) -> int:
 
     pair, explanations, about = _compared(options)
     if not pair.signals:
-        raise UsageError(f"{pair.names[0]} and {pair.names[1]} have no signal in common")
+        raise UsageError(f"{pair.names[0]} and {pair.names[1]} have no common signal")
     differences = compare(pair)
     over = exceeded(differences, **_tolerances(options))
     if options.tolerance_torque is not None and "torques" not in pair.signals:
-        raise UsageError("--tolerance-torque: there are no torques in both recordings")
+        raise UsageError("--tolerance-torque: torques are not in both recordings")
     if options.as_json:
         found = as_json(pair, differences, explanations)
         print_json({**found, "about": about, "exceeded": list(map(str, over))})
@@ -145,23 +141,23 @@ def _compare_two(options: CompareOptions) -> int:
     if options.output is not None:
         _page(pair, options.output, explanations or [], options)
     if options.render is not None:
-        _film(pair, options.render, options)
+        _render(pair, options.render, options)
     for each in over:
         print(f"sero-mj: {each}", file=sys.stderr)
     return 1 if over else 0
 
 
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """The outcomes of one of many recordings by column; see `EachRecording`.
+    """Returns the results of one recording of a batch by column, see `EachRecording`.
 
-    `seconds`; `peak` and `rms` of each signal at its worst `joint`; what was `exceeded`; what is
-    `explained`, and in short the `faults`.
+    The columns are `seconds`, `peak` and `rms` of each signal at its worst `joint`, the `exceeded`
+    tolerances, the explanations (`explained`), and their short forms (`faults`).
     """
     from ..study.compare import compare, exceeded
 
-    given = {key: value for key, value in shared.items() if key not in _OF_MANY}
-    place = "a" if shared.get("each") else "b"
-    options = CompareOptions(**{**given, place: str(file)})
+    single = {key: value for key, value in shared.items() if key not in _BATCH_OPTIONS}
+    option = "a" if shared.get("each") else "b"
+    options = CompareOptions(**{**single, option: str(file)})
     pair, explanations, _ = _compared(options)
     differences = compare(pair)
     row: dict[str, Any] = {"seconds": float(pair.times[-1] - pair.times[0])}
@@ -175,45 +171,45 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     if pair.correlation is not None:
         row |= {"offset": pair.offset, "correlation": pair.correlation}
     over = exceeded(differences, **_tolerances(options))
-    told = [f"{each.joint}: {each}" for each in explanations or ()]
+    long = [f"{each.joint}: {each}" for each in explanations or ()]
     first = "" if shared.get("each") else options.a.name
-    short = [f"{each.joint}: {_of_whom(each, first)}" for each in explanations or ()]
-    return {**row, "exceeded": "; ".join(map(str, over)), "explained": "; ".join(told),
+    short = [f"{each.joint}: {_short_in(each, first)}" for each in explanations or ()]
+    return {**row, "exceeded": "; ".join(map(str, over)), "explained": "; ".join(long),
             "faults": "; ".join(short)}  # fmt: skip
 
 
-def _of_whom(fault: Explanation, first: str) -> str:
-    """A fault in short, and that it is the first recording's where it is, and not its own."""
-    is_its = fault.is_second or not first or fault.kind not in OF_ONE_RUN
-    return fault.short.removesuffix(" in B") + ("" if is_its else f" in {first}")
+def _short_in(fault: Explanation, first: str) -> str:
+    is_in_first = bool(first) and not fault.is_second and fault.kind in OF_ONE_RUN
+    return fault.short.removesuffix(" in B") + (f" in {first}" if is_in_first else "")
 
 
 def _compare_many(options: CompareOptions) -> int:
     from ..study.align import choose_robot
-    from .each_recording import ask_each, status, tell
+    from .each_recording import examine_each, report_rows
 
     others = [path for path in (options.b, *options.more) if path is not None]
     recordings = [options.a, *others] if options.each else others
     needed = [] if options.each else [options.a]
-    if needed:  # what is wrong with it is wrong for all
+    if needed:  # reports an error in A once, not for each recording
         of_a, _, _ = (options.source or "").partition(",")
         name, _, _ = (options.robot or "").partition(",")
         choose_robot(options.read(options.a, of_a or None), name or None)
     needed += options.files()
-    rows = ask_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
-    # With --each the angles on both sides are those of one recording.
+    rows = examine_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
+    # With --each, angles are the same on both sides.
     signals = {"torques": "torque peak"} | ({} if options.each else {"joint_angles": "angle peak"})
-    failed = tell(
+    status = report_rows(
         rows,
+        len(recordings),
         options,
         options.table,
-        lambda: _table_of(rows, signals, "" if options.each else f"each less {options.a}"),
+        lambda: _table_of(rows, signals, "" if options.each else f"each minus {options.a}"),
         quiet=options.quiet,
     )
     over = [(path, row["exceeded"]) for path, row in rows if row.get("exceeded")]
     for path, text in over:
         print(f"sero-mj: {path}: {text}", file=sys.stderr)
-    return status(rows, len(recordings), failed) or (1 if over else 0)
+    return status or (1 if over else 0)
 
 
 def _table_of(rows: Rows, signals: Mapping[str, str], title: str) -> Table:
@@ -234,9 +230,8 @@ def _table_of(rows: Rows, signals: Mapping[str, str], title: str) -> Table:
             factor, unit = shown_as(row.get(f"{signal}.unit", ""))
             cells.append("" if peak is None else f"{factor * peak:.3g} {unit}")
             cells.append(row[f"{signal}.joint"] if peak else "")
-        why = row["error"].removeprefix(f"{path}: ")
-        told = row.get("faults", f"not examined: {why}") or "no difference found"
-        table.add_row(str(path), *cells, told)
+        error = f"not examined: {row['error'].removeprefix(f'{path}: ')}"
+        table.add_row(str(path), *cells, row.get("faults", error) or "no difference found")
     return table
 
 
@@ -253,12 +248,12 @@ def _compared(options: CompareOptions) -> _Compared:
 
 def _two_runs(a: RunLog, b: RunLog, options: CompareOptions) -> _Compared:
     from ..study.align import align, choose_robots
-    from ..study.explainer import find_explainer
+    from ..study.explanation import find_explainer
 
     pair = align(a, b, options.robot, options.offset)
     robots = choose_robots(a, b, options.robot)
     if "torques" not in pair.signals:
-        return pair, None, ["nothing explains angles alone: torques are not in both"]
+        return pair, None, ["no explanation: torques are not in both recordings"]
     explainer = find_explainer()
     try:
         found = None if explainer is None else explainer.of_two(a, b, robots, pair.offset)
@@ -269,7 +264,7 @@ def _two_runs(a: RunLog, b: RunLog, options: CompareOptions) -> _Compared:
 
 def _one_run(run: RunLog, options: CompareOptions) -> _Compared:
     from ..study.align import choose_robot, pair_with_commands
-    from ..study.explainer import differing, find_explainer
+    from ..study.explanation import differing, find_explainer
 
     name, explainer = choose_robot(run, options.robot), find_explainer()
     if options.against_model:
@@ -284,7 +279,6 @@ def _one_run(run: RunLog, options: CompareOptions) -> _Compared:
 
 
 def _tolerances(options: CompareOptions) -> dict[str, float | None]:
-    """The tolerances of `exceeded`: degrees are mm for joints that slide."""
     angle = options.tolerance_angle
     known = {} if angle is None else {"angle": math.radians(angle), "travel": 1e-3 * angle}
     return {"torque": options.tolerance_torque, **known}
@@ -317,10 +311,10 @@ def _page(
         )  # fmt: skip
 
 
-def _film(pair: Pair, output: Path, options: CompareOptions) -> None:
+def _render(pair: Pair, output: Path, options: CompareOptions) -> None:
     from ..study.compare import compare_scene
     from .render import video_with_progress
 
     duration = float(pair.times[-1] - pair.times[0])
-    film = VideoOptions.taken_from(options).model_copy(update={"duration": duration, "wait": 0.0})
-    video_with_progress(compare_scene(pair), output, film, quiet=options.quiet)
+    video = VideoOptions.taken_from(options).model_copy(update={"duration": duration, "wait": 0.0})
+    video_with_progress(compare_scene(pair), output, video, quiet=options.quiet)

@@ -1,4 +1,4 @@
-"""`sero-mj demo`: a film of a robot that another process plays."""
+"""`sero-mj demo`: renders a video of a robot that is mirrored from another process."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ GROUP, ORDER = "see", 14
 
 
 class DemoOptions(Options):
-    """Film an LWR that is mirrored from UDP packets.
+    """Render a video of an LWR that is mirrored from UDP packets.
 
     Attributes:
-        out: folder (default out).
-        duration: of the film, s.
+        out: output folder (default: out).
+        duration: duration of the video, s.
         size: width and height, pixels.
     """
 
@@ -41,7 +41,7 @@ class DemoOptions(Options):
 
 
 def run(options: DemoOptions) -> int:
-    """Renders; returns 0."""
+    """Renders an image and a video; returns 0, or 1 if no packet arrived."""
     from ..base import paths
     from ..base.child_process import ChildProcess
     from ..load import load_scene
@@ -52,7 +52,7 @@ def run(options: DemoOptions) -> int:
     scene = load_scene(paths.find_scene(_SCENE), shown)
     port = _free_port()
     scene.sources["udp"] = {**scene.sources["udp"], "port": port}
-    picture, film = options.out / "lwr.png", options.out / "lwr.mp4"
+    image, video = options.out / "lwr.png", options.out / "lwr.mp4"
     sender = ChildProcess(
         [sys.executable, "-m", "sero_mj", "send", _SCENE, "--port", str(port)],
         stdout=subprocess.DEVNULL,
@@ -61,14 +61,15 @@ def run(options: DemoOptions) -> int:
         chosen = VideoOptions(
             size=options.size, duration=options.duration, camera=_CAMERA, wait=30.0
         )
-        silent = video_with_progress(scene, film, chosen)
-        silent += render_image(scene, picture, chosen)
+        silent = video_with_progress(scene, video, chosen)
+        silent += render_image(scene, image, chosen)
     finally:
         sender.end()
     if silent:
-        print("sero-mj: no packet arrived; is UDP on loopback blocked?", file=sys.stderr)
+        hint = "Check whether a firewall blocks UDP on 127.0.0.1."
+        print(f"sero-mj: no packet arrived. {hint}", file=sys.stderr)
         return 1
-    print(f"an LWR mirrored from UDP packets of another process:\n  {film}\n  {picture}")
+    print(f"LWR mirrored from UDP packets of another process:\n  {video}\n  {image}")
     return 0
 
 

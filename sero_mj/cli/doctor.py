@@ -1,6 +1,6 @@
-"""`sero-mj check` without a scene: working OpenGL backends and viewers, and what to install.
+"""`sero-mj check` without a scene: reports which OpenGL backends and viewers work here.
 
-Each backend renders in a process of its own: importing MuJoCo fixes the backend of a process.
+Each backend is tested in its own process, because importing MuJoCo fixes the backend of a process.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any
 from ..viewer.image.backend import BACKENDS, PACKAGES, has_display, has_osmesa
 
 _NO_DM_CONTROL = """\
-  dm-control is not installed; only models made with PyMJCF or composer need it:
-  pip install 'sero-mj[dm-control]' (before Python 3.13: labmaze, which it needs, has no
-  later release)"""
+  dm-control is not installed. Only PyMJCF and composer models need it:
+  pip install 'sero-mj[dm-control]' (up to Python 3.12: labmaze, on which it depends, has no
+  wheels for later versions)"""
 
 _TRIAL = """
 import time, mujoco
@@ -33,7 +33,7 @@ with mujoco.Renderer(model, 64, 64) as renderer:
     start = time.perf_counter()
     renderer.render()
     took = time.perf_counter() - start
-    assert pixels[32, 32, 0] > 40, "the picture is empty"
+    assert pixels[32, 32, 0] > 40, "the image is empty"
     try:
         from OpenGL import GL
         name = GL.glGetString(GL.GL_RENDERER).decode()
@@ -42,7 +42,7 @@ with mujoco.Renderer(model, 64, 64) as renderer:
 print(f"{name}|{took * 1e3:.1f}")
 """
 
-# A frame of a robot with arrows and numbers, s, by quality.
+# Prints the render time of one frame in seconds at each quality.
 _SPEED = """
 import time
 from sero_mj import HeadlessRenderer, World
@@ -58,18 +58,18 @@ for quality in ("normal", "draft"):
             frames += 1
         print(quality, (time.perf_counter() - start) / frames)
 """
-_FIRST = """\
-real time: chrt -f 50 sero-mj simulate ... comes before all other programs (SCHED_FIFO), and so does
-  chrt -f 50 my_controller"""
-_NOT_FIRST = """\
-real time: no program may come before all others (SCHED_FIFO), so that steps may be late; on Linux,
-  as root: echo "USER - rtprio 80" > /etc/security/limits.d/rtprio.conf, and log in again"""
-_SMOOTH = 0.04  # s, of a frame
+_FIFO = """\
+real time: `chrt -f 50 sero-mj simulate ...` and `chrt -f 50 my_controller` run with the real-time
+  priority SCHED_FIFO"""
+_NO_FIFO = """\
+real time: SCHED_FIFO is not permitted, so steps may be delayed by other programs. On Linux, run
+  echo "USER - rtprio 80" > /etc/security/limits.d/rtprio.conf as root, and log in again"""
+_SMOOTH = 0.04  # s per frame, limit for a smooth view
 _TRIAL_SIDE = 64  # pixels
 
 
 def check_machine(*, as_json: bool) -> int:
-    """Prints which backends and renderers work; returns 0 if a backend works, else 1."""
+    """Prints which backends and renderers work; returns 0 if at least one backend works, else 1."""
     from ..viewer.image.renderer import renderers
 
     versions = {name: _version(name) for name in ("sero-mj", "mujoco", "numpy", "av")}
@@ -85,7 +85,7 @@ def check_machine(*, as_json: bool) -> int:
     if as_json:
         found: dict[str, Any] = {"versions": versions, "backends": backends}
         found["python"] = platform.python_version()
-        found |= {"chosen": chosen, "live": live, "frame_times": speed, "fifo": may_be_first()}
+        found |= {"chosen": chosen, "live": live, "frame_times": speed, "fifo": is_fifo_allowed()}
         found |= {name: {"works": each is None, "reason": each} for name, each in problems.items()}
         print(json.dumps(found, indent=2))
         return 0 if works else 1
@@ -104,24 +104,24 @@ def check_machine(*, as_json: bool) -> int:
     for name, problem in problems.items():
         kind = renderers()[name]
         if problem is None:
-            fine = ", and what --quality fine takes" if kind.is_for_fine else ""
+            fine = "; used by --quality fine" if kind.is_for_fine else ""
             print(f"  {kind.title} works: --renderer {name}{fine}")
         else:
-            print(f"  {kind.title} does not work: {problem}; pictures are classic ones")
+            print(f"  {kind.title} does not work: {problem}; the classic renderer is used instead")
             print(f"  {'':7} Debian, Ubuntu: apt install {kind.packages}")
-    print(f"sero-mj uses {chosen or 'what MuJoCo chooses'}; MUJOCO_GL overrides it")
+    print(f"sero-mj uses {chosen or 'the default backend of MuJoCo'}; MUJOCO_GL overrides it")
     if speed is not None:
         print(_about_speed(used or "", speed))
     for name, problem in live.items():
-        print(f"sero-mj view: {name} {f'not here: {problem}' if problem else 'can be opened'}")
-    print(_FIRST if may_be_first() else _NOT_FIRST)
+        print(f"sero-mj view: {name} {f'unavailable: {problem}' if problem else 'available'}")
+    print(_FIFO if is_fifo_allowed() else _NO_FIFO)
     if not works:
-        print("no backend works: pictures cannot be rendered on this machine")
+        print("no backend works: this machine cannot render images")
     return 0 if works else 1
 
 
-def may_be_first() -> bool:
-    """Whether a program of this user may have the scheduler's policy for real time, SCHED_FIFO."""
+def is_fifo_allowed() -> bool:
+    """Whether this user may run programs with the real-time policy SCHED_FIFO."""
     trial = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))"
     done = subprocess.run([sys.executable, "-c", trial], check=False, capture_output=True)
     return done.returncode == 0
@@ -135,12 +135,15 @@ def _version(distribution: str) -> str | None:
 
 
 def window_problem() -> str | None:
-    """Returns why no window can be opened; None if one can."""
+    """Returns the reason why no window can be opened, or None if one can."""
     return None if has_display() else "neither DISPLAY nor WAYLAND_DISPLAY is set"
 
 
 def frame_times(backend: str) -> dict[str, float] | None:
-    """Returns times of a frame of an LWR at 1280x800, s, by quality; None if none can be drawn."""
+    """Returns the render time in seconds of one 1280x800 LWR frame at each quality.
+
+    Returns None if rendering fails.
+    """
     try:
         done = _python(_SPEED, backend)
     except subprocess.SubprocessError:
@@ -160,18 +163,18 @@ def _python(code: str, backend: str) -> subprocess.CompletedProcess[str]:
 
 
 def _about_speed(backend: str, times: dict[str, float]) -> str:
-    said = ", ".join(f"{name} {time * 1e3:.3g} ms" for name, time in times.items())
-    text = f"a frame of an LWR with {backend}, 1280x800: {said}"
+    listed = ", ".join(f"{name} {time * 1e3:.3g} ms" for name, time in times.items())
+    text = f"one 1280x800 frame of an LWR with {backend}: {listed}"
     if times["normal"] <= _SMOOTH:
-        return f"{text}; fast enough for all that is shown live"
+        return f"{text}; fast enough for live views"
     return (
-        f"{text}\n  slow for what is live: windows leave out shadows and smooth edges while the "
-        "view\n  moves; --quality draft makes films quickly"
+        f"{text}\n  slow for live views: windows omit shadows and antialiasing while the view\n"
+        "  moves; --quality draft renders videos faster"
     )
 
 
 def try_backend(name: str) -> dict[str, Any]:
-    """Renders in another process, with the given backend."""
+    """Renders with a backend in another process."""
     try:
         done = _python(_TRIAL, name)
     except subprocess.TimeoutExpired:

@@ -1,4 +1,4 @@
-"""Asks the same of many recordings, by what `--engine` names; a row for each in a table."""
+"""Examines many recordings on the engine that `--engine` selects, and prints one row for each."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .shared_options import EngineOptions, JsonOptions
 if TYPE_CHECKING:
     from rich.table import Table
 
-_MISSING = "there is no such file"
+_MISSING = "no such file"
 Rows = list[tuple[Path, dict[str, Any]]]  # a recording and its outcomes
 
 
-def ask_each(
+def examine_each(
     options: EngineOptions,
     study: str,
     recordings: Sequence[Path],
@@ -29,10 +29,10 @@ def ask_each(
     *,
     quiet: bool = False,
 ) -> Rows:
-    """Returns the outcomes of every recording in their order; fewer if it was stopped.
+    """Returns the results of all recordings in order, or fewer if interrupted.
 
-    `study` is `module:name` of a function that takes the options as plain values and a recording's
-    path, and returns outcomes by column. `needed` are further files that the options name.
+    `study` is the `module:name` of a function that takes the options as plain values and the path
+    of a recording, and returns results by column. `needed` lists further files in the options.
     """
     from ..study.engine import EachRecording, Work
 
@@ -83,15 +83,19 @@ def _stopped(found: Mapping[int, Any], count: int) -> Iterator[None]:
         print(f"sero-mj: stopped after {len(found)} of {count} recordings", file=sys.stderr)
 
 
-def tell(
+def report_rows(
     rows: Rows,
+    count: int,
     options: JsonOptions,
     to: Path | None,
     table_of: Callable[[], Table],
     *,
     quiet: bool,
 ) -> int:
-    """Writes and prints rows and errors; returns how many recordings were not examined."""
+    """Writes and prints rows and errors of `count` recordings.
+
+    Returns the exit status: 130 if interrupted, 2 if a recording failed, else 0.
+    """
     if to is not None:
         _write(rows, to)
     if options.as_json:
@@ -101,7 +105,9 @@ def tell(
     errors = [(path, row["error"]) for path, row in rows if row["error"]]
     for path, error in errors:
         print(f"sero-mj: {error if str(path) in error else f'{path}: {error}'}", file=sys.stderr)
-    return len(errors)
+    if len(rows) < count:
+        return 130
+    return 2 if errors else 0
 
 
 def _write(rows: Rows, path: Path) -> None:
@@ -110,10 +116,3 @@ def _write(rows: Rows, path: Path) -> None:
         table = csv.DictWriter(file, ["recording", *outcomes, "error"], restval="")
         table.writeheader()
         table.writerows({"recording": name, **row} for name, row in rows)
-
-
-def status(rows: Rows, count: int, failed: int) -> int:
-    """The exit status: 130 where it was stopped, 2 where a recording was not examined, else 0."""
-    if len(rows) < count:
-        return 130
-    return 2 if failed else 0

@@ -1,4 +1,4 @@
-"""`sero-mj import`: a robot folder in our format from URDF or MJCF, and a scene to mirror it."""
+"""`sero-mj import`: converts URDF or MJCF to a robot folder, and writes a scene for it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..base.declaration import is_name
 from ..base.errors import UsageError
 from ..base.options import Option, positional
 from ..base.paths import format_of_file, model_name
-from ..base.plugins import COMMANDS, is_own_class, plugins
+from ..base.plugins import is_own_class
 from ..robots.importers.importer import Mjcf, find_importer
 from .arguments import check_ending, check_new, command, writing
 from .new import print_next, scene_text, write_scene
@@ -29,14 +29,15 @@ examples:
   sero-mj import arm.xacro --arg ur_type=ur5e --package ur_description=DIR
   sero-mj import arm.xml --convention standard
 
-The robot file has comments: limits, masses and inertias, meshes with their frames, the joints of
-each limb, and a Denavit-Hartenberg table if there is one. Edit it by hand. Existing files are not
-replaced. xacro is converted to URDF if the package `xacro` is installed. The geoms of MJCF stay in
-a copy of it, with all files that it includes.
+The robot file contains limits, masses and inertias, meshes with their frames, the joints of each
+limb, a Denavit-Hartenberg table if one exists, and comments for editing by hand. Existing files are
+not replaced. xacro files are converted to URDF if the package `xacro` is installed. The geoms of
+MJCF stay in a copy of the file and of all files that it includes.
 """
 _ENDINGS = (".urdf", ".xacro", ".xml")
-_TIED = "\0"  # a space at which no line is broken
-_BESIDE = re.compile(
+_NO_BREAK = "\0"  # a space at which no line is broken
+# Matches the names of other files in COLLADA, OBJ and MTL files.
+_REFERENCE = re.compile(
     rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<|^[ \t]*(?:mtllib|map_Kd)[ \t]+([^\r\n]+)",
     re.MULTILINE,
 )
@@ -48,8 +49,8 @@ class ImportOptions(PackageOptions):
 
     Attributes:
         file: URDF, xacro or MJCF.
-        out: folder to be made (default: the robot's name).
-        convention: of the Denavit-Hartenberg table, where there is one (default: craig).
+        out: folder to create (default: the name of the robot).
+        convention: convention of the Denavit-Hartenberg table (default: craig).
     """
 
     file: Annotated[Path, positional("FILE")]
@@ -77,15 +78,15 @@ def run(options: ImportOptions) -> int:
         text = source.write(folder, limbs)
         (folder / "robot.toml").write_text(text, encoding="utf-8")
         robot = SerialRobot.from_model(str(folder / "robot.toml"))
-        # The base of such a robot may be its trunk.
+        # The floor is below the robot, because its base may be a trunk.
         joints = _about_joints(robot)
         write_scene(folder, scene_text(folder.name, robot.coupled.k, 'floor = "below"\n', joints))
     for warning in source.described.warnings:
         print(f"note: {warning}")
-    how = f"{robot.dh_convention} DH table" if robot.dh is not None else "joint frames"
     if robot.dh is None and options.convention is not None:
-        print(f"note: {source.no_table}, so there is no {options.convention} DH table")
-    print(f"{folder}/robot.toml: {robot.n} joints, {how}")
+        print(f"note: no {options.convention} DH table, because {source.why_no_table}")
+    table = f"{robot.dh_convention} DH table" if robot.dh is not None else "joint frames"
+    print(f"{folder}/robot.toml: {robot.n} joints, {table}")
     print_next(scene)
     return 0
 
@@ -97,17 +98,9 @@ _Limbs: TypeAlias = Mapping[str, Sequence[int]]
 
 
 class _Source(NamedTuple):
-    """A file that was read.
-
-    Attributes:
-        described: what it says.
-        write: writes its meshes into a folder and returns the text of the robot file.
-        no_table: why it has no DH table, where it has none.
-    """
-
     described: ImportedTables
-    write: Callable[[Path, _Limbs], str]
-    no_table: str
+    write: Callable[[Path, _Limbs], str]  # writes meshes into a folder, returns the robot file
+    why_no_table: str
 
 
 def _read(options: ImportOptions) -> _Source:
@@ -169,27 +162,21 @@ def _about_joints(robot: SerialRobot) -> str:
 
 
 def _comment(items: Sequence[str]) -> list[str]:
-    text = ", ".join(item.replace(" ", _TIED) for item in items)
+    text = ", ".join(item.replace(" ", _NO_BREAK) for item in items)
     lines = wrap(text, 100, initial_indent="#   ", subsequent_indent="#   ")
-    return [line.replace(_TIED, " ") for line in lines]
+    return [line.replace(_NO_BREAK, " ") for line in lines]
 
 
 def _check_format(path: Path) -> None:
     ending = path.suffix.lower()
     importer = None if ending in _ENDINGS else find_importer(path)
     if importer is not None and importer.is_scene:
-        hints = [f"`sero-mj view {path}` shows it"]
-        if "convert" in plugins(COMMANDS):
-            hints.insert(
-                0, f"`sero-mj export {path} {path.stem}.toml` writes it as a scene of ours"
-            )
-        raise UsageError(
-            f"{path}: found a scene; expected a robot in URDF or MJCF. {', '.join(hints)}"
-        )
+        hint = f"`sero-mj view {path}` shows the scene."
+        raise UsageError(f"{path}: found a scene; expected a robot in URDF or MJCF. {hint}")
     if importer is not None and not is_own_class(type(importer)):
         raise UsageError(
-            f"{path}: found {ending}; expected {', '.join(_ENDINGS)}. A scene takes it as it is: "
-            f'model = "{path}" in [robots.NAME]'
+            f"{path}: found {ending}; expected {', '.join(_ENDINGS)}. To use it in a scene, write "
+            f'model = "{path}" in [robots.NAME].'
         )
     if ending not in _ENDINGS and (found := format_of_file(path)) is not None:
         raise UsageError(f"{path}: is {found}; expected URDF, xacro or MJCF")
@@ -200,7 +187,7 @@ def _check_format(path: Path) -> None:
         found = format_of_file(path)
         if found not in ("a URDF file", "an MJCF file"):
             expected = "expected URDF (<robot>) or MJCF (<mujoco>)"
-            raise UsageError(f"{path}: is {found or 'no XML'}; {expected}")
+            raise UsageError(f"{path}: is {found or 'not XML'}; {expected}")
 
 
 def _copy(mesh: Path, to: Path) -> None:
@@ -213,7 +200,7 @@ def _copy(mesh: Path, to: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source, target)
         if source.suffix.lower() in (".dae", ".obj", ".mtl"):
-            for names in _BESIDE.findall(source.read_bytes()):
+            for names in _REFERENCE.findall(source.read_bytes()):
                 name = (names[0] or names[1]).strip().decode(errors="replace")
                 name = name.removeprefix("file://")
                 if name and not Path(name).is_absolute() and ".." not in Path(name).parts:

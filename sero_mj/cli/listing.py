@@ -1,4 +1,4 @@
-"""`sero-mj list`: shipped robots, scenes and environments, and kinds of sources."""
+"""`sero-mj list`: lists shipped robots and scenes, installed plug-ins, and keys of files."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from .terminal import make_console
 
 _HELP = """\
 examples:
-  sero-mj list                              shipped robots, scenes, scenarios, and kinds of parts
-  sero-mj list --known                      third-party robots by name
+  sero-mj list                              robots, scenes, scenarios and plug-ins
+  sero-mj list --known                      third-party robots
   sero-mj list --fields scenarios           all keys of scenario files
 
-See also: sero-mj check SCENE
+`sero-mj check SCENE` prints the contents of one scene.
 """
 GROUP, ORDER = "files", 56
 
@@ -46,8 +46,8 @@ class ListOptions(Options):
     """List the shipped robots, scenes, scenarios and environments.
 
     Attributes:
-        known: list the robots of others that are known by name, see docs/robot_files.md.
-        fields: list the fields of a robot and their defaults, or those of a scenario.
+        known: list third-party robots that can be used by name, see docs/robot_files.md.
+        fields: list the keys of robot or scenario files and their defaults (default: robots).
     """
 
     known: bool = False
@@ -55,9 +55,14 @@ class ListOptions(Options):
 
 
 def run(options: ListOptions) -> int:
-    """Prints; returns 0."""
+    """Prints the requested list; returns 0."""
+    if options.fields == "robots":
+        from ..robots.declared.robot import SerialRobot
+
+        _print_declaration(SerialRobot)
+        return 0
     if options.fields:
-        (_print_fields if options.fields == "robots" else _print_scenario_fields)()
+        _print_scenario_fields()
         return 0
     if options.known:
         _print_known()
@@ -74,8 +79,14 @@ def run(options: ListOptions) -> int:
         print(title)
         for name in names():
             print(f"  {name:18} {_about(find(name))}")
-    _print_of_extensions()
-    _print_plugins()
+    for describe in load_all(LISTED).values():
+        title, lines = describe()
+        print("\n  ".join([title, *lines]))
+    for group, about in _KINDS.items():
+        print(f"{about} (entry points {group})")
+        for name, point in plugins(group).items():
+            package = "" if is_own(point) or not point.dist else f" from {point.dist.name}"
+            print(f"  {name:18} {point.value}{package}")
     return 0
 
 
@@ -98,35 +109,19 @@ def _print_known() -> None:
                 print(f"  {name}")
 
 
-def _print_of_extensions() -> None:
-    for describe in load_all(LISTED).values():
-        title, lines = describe()
-        print(title)
-        for line in lines:
-            print(f"  {line}")
-
-
 _KINDS = {
-    IMPORTERS: "files of robots and scenes in formats of others",
-    ROBOTS: "places where robots have names",
+    IMPORTERS: "importers of robot and scene files",
+    ROBOTS: "collections of robots",
     SOURCES: "kinds of sources",
     CONTROLLERS: "kinds of controllers",
     TARGET_MOTIONS: "kinds of target motions",
     DECOR: "visual features",
     TOOLS: "tools of windows and pages",
-    RENDERERS: "renderers besides the classic one",
-    ENGINES: "engines of many tasks besides the local one",
+    RENDERERS: "additional renderers",
+    ENGINES: "additional engines for parallel tasks",
     COMMANDS: "commands",
-    SNIPPETS: "example code of extensions",
+    SNIPPETS: "example code from extensions",
 }
-
-
-def _print_plugins() -> None:
-    for group, about in _KINDS.items():
-        print(f"{about} (entry points {group})")
-        for name, point in plugins(group).items():
-            package = "" if is_own(point) else f", of {point.dist.name}" if point.dist else ""
-            print(f"  {name:18} {point.value}{package}")
 
 
 def _about(file: Path) -> str:
@@ -138,12 +133,6 @@ def _about(file: Path) -> str:
     return first.lstrip("# ") if first.startswith("#") else ""
 
 
-def _print_fields() -> None:
-    from ..robots.declared.robot import SerialRobot
-
-    _print_declaration(SerialRobot)
-
-
 def _print_scenario_fields() -> None:
     from ..simulate.runs.measures import MEASURES
     from ..simulate.runs.monitor import KINDS
@@ -152,7 +141,7 @@ def _print_scenario_fields() -> None:
         print(f"{chr(10) if k else ''}{title}")
         _print_declaration(declaration)
     print("\nmeasures: " + ", ".join(f"{name} ({unit})" for name, (unit, _) in MEASURES.items()))
-    print("kinds of faults that are found: " + ", ".join(KINDS))
+    print("kinds of detected faults: " + ", ".join(KINDS))
 
 
 def scene_tables() -> dict[str, type[Declaration]]:
@@ -186,7 +175,7 @@ def scene_tables() -> dict[str, type[Declaration]]:
 
 
 def scenario_tables() -> dict[str, type[Declaration]]:
-    """Returns the tables that only scenario files have, by header."""
+    """Returns the additional tables of scenario files by header."""
     from ..simulate.control.make_controller import controller_kinds
     from ..simulate.control.plan import target_motion_kinds
     from ..simulate.disturbances import DISTURBANCES, FAULTS
@@ -216,9 +205,9 @@ def _print_declaration(declaration: type[Declaration]) -> None:
 
 
 def field_rows(declaration: type[Declaration]) -> list[tuple[str, str, str]]:
-    """Name, default and meaning of the fields of a declaration, those of its bases included.
+    """Returns name, default and meaning of all fields of a declaration except `kind`.
 
-    The default is empty for a field that is required; a `kind` is left out.
+    The default of a required field is empty.
     """
     about = field_descriptions(declaration)
     rows = []

@@ -1,4 +1,4 @@
-"""`sero-mj new`: writes a commented robot file and a scene that mirrors the robot."""
+"""`sero-mj new`: writes a commented robot file and a scene, or prints example code."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ _HELP = """\
 examples:
   sero-mj new my_robot                     my_robot/robot.toml with 6 joints, and a scene
   sero-mj new my_lwr --like lwr            a copy of a shipped robot
-  sero-mj new --snippet c                  code for a control loop that sends to sero-mj
+  sero-mj new --snippet c                  code that sends from your control loop to sero-mj
 
-Robot and scene begin with a line that lets editors complete and check their keys. Existing files
-are not replaced.
+The first line of both files lets editors complete and check keys. Existing files are not replaced.
 
 --snippet prints example code that sends data from your control loop to a scene: c, rust, simulink,
-lcm, or one of an extension (sero-mj list). Or it prints a controller for a simulated robot, as a
-library (controller-c, controller-cpp, controller-rust) or as a program (controller-udp-c,
-controller-udp-python). --scene prints the scene or scenario for it instead. Each packet has a
-count, a time (s), and angles (rad), measured and commanded torques (Nm) of all joints as
+lcm, or a snippet of an extension (sero-mj list). It also prints controllers for simulated robots,
+as libraries (controller-c, controller-cpp, controller-rust) or programs (controller-udp-c,
+controller-udp-python). --scene prints the matching scene or scenario instead. Each packet has a
+counter, a time (s), and angles (rad), measured and commanded torques (Nm) of all joints as
 little-endian float64. NaN means no data.
 """
-_MOST_JOINTS = 64
-_FIRST, _LONGEST, _SHORTER = 0.34, 0.4, 0.85  # m, and ratio of one arm to the one before
-_STRONGEST, _WEAKER = 150.0, 0.7  # Nm, and ratio of one joint to the one before
-_BENT = (0.5, 1.1, 0.7)  # rad, of every second joint: an arm that is not stretched
+_MAX_JOINTS = 64
+# The example arm: heights and lengths in m, ratios of each link and joint to the previous one,
+# torques in Nm, and angles in rad of every second joint that bend the arm.
+_BASE_HEIGHT, _FIRST_LENGTH, _LENGTH_RATIO = 0.34, 0.4, 0.85
+_FIRST_TORQUE, _TORQUE_RATIO = 150.0, 0.7
+_BENT = (0.5, 1.1, 0.7)
 
 _ROBOT = """\
 #:schema ./robot.schema.json
@@ -113,16 +114,16 @@ class NewOptions(Options):
     Attributes:
         name: name of the robot.
         joints: number of joints.
-        like: copy a shipped robot, or one of a folder.
+        like: robot to copy: a shipped name or a folder.
         snippet: print example code instead.
-        robot: robot that the snippet's scene shows: a file, or a shipped name.
-        host: address of sero-mj, as seen by the robot's computer.
+        robot: robot in the scene of the snippet: a file or a shipped name.
+        host: address of sero-mj on the network of the robot's computer.
         port: UDP port of the packets.
-        scene: print the snippet's scene instead of its code.
+        scene: print the scene of the snippet instead of its code.
     """
 
     name: Annotated[str | None, AfterValidator(_checked), positional("NAME")] = None
-    joints: Annotated[int, whole(1, _MOST_JOINTS), Option("N")] = 6
+    joints: Annotated[int, whole(1, _MAX_JOINTS), Option("N")] = 6
     like: Annotated[str | None, Option("ROBOT")] = None
     snippet: Annotated[str | None, Option("NAME")] = None
     robot: Annotated[str | None, Option("ROBOT")] = None
@@ -133,13 +134,13 @@ class NewOptions(Options):
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
         if (self.name is None) == (self.snippet is None):
-            raise ValueError("expected NAME of a new robot, or --snippet NAME")
+            raise ValueError("expected either the NAME of a new robot or --snippet NAME")
         if self.snippet is not None:
-            self.refuse(("joints", "like"), " is for a new robot")
+            self.refuse(("joints", "like"), " cannot be combined with --snippet")
         else:
-            self.refuse(("robot", "host", "port", "scene"), " is for --snippet NAME")
+            self.refuse(("robot", "host", "port", "scene"), " needs --snippet NAME")
         if self.like is not None and self.set_among("joints"):
-            raise ValueError("--joints and --like: a copy has the joints of its robot; choose")
+            raise ValueError("--joints cannot be combined with --like, which copies all joints")
         return self
 
 
@@ -157,12 +158,12 @@ def run(options: NewOptions) -> int:
     name = str(options.name)
     like = None if options.like is None else paths.find_model(options.like)
     if like is not None and like.suffix != ".toml":
-        is_imported = like.suffix in (".urdf", ".xacro")
-        how = f"sero-mj import {options.like} --out {name}" if is_imported else ""
-        hint = how or f'model = "{options.like}" in a scene takes it as it is'
-        raise UsageError(f"--like: found {like.name}; expected a robot of TOML. {hint}")
+        hint = f'Write model = "{options.like}" in a scene to use it directly.'
+        if like.suffix in (".urdf", ".xacro"):
+            hint = f"Run `sero-mj import {options.like} --out {name}`."
+        raise UsageError(f"--like: found {like.name}; expected a robot in TOML. {hint}")
     if like is not None and not is_robot_file(like):
-        raise UsageError(f"--like: found {like}, a scene or scenario; expected a robot's file")
+        raise UsageError(f"--like: found {like}, a scene or scenario; expected a robot file")
     folder, scene = Path(name), Path(f"{name}.toml")
     check_new((folder, scene), "choose another name")
     robot = folder / "robot.toml"
@@ -171,7 +172,7 @@ def run(options: NewOptions) -> int:
             folder.mkdir()
             robot.write_text(robot_text(name, options.joints), encoding="utf-8")
         else:
-            SerialRobot.from_model(str(like))  # raises what is wrong in its own file
+            SerialRobot.from_model(str(like))  # errors then name the original file
             _copy(like, robot)
         n = SerialRobot.from_model(str(robot)).n
         write_scene(folder, scene_text(name, n))
@@ -184,50 +185,49 @@ add_to = command("new", run, NewOptions, _HELP)
 
 
 def write_scene(folder: Path, text: str) -> None:
-    """Writes a scene beside a robot's folder, and the schemas of both into that."""
+    """Writes a scene next to the folder of a robot, and the schemas of both into the folder."""
     folder.with_name(f"{folder.name}.toml").write_text(text, encoding="utf-8")
     for kind in ("robot", "scene"):
         (folder / f"{kind}.schema.json").write_text(schema_text(kind), encoding="utf-8")
 
 
 def print_next(scene: Path) -> None:
-    """Says what to do with a scene that was written."""
-    print(f"{scene}: a scene that mirrors it")
-    print(f"next, in two terminals:\n  sero-mj send {scene}\n  sero-mj view {scene}")
+    """Prints the commands for a new scene."""
+    print(f"{scene}: a scene that mirrors the robot")
+    print(f"Next, run in two terminals:\n  sero-mj send {scene}\n  sero-mj view {scene}")
 
 
 def scene_text(name: str, n: int, more: str = "", joints: str = "") -> str:
-    """A scene that mirrors a robot of n independent joints, whose folder is beside it."""
+    """Returns a scene that mirrors a robot with n independent joints."""
     return _SCENE.format(name=name, n=n, more=more, joints=joints)
 
 
 def _copy(model: Path, to: Path) -> None:
-    """Copies a robot's file, all that is in folders beside it, and the meshes of another robot."""
     to.parent.mkdir()
     for each in model.parent.iterdir():
         if each.is_dir() and not each.name.startswith(("_", ".")):
             shutil.copytree(each, to.parent / each.name)
     lines = model.read_text(encoding="utf-8").splitlines(keepends=True)
-    kept = [line for line in lines if not line.startswith("#:schema")]
-    shared = tomllib.loads("".join(kept)).get("directory", "")
-    if ".." in Path(shared).parts:
+    lines = [line for line in lines if not line.startswith("#:schema")]
+    shared = tomllib.loads("".join(lines)).get("directory", "")
+    if ".." in Path(shared).parts:  # meshes of another robot
         own = Path(shared).name
         shutil.copytree(model.parent / shared, to.parent / own)
-        kept = [line.replace(json.dumps(shared), json.dumps(own)) for line in kept]
-    to.write_text("".join(["#:schema ./robot.schema.json\n", *kept]), encoding="utf-8")
+        lines = [line.replace(json.dumps(shared), json.dumps(own)) for line in lines]
+    to.write_text("".join(["#:schema ./robot.schema.json\n", *lines]), encoding="utf-8")
 
 
 def robot_text(name: str, n: int) -> str:
-    """A robot file for an arm with n joints that rotate along and across its links in turn."""
+    """Returns the file of an arm with n joints, which rotate alternately along and across links."""
     rows, limits, velocities, torques, angles = [], [], [], [], []
     for k in range(n):
-        is_across, arm = k % 2 == 1, _LONGEST * _SHORTER ** (k // 2 - 1)
+        is_across, arm = k % 2 == 1, _FIRST_LENGTH * _LENGTH_RATIO ** (k // 2 - 1)
         alpha = 0.0 if k == 0 else (-90.0 if is_across else 90.0)
-        d = 0.0 if is_across else _FIRST if k == 0 else arm
+        d = 0.0 if is_across else _BASE_HEIGHT if k == 0 else arm
         rows.append(f"  [{alpha:5.1f}, 0.0, 0.0, {d:.3f}],   # joint {k + 1}")
         limits.append("  [-120, 120]," if is_across else "  [-170, 170],")
         velocities.append(f"{100 + 10 * min(k, 8)}")
-        torques.append(f"{_STRONGEST * _WEAKER**k:.3g}")
+        torques.append(f"{_FIRST_TORQUE * _TORQUE_RATIO**k:.3g}")
         angles.append(f"{_BENT[k // 2 % len(_BENT)] if is_across else 0.0}")
     return _ROBOT.format(
         name=name,
@@ -297,13 +297,13 @@ _JOINTS = re.compile(r"(JOINTS\b[^\d\n]{1,9})\d+")
 
 
 class Snippet(NamedTuple):
-    """Example code in a file of a package's folder `snippets`.
+    """Example code in a file of the folder `snippets` of a package.
 
-    A package adds one by an entry point in the group `sero_mj.snippets`, which has its name.
+    A package adds a snippet by an entry point in the group `sero_mj.snippets` with its name.
 
     Attributes:
-        robot: model that the scene of the snippet shows.
-        commanded: expression that is added to the commanded torques in this scene.
+        robot: robot in the scene of the snippet.
+        commanded: expression that is appended to the route of the commanded torques.
     """
 
     package: str
@@ -313,7 +313,6 @@ class Snippet(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The code."""
         return (resources.files(self.package) / "snippets" / self.file).read_text("utf-8")
 
 
@@ -326,14 +325,9 @@ def snippets() -> Mapping[str, Snippet]:
 
 
 def snippet_text(name: str, robot: str | None, host: str, port: int, *, is_scene: bool) -> str:
-    """Returns a snippet, or the scene or scenario for it; raises UnknownName.
+    """Returns a snippet, or its scene or scenario if `is_scene`; raises UnknownName.
 
-    Args:
-        name: name of the snippet.
-        robot: robot of the scene: a file or a shipped name. None selects that of the snippet.
-        host: address of sero-mj, as seen by the robot's computer.
-        port: UDP port of the packets.
-        is_scene: whether to return the scene.
+    `robot` is a file or a shipped name; None selects the robot of the snippet.
     """
     from ..load import load_robot
 
@@ -343,7 +337,7 @@ def snippet_text(name: str, robot: str | None, host: str, port: int, *, is_scene
     snippet = known[name]
     model = robot or snippet.robot
     loaded = load_robot(model)
-    n = loaded.coupled.k  # the other joints follow
+    n = loaded.coupled.k  # packets omit coupled joints
     names = {"name": name, "robot": loaded.name, "model": model}
     if is_scene and name in _CONTROLLERS:
         return _SCENARIO.format(controller=_CONTROLLERS[name], **names)

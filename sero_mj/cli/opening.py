@@ -1,4 +1,4 @@
-"""Opens files that are dropped on a viewer or typed on the start page."""
+"""Selects the scene for a file or address from the command line, a drop or the start page."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ from ..data.record.csv_files import is_table
 from .arguments import network_scene, note_choice, read_scene, replay_instead
 from .shared_options import is_recording
 
-if TYPE_CHECKING:  # `render` asks only whether a file is a recording
+if TYPE_CHECKING:
     from ..viewer.session.recent_views import RecentView
 
 
 class _ShowsScene(Protocol):
-    """Options of a command that shows a scene or a recording."""
-
     scene: Any
     replay: Path | None
     source: str | None
@@ -30,19 +28,19 @@ T = TypeVar("T", bound=_ShowsScene)
 
 
 def view_of_file(path: Path, shown: str | None, source: str | None = None) -> RecentView:
-    """Returns the view that shows a file.
+    """Returns the view that shows a robot, scene, scenario or recording.
 
-    A recording is shown by the scene that is shown already, if it mirrors the recorded sources;
-    else by the scene of the recording's name: one that was viewed lately, is beside the recording
-    or shipped, or at last by what the recording has of it.
+    A recording is shown in the scene `shown` if that has the recorded sources. Otherwise it is
+    shown in the scene of the recorded name: a recent one, one in the same folder, a shipped one, or
+    the one that is stored in the recording.
 
     Args:
-        path: of a robot, a scene, a scenario or a recording.
-        shown: name or file of the scene that is shown; None for none.
-        source: of the recording, that moves the robot.
+        path: the file.
+        shown: name or file of the current scene, if any.
+        source: recorded source that moves the robot.
 
     Raises:
-        SeroError: there is no such file, or nothing shows the recording.
+        SeroError: the file does not exist, or no scene shows the recording.
     """
     from ..viewer.session.recent_views import RecentView
 
@@ -50,7 +48,7 @@ def view_of_file(path: Path, shown: str | None, source: str | None = None) -> Re
         return RecentView(str(path.resolve()))
     if not path.exists():
         raise UsageError(f"{path}: no such file")
-    why: list[SeroError] = []
+    errors: list[SeroError] = []
     for scene in _scenes_of(path, shown, source):
         try:
             with without_warnings():
@@ -58,35 +56,32 @@ def view_of_file(path: Path, shown: str | None, source: str | None = None) -> Re
         except SeroError as error:
             if paths.is_temporary(scene):
                 text = str(error).replace(f"{Path(scene).parent}/", "")
-                hint = f"show it by the scene's own file and --replay {path.name}"
-                error = UsageError(f"{path.name}: of its scene, {text}; {hint}")
-            why.append(error)
+                hint = f"use the file of the scene and --replay {path.name}"
+                error = UsageError(f"{path.name}: in the recorded scene: {text}; {hint}")
+            errors.append(error)
         else:
             return RecentView(scene, str(path.resolve()))
-    if why:
-        raise why[0]
+    if errors:
+        raise errors[0]
     raise UsageError(
-        f"{path.name}: found no scene that shows it; sero-mj view SCENE --replay {path.name} "
-        "shows it by one"
+        f"{path.name}: no scene found that has its sources. "
+        f"Choose one: sero-mj view SCENE --replay {path.name}"
     )
 
 
 def with_scene(options: T) -> T:
-    """Returns the options of what shows a scene, where that is something else, with its own scene.
-
-    That is a recording, or a network, `ros2://`.
-    """
+    """Replaces a recording or a network address such as `ros2://` by its scene in the options."""
     if options.scene is not None and (found := network_scene(str(options.scene))) is not None:
         return options.model_copy(update={"scene": found})
     if options.scene is None or not is_recording(options.scene):
         return options
     if options.replay is not None:
-        raise UsageError(f"--replay: {options.scene} is a recording already")
+        raise UsageError(f"--replay: {options.scene} is already a recording")
     recording = Path(options.scene)
     if is_table(recording) and recording.exists():
         raise UsageError(
-            f"{recording} is a table, which does not say what its robot is; give the robot or its "
-            f"scene, and --replay {recording}"
+            f"{recording} is a table, which does not describe its robot. Name the robot or its "
+            f"scene, and add --replay {recording}."
         )
     view = view_of_file(recording, None, options.source)
     note_choice(recording, view.scene)
@@ -125,5 +120,5 @@ def _scenes_of(path: Path, shown: str | None, source: str | None) -> Iterator[st
 
 
 def is_temporary(view: RecentView) -> bool:
-    """Whether a view's files end with this process, as those dropped on a page do."""
+    """Whether a view has temporary files, such as those dropped on a page."""
     return any(paths.is_temporary(name) for name in view)

@@ -1,4 +1,4 @@
-"""Makes the options of a command from its declaration, and the declaration from a command line."""
+"""Converts declarations to options of the command line, and a command line to a declaration."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ T = TypeVar("T", bound=Options)
 
 
 def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
-    """Adds the options that a declaration has, those of its own class first, to a parser.
+    """Adds the options of a declaration to a parser, those of its own class first.
 
-    What is given is text in the parsed namespace, or lists of it, and what is not given is not
-    there: `read_options` checks the one and knows the other.
+    The parsed namespace has text, or lists of text, and only the options of the command line.
+    `read_options` checks the values and sets the defaults.
     """
     about = field_descriptions(kind)
-    # What is declared anew stays among those of the first class that has declared it.
+    # A field that a subclass declares again stays in the group of the first class.
     owners = {name: owner for owner in kind.__mro__ for name in inspect.get_annotations(owner)}
     for name in kind.model_fields:
         if kind.option(name).is_positional:
@@ -35,6 +35,22 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
         for name in kind.model_fields:
             if owners.get(name) is owner:
                 _add(to, kind, name, about.get(name, ""))
+
+
+def usage_of(kind: type[Options]) -> str:
+    """Returns the positional arguments and required options of a declaration for a usage line."""
+    words = []
+    for name, field in kind.model_fields.items():
+        option, word = kind.option(name), kind.spelled(name)
+        if not option.is_positional:
+            word = f"{option.flags[0] if option.flags else word} {option.metavar}"
+        if get_origin(_bare(field.annotation)) is list:
+            word += " ..."
+        if field.is_required():
+            words.append(word)
+        elif option.is_positional:
+            words.append(f"[{word}]")
+    return " ".join(words)
 
 
 def _add(to: Any, kind: type[Options], name: str, about: str) -> None:
@@ -62,7 +78,6 @@ def _add(to: Any, kind: type[Options], name: str, about: str) -> None:
 
 
 def _bare(kind: Any) -> Any:
-    """A type without what is annotated, and without None."""
     if get_origin(kind) is Annotated:
         return _bare(get_args(kind)[0])
     kinds = [each for each in get_args(kind) if each is not NoneType]
@@ -74,14 +89,14 @@ def _help(about: str, default: Any) -> str:
     if "default" in text or default is None or isinstance(default, bool) or not str(default):
         return text
     if isinstance(default, float | str | int):
-        return f"{text} (default {default:{'g' if isinstance(default, float) else ''}})"
+        return f"{text} (default: {default:{'g' if isinstance(default, float) else ''}})"
     if isinstance(default, tuple):
-        return f"{text} (default {'x'.join(map(str, default))})"
+        return f"{text} (default: {'x'.join(map(str, default))})"
     return text
 
 
 def read_options(kind: type[T], given: Mapping[str, Any]) -> T:
-    """Returns the declaration that a command line stands for; raises DeclarationError."""
+    """Returns the declaration of a parsed command line; raises DeclarationError."""
     try:
         return kind(**{name: given[name] for name in kind.model_fields if name in given})
     except DeclarationError as error:

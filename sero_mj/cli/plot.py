@@ -1,4 +1,4 @@
-"""`sero-mj plot`: the torques of a recording as a figure."""
+"""`sero-mj plot`: draws the torques of recordings as figures."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _HELP = """\
 examples:
   sero-mj plot run.mcap -o run.pdf
   sero-mj plot run.mcap -o elbow.png --joints A3,A4 --from 2 --to 5
-  sero-mj plot monday.mcap tuesday.mcap -o week.pdf     a page for each recording
+  sero-mj plot monday.mcap tuesday.mcap -o week.pdf     one page per recording
 
-A row for each joint: commanded and measured torque with the limit, and beside them the error,
-commanded less measured. Recordings of simulations and of robots alike; time counts from the start
-of a simulation, or from the first packet of a robot. `sero-mj compare` shows two in one figure.
+Each joint has one row: commanded and measured torque with the limit on the left, and the error
+(commanded minus measured) on the right. Time starts at the beginning of a simulation, or at the
+first packet of a robot. `sero-mj compare` draws two recordings in one figure.
 """
-GROUP, ORDER = "analyse", 42
+GROUP, ORDER = "analyze", 42
 
 
 def _parts(text: Any) -> Any:
@@ -33,7 +33,7 @@ def _parts(text: Any) -> Any:
 Names = Annotated[
     tuple[Annotated[str, Field(min_length=1)], ...],
     BeforeValidator(_parts),
-    expecting("names with commas between them"),
+    expecting("names separated by commas"),
 ]
 
 
@@ -41,11 +41,11 @@ class PlotOptions(PartOptions):
     """Plot the torques of a recording, joint by joint.
 
     Attributes:
-        recordings: recordings, or tables (.csv).
-        output: the figure: .pdf, .png or .svg; several recordings are pages of a .pdf.
-        robot: which robots.
-        joints: which joints: A2,A4.
-        quiet: no closing line.
+        recordings: recordings or tables (.csv).
+        output: figure file: .pdf, .png or .svg; several recordings become pages of a .pdf.
+        robot: robots to plot (default: all).
+        joints: joints to plot, for example A2,A4 (default: all).
+        quiet: print nothing.
     """
 
     recordings: Annotated[list[Path], positional("RUN.mcap")]
@@ -56,12 +56,12 @@ class PlotOptions(PartOptions):
 
 
 def run(options: PlotOptions) -> int:
-    """Plots; returns 0."""
+    """Draws the figure; returns 0."""
     output = options.output
     if len(options.recordings) > 1 and output.suffix.lower() != ".pdf":
         raise UsageError(
-            f"-o {output}: {len(options.recordings)} recordings are pages; expected a name that "
-            "ends in .pdf"
+            f"-o {output}: expected a name that ends in .pdf for {len(options.recordings)} "
+            "recordings, which become pages"
         )
     logs = [options.read_part(path) for path in options.recordings]
     from ..study.plot import plot_run

@@ -1,4 +1,4 @@
-"""`sero-mj record`: keeps what the sources of a scene receive in an MCAP file."""
+"""`sero-mj record`: records the packets of a scene's sources in MCAP files."""
 
 from __future__ import annotations
 
@@ -16,13 +16,7 @@ from pydantic import model_validator
 
 from ..base.errors import RouteError, UsageError
 from ..base.options import Duration, NotNegative, Option, Options, Time, positional
-from .arguments import (
-    check_ending,
-    command,
-    read_scene,
-    replay_instead,
-    until_ended,
-)
+from .arguments import check_ending, command, read_scene, replay_instead, until_ended
 from .shared_options import Recording, SceneArgument
 from .terminal import make_console
 
@@ -32,37 +26,38 @@ if TYPE_CHECKING:
 
 _HELP = """\
 examples:
-  sero-mj record lwr_udp run.mcap                       until Ctrl-C
+  sero-mj record lwr_udp run.mcap                       until Ctrl+C
   sero-mj record lwr_udp run.mcap --duration 10
   sero-mj record lwr_udp night --trigger "abs(lwr.torques) > 100" --before 5 --after 5
 
-The file holds every packet as it came, malformed ones too, with the time at which the kernel got
-it, and decoded values as messages of ROS 2, which Foxglove, PlotJuggler and ros2 bag read; what is
-routed to a joint has its name, lwr_a1_torque. What was written up to half a second before a crash
-can be read. When the disk is full the recording ends with an error and what was written is kept.
+The file contains every received packet unchanged, including malformed ones, with the kernel's time
+stamp. Decoded values are stored as ROS 2 messages for Foxglove, PlotJuggler and ros2 bag, with
+names such as lwr_a1_torque for values that are routed to joints. After a crash, all data except the
+last half second can be read. If the disk is full, the recording ends with an error and stays valid.
 
-With --trigger only what matters is kept: a recording of each event, from --before s before it to
---after s after its last packet. OUT is a folder, or OUT.mcap for OUT_001.mcap, OUT_002.mcap, ...
-The condition compares (< <= > >= == !=, and, or, not) what routes lead to, lwr.joint_angles[3],
-lwr.torque_error (commanded less measured), and events, udp.values0, computed with + - * / and abs,
-min, max, norm, any, all. On several joints it holds where it holds for any of them.
+--trigger records each event in a separate file, from --before seconds before the event until
+--after seconds after its last packet. OUT is a folder, or OUT.mcap for OUT_001.mcap, OUT_002.mcap
+and so on. The condition compares (< <= > >= == !=, and, or, not) inputs of robots, for example
+lwr.joint_angles[3], lwr.torque_error (commanded minus measured), and events, for example
+udp.values0. It can use + - * / and abs, min, max, norm, any, all. A condition on several joints
+holds if it holds for at least one of them.
 """
 
-_EVERY = 0.25  # s
+_INTERVAL = 0.25  # s between updates of the progress line
 GROUP, ORDER = "receive", 22
 
 
 class TriggerOptions(Options):
-    """What is recorded where events are.
+    """Recordings of events.
 
     Attributes:
-        trigger: record only what is about packets that fulfil it.
-        before: before an event, s.
-        after: after its last packet, s.
-        replay: look for events in a recording instead of the live sources.
+        trigger: record only events: packets that satisfy this condition, and the time around them.
+        before: recorded time before an event, s.
+        after: recorded time after the last packet of an event, s.
+        replay: search a recording for events instead of the live sources.
     """
 
-    title: ClassVar[str] = "for recordings of events"
+    title: ClassVar[str] = "recording events"
     trigger: Annotated[str | None, Option("CONDITION")] = None
     before: Time = 5.0
     after: Time = 5.0
@@ -71,23 +66,22 @@ class TriggerOptions(Options):
     @model_validator(mode="after")
     def _check_trigger(self) -> Self:
         if self.trigger is None:
-            why = " is for --trigger CONDITION; give it as well"
-            self.refuse(("before", "after", "replay"), why)
+            self.refuse(("before", "after", "replay"), " needs --trigger CONDITION")
         return self
 
 
 class RecordOptions(SceneArgument, TriggerOptions):
-    """Record what the sources of a scene receive, as MCAP.
+    """Record the packets of a scene's sources as MCAP.
 
     Attributes:
-        scene: scene: a file, or a shipped name.
-        output: where to; with --trigger also a folder (default: this one).
-        out: likewise.
-        duration: seconds to record (default: until Ctrl-C).
-        signals_rate: decoded values per second and source, for programs that cannot decode packets;
-            all packets are kept.
-        overwrite: write over a file that exists.
-        quiet: no progress line.
+        scene: scene: a file or a shipped name.
+        output: output file, or a folder with --trigger (default: the current one).
+        out: output file or folder, like OUT.mcap.
+        duration: duration, s (default: until Ctrl+C).
+        signals_rate: decoded values per second and source, for other programs; packets are always
+            recorded at their full rate.
+        overwrite: replace an existing file.
+        quiet: print no progress line.
     """
 
     output: Annotated[Path | None, positional("OUT.mcap")] = None
@@ -99,24 +93,26 @@ class RecordOptions(SceneArgument, TriggerOptions):
 
     @property
     def to(self) -> Path | None:
-        """Where to, in either way in which that is said."""
+        """The output file or folder."""
         return self.output or self.out
 
     @model_validator(mode="after")
     def _check_place(self) -> Self:
         if self.out is not None and self.output is not None:
-            raise ValueError(f"found OUT {self.output} and --out {self.out}; expected one")
+            raise ValueError(f"OUT {self.output} cannot be combined with --out {self.out}")
         if self.trigger is None:
             if self.to is None:
-                raise ValueError("where to? expected OUT.mcap")
+                raise ValueError("no output file; expected OUT.mcap")
             check_ending(str(self.to), self.to, (".mcap",))
         if self.replay is not None and self.duration is not None:
-            raise ValueError("--duration is for live sources; a recording is looked at as a whole")
+            raise ValueError(
+                "--duration cannot be combined with --replay, which is read to the end"
+            )
         return self
 
 
 def run(options: RecordOptions) -> int:
-    """Records; returns 0, or 1 when nothing came."""
+    """Records; returns 0, or 1 if no packet arrived."""
     from ..data.drive.record_sources import record_sources
     from ..data.drive.wiring import wire
 
@@ -157,10 +153,11 @@ add_to = command("record", run, RecordOptions, _HELP)
 
 def _status(found: Any) -> int:
     if not found.packets:
-        hint = (
-            "sero-mj status says what is refused, sero-mj structure --sniff PORT what comes at all"
+        print(
+            "sero-mj: no packet arrived. `sero-mj status` shows rejected packets, and "
+            "`sero-mj structure --sniff PORT` shows all packets at a port.",
+            file=sys.stderr,
         )
-        print(f"sero-mj: nothing came; {hint}", file=sys.stderr)
     return 0 if found.packets else 1
 
 
@@ -172,7 +169,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     from ..data.record.recording_format import RecordingClock
 
     scene = read_scene(options.scene, replay=options.replay)
-    begin = time.time() - time.monotonic()  # of the clock of arrivals, s since the epoch
+    begin = time.time() - time.monotonic()  # zero of the arrival clock, s since the epoch
     more: dict[str, Any] = {}
     if options.replay is not None:
         replay_instead(scene, options.replay, 0.0)
@@ -212,7 +209,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
                 **more,
             )
         )
-        recorder.on_event = partial(_tell, begin)
+        recorder.on_event = partial(_print_event, begin)
         for source in sources.values():
             source.open()
             stack.callback(source.close)
@@ -222,18 +219,14 @@ def _record_events(options: RecordOptions, condition: str) -> int:
             else:
                 _play_through(recorder, sources, console, quiet=options.quiet)
     found = recorder.statistics
-    kept = sum(event.packets for event in recorder.events)
+    recorded = sum(event.packets for event in recorder.events)
     many = f"{found.events} events" if found.events != 1 else "1 event"
-    missed = sum(found.not_seen.values())
+    missed = sum(found.unchecked.values())
     print(
         f"{many} in {found.packets} packets"
-        + (
-            f"; {'their recordings have' if found.events > 1 else 'its recording has'} {kept}"
-            if found.events
-            else ""
-        )
-        + (f"; {missed} packets came too fast to be looked at" if missed else "")
-        + (f"; there was no room for {found.forgotten} before events" if found.forgotten else "")
+        + (f"; {recorded} packets recorded" if found.events else "")
+        + (f"; {missed} packets arrived too fast to be checked" if missed else "")
+        + (f"; {found.forgotten} packets before events exceeded memory" if found.forgotten else "")
     )
     return _status(found)
 
@@ -246,7 +239,7 @@ def _names_of_events(output: Path, scene: str, begin: float) -> Callable[[int, f
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{output}: cannot be made a folder: {error.strerror}") from None
+        raise UsageError(f"cannot create folder {output}: {error.strerror}") from None
 
     def path_of(number: int, arrival: float) -> Path:
         at = datetime.fromtimestamp(begin + arrival)
@@ -255,15 +248,15 @@ def _names_of_events(output: Path, scene: str, begin: float) -> Callable[[int, f
     return path_of
 
 
-def _tell(begin: float, event: RecordedEvent) -> None:
+def _print_event(begin: float, event: RecordedEvent) -> None:
     if math.isnan(event.ended):
         at = datetime.fromtimestamp(begin + event.time)
         print(f"{at:%H:%M:%S}.{at.microsecond // 1000:03}  {event.what}", flush=True)
         return
-    again = f", fulfilled {event.again} times again" if event.again else ""
+    again = f", triggered {event.again} more times" if event.again else ""
     print(
         f"  {event.path}: {event.packets} packets in {event.ended - event.began:.1f} s, "
-        f"{event.time - event.began:.1f} s of them before{again}",
+        f"starting {event.time - event.began:.1f} s before the event{again}",
         flush=True,
     )
 
@@ -296,7 +289,7 @@ def _watch(
     console = make_console(stderr=True)
     with Live(console=console, transient=True, auto_refresh=False) as screen:
         while (left := end - time.monotonic()) > 0 and recorder.error is None:
-            time.sleep(min(left, _EVERY))
+            time.sleep(min(left, _INTERVAL))
             if not quiet and console.is_terminal:
                 screen.update(line(recorder.statistics), refresh=True)
 
@@ -306,7 +299,7 @@ def _line(found: Any) -> str:
     warning = f"  {lost} not recorded: the disk is too slow" if lost else ""
     return (
         f"recording {found.seconds:6.1f} s  {found.packets} packets  {_size(found)}{warning}  "
-        "Ctrl-C ends"
+        "Ctrl+C ends"
     )
 
 
@@ -318,4 +311,4 @@ def _size(found: Any) -> str:
 def _line_of_events(found: Any) -> str:
     now = "recording an event" if found.is_recording else "waiting for an event"
     many = f"{found.events} event{'s' * (found.events != 1)}"
-    return f"{now} {found.seconds:6.1f} s  {found.packets} packets  {many}  Ctrl-C ends"
+    return f"{now} {found.seconds:6.1f} s  {found.packets} packets  {many}  Ctrl+C ends"

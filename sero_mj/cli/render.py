@@ -1,4 +1,4 @@
-"""`sero-mj render`: a picture or a film without a window."""
+"""`sero-mj render`: renders an image or a video without a window."""
 
 from __future__ import annotations
 
@@ -24,55 +24,51 @@ examples:
   sero-mj render lwr_udp -o run.mp4 --replay run.mcap   a video of a recording
   sero-mj render lwr -o pose.png --camera 90,-80,2.5 --set lwr.torques=10,-80,5,30,0,-2,1
 
---set takes any field of a robot (sero-mj list --fields shows them), as TOML. An input that is set
-is not received. A film of live sources shows real time, however long rendering takes.
+--set overrides any field of a robot (sero-mj list --fields), as TOML. An input that is set this way
+is no longer received. A video of live sources shows real time, even if rendering is slower.
 
---over draws arrows, billboards and doubles over a photo or video of the real robot, whose model
-only hides what is behind it. The camera file is OpenCV's or ROS's YAML, or TOML, with `frame`:
-where the camera stands in the world (x to the right of the picture, y down, z forward). sero-mj
-calibrate finds it. Needs `pip install 'sero-mj[camera]'`.
+--over draws arrows, billboards and doubles over a photo or video of the real robot. The model of
+the robot is not drawn; it only hides what is behind it. The camera file is OpenCV or ROS YAML, or
+TOML. Its `frame` is the pose of the camera in the world (x right in the photo, y down, z forward),
+which `sero-mj calibrate` estimates. Requires `pip install 'sero-mj[camera]'`.
 """
 
-_OF_OTHERS = "the picture is as large as the photo or video, seen by its camera"
-_KINDS = f"{', '.join(IMAGE_ENDINGS)} for a picture, or in {', '.join(VIDEO_FORMATS)} for a film"
-PictureOrFilm = Annotated[Path, ending(*IMAGE_ENDINGS, *VIDEO_FORMATS, expected=_KINDS)]
-_AnyPicture = Annotated[Path, ending(*IMAGE_ENDINGS, *VIDEO_FORMATS, ".npy", expected=_KINDS)]
+_KINDS = f"{', '.join(IMAGE_ENDINGS)} for an image, or {', '.join(VIDEO_FORMATS)} for a video"
+ImageOrVideo = Annotated[Path, ending(*IMAGE_ENDINGS, *VIDEO_FORMATS, expected=_KINDS)]
+_Output = Annotated[Path, ending(*IMAGE_ENDINGS, *VIDEO_FORMATS, ".npy", expected=_KINDS)]
 GROUP, ORDER = "see", 12
 
 
 class RenderOptions(SceneArgument, VideoOptions, EyeOptions, ShownOptions, OverOptions):
-    """Render a scene to a picture or a film, without a window.
+    """Render an image or a video of a scene without a window.
 
     Attributes:
-        output: a picture: .png, .jpg, .webp; or a film: .mp4, .webm, .gif; of --pass, .png or .npy.
-        at: time of a simulation's or recording's picture, s.
-        quiet: no progress bar, no closing line.
+        output: image (.png, .jpg, .webp) or video (.mp4, .webm, .gif); .png or .npy with --pass.
+        at: time of the image in a simulation or recording, s (default: 0).
+        quiet: print nothing.
     """
 
-    output: Annotated[_AnyPicture, Option("OUT", ("-o", "--output"))]
+    output: Annotated[_Output, Option("OUT", ("-o", "--output"))]
     at: Time | None = None
     quiet: bool = False
 
     @property
-    def is_film(self) -> bool:
-        """Whether it is a film."""
+    def is_video(self) -> bool:
         return self.output.suffix.lower() in VIDEO_FORMATS
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
-        if not self.is_film and self.set_among("duration", "fps"):
-            films = ", ".join(VIDEO_FORMATS)
-            raise ValueError(f"-o {self.output}: --duration and --fps are for films ({films})")
-        if not self.is_film and (moves := self.set_among("orbit", "camera_path")):
-            raise ValueError(
-                f"-o {self.output}: {moves[0]} is for films ({', '.join(VIDEO_FORMATS)})"
-            )
+        of_video = self.set_among("duration", "fps", "orbit", "camera_path")
+        if of_video and not self.is_video:
+            expected = f"expected a video ({', '.join(VIDEO_FORMATS)})"
+            raise ValueError(f"-o {self.output}: {expected} with {of_video[0]}")
         self._check_pass()
-        if self.is_film and self.at is not None:
-            raise ValueError(f"-o {self.output}: --at is for pictures; a film begins at the start")
+        if self.is_video and self.at is not None:
+            raise ValueError(f"-o {self.output}: --at needs an image")
         if self.over is not None:
             names = ("camera", "follow", "orbit", "camera_path", "stereo", "size", "fps")
-            self.refuse(names, f" does not go with --over: {_OF_OTHERS}")
+            why = "the photo or video determines size and camera"
+            self.refuse(names, f" cannot be combined with --over: {why}")
         return self
 
     def _check_pass(self) -> None:
@@ -80,29 +76,29 @@ class RenderOptions(SceneArgument, VideoOptions, EyeOptions, ShownOptions, OverO
         if self.render_pass == "colour":
             if ends not in (*IMAGE_ENDINGS, *VIDEO_FORMATS):
                 expected = f"expected a name that ends in {_KINDS}"
-                raise ValueError(f"-o {self.output}: '{ends}' is for --pass; {expected}")
+                raise ValueError(f"-o {self.output}: '{ends}' needs --pass; {expected}")
             return
         what = f"--pass {self.render_pass}"
         if ends not in PASS_ENDINGS:
             expected = f"expected a name that ends in {' or '.join(PASS_ENDINGS)}"
-            raise ValueError(f"-o {self.output}: {what} needs exact numbers; {expected}")
+            raise ValueError(f"-o {self.output}: {what} stores exact numbers; {expected}")
         if self.over is not None:
-            raise ValueError(f"{what} is for pictures of a scene alone; leave out --over")
-        self.refuse(("stereo",), f" does not go with {what}, which has one eye")
+            raise ValueError(f"{what} cannot be combined with --over")
+        self.refuse(("stereo",), f" cannot be combined with {what}")
 
 
 def run(options: RenderOptions) -> int:
-    """Renders; returns 0."""
+    """Renders the image or video; returns 0."""
     from .opening import with_scene
 
     options = with_scene(options)
-    if options.clicks:  # what was hit is worth a line
+    if options.clicks:  # prints what each click hit
         logging.getLogger("sero_mj.viewer.image.painter").setLevel(logging.INFO)
     if options.over is not None:
         from .shared_options import find_background
 
         silent = find_background().render(options, Path(options.over))
-    elif options.is_film:
+    elif options.is_video:
         scene = options.read(options.scene)
         silent = video_with_progress(scene, options.output, options, quiet=options.quiet)
     else:
@@ -112,8 +108,8 @@ def run(options: RenderOptions) -> int:
         silent = render_image(scene, options.output, options, at=options.at or 0.0)
     for name in silent:
         print(
-            f"sero-mj: no good packet for source '{name}' within {options.wait:g} s; "
-            "its robots are shown as the scene declares them",
+            f"sero-mj: no valid packet from source '{name}' within {options.wait:g} s; "
+            "its robots are shown as declared in the scene",
             file=sys.stderr,
         )
     if not options.quiet:
@@ -132,7 +128,7 @@ def video_with_progress(
     quiet: bool = False,
     make: Callable[..., list[str]] | None = None,
 ) -> list[str]:
-    """Makes a film with a progress bar, unless `quiet`; returns the silent sources."""
+    """Renders a video with a progress bar unless `quiet`; returns the silent sources."""
     from ..viewer.image.render import render_video
 
     frames = 0
@@ -147,5 +143,5 @@ def video_with_progress(
             return (make or render_video)(scene, output, options, on_progress=update)
     except KeyboardInterrupt:
         if frames:
-            print(f"sero-mj: {output} holds the {frames} frames so far", file=sys.stderr)
+            print(f"sero-mj: {output} has the first {frames} frames", file=sys.stderr)
         raise

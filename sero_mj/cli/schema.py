@@ -1,4 +1,4 @@
-"""JSON schemas of robot, scene, group and scenario files for editors: `check --schema`."""
+"""JSON schemas of robot, group, scene and scenario files, for editors: `check --schema`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Schema = dict[str, Any]
 
 
 def schema_text(kind: str) -> str:
-    """The schema of a kind of file, as JSON."""
+    """Returns the schema of one kind of file as JSON."""
     return json.dumps(schema_of(kind), indent=1) + "\n"
 
 
 def schema_of(kind: str) -> Schema:
-    """The schema of a kind of file: robot, group, scene or scenario."""
+    """Returns the schema of one of `KINDS`."""
     definitions = _Definitions()
     sections = {
         "robot": lambda: definitions.fields("SerialRobot"),
@@ -40,11 +40,7 @@ def schema_of(kind: str) -> Schema:
 
 
 class _Definitions:
-    """Schemas of all declarations, with what their fields mean.
-
-    Attributes:
-        schemas: by name of the class.
-    """
+    """Schemas of all declarations by class name, with descriptions of their fields."""
 
     def __init__(self) -> None:
         from pydantic.json_schema import models_json_schema
@@ -67,12 +63,7 @@ class _Definitions:
                     schema["properties"][names[key]]["description"] = about
 
     def fields(self, name: str, /, **changed: Schema | None) -> dict[str, Schema]:
-        """The schemas of a declaration's fields.
-
-        Args:
-            name: of the class.
-            **changed: fields that a table of a file has besides, or (None) has not.
-        """
+        """Returns the schemas of a declaration's fields; `changed` adds or (None) removes some."""
         fields = {**self.schemas[name]["properties"], **changed}
         return {key: schema for key, schema in fields.items() if schema is not None}
 
@@ -95,18 +86,18 @@ def _sources() -> dict[str, type[Declaration]]:
 
 
 def _each(schema: Schema, of: str) -> Schema:
-    about = f"a table [{of}.NAME] each"
+    about = f"tables [{of}.NAME]"
     return {"type": "object", "additionalProperties": schema, "description": about}
 
 
 _TEXT: Schema = {"type": "string"}
-_MODEL: Schema = {"type": "string", "description": "a shipped name, a folder, or a file beside it"}
-_ARGUMENTS: Schema = {"type": "object", "description": "arguments of a model in xacro, by name"}
+_MODEL: Schema = {"type": "string", "description": "a shipped name, a folder or a file"}
+_ARGUMENTS: Schema = {"type": "object", "description": "xacro arguments of the model by name"}
 
 
 def _group_sections(definitions: _Definitions) -> dict[str, Schema]:
     table = definitions.table
-    # Members of groups in groups set their own fields in nested tables.
+    # Nested groups override fields of their members in nested tables.
     members: Schema = {"type": "object"}
     group = table("Group", name=None, model=_MODEL, groups=members, objects=members)
     group["properties"]["robots"] = {"type": ["array", "object"]}
@@ -124,7 +115,11 @@ def _group_sections(definitions: _Definitions) -> dict[str, Schema]:
     defaults = definitions.fields("Group", name=None, robots=None)
     return {
         "description": _TEXT,
-        "members": {"type": "array", "items": _TEXT, "description": "order of its robots"},
+        "members": {
+            "type": "array",
+            "items": _TEXT,
+            "description": "robots in the order of the group",
+        },
         **defaults,
         **sections,
     }
@@ -132,11 +127,11 @@ def _group_sections(definitions: _Definitions) -> dict[str, Schema]:
 
 def _scene_sections(definitions: _Definitions) -> dict[str, Schema]:
     table, group = definitions.table, _group_sections(definitions)
-    route = {"type": ["string", "object"], "description": "SOURCE.EVENT, or a table with `from`"}
+    route = {"type": ["string", "object"], "description": "SOURCE.EVENT or a table with `from`"}
     return {
         "name": _TEXT,
         "description": _TEXT,
-        "note": {**_TEXT, "description": "about its data, shown with the legend"},
+        "note": {**_TEXT, "description": "a note about the data, shown with the legend"},
         "floor": {"enum": [True, False, "below"]},
         "robots": group["robots"],
         "groups": group["groups"],
@@ -162,20 +157,23 @@ def _scenario_sections(definitions: _Definitions) -> dict[str, Schema]:
     from ..simulate.sensors import SIGNALS
 
     table, of_kind = definitions.table, definitions.of_kind
-    laws = of_kind(target_motion_kinds())
-    for law in laws["oneOf"]:
-        if law["title"] == "recorded":  # what the file says instead
-            law["properties"] |= {"file": _TEXT, "of": _TEXT}
+    motions = of_kind(target_motion_kinds())
+    for motion in motions["oneOf"]:
+        if motion["title"] == "recorded":  # a file names a recording instead of values
+            motion["properties"] |= {"file": _TEXT, "of": _TEXT}
     sensor = table("SensorErrors")
     sensors = {"type": "object", "additionalProperties": False,
                "properties": dict.fromkeys(SIGNALS, sensor)}  # fmt: skip
     return {
-        "scene": {**_TEXT, "description": "another file's scene, or a shipped one's name"},
-        "extends": {**_TEXT, "description": "another scenario's file, or a shipped one's name"},
-        "set": {"type": "object", "description": "values by dotted keys, over what it extends"},
+        "scene": {**_TEXT, "description": "scene of another file: a file or a shipped name"},
+        "extends": {**_TEXT, "description": "scenario to extend: a file or a shipped name"},
+        "set": {
+            "type": "object",
+            "description": "overrides of the extended scenario by dotted key",
+        },
         "run": table("Run"),
         "controllers": _each(of_kind(controller_kinds()), "controllers"),
-        "targets": _each(laws, "targets"),
+        "targets": _each(motions, "targets"),
         "sensors": _each(sensors, "sensors"),
         "disturbances": _each(of_kind(DISTURBANCES), "disturbances"),
         "faults": _each(of_kind(FAULTS), "faults"),

@@ -1,4 +1,4 @@
-"""`sero-mj send`: plays a motion, a recording, a table, a scenario or an LWR's controller."""
+"""`sero-mj send`: sends a motion, recording, table or scenario as a robot would."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     from ..robots.declared.scene import Scene
     from ..simulate.simulation import Simulation
 
-_EVERY = 0.05  # s between two looks at the clock, where nobody waits for packets
+_INTERVAL = 0.05  # s between updates of a simulation that sends no packets
 
 
 class SinkOptions(Options):
-    """The structure of packets and their receiver.
+    """Layout and destination of packets.
 
     Attributes:
-        source: which source of that scene to feed.
-        structure: packet layout instead of that scene's.
-        host: where to (default 127.0.0.1).
-        port: UDP port (default: that scene's).
-        shm: write to this shared memory (default: that scene's).
+        source: source of the scene to send to, if there are several.
+        structure: packet layout (default: that of the source).
+        host: destination address (default: 127.0.0.1).
+        port: destination UDP port (default: that of the source).
+        shm: shared memory to write to (default: that of the source).
     """
 
-    title: ClassVar[str] = "where packets go"
+    title: ClassVar[str] = "destination of packets"
     source: Annotated[str | None, Option("NAME")] = None
     structure: Annotated[str | None, Option("S")] = None
     host: str | None = None
@@ -48,12 +48,12 @@ class SinkOptions(Options):
 
 
 def goes_to_shm(options: SinkOptions, source: Source) -> bool:
-    """Whether packets go to shared memory: with `--shm`, or if the source reads it."""
+    """Whether packets go to shared memory: with `--shm`, or if the source reads shared memory."""
     return options.shm is not None or (source.memory is not None and options.port is None)
 
 
 def make_sink(options: SinkOptions, source: Source, structure: Structure) -> UdpSink | ShmWriter:
-    """Returns the receiver of packets: as in the options, else the address of the source."""
+    """Returns the sink that the options name, by default the address of the source."""
     from ..data.send.sender import ShmWriter, UdpSink
 
     if goes_to_shm(options, source):
@@ -67,7 +67,7 @@ def make_sink(options: SinkOptions, source: Source, structure: Structure) -> Udp
         return ShmWriter(options.shm or block, structure, lock, offset)
     port = options.port or (0 if source.place is None else source.place[1])
     if not port and not source.is_live:
-        reason = "is a recording, to which nothing can be sent; give --port, and --host"
+        reason = "is a recording, which cannot receive packets. Add --port and --host."
         raise UsageError(f"source '{source.name}' of the scene {reason}")
     if source.place is None and not port:
         how = "which does not receive UDP packets. Use --port to send its packets to a UDP port"
@@ -84,9 +84,9 @@ def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
     from ..simulate.real_time import RealTimeWatch
 
     timestep, watch = simulation.scenario.run.timestep, RealTimeWatch(simulation.scenario.name)
-    begin, late = time.perf_counter(), 0.0
+    begin, delay = time.perf_counter(), 0.0
     while not simulation.is_done:
-        time.sleep(_EVERY)
+        time.sleep(_INTERVAL)
         first = simulation.step + 1 if simulation.step else 0
         due = int((time.perf_counter() - begin) / timestep)
         try:
@@ -94,13 +94,13 @@ def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
         finally:
             if simulation.step >= first:
                 yield first, simulation.step + 1
-        late = time.perf_counter() - begin - simulation.time
-        watch.update(simulation.time, late)
-    watch.finish(simulation.time, late)
+        delay = time.perf_counter() - begin - simulation.time
+        watch.update(simulation.time, delay)
+    watch.finish(simulation.time, delay)
 
 
 class Sender:
-    """Sends a simulation, advanced by `run`, to the source of a named scene."""
+    """Runs a simulation and sends it to a source of a scene."""
 
     def __init__(self, simulation: Simulation, name: str, options: SinkOptions) -> None:
         from ..data.send.play import MotionPackets
@@ -120,7 +120,7 @@ class Sender:
         self._sink.close()
 
     def run(self) -> Iterator[tuple[int, int]]:
-        """Sends a packet for every step; yields each range of new rows of the log."""
+        """Sends one packet per step in real time; yields the range of new rows of the log."""
         from ..data.send.sender import send
 
         simulation = self._simulation
@@ -138,7 +138,7 @@ class Sender:
 
         print(
             f"sending {self._packets.structure.text} ({self._packets.structure.size} bytes) to "
-            f"{self._sink.place} in real time; Ctrl-C stops",
+            f"{self._sink.place} in real time; Ctrl+C stops",
             flush=True,
         )
         self.report = send(packets(), self._sink)
@@ -150,38 +150,36 @@ class Sender:
 
 _HELP = """\
 examples:
-  sero-mj send lwr_udp --rate 200 --duration 10         a motion, as the scene expects it
+  sero-mj send lwr_udp --rate 200 --duration 10         a motion in the layout of the scene
   sero-mj send lwr_udp --play run.mcap --loop           a recording
   sero-mj send ur5e --play TABLE.csv --columns "joint_angles=A* [deg]" --columns "time=Zeit [s]"
 
-Joints swing within their limits; torques are what the motion takes, by inverse dynamics. With a
-robot's name the packet is its joint angles and its torques, to port 32000. Above 1 kHz values go
-along straight lines between packets of 1 kHz. Ctrl-C stops.
+The joints oscillate within their limits, with torques from inverse dynamics. If SCENE is a robot,
+packets have its joint angles and torques, and go to port 32000. Above 1 kHz, values between packets
+of 1 kHz are interpolated linearly. Ctrl+C stops.
 
-A recording is sent bit for bit, at the times at which it came, where the scene's structure is the
-recorded one; else its events are packed anew, by their names. The columns of a table are called
-like the numbers of the packet (`values0[0]`, as export writes them); or they are signals of the
-robot's joints, recognised by their names or given by --columns, from which the scene's routes make
-the packet; or they are all numbers of the packet, in order.
+If the scene has the recorded structure, a recording is sent bit for bit with the original timing.
+Otherwise its events are packed again by name. The columns of a table can be the numbers of the
+packet by name (`values0[0]`, as written by `sero-mj export`) or in order, or signals of the joints,
+which are recognized by name or declared by --columns and packed by the routes of the scene.
 """
 
-FASTEST = 1e5  # packets/s; a Python loop does not send faster
+MAX_RATE = 1e5  # packets/s; a Python loop cannot send faster
 GROUP, ORDER = "receive", 24
 
 
 class PlayOptions(Options):
-    """What is played in the place of a motion.
+    """Recordings and tables that replace the motion.
 
     Attributes:
-        play: REC.mcap, TABLE.csv or a scenario, instead of a motion.
-        speed: 2 is twice as fast.
-        loop: again and again.
-        recorded: which source of the recording (default: the one of the same name, or the only
-            one).
-        columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; may be repeated.
+        play: recording (.mcap), table (.csv) or scenario to send instead of a motion.
+        speed: speed factor; 2 plays twice as fast.
+        loop: repeat until Ctrl+C.
+        recorded: source of the recording (default: the one with the same name, or the only one).
+        columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """
 
-    title: ClassVar[str] = "for a recording or a table"
+    title: ClassVar[str] = "playing a recording or a table"
     play: Annotated[Path | None, Option("FILE")] = None
     speed: Annotated[Positive, Option("X")] = 1.0
     loop: bool = False
@@ -190,17 +188,17 @@ class PlayOptions(Options):
 
 
 class ControllerOptions(Options):
-    """How the controller of a robot sends, for kinds of sources with a protocol of their own.
+    """Sending like the controller of a robot, for sources with such a protocol.
 
     Attributes:
-        cycle: 1 to 100 ms between packets (default 5).
+        cycle: time between packets, 1 to 100 ms (default: 5).
         loss: share of lost packets, 0 to 1.
-        quality: unacceptable, bad, ok, perfect or invalid, whatever is answered (default: by the
-            answers, or ok where the scene gives none).
-        seed: of what is lost.
+        quality: fixed quality: unacceptable, bad, ok, perfect or invalid (default: computed from
+            the replies, or ok if the scene sends none).
+        seed: seed of the lost packets.
     """
 
-    title: ClassVar[str] = "to send as the controller of a robot"
+    title: ClassVar[str] = "sending like the controller of a robot"
     cycle: Annotated[Positive | None, Option("MS")] = None
     loss: Annotated[float, Field(ge=0, le=1), expecting("a share from 0 to 1"), Option("P")] = 0.0
     quality: Annotated[str | None, Option("NAME")] = None
@@ -208,12 +206,12 @@ class ControllerOptions(Options):
 
 
 class SendOptions(SceneArgument, PlayOptions, ControllerOptions, SinkOptions):
-    """Play a motion to UDP or shared memory as a robot would.
+    """Send a motion over UDP or shared memory as a robot would.
 
     Attributes:
-        rate: packets/s (default 1000; FRI: 200).
-        duration: seconds to send (default: until Ctrl-C).
-        amplitude: of the motion, 0 (still) to 1.
+        rate: packets per second (default: 1000; FRI: 200).
+        duration: duration, s (default: until Ctrl+C).
+        amplitude: amplitude of the motion, 0 (still) to 1.
     """
 
     rate: Annotated[Positive | None, Option("HZ")] = None
@@ -222,21 +220,21 @@ class SendOptions(SceneArgument, PlayOptions, ControllerOptions, SinkOptions):
 
     @model_validator(mode="after")
     def _check_place(self) -> Self:
-        if (self.rate or 0.0) > FASTEST:
-            raise ValueError(f"--rate {self.rate:g}: expected at most {FASTEST:g} packets/s")
-        if self.shm is not None and self.set_among("host", "port"):
-            raise ValueError("--shm and --host or --port: packets go to one of the two; choose")
+        if (self.rate or 0.0) > MAX_RATE:
+            raise ValueError(f"--rate {self.rate:g}: expected at most {MAX_RATE:g} packets/s")
+        if self.shm is not None and (others := self.set_among("host", "port")):
+            raise ValueError(f"--shm cannot be combined with {others[0]}")
         return self
 
 
 def run(options: SendOptions) -> int:
-    """Sends; returns 0."""
+    """Sends until the end or Ctrl+C; returns 0."""
     from ..data.drive.wiring import wire
     from ..data.receive.structure import Structure
     from ..data.send.play import choose_source
 
     if options.structure is not None:
-        Structure(options.structure)  # its own error is clearer than what would follow from it
+        Structure(options.structure)  # reports errors before the scene is read
     scene = read_scene(options.scene)
     if not scene.sources and len(scene.robots) == 1:
         _declare_source(scene, options)
@@ -246,11 +244,11 @@ def run(options: SendOptions) -> int:
     source = choose_source(wire(scene).check(scene), options.source)
     if file is not None:
         return _send_file(options, scene, source, file)
-    options.refuse(("speed", "loop", "recorded", "columns"), " is for --play FILE")
+    options.refuse(("speed", "loop", "recorded", "columns"), " needs --play FILE")
     if source.kind in plugins(SENDERS):
         return int(load_plugin(SENDERS, source.kind)(options, scene, source))
     kinds = " or ".join(f'"{name}"' for name in plugins(SENDERS))
-    why = f" is for a scene whose source is of kind = {kinds}"
+    why = f" needs a source of kind = {kinds} in the scene"
     options.refuse(("cycle", "loss", "quality", "seed"), why)
     return _send_motion(options, scene)
 
@@ -265,22 +263,22 @@ def _send_motion(options: SendOptions, scene: Scene) -> int:
     rate = 1000.0 if options.rate is None else options.rate
     packets = MotionPackets(scene, options.source, options.structure, options.amplitude)
     structure, source = packets.structure, packets.source
-    has = structure.events
-    ahead = PacketBuffer(
+    events = structure.events
+    buffer = PacketBuffer(
         packets.at,
         structure,
         rate=rate,
-        sequence=source.sequence if source.sequence in has else "",
-        time=source.time if source.time in has else "",
+        sequence=source.sequence if source.sequence in events else "",
+        time=source.time if source.time in events else "",
         time_scale=source.time_scale,
     )
     with make_sink(options, source, structure) as sink:
         print(
             f"sending {structure.text} ({structure.size} bytes) to {sink.place} "
-            f"at {rate:g} Hz; Ctrl-C stops",
+            f"at {rate:g} Hz; Ctrl+C stops",
             flush=True,
         )
-        report = send(paced(ahead.at, rate, options.duration), sink, idle=ahead.idle)
+        report = send(paced(buffer.at, rate, options.duration), sink, idle=buffer.idle)
     print(report)
     return 0
 
@@ -302,27 +300,22 @@ def _send_file(options: SendOptions, scene: Scene, source: Source, file: Path) -
     from ..data.send.playback import timed
     from ..data.send.sender import send
 
-    options.refuse(("amplitude",), " is for a motion; it does nothing with --play")
+    options.refuse(("amplitude",), " cannot be combined with --play")
     structure = structure_for(source, options.structure)
     playback = _open_file(options, scene, source, structure, file)
     printed = _print_notes(playback.notes)
     with make_sink(options, source, structure) as to:
         print(
             f"sending {playback.about}: {playback.count} packets, {playback.duration:.2f} s, "
-            f"to {to.place}; Ctrl-C stops",
+            f"to {to.place}; Ctrl+C stops",
             flush=True,
         )
-        packets = timed(
-            playback,
-            speed=options.speed,
-            loop=options.loop,
-            duration=options.duration,
-        )
+        packets = timed(playback, speed=options.speed, loop=options.loop, duration=options.duration)
         report = send(packets, to)
     print(report)
     _print_notes(playback.notes[printed:])
     if playback.skipped:
-        print(f"{playback.skipped} could not be sent in '{structure.text}'")
+        print(f"{playback.skipped} packets could not be converted to '{structure.text}'")
     return 0
 
 
@@ -342,7 +335,7 @@ def _open_file(
 
     if is_table(file):
         if options.recorded is not None:
-            raise UsageError(f"--recorded is for recordings; {file} is a table")
+            raise UsageError(f"--recorded needs a recording; {file} is a table")
         return find_tables(file).open_playback(
             file,
             scene,
@@ -352,9 +345,8 @@ def _open_file(
             rate=options.rate,
             declared=options.structure,
         )
-    options.refuse(("columns",), f" is for tables; {file} is a recording")
-    if options.rate is not None:
-        raise UsageError("--rate: a recording has its own times; --speed changes them")
+    options.refuse(("columns",), f" needs a table; {file} is a recording")
+    options.refuse(("rate",), " cannot be combined with a recording. Use --speed instead.")
     name = options.recorded or ""
     if not name:
         with open_recording(file) as recording:
@@ -366,10 +358,10 @@ def _send_simulation(options: SendOptions, scenario: Path) -> int:
     from ..simulate.scenario_file import read_scenario
     from ..simulate.simulation import Simulation
 
-    why = ": a scenario is sent as it is simulated, in real time"
+    why = " cannot be combined with a scenario, which is sent in real time"
     options.refuse(("amplitude", "rate", "speed", "loop", "recorded", "columns"), why)
-    over = {} if options.duration is None else {"run.duration": options.duration}
-    declared = read_scenario(scenario, over)
+    overrides = {} if options.duration is None else {"run.duration": options.duration}
+    declared = read_scenario(scenario, overrides)
     print_programs(declared)
     with Sender(Simulation(declared), options.scene, options) as sender:
         for _ in sender.run():

@@ -1,11 +1,11 @@
-"""Options that several commands share, by what they are about; commands inherit from them."""
+"""Options that several commands share. The declarations of commands inherit from these classes."""
 
 from __future__ import annotations
 
 import json
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property
 from pathlib import Path
@@ -56,7 +56,7 @@ _LOCAL = "local"
 
 
 def is_recording(path: Path | str) -> bool:
-    """Whether a file or folder is a recording, ours or of ROS, or a table, by its name."""
+    """Whether a file or folder is a recording (MCAP or ROS bag) or a table, judged by its name."""
     if str(path).lower().endswith((".mcap", ".bag", ".bag.active", ".db3", *TABLE_ENDINGS)):
         return True
     return bool(str(path)) and (
@@ -68,14 +68,14 @@ class SceneArgument(Options):
     """The scene of a command.
 
     Attributes:
-        scene: scene or robot: a file, or a shipped name.
+        scene: scene or robot: a file or a shipped name.
     """
 
     scene: Annotated[str, positional("SCENE")]
 
 
 class JsonOptions(Options):
-    """What is printed.
+    """Options of commands that print JSON.
 
     Attributes:
         as_json: print JSON.
@@ -87,30 +87,30 @@ class JsonOptions(Options):
 def _package(text: str) -> str:
     name, equals, folder = text.partition("=")
     if not (name and equals and Path(folder).is_dir()):
-        found = f"'{folder}', which is no folder" if equals else f"'{text}'"
-        raise ValueError(f"found {found}; expected NAME=DIR, the package's folder")
+        found = f"'{folder}', which is not a folder" if equals else f"'{text}'"
+        raise ValueError(f"found {found}; expected NAME=DIR with the folder of the package")
     return text
 
 
 def _argument(text: str) -> str:
     if text.find("=") < 1:
-        raise ValueError(f"found '{text}'; expected NAME=VALUE, an argument of xacro")
+        raise ValueError(f"found '{text}'; expected NAME=VALUE for a xacro argument")
     return text
 
 
 class PackageOptions(Options):
-    """Where robots of URDF files and xacro have their parts.
+    """Packages and arguments of robots in URDF and xacro.
 
     Attributes:
-        package: folder of a ROS package that a URDF names; may be repeated.
-        arg: argument of a robot in xacro, e.g. ur_type=ur5e; may be repeated.
+        package: folder of a ROS package that a URDF file refers to; repeatable.
+        arg: xacro argument, for example ur_type=ur5e; repeatable.
     """
 
     package: Annotated[list[Annotated[str, AfterValidator(_package)]], Option("NAME=DIR")] = []
     arg: Annotated[list[Annotated[str, AfterValidator(_argument)]], Option("NAME=VALUE")] = []
 
     def apply(self) -> None:
-        """Tells this process, and those that it starts, in their environment."""
+        """Sets the environment variables that importers in this and in child processes read."""
         for name, _, folder in (text.partition("=") for text in self.package):
             known = os.environ.get(PACKAGES_VARIABLE)
             own = f"{name}={Path(folder).resolve()}"
@@ -122,23 +122,23 @@ class PackageOptions(Options):
 
 
 class SettingOptions(PackageOptions):
-    """What is set over a scene.
+    """Settings that override a scene.
 
     Attributes:
-        settings: set a field over the scene's; may be repeated.
+        settings: override a field of the scene; repeatable.
     """
 
     settings: Annotated[Settings, Option("ROBOT.FIELD=VALUE", ("--set",))] = []
 
 
 class ReplayOptions(Options):
-    """A recording that is played in the place of live sources.
+    """A recording that replaces live sources.
 
     Attributes:
-        replay: play a recording, or a table (.csv), instead of the live sources.
-        start: where in the recording to begin, s (default: its first packet).
-        source: which source of a recording of ROS moves the robot, where it has several.
-        columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; may be repeated.
+        replay: play a recording or a table (.csv) instead of the live sources.
+        start: start time in the recording, s (default: the first packet).
+        source: source of a ROS recording that moves the robot, if there are several.
+        columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """
 
     replay: Recording | None = None
@@ -150,70 +150,68 @@ class ReplayOptions(Options):
     def _check_start(self) -> Self:
         is_played = self.replay is not None or is_recording(vars(self).get("scene") or "")
         if self.start is not None and not is_played:
-            raise ValueError("--start is for recordings; give --replay REC.mcap as well")
+            raise ValueError("--start needs a recording: add --replay REC.mcap")
         if self.source is not None and not is_played:
-            raise ValueError("--source is for recordings; give --replay REC.mcap as well")
+            raise ValueError("--source needs a recording: add --replay REC.mcap")
         if self.columns and (self.replay is None or not is_table(self.replay)):
-            raise ValueError("--columns is for tables; give --replay TABLE.csv as well")
+            raise ValueError("--columns needs a table: add --replay TABLE.csv")
         return self
+
+    def read_replayed(self, name: str, settings: Sequence[str] = (), **how: bool) -> Scene:
+        """Loads a scene, and replaces its sources by the recording, if any; see `load_scene`."""
+        scene = read_scene(name, settings, replay=self.replay, **how)
+        if self.replay is not None:
+            replay_instead(scene, self.replay, self.start, self.source, self.columns)
+        return scene
 
 
 class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
-    """What is shown of a scene.
+    """Options of commands that show a scene.
 
     Attributes:
-        look: over the scene's; default light.
+        look: color scheme, overriding the scene's (default: light).
     """
 
     look: Literal["light", "dark"] | None = None
 
     def read(self, name: str, *, by_hand: bool = False, trusted: bool = False) -> Scene:
-        """The scene of a name, with what is set over it; see `load_scene`."""
-        scene = read_scene(
-            name,
-            self.settings,
-            by_hand=by_hand and self.replay is None,
-            trusted=trusted,
-            replay=self.replay,
-        )
+        """Loads a scene and applies these options to it, see `load_scene`."""
+        by_hand = by_hand and self.replay is None
+        scene = self.read_replayed(name, self.settings, by_hand=by_hand, trusted=trusted)
         if self.look is not None:
             scene.view.look = self.look
         if self.follow is not None:
             if (problem := scene.follow_problem("--follow", self.follow)) is not None:
                 raise UsageError(problem)
             scene.view.follow = self.follow
-        if self.replay is not None:
-            replay_instead(scene, self.replay, self.start, self.source, self.columns)
         return scene
 
     def from_its_begin(self) -> Self:
-        """These options with a recording, if any, whose times count from where it begins."""
+        """Returns the options with a replay that starts when the recording was started."""
         return self if self.replay is None else self.model_copy(update={"start": 0.0})
 
 
 class EyeOptions(StereoOptions):
-    """Pictures for two eyes, in a command."""
+    """Stereo images."""
 
     @model_validator(mode="after")
     def _check_eyes(self) -> Self:
         if self.stereo is None and self.eye_distance != EYE_DISTANCE:
-            raise ValueError(
-                "--eye-distance is for --stereo side-by-side or anaglyph; give it as well"
-            )
+            raise ValueError("--eye-distance needs --stereo side-by-side or anaglyph")
         return self
 
 
 class OverOptions(Options):
-    """What a scene is drawn over.
+    """A photo or video that a scene is drawn over.
 
     Attributes:
-        over: draw over a photo or a video of the real robot.
-        camera_file: the camera that took it; YAML or TOML.
-        offset: time of the recording when the video begins, s since the recording began; auto (the
-            default) finds it from the motion in both.
+        over: draw over a photo or video of the real robot.
+        camera_file: camera of the photo or video, as YAML or TOML.
+        offset: time in the recording at which the video begins, s (default: auto, estimated from
+            the motion in both).
     """
 
-    title: ClassVar[str] = "to draw over what a camera has seen"
+    title: ClassVar[str] = "drawing over photos and videos"
     over: Annotated[str | None, Option("FILE")] = None
     camera_file: File | None = None
     offset: Annotated[float | Literal["auto"] | None, expecting("s, or auto"), Option("S")] = None
@@ -221,22 +219,22 @@ class OverOptions(Options):
     @model_validator(mode="after")
     def _check_over(self) -> Self:
         if self.over is None:
-            self.refuse(("camera_file", "offset"), " is for --over; give it as well")
+            self.refuse(("camera_file", "offset"), " needs --over FILE")
         elif self.camera_file is None:
             raise ValueError(
-                "--over needs the camera that took it: --camera-file CAMERA.yaml or .toml; "
-                "`sero-mj calibrate` writes one"
+                "--over needs --camera-file CAMERA.yaml or .toml. `sero-mj calibrate` writes one."
             )
         return self
 
 
 class RunOptions(Options):
-    """How recordings of robots are read.
+    """Options for reading recordings of robots.
 
     Attributes:
-        scene: robots and routes, where a recording has none, or of tables (default: what is in it).
-        source: which source (default: all).
-        columns: columns of tables, e.g. "joint_angles=q_*" or time=stamp; may be repeated.
+        scene: scene with robots and routes, for tables and recordings without them (default: as
+            recorded).
+        source: source to read (default: all).
+        columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """
 
     scene: str | None = None
@@ -248,28 +246,28 @@ class RunOptions(Options):
         return None if self.scene is None else read_scene(self.scene)
 
     def files(self) -> list[Path]:
-        """Returns the files that the scene is read from, with its robots' and meshes."""
+        """Returns the files of the scene, including its robots and meshes."""
         scene = self._declared
         if scene is None:
             return []
         return [*scene.files(), *(mesh for _, mesh in scene.meshes())]
 
     def read(self, path: Path, source: str | None) -> RunLog:
-        """Reads a recording or a table; all of its sources when None."""
+        """Reads a recording or a table; None selects all sources."""
         robots = vars(self).get("robot") or ()
         names = robots.split(",") if isinstance(robots, str) else robots
         return read_recorded_run(path, source, self._declared, names, self.columns)
 
 
 class EngineOptions(Options):
-    """What does many tasks at once.
+    """Parallel execution.
 
     Attributes:
-        jobs: how many at once (default: one per core).
-        engine: where: local, processes of this machine, or one of `sero-mj list`, on a cluster.
-        scheduler: of the cluster: tcp://HOST:PORT, its file .json, or a file .toml with a table of
-            dask-jobqueue, [slurm] say.
-        ship: a file or folder that workers need besides what is named; may be repeated.
+        jobs: number of processes (default: one per core).
+        engine: local processes, or a cluster engine that `sero-mj list` names (default: local).
+        scheduler: scheduler of the cluster: tcp://HOST:PORT, its .json file, or a .toml file with a
+            dask-jobqueue table such as [slurm].
+        ship: additional file or folder that workers need; repeatable.
     """
 
     jobs: Annotated[Count | None, Option("J")] = None
@@ -283,21 +281,21 @@ class EngineOptions(Options):
             if self.scheduler is not None or self.ship:
                 option = "--ship" if self.scheduler is None else "--scheduler"
                 known = " or ".join(plugins(ENGINES)) or "NAME"
-                raise ValueError(f"{option}: expected --engine {known} as well")
+                raise ValueError(f"{option} needs --engine {known}")
         elif self.engine not in plugins(ENGINES):
             names = [_LOCAL, *plugins(ENGINES)]
             raise ValueError(f"--engine: found {self.engine}{did_you_mean(self.engine, names)}")
         elif self.scheduler is None:
-            expected = "expected its --scheduler, tcp://HOST:PORT say"
+            expected = "expected --scheduler, for example tcp://HOST:PORT"
             raise ValueError(f"--engine {self.engine}: {expected}")
         elif self.jobs is not None:
-            raise ValueError(f"--jobs and --engine {self.engine}: expected one of them")
+            raise ValueError(f"--jobs cannot be combined with --engine {self.engine}")
         return self
 
     def make_engine(self) -> Engine:
-        """Returns what does the tasks."""
+        """Returns the engine that runs the tasks."""
         if self.engine == _LOCAL:
-            from ..study.workers import Processes, available_cpus
+            from ..study.engine import Processes, available_cpus
 
             return Processes(self.jobs or available_cpus())
         engine: Engine = load_plugin(ENGINES, self.engine)(self.scheduler, self.ship)
@@ -305,11 +303,11 @@ class EngineOptions(Options):
 
 
 class PartOptions(RunOptions):
-    """What of recordings is looked at.
+    """Time range of recordings.
 
     Attributes:
-        begin: from this time on, s.
-        end: up to this time, s.
+        begin: start time, s (default: the first packet).
+        end: end time, s (default: the last packet).
     """
 
     begin: Annotated[Time | None, Option("S", ("--from",))] = None
@@ -322,30 +320,29 @@ class PartOptions(RunOptions):
         return self
 
     def read_part(self, path: Path) -> RunLog:
-        """Reads of a recording or a table the source and the time that were asked for."""
+        """Reads the requested source and time range of a recording or a table."""
         log = self.read(path, self.source)
-        if self.begin is None and self.end is None:
-            return log
-        return log.between(self.begin, self.end)
+        is_whole = self.begin is None and self.end is None
+        return log if is_whole else log.between(self.begin, self.end)
 
 
 class Background(ABC):
-    """Draws scenes over pictures of the real robot. Objects are made without arguments."""
+    """Draws scenes over photos and videos of the real robot. It is created without arguments."""
 
     @abstractmethod
     def render(self, options: Options, over: Path) -> list[str]:
-        """Renders a picture or film over a photo or video; returns the silent sources."""
+        """Renders an image or video over a photo or video; returns the silent sources."""
 
     @abstractmethod
     def viewport(
         self, mirror: Mirror, options: OverOptions
     ) -> AbstractContextManager[Callable[..., Viewport]]:
-        """Opens a camera or video; yields what makes the viewport of a window that shows it."""
+        """Opens a camera or video; yields a function that creates the viewport that shows it."""
 
 
 def find_background() -> Background:
-    """Returns the installed background; raises UsageError without."""
+    """Returns the installed background; raises UsageError if there is none."""
     found: Background | None = load_first(BACKGROUNDS, Background)
     if found is None:
-        raise UsageError("--over needs an extension that draws over photos and videos")
+        raise UsageError("--over needs an extension that can draw over photos and videos")
     return found

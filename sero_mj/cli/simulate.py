@@ -1,4 +1,4 @@
-"""`sero-mj simulate`: runs a scenario, keeps what happened, and says whether it was right."""
+"""`sero-mj simulate`: runs a scenario, records it, and evaluates its expectations."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from .arguments import (
     print_table,
     progress_bar,
 )
-from .render import PictureOrFilm, video_with_progress
+from .render import ImageOrVideo, video_with_progress
 from .send import Sender, SinkOptions, in_real_time
 from .shared_options import Figure, JsonOptions, Settings
 
@@ -38,39 +38,37 @@ if TYPE_CHECKING:
 
 _HELP = """\
 examples:
-  sero-mj simulate impedance_push                       run and judge a scenario
+  sero-mj simulate impedance_push                       run and evaluate a scenario
   sero-mj simulate my.toml --record run.mcap --plot torques.png --render out.mp4
-  sero-mj simulate impedance_push --send lwr_udp        as a robot would, in real time
+  sero-mj simulate impedance_push --send lwr_udp        send it in real time, like a robot
 
-A scenario is a scene with [controllers], [targets], [disturbances], [faults], [expect]. Exits with
-1 when something that was expected did not hold, or the simulation could not go on, and with 130
-when Ctrl+C ended it; what was recorded until then is kept. The same seed gives the same run, bit
-for bit.
+A scenario is a scene with [controllers], [targets], [disturbances], [faults] and [expect]. The exit
+status is 1 if an expectation does not hold or the simulation fails, and 130 after Ctrl+C; all data
+recorded until then stays on disk. Runs with the same seed are identical, bit for bit.
 """
 GROUP, ORDER = "simulate", 30
 
 
 class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, SinkOptions):
-    """Run a scenario faster than real time, and judge it.
+    """Run a scenario faster than real time and evaluate its expectations.
 
     Attributes:
-        scenario: a file, or a shipped scenario's name.
-        record: keep every step.
-        signals_rate: of decoded values in the recording, for other programs; 0 for none.
-        csv: the same as a table.
-        plot: torques of every joint.
-        report: a folder for a page that plays it, a figure, report.json, and junit.xml for CI.
-        render: film it (.webm, .gif), or OUT.png.
-        at: time of a picture, s (default: the end).
-        fps: frames per second (default 30; of a GIF 20).
-        seed: of the noise, over the file's.
-        settings: set anything over the file's: controllers.lwr.stiffness=200; may be repeated.
-        real_time: no faster than a real robot.
-        send: send it in real time, as a robot would, as that scene's source expects it: by its
-            structure and routes.
-        overwrite: record over a file that exists.
+        scenario: scenario: a file or a shipped name.
+        record: record every step in an MCAP file.
+        signals_rate: rate of decoded values in the recording, for other programs (0: none).
+        csv: write every step to a table.
+        plot: draw the torques of all joints.
+        report: folder for a page that plays the run, a figure, report.json, and junit.xml for CI.
+        render: render a video (.mp4, .webm, .gif) or an image (.png, .jpg, .webp).
+        at: time of the image, s (default: the end).
+        fps: frames per second (default: 30; GIF: 20).
+        seed: seed of the noise, overriding the scenario's.
+        settings: override a field, for example controllers.lwr.stiffness=200; repeatable.
+        real_time: run no faster than real time.
+        send: send the run in real time to a source of this scene, with its structure and routes.
+        overwrite: replace an existing recording.
         as_json: print the result as JSON.
-        quiet: no progress bar, no notes, no table.
+        quiet: print only failed expectations.
     """
 
     scenario: Annotated[str, positional("SCENARIO")]
@@ -79,7 +77,7 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
     csv: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
     plot: Annotated[Figure | None, Option("OUT.png")] = None
     report: Annotated[Path | None, Option("DIR")] = None
-    render: Annotated[PictureOrFilm | None, Option("OUT.mp4")] = None
+    render: Annotated[ImageOrVideo | None, Option("OUT.mp4")] = None
     at: Time | None = None
     fps: Rate | None = None
     seed: Seed | None = None
@@ -90,33 +88,32 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
     quiet: bool = False
 
     @property
-    def is_picture(self) -> bool:
-        """Whether what is rendered is a picture."""
+    def is_image(self) -> bool:
+        """Whether an image is rendered, not a video."""
         return self.render is not None and self.render.suffix.lower() not in VIDEO_FORMATS
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
-        if self.at is not None and not self.is_picture:
-            raise ValueError("--at is for a picture: --render OUT.png")
-        if self.is_picture and self.fps is not None:
-            raise ValueError("--fps is for a film: --render OUT.mp4")
-        is_film = self.render is not None and not self.is_picture
-        if not is_film and (moves := self.set_among("orbit", "camera_path")):
-            raise ValueError(f"{moves[0]} is for a film: --render OUT.mp4")
+        if self.at is not None and not self.is_image:
+            raise ValueError("--at needs an image: --render OUT.png")
+        is_video = self.render is not None and not self.is_image
+        if not is_video:
+            names = ("fps", "orbit", "camera_path") if self.is_image else ("orbit", "camera_path")
+            self.refuse(names, " needs a video: --render OUT.mp4")
         return self
 
 
 def run(options: SimulateOptions) -> int:
-    """Runs; returns 0, 1 when something did not hold, or 130 when it was interrupted."""
+    """Runs the scenario; returns 0, 1 if an expectation failed, or 130 if interrupted."""
     from ..simulate.scenario_file import read_scenario
     from ..simulate.simulation import Simulation
 
     for path in (options.record, options.csv, options.plot, options.render):
-        if path is not None:  # what cannot be written would only fail at the end
+        if path is not None:  # fails now, and not after the run
             path.parent.mkdir(parents=True, exist_ok=True)
-    given = overrides(options.settings)
-    with named_settings(given):
-        scenario = read_scenario(options.scenario, given)
+    settings = overrides(options.settings)
+    with named_settings(settings):
+        scenario = read_scenario(options.scenario, settings)
     print_programs(scenario)
     simulation = Simulation(scenario, options.seed)
     begin = time.perf_counter()
@@ -194,7 +191,7 @@ def _simulate(
             return error
         except KeyboardInterrupt:
             when = f"{simulation.time:.3f} s of {simulation.scenario.duration:g} s"
-            return KeyboardInterrupt(f"stopped at {when}; what is expected was not judged")
+            return KeyboardInterrupt(f"stopped at {when}; expectations were not evaluated")
     return None
 
 
@@ -202,15 +199,15 @@ def _render(simulation: Simulation, options: SimulateOptions, output: Path) -> N
     from ..simulate.simulated_scene import simulated_scene
     from ..viewer.image.render import render_image
 
-    scene, film = simulated_scene(simulation), VideoOptions.taken_from(options)
-    if not options.is_picture:
-        film = film.model_copy(update={"duration": max(simulation.time, 1e-3)})
-        video_with_progress(scene, output, film, quiet=options.quiet)
+    scene, rendered = simulated_scene(simulation), VideoOptions.taken_from(options)
+    if not options.is_image:
+        rendered = rendered.model_copy(update={"duration": max(simulation.time, 1e-3)})
+        video_with_progress(scene, output, rendered, quiet=options.quiet)
         return
     at = simulation.time if options.at is None else options.at
     if at > simulation.time:
         raise UsageError(f"--at {at:g}: the run ends at {simulation.time:g} s")
-    render_image(scene, output, film, at=at)
+    render_image(scene, output, rendered, at=at)
 
 
 def _print(
@@ -233,8 +230,8 @@ def _print(
         )
         for name, found in real_time_of(simulation.log).items():
             print(
-                f"  real time of {name}: factor {found.factor:.2g}, "
-                f"steps late by up to {found.max_lateness:.3g} s"
+                f"  {name}: {found.factor:.2g} times real time, "
+                f"steps delayed by up to {found.max_lateness:.3g} s"
             )
         print_table(as_table(summarise(simulation.log, findings)))
         for finding in findings[:20]:
@@ -242,7 +239,7 @@ def _print(
         if len(findings) > 20:
             print(f"  found   ... {len(findings) - 20} more")
     if not (outcomes or simulation.scenario.expect or quiet):
-        print("  nothing was judged: the file has no [expect]")
+        print("  no expectations: the file has no [expect]")
     for outcome in outcomes:
         if not (quiet and outcome.holds):
             print(f"  {held if outcome.holds else 'FAILED':7} {outcome.name}: {outcome.text}")

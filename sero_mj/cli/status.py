@@ -1,4 +1,4 @@
-"""`sero-mj status`: what the sources of a scene receive, and what is wrong with it."""
+"""`sero-mj status`: shows packet rates and errors of the sources of a scene."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..base.errors import UsageError
 from ..base.options import Duration
 from ..base.plugins import NETWORKS, load_plugin, plugins
 from ..robots.declared.degrees import degrees_warning
-from .arguments import command, print_json, read_scene, replay_instead, until_ended
+from .arguments import command, print_json, until_ended
 from .shared_options import JsonOptions, ReplayOptions, SceneArgument
 from .terminal import make_console
 
@@ -29,28 +29,27 @@ if TYPE_CHECKING:
 
 _HELP = """\
 examples:
-  sero-mj status lwr_udp                    live, until Ctrl-C
+  sero-mj status lwr_udp                    live, until Ctrl+C
   sero-mj status lwr_udp --duration 5 --json
   sero-mj status run.mcap --duration 5      a recording, while it plays
 
-Opens the scene's sources as a viewer would, so no viewer can listen to the same ports meanwhile.
-Recordings play meanwhile.
-Every cause for which packets are not applied is counted. Exits with 1 when a source is silent.
+The command opens the sources of the scene, so no viewer can use the same ports at the same time.
+It counts rejected packets by cause. The exit status is 1 if a source received no valid packet.
 """
 
-_EVERY = 0.25  # s
-_GOOD = ("state", "controller", "clock", "received", "blanked")  # rows that tell of no fault
+_INTERVAL = 0.25  # s between updates
+_INFO_ROWS = ("state", "controller", "clock", "received", "blanked")  # the others report errors
 GROUP, ORDER = "receive", 20
 
 
 class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
-    """Show what the sources of a scene receive, by cause.
+    """Show packet rates and errors of the sources of a scene.
 
     Attributes:
-        scene: scene or recording: a file, or a shipped name.
-        duration: seconds to watch (default: until Ctrl-C).
-        topics: list the topics at an address, ros2:// for example, and the robots they could move.
-        as_json: print JSON at the end, nothing else.
+        scene: scene or recording: a file or a shipped name.
+        duration: duration, s (default: until Ctrl+C).
+        topics: list the topics at an address such as ros2://, and the robots that they can move.
+        as_json: print only JSON, at the end.
     """
 
     duration: Duration | None = None
@@ -58,16 +57,14 @@ class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
 
 
 def run(options: StatusOptions) -> int:
-    """Watches; returns 0 when every source has received something good, else 1."""
+    """Shows the sources; returns 0 if every source received a valid packet, else 1."""
     from ..data.drive.wiring import wire
     from .opening import with_scene
 
     if options.topics:
         return _print_topics(options)
     options = with_scene(options)
-    scene = read_scene(options.scene, replay=options.replay)
-    if options.replay is not None:
-        replay_instead(scene, options.replay, options.start, options.source, options.columns)
+    scene = options.read_replayed(options.scene)
     wiring = wire(scene).check(scene)
     sources = list(wiring.sources.values())
     if not sources:
@@ -105,21 +102,16 @@ def _print_topics(options: StatusOptions) -> int:
 
 
 class _Reports:
-    """Reports of a scene's sources, with `angles`: a warning about angles that look like degrees.
-
-    The warning concerns the first such packet among those that are the latest at a call.
-    """
-
     def __init__(self, scene: Scene, wiring: Wiring) -> None:
         self._sources = wiring.sources
-        self._questions = AngleQuestions(scene, wiring)
+        self._degrees = DegreesCheck(scene, wiring)
         self._warnings = dict.fromkeys(wiring.sources, "")
 
     def __call__(self) -> list[dict[str, Any]]:
         from ..data.receive.report import report
 
         for name, source in self._sources.items():
-            self._warnings[name] = self._warnings[name] or self._questions.about_latest(source)
+            self._warnings[name] = self._warnings[name] or self._degrees.check_latest(source)
         return [
             {**report(source), "angles": self._warnings[name]}
             for name, source in self._sources.items()
@@ -132,19 +124,19 @@ def _watch(reports: _Reports, sources: list[Source], duration: float | None, *, 
     begin = time.monotonic()
     end = begin + (float("inf") if duration is None else duration)
 
-    def go_on() -> bool:
+    def wait() -> bool:
         left = end - time.monotonic()
-        time.sleep(min(max(left, 0.0), _EVERY))
+        time.sleep(min(max(left, 0.0), _INTERVAL))
         for source in sources:
             source.advance_to(time.monotonic() - begin)
         return left > 0
 
     if not (live and sys.stdout.isatty()):
-        while go_on():
+        while wait():
             reports()
         return
-    with Live(console=make_console(), refresh_per_second=1 / _EVERY) as screen:
-        while go_on():
+    with Live(console=make_console(), refresh_per_second=1 / _INTERVAL) as screen:
+        while wait():
             screen.update(_table(reports()))
 
 
@@ -161,7 +153,7 @@ def _table(found: list[dict[str, Any]]) -> Any:
     for entry in found:
         title = f"{entry['source']}\n{entry['about']}"
         for row in _rows(entry):
-            style = "" if row[0] in _GOOD else "bold red"
+            style = "" if row[0] in _INFO_ROWS else "bold red"
             table.add_row(title, *row, style=style)
             title = ""
         table.add_section()
@@ -178,8 +170,8 @@ def _print(found: list[dict[str, Any]]) -> None:
 _CHECKED = 5  # positions of a recording
 
 
-class AngleQuestions:
-    """Questions about the joint angles that routes lead from a source to a robot."""
+class DegreesCheck:
+    """Checks whether the joint angles that routes take from sources look like degrees."""
 
     def __init__(self, scene: Scene, wiring: Wiring) -> None:
         self._routes = [
@@ -189,8 +181,8 @@ class AngleQuestions:
             if key == "joint_angles" and route.direct and name in scene.robots
         ]
 
-    def about_latest(self, source: Source) -> str:
-        """Returns a question about the newest good packet of a source; empty for none."""
+    def check_latest(self, source: Source) -> str:
+        """Returns a warning about the latest valid packet of a source, or an empty text."""
         latest = source.latest()
         for route, robot in self._routes:
             if latest is not None and str(route.direct) == source.name:
@@ -199,20 +191,16 @@ class AngleQuestions:
                     return found
         return ""
 
-    def about_recording(self, replay: FileSource) -> str:
-        """Returns a question about packets at some positions of a recording; empty for none.
-
-        Raises:
-            SourceError: the recording cannot be read.
-        """
-        leads = any(str(route.direct) == replay.name for route, _ in self._routes)
-        if not leads or replay.recorded.is_unreadable:
+    def check_recording(self, replay: FileSource) -> str:
+        """Returns a warning about packets at some positions of a recording, or an empty text."""
+        is_routed = any(str(route.direct) == replay.name for route, _ in self._routes)
+        if not is_routed or replay.recorded.is_unreadable:
             return ""
         with replay:
             begin = replay.position
             for position in np.linspace(begin, begin + replay.duration, _CHECKED):
                 replay.seek(float(position))
-                if found := self.about_latest(replay):
+                if found := self.check_latest(replay):
                     return found
         return ""
 

@@ -1,4 +1,4 @@
-"""`sero-mj structure`: explains a structure string; `--sniff` shows the packets at a port."""
+"""`sero-mj structure`: explains a packet layout, or shows the packets at a port."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ _HELP = """\
 examples:
   sero-mj structure 7F7F                    offsets, types, events, size
   sero-mj structure --scene lwr_contact     the packets that a scene expects
-  sero-mj structure 7F1M --sniff 32000      the packets that arrive, and their values
+  sero-mj structure 7F1M --sniff 32000      the packets at a port, and their values
 
-A port can be listened to by one program only: close the viewer while you sniff. Ctrl-C ends it
-with a summary.
+Only one program can listen to a port, so close the viewer before using --sniff. Ctrl+C ends it with
+a summary.
 """
 GROUP, ORDER = "receive", 26
 
 
 class StructureOptions(JsonOptions):
-    """Explain a packet layout, or show what a port gets.
+    """Explain a packet layout, or show the packets at a port.
 
     Attributes:
         structure: layout of a packet, e.g. 7F1M.
-        scene: layouts of this scene's sources instead.
-        float32: F, V, M and T are float32.
-        row_major: matrices come row by row.
-        alignment: of every item, bytes.
-        scale: factor on floating-point numbers.
-        sniff: show what arrives there.
-        host: address to listen on (default 127.0.0.1); 0.0.0.0 for all interfaces.
-        interface: network interface on which a multicast group is joined.
-        duration: sniff for so long, s.
-        count: sniff so many packets.
-        language: print the page about the language.
+        scene: explain the layouts of this scene's sources instead.
+        float32: read F, V, M and T as float32.
+        row_major: read matrices row by row.
+        alignment: alignment of every item, bytes.
+        scale: factor for floating-point numbers.
+        sniff: show the packets that arrive at this port.
+        host: address to listen on (default: 127.0.0.1); 0.0.0.0 for all interfaces.
+        interface: network interface for a multicast group.
+        duration: duration of --sniff, s (default: until Ctrl+C).
+        count: number of packets after which --sniff ends.
+        language: print the reference of the layout language.
     """
 
     structure: Annotated[str | None, positional("STRUCTURE")] = None
@@ -68,25 +68,25 @@ class StructureOptions(JsonOptions):
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
         if self.sniff is None:
-            self.refuse(("host", "interface", "duration", "count"), " is for --sniff PORT")
+            self.refuse(("host", "interface", "duration", "count"), " needs --sniff PORT")
         elif self.scene:
-            raise ValueError("--scene: a scene's layout cannot be sniffed with; give its structure")
-        if self.structure is not None and self.scene:
-            raise ValueError(f"--scene {self.scene}: expected no structure beside it")
-        if self.structure is not None and self.language:
-            raise ValueError("--language: expected no structure beside it")
+            raise ValueError(
+                "--scene cannot be combined with --sniff. Write the structure instead."
+            )
+        if self.structure is not None:
+            self.refuse(("scene", "language"), " cannot be combined with STRUCTURE")
         return self
 
 
 def run(options: StructureOptions) -> int:
-    """Prints; returns 0."""
+    """Prints a layout, the packets at a port, or the reference; returns 0."""
     if options.scene:
         return _print_scene(options.scene, options)
     layout = None if options.structure is None else _read(options.structure, options)
     if options.sniff:
         for sniff in load_all(SNIFFERS).values():
             return int(sniff(options.sniff, options, layout))
-        raise UsageError("--sniff: no extension that shows packets of a port is installed")
+        raise UsageError("--sniff: the extension that shows the packets at a port is not installed")
     if layout is None:
         _print_page()
     elif options.as_json:
@@ -127,7 +127,7 @@ def _print_scene(scene_name: str, options: StructureOptions) -> int:
     for name, layout in layouts.items():
         _print_layout(layout, f"source {name}: ")
     if not layouts:
-        print(f"{scene.name} has no sources that receive packets")
+        print(f"{scene.name} has no source that receives packets")
     return 0
 
 
@@ -160,7 +160,7 @@ def _print_layout(layout: Structure, title: str = "") -> None:
     end = 0
     for item in layout.fields:
         if item.offset > end:
-            table.add_row(str(end), str(item.offset - end), "hole", style="dim")
+            table.add_row(str(end), str(item.offset - end), "padding", style="dim")
         style = "dim" if item.kind == "x" else "" if item.name else "yellow"
         place = (str(item.offset), str(item.end - item.offset))
         cells = (_type_in_words(item), item.name, _shape(item, layout), _must_be(item))
@@ -176,7 +176,7 @@ def _print_layout(layout: Structure, title: str = "") -> None:
         console.print(f"{title}{layout.text}: {', '.join(notes)}", style="bold")
         console.print(table)
     for line in captured.get().splitlines():
-        print(line.rstrip(), file=console.file)  # escaped, and with colors
+        print(line.rstrip(), file=console.file)  # already escaped, with colors
 
 
 def _type_in_words(item: Item) -> str:
@@ -199,7 +199,6 @@ def _shape(item: Item, layout: Structure) -> str:
 
 
 def _must_be(item: Item) -> str:
-    """The constant that is demanded, as ids are written as well, or the checksum."""
     if item.checksum:
         return f"{item.checksum} of bytes {item.covers[0]} to {item.covers[1] - 1}"
     if item.constant is None:

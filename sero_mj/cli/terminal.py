@@ -1,7 +1,6 @@
-"""Output of commands to a terminal, in which nothing from a file can control the terminal.
+"""Output of commands to a terminal: text from files cannot control the terminal.
 
-Everything is escaped in one place: what is printed, in the streams; what rich lays out and colors,
-in its console, before it adds its own sequences for colors.
+Streams escape printed text. The console of rich escapes its text before it adds colors.
 """
 
 from __future__ import annotations
@@ -25,12 +24,10 @@ class EscapedStream:
         self.plain = stream
 
     def write(self, text: str) -> int:
-        """Writes a text; returns its length."""
         self.plain.write(printable(text))
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Writes texts."""
         for line in lines:
             self.write(line)
 
@@ -39,7 +36,7 @@ class EscapedStream:
 
 
 def escape_output() -> None:
-    """Lets standard output, standard error and tracebacks escape their text from here on."""
+    """Escapes all further text on standard output and standard error, tracebacks included."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is not None and not isinstance(stream, EscapedStream):
@@ -53,19 +50,14 @@ def plain(stream: Any) -> Any:
 
 
 def make_console(*, stderr: bool = False, width: int | None = None) -> Console:
-    """Returns a console of rich for standard output or standard error.
-
-    It does not interpret its texts: neither as markup nor as emoji codes.
-    """
+    """Returns a rich console that interprets neither markup nor emoji codes."""
     from rich.console import Console
     from rich.segment import Segment
     from rich.text import Text
 
     class EscapedConsole(Console):
-        """Escapes all texts that it renders, but not its own sequences for colors."""
-
         def render_str(self, text: str, **how: Any) -> Text:
-            # Before anything is laid out.
+            # Escaped before the layout, which depends on the length.
             return super().render_str(printable(text), **how)
 
         def render(self, renderable: Any, options: Any = None) -> Iterable[Segment]:

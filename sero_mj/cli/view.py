@@ -1,4 +1,4 @@
-"""`sero-mj view`: a scene in a window or on a web page, live."""
+"""`sero-mj view`: shows a scene live in a window or on a web page."""
 
 from __future__ import annotations
 
@@ -17,12 +17,7 @@ from pydantic import model_validator
 from ..base import trust
 from ..base.errors import UsageError
 from ..base.options import Option, Port, Size, positional
-from .arguments import (
-    command,
-    read_scene,
-    replay_instead,
-    until_ended,
-)
+from .arguments import command, read_scene, replay_instead, until_ended
 from .browser import can_open_browser, open_in_browser
 from .shared_options import EyeOptions, OverOptions, ShownOptions
 
@@ -41,40 +36,39 @@ _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
 _HELP = """\
 examples:
-  sero-mj view lwr_udp                      the robot, as it moves
+  sero-mj view lwr_udp                      the robot as it moves
   sero-mj view lwr_udp --replay run.mcap    a recording, with a timeline
   sero-mj view impedance_push --web         a simulation, on a page for browsers on this machine
 
-H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
-the page. The printed address of a page has a secret token. Browsers on other machines reach it
-through `ssh -L 8080:localhost:8080 MACHINE`, or with --host 0.0.0.0; nothing is encrypted.
+Press H in the window or on the page for the functions of mouse and keys. Ctrl+Q closes the window,
+Ctrl+C ends the page. The printed address of a page contains a secret token. To reach the page from
+another machine, use `ssh -L 8080:localhost:8080 MACHINE`, or --host 0.0.0.0 without encryption.
 """
 GROUP, ORDER = "see", 10
 
 
 class ViewOptions(EyeOptions, OverOptions, ShownOptions):
-    """Show a scene in a window or on a web page, live.
+    """Show a scene live in a window or on a web page.
 
     Attributes:
-        scene: scene, robot or recording: a file, or a shipped name; a start page without one.
-        window: a window on this screen; the default if there is one.
-        web: a page for web browsers.
-        port: of the page; default the first free from 8080 on.
-        host: address the page is served at; default 127.0.0.1, this machine only.
-        token: without effect; a page has a token by default.
-        no_token: a page without a token, which every user of this machine can see and control.
-        no_browser: print the address of the page, and do not open it in a browser.
-        simulate: simulate the robots without an end, to be pulled and steered by their targets.
-        control: with --simulate: `gravity`, `joint` or `cartesian`, or another kind of a controller
-            that can do without declared gains; default joint.
-        size: of the window, pixels; default 1280x800.
-        full_screen: cover the screen.
-        finish_films: finish films of what was kept (K) after the end; else they end with the
-            viewer.
-        fresh: as the scene declares it, not as it was left the last time.
-        trust: let scenarios in this folder start programs, also if they are opened from the page
-            or dropped; may be repeated.
-        over: draw over the pictures of a camera: its number, 0 say, an address, or a video.
+        scene: scene, robot or recording: a file or a shipped name (default: show a start page).
+        window: open a window on this screen (default: if there is a display).
+        web: serve a web page instead of opening a window.
+        port: port of the page (default: the first free port from 8080).
+        host: address at which the page is served (default: 127.0.0.1, this machine only).
+        token: no effect, because pages have a token by default.
+        no_token: serve the page without a token, so that all users of this machine can control it.
+        no_browser: print the address of the page without opening it in a browser.
+        simulate: simulate the robots; they can be pulled, and steered by their targets.
+        control: controller for --simulate: `gravity`, `joint`, `cartesian`, or another kind that
+            needs no declared gains (default: joint).
+        size: size of the window, pixels (default: 1280x800).
+        full_screen: cover the whole screen.
+        finish_films: after closing, finish the videos of recorded clips (K) instead of stopping.
+        fresh: show the scene as declared instead of restoring the last view.
+        trust: allow scenarios in this folder to start programs, even if they are dropped or opened
+            from the page; repeatable.
+        over: draw over the images of a camera: its number, for example 0, an address, or a video.
     """
 
     scene: Annotated[str | None, positional("SCENE")] = None
@@ -95,52 +89,45 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
     over: Annotated[str | None, Option("CAMERA")] = None
 
     @property
-    def of_page(self) -> list[str]:
-        """Which options are given that only a page has."""
+    def page_options(self) -> list[str]:
+        """The used options that only a page has."""
         return self.set_among("port", "host", "token", "no_token", "no_browser")
 
     @property
-    def of_window(self) -> list[str]:
-        """Which options are given that only a window has."""
+    def window_options(self) -> list[str]:
+        """The used options that only a window has."""
         return self.set_among("size", "full_screen", "stereo", "over")
 
     @model_validator(mode="after")
     def _check_place(self) -> Self:
         if self.window and self.web:
-            raise ValueError("--window and --web: one or the other; expected one of them")
-        if self.window and self.of_page:
-            what = "is for the page; leave --window out, or take --web"
-            raise ValueError(f"{self.of_page[0]} {what}")
+            raise ValueError("--window cannot be combined with --web")
+        if self.window and self.page_options:
+            raise ValueError(f"{self.page_options[0]} needs --web instead of --window")
         if self.token and self.no_token:
-            raise ValueError("--token and --no-token: expected one of them")
-        if (self.web or self.of_page) and self.of_window:
-            name = self.of_window[0]
-            reasons = {"--stereo": "has one eye", "--over": "shows no camera's pictures"}
-            why = reasons.get(name, "is as large as its browser's")
-            raise ValueError(f"{name} is for the window; a page {why}")
+            raise ValueError("--token cannot be combined with --no-token")
+        if (self.web or self.page_options) and self.window_options:
+            raise ValueError(f"{self.window_options[0]} needs a window; found a page")
         return self
 
     @model_validator(mode="after")
     def _check_scene(self) -> Self:
         if self.over is not None:
-            why = " does not go with --over: the view is the camera's"
-            self.refuse(("camera", "stereo"), why)
+            self.refuse(("camera", "stereo"), " cannot be combined with --over")
             if self.replay is not None and Path(self.over).is_file():
-                self.refuse(("start",), " does not go with a video; --offset says when it begins")
+                self.refuse(("start",), " cannot be combined with a video. Use --offset instead.")
         if self.control is not None and not self.simulate:
-            raise ValueError(f"--control {self.control} is for --simulate, which is not given")
+            raise ValueError(f"--control {self.control} needs --simulate")
         if self.simulate and self.replay is not None:
-            raise ValueError("--simulate and --replay: a recording is played, and not simulated")
+            raise ValueError("--simulate cannot be combined with --replay")
         if self.scene is None:
-            of_scene = ("camera", "replay", "start", "over", "offset")
-            self.refuse(of_scene, " is for a scene; name one: sero-mj view SCENE")
-            why = " is for a scene; name one: sero-mj view SCENE --set ..."
-            self.refuse(("settings",), why)
+            of_scene = ("camera", "replay", "start", "over", "offset", "settings")
+            self.refuse(of_scene, " needs a scene: sero-mj view SCENE")
         return self
 
 
 def run(options: ViewOptions) -> int:
-    """Shows the scene until it is closed, or the start page until something is; returns 0."""
+    """Shows a scene or the start page, and what is opened there, until it is closed; returns 0."""
     from .opening import with_scene
 
     for folder in options.trust:
@@ -150,13 +137,13 @@ def run(options: ViewOptions) -> int:
     options = with_scene(options)
     on_page = wants_page(options)
     if not on_page:
-        # MuJoCo takes its OpenGL from the window here, whatever is right without one.
+        # MuJoCo must use the OpenGL context of the window.
         os.environ["MUJOCO_GL"] = "glfw"
     session = Session(options, on_page=on_page)
     mirror = session.first()
-    if on_page and not (options.web or options.of_page):
-        print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
-    with until_ended():  # as good as closing it
+    if on_page and not (options.web or options.page_options):
+        print("no display for a window, serving a web page instead (--web)", file=sys.stderr)
+    with until_ended():
         while True:
             if mirror is None and session.is_at_start:
                 mirror = session.choose()
@@ -170,10 +157,10 @@ add_to = command("view", run, ViewOptions, _HELP)
 
 
 class Session:
-    """What one command shows, one thing after the other.
+    """Shows the start page and scenes of one command one after another.
 
     Attributes:
-        plain: the scene that is shown, without being simulated.
+        plain: the current scene as declared, without a simulation.
         is_at_start: whether the start page is shown next.
     """
 
@@ -181,15 +168,15 @@ class Session:
         from ..robots.declared.scene import Scene
 
         self.options, self.on_page = options, on_page
-        self._listener: PageListener | None = None  # as long as the session: see `PageListener`
-        self._token: bool | str = not options.no_token  # as browsers know the page
+        self._listener: PageListener | None = None  # open until the session ends
+        self._token: bool | str = not options.no_token  # the same for all pages of the session
         self.plain = Scene()
         self.is_at_start = options.scene is None
-        # Camera, panel with its sections, and switches, to be kept while the same scene is shown.
+        # Camera, panel and switches, restored when the same scene is shown again.
         self._last: tuple[mujoco.MjvCamera, dict[str, bool], ViewState] | None = None
         self._is_announced = False
-        self._told: set[str] = set()  # sources that are waited for
-        self._warnings: list[str] = []  # of the files of what is shown next
+        self._announced_sources: set[str] = set()
+        self._warnings: list[str] = []  # from reading the next scene
 
     @property
     def _listening(self) -> PageListener:
@@ -200,14 +187,14 @@ class Session:
         return self._listener
 
     def first(self) -> Mirror | None:
-        """Returns what shows the scene of the command; None for the start page."""
+        """Returns the mirror of the scene in the options; None for the start page."""
         name, options = self.options.scene, self.options
         if name is None:
             return None
         if options.over is not None and Path(options.over).is_file():
-            self.options = options = options.from_its_begin()  # of a video
-        with self._noting_warnings():
-            # Its user has typed its path in order to have it simulated.
+            self.options = options = options.from_its_begin()  # --offset aligns the video
+        with self._collecting_warnings():
+            # The user has typed the path, so the programs of the scenario may run.
             return self._begin(options.read(name, by_hand=not options.simulate, trusted=True))
 
     def _begin(self, scene: Scene, *, is_replayed: bool = False) -> Mirror:
@@ -218,9 +205,9 @@ class Session:
         return mirror
 
     def choose(self) -> Mirror | None:
-        """Shows the start page; returns what shows the scene that was chosen there."""
+        """Shows the start page; returns the mirror of the scene that the user opens there."""
         options = self.options
-        self.is_at_start = False  # unless its user goes back to it
+        self.is_at_start = False
         from ..viewer.host.start_page import listening
 
         if self.on_page:
@@ -231,8 +218,8 @@ class Session:
 
             host = options.host or _LOOPBACK
             with (
-                listening() as heard,
-                StartHost(self.open, heard, host, self._listening, token=self._token) as page,
+                listening() as received,
+                StartHost(self.open, received, host, self._listening, token=self._token) as page,
             ):
                 self._announce("the start page", page.server, host)
                 return page.run()
@@ -240,15 +227,15 @@ class Session:
 
         size, full_screen = options.size or _SIZE, options.full_screen
         with (
-            listening() as heard,
-            StartWindow(self.open, heard, size, full_screen=full_screen) as window,
+            listening() as received,
+            StartWindow(self.open, received, size, full_screen=full_screen) as window,
         ):
             return window.run()
 
     def open(self, what: RecentView | Path) -> Mirror:
-        """Returns what shows the scene that a user has chosen, or a file that was dropped.
+        """Returns the mirror of an opened scene or a dropped file, and adapts the options to it.
 
-        The options are then those of the new scene; nothing changes where it is wrong.
+        If the scene has an error, the options do not change.
         """
         from .opening import view_of_file
 
@@ -256,7 +243,7 @@ class Session:
         if isinstance(view, Path):
             is_shown = self.options.scene is not None
             view = view_of_file(view, self.options.scene if is_shown else None)
-        with self._noting_warnings():
+        with self._collecting_warnings():
             scene = read_scene(
                 view.scene,
                 by_hand=not (self.options.simulate or view.replay),
@@ -276,18 +263,18 @@ class Session:
         return shown
 
     def show(self, mirror: Mirror) -> Mirror | None:
-        """Shows a scene until it is closed; returns what is to be shown then, if anything."""
+        """Shows a scene until it is closed; returns the mirror of the next scene, if any."""
         return self._serve(mirror) if self.on_page else self._open_window(mirror)
 
     @contextmanager
-    def _noting_warnings(self) -> Iterator[None]:
-        kept, log = _KeptWarnings(), logging.getLogger("sero_mj")
-        log.addHandler(kept)
+    def _collecting_warnings(self) -> Iterator[None]:
+        collector, log = _WarningCollector(), logging.getLogger("sero_mj")
+        log.addHandler(collector)
         try:
             yield
-            self._warnings = kept.texts
+            self._warnings = collector.texts
         finally:
-            log.removeHandler(kept)
+            log.removeHandler(collector)
 
     def _offer(self, host: LiveHost) -> None:
         from ..simulate.runs.run_source import RunSource
@@ -295,7 +282,7 @@ class Session:
         from ..viewer.tools.rolling_recorder import RollingRecorder
 
         options = self.options
-        host.others.offers["start page"] = self._go_back
+        host.others.offers["start page"] = self._go_to_start
         simulated = [each for each in host.mirror.sources.values() if isinstance(each, RunSource)]
         if any(each.live is not None for each in simulated):
             host.others.offers["end the simulation"] = lambda: _mirror_of(self.plain)
@@ -304,7 +291,7 @@ class Session:
             def simulate() -> Mirror:
                 parts, data = host.world.robots, host.data
                 shown = {name: data.qpos[part.qpos].copy() for name, part in parts.items()}
-                # A robot that nobody has posed starts where it can be moved.
+                # Robots that nobody has moved start at their default pose for simulations.
                 angles = {
                     name: q
                     for name, q in shown.items()
@@ -320,19 +307,19 @@ class Session:
             host.others.ask(self.plain.withheld, lambda: self.open(RecentView(name)))
         for tool in host.tools.values():
             if isinstance(tool, RollingRecorder):
-                tool.finishes_films = self.options.finish_films
+                tool.finishes_videos = self.options.finish_films
         if self._warnings:
             more = f" (and {len(self._warnings) - 1} more)" if len(self._warnings) > 1 else ""
-            # What is wrong is behind the folder.
+            # Without the folder, so that the message fits.
             folder = f"{Path(self.options.scene or '').parent}{os.sep}"
             host.say(self._warnings.pop(0).replace(folder, "") + more, is_bad=True)
             self._warnings.clear()
         host.command = command_of(self.options)
 
-    def _go_back(self) -> None:
+    def _go_to_start(self) -> None:
         self.is_at_start = True
 
-    def _show_as_before(
+    def _restore_last(
         self,
         host: LiveHost,
         camera: mujoco.MjvCamera,
@@ -343,7 +330,7 @@ class Session:
         from ..viewer.session.view_state import apply_state
 
         copy_camera(camera, host.view_camera)
-        # What is new, the doubles at targets, is as declared.
+        # New elements, such as the doubles at targets, are shown as declared.
         _, joint, _ = apply_state(host.world, host.toggles, state._replace(camera=""))
         if joint is not None:
             host.select(joint)
@@ -351,26 +338,26 @@ class Session:
 
     def _run(self, host: LiveHost) -> None:
         from ..viewer.host.live import SECTION
-        from ..viewer.host.restoring import keep
+        from ..viewer.host.restoring import save
         from ..viewer.session.recent_views import RecentView, remember_view
         from .opening import is_temporary
 
         options, plain = self.options, self.plain
         view = RecentView(_absolute(options.scene), _absolute(options.replay))
-        is_kept = options.over is None and not is_temporary(view)
+        is_remembered = options.over is None and not is_temporary(view)
         for source in host.mirror.sources.values():
-            if source.is_live and source.about not in self._told:
-                self._told.add(source.about)
+            if source.is_live and source.about not in self._announced_sources:
+                self._announced_sources.add(source.about)
                 print(f"waiting for {source.awaited} on {source.about}", flush=True)
         try:
             host.run()
         finally:
-            keep(host)
-        if is_kept:
-            # A page draws its pictures where it is served, which takes a while.
-            is_pictured = self.on_page and (view.picture.is_file() or view.is_shipped)
-            remember_view(view, None if is_pictured else host.picture())
-        if self.plain is plain:  # else another one is shown next
+            save(host)
+        if is_remembered:
+            # Rendering the preview of a page on the server takes a while.
+            has_preview = self.on_page and (view.image.is_file() or view.is_shipped)
+            remember_view(view, None if has_preview else host.image())
+        if self.plain is plain:  # the same scene is shown next
             panel = {
                 name: is_shown
                 for name, is_shown in host.layout.items()
@@ -405,7 +392,7 @@ class Session:
             stack.enter_context(window)
             self._offer(window)
             if self._last is not None:
-                self._show_as_before(window, *self._last)
+                self._restore_last(window, *self._last)
             elif not options.fresh:
                 restore(window, with_camera=options.camera is None)
             self._run(window)
@@ -433,7 +420,7 @@ class Session:
             self._offer(page)
             self._announce(mirror.world.scene.name, page.server, host)
             if self._last is not None:
-                self._show_as_before(page, *self._last)
+                self._restore_last(page, *self._last)
             elif not options.fresh:
                 restore(page, with_camera=options.camera is None)
             self._run(page)
@@ -449,25 +436,24 @@ class Session:
             open_in_browser(server.url)
         if not server.is_private:
             print(
-                f"warning: served at {host}: whoever has this address sees the page and can take "
-                "control; nothing is encrypted",
+                f"warning: the page is served at {host} without encryption; anyone with this "
+                "address can view and control it",
                 file=sys.stderr,
                 flush=True,
             )
 
 
-class _KeptWarnings(logging.Handler):
+class _WarningCollector(logging.Handler):
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.texts: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        if record.name != trust.log.name:  # of which a dialog tells
+        if record.name != trust.log.name:  # shown in a dialog instead
             self.texts.append(record.getMessage())
 
 
 def _absolute(name: Path | str | None) -> str:
-    """A name of what is shipped as it is, a file's path as an absolute one."""
     if name is None:
         return ""
     return str(Path(name).resolve()) if Path(name).exists() else str(name)
@@ -486,23 +472,26 @@ def _simulated(scene: Scene, control: str, angles: Mapping[str, Array] | None = 
 
 
 def wants_page(options: ViewOptions) -> bool:
-    """Whether the scene goes to browsers instead of into a window; raises UsageError."""
-    if options.web or options.of_page:
+    """Whether to serve a page instead of opening a window.
+
+    Raises UsageError if a window is required and there is no display.
+    """
+    if options.web or options.page_options:
         return True
     from ..viewer.image.backend import has_display
 
     if has_display():
         return False
-    if options.window or options.of_window:
+    if options.window or options.window_options:
         raise UsageError(
-            "no display for a window: neither DISPLAY nor WAYLAND_DISPLAY is set; "
-            "--web shows the scene on a page, `sero-mj render` makes pictures and films"
+            "no display for a window: neither DISPLAY nor WAYLAND_DISPLAY is set. Use --web for "
+            "a web page, or `sero-mj render` for images and videos."
         )
     return True
 
 
 def command_of(options: ViewOptions) -> list[str]:
-    """The scene of a command, and what changes it, for another command."""
+    """Returns the scene and the options that change it, as arguments for another command."""
     words = [str(options.scene)]
     for setting in options.settings:
         words += ["--set", setting]

@@ -1,4 +1,4 @@
-"""`BatchSetup`: what the runs of a batch share: plant, drives, whole bodies, models and targets."""
+"""`BatchSetup`: the plant, drives, models and targets that the runs of a batch share."""
 
 from __future__ import annotations
 
@@ -23,23 +23,18 @@ from .scenario import Scenario
 
 
 class BatchSetup:
-    """What runs that are simulated together share.
-
-    Args:
-        scenarios: of the runs, with one `batch_key`.
+    """Objects that the runs of a batch share.
 
     Attributes:
-        robots: by name, as they are simulated: with elastic joints where the runs ask for them.
-        plant: the simulated robots, a row for every run.
-        drives: between controllers and motors; None where that is only a wire.
-        whole_bodies: of every row, what the controllers of mounted robots know of each other; empty
-            where none is mounted.
-        start: (n,), joint angles at first, rad or m.
-        drive: (m, 2, n), torques, Nm or N: commanded, and asked for before the limits.
-        gains: (m, n), factors of the commanded torques, after the limits: those of faulty drives.
-        carried: objects that robots of any run carry.
-        plans: targets of its runs, by robot and all that they depend on.
-        has_changed: whether a controller has been replaced since the last step.
+        robots: robots as simulated, by name; joints are elastic if the runs request it.
+        plant: the simulated robots, one row per run.
+        drives: drives between controllers and motors; None if commands act on the motors directly.
+        whole_bodies: the moving bases of mounted robots, one per row; empty without mounted robots.
+        start: initial joint angles, shape (n,), rad or m.
+        drive: torques, shape (m, 2, n), Nm or N: commanded, and requested before the limits.
+        gains: factors of the commanded torques, shape (m, n), which faulty drives change.
+        plans: cached targets, by robot and everything that they depend on.
+        has_changed: whether a controller was replaced since the last step.
     """
 
     def __init__(
@@ -63,7 +58,7 @@ class BatchSetup:
         m = len(scenarios)
         for row in range(m):
             self.plant.reset(row)
-        self.plant.joints.looks_ahead = False  # controllers have models of their own
+        self.plant.joints.forwards = False  # controllers have their own models
         self.drives: Drives | None = None
         if run.torque_control or run.substeps > 1 or run.drive_delay or scenario.amplifies:
             with located_in(scenario.scene):
@@ -76,13 +71,13 @@ class BatchSetup:
         self.has_changed = False
 
     def robot_model(self, robot: SerialRobot) -> RobotModel:
-        """Returns a new model of a robot alone; a torque loop changes what its motors feel like."""
+        """Returns a new model of a robot; a torque loop changes its apparent motor inertias."""
         if self.drives is not None and robot.name in self.drives.gains:
             robot = self.drives.gains[robot.name].felt(robot)
         return self.compiler.robot_model(robot, self._run.gravity)
 
     def models(self, robots: Sequence[SerialRobot], rows: Sequence[int]) -> RobotModels:
-        """The models of robots in some rows; they follow what carries them."""
+        """Returns the models of robots in some rows, which follow the bases of mounted robots."""
         mountings = [
             (self.whole_bodies[row].mounting(robot.name), robot.base_frame)
             for row in rows
@@ -94,7 +89,7 @@ class BatchSetup:
 
 @contextmanager
 def located_in(scene: Scene) -> Iterator[None]:
-    """Adds the scene's file and lines to the problems of a `DeclarationError` in its context."""
+    """Adds the scene's file and lines to the problems of a `DeclarationError` raised inside."""
     try:
         yield
     except DeclarationError as error:
@@ -102,14 +97,14 @@ def located_in(scene: Scene) -> Iterator[None]:
 
 
 def _stripped(scenario: Scenario, robots: dict[str, SerialRobot]) -> Scene:
-    """The scene without doubles, arrows and cameras, which would cost time in every step.
+    """Returns the scene without doubles, arrows and cameras, which would slow down every step.
 
-    What is carried is a mass of the flange, and nothing to run into.
+    Carried objects are masses of the flange and do not collide.
     """
     scene = scenario.scene
     return Scene(
         robots=list(robots.values()),
-        # Links of a group's robots that stand together do not collide.
+        # Touching links of a group's robots do not collide.
         groups=[group.without_defaults() for group in scene.groups.values()],
         objects=scenario.obstacles,
         floor=scene.floor,

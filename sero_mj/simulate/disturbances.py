@@ -1,4 +1,4 @@
-"""Disturbances of a scenario, external forces and payloads, and faults of its robots."""
+"""Disturbances of a scenario (external forces, payloads) and faults of its robots."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from ..robots.declared.robot import SerialRobot
 from .plant import Plant
 from .sensors import Signal
 
-_SAME_TIME = 1e-9  # s, by which two times of one step may differ
+_SAME_TIME = 1e-9  # s, tolerance of times
 Part = Literal["sensors", "drives", "friction"]
 
 
 class Timed(Declaration):
-    """An event that begins and may end.
+    """An event with a beginning and an optional end.
 
     Attributes:
-        begin: s.
-        end: s; None for never.
+        begin: start time, s.
+        end: end time, s; None for no end.
     """
 
     begin: float = Field(0.0, ge=0)
@@ -46,19 +46,20 @@ class Disturbance(Timed):
 
 
 class Force(Disturbance):
-    """An external force and torque at a frame of a robot, which move with it.
+    """An external force and torque at a frame of a robot, which move with the frame.
 
     Attributes:
-        at: the frame at whose origin they act, `lwr/flange` say.
-        point: (3,), where in that frame they act instead, m.
-        force: (3,), N.
-        torque: (3,), Nm.
-        expressed_in: the frame in whose axes both are given.
-        profile: `step`; `half_sine`, a push that grows and fades until `end`; `ramp`, which
-            grows until `end` and then stays.
-        samples: (S, 4), in place of `force`: times since `begin`, s, and the force from then until
-            the next, N; the last until `end`. `sero-mj view` keeps pushes by hand so.
-        show: whether an arrow shows it.
+        at: frame at whose origin they act, for example `lwr/flange`.
+        point: point of application in this frame, shape (3,), m.
+        force: force vector (3,), N.
+        torque: torque vector (3,), Nm.
+        expressed_in: frame in whose axes force and torque are expressed.
+        profile: `step`; `half_sine`, which rises and falls until `end`; `ramp`, which rises until
+            `end` and then stays constant.
+        samples: piecewise constant force instead of `force`, shape (S, 4): time since `begin` in
+            seconds, and force in N. The last one lasts until `end`. `sero-mj view` saves drags in
+            this form.
+        show: whether an arrow shows the force.
     """
 
     kind: Literal["force"] = "force"
@@ -76,34 +77,34 @@ class Force(Disturbance):
         if self.samples is not None:
             self._check_samples(self.samples)
             return self
-        if not {"force", "torque"} & self.model_fields_set:  # zeros are one end of a sweep
-            raise ValueError("found neither force nor torque; expected three numbers of one")
+        if not {"force", "torque"} & self.model_fields_set:  # zeros are valid, e.g. in a sweep
+            raise ValueError("found neither force nor torque; expected three numbers for one")
         if self.profile != "step" and self.end is None:
-            expected = f"the time (s) at which the {self.profile} is over"
+            expected = f"the time in seconds at which the {self.profile} ends"
             raise Problem("end", "is required", expected=expected).error()
         return self
 
     def _check_samples(self, samples: Array) -> None:
         others = [key for key in ("force", "torque", "profile") if key in self.model_fields_set]
         if others:
-            raise ValueError(f"samples: say all of the force; leave {others[0]} out")
+            raise ValueError(f"samples: cannot be combined with {others[0]}")
         if self.end is None:
-            expected = "the time (s) at which the samples are over"
+            expected = "the time in seconds at which the samples end"
             raise Problem("end", "is required", expected=expected).error()
         if not len(samples) or samples[0, 0] != 0.0 or (np.diff(samples[:, 0]) <= 0).any():
             found = samples[:3, 0].tolist()
-            expected = "0 at first, then rising"
+            expected = "increasing times from 0 on"
             raise Problem("samples", "found times", found=found, expected=expected).error()
 
     @property
     def acts_by(self) -> list[str]:
-        """Which of `force` and `torque` it has."""
+        """The keys among `force` and `torque` that are not zero."""
         if self.samples is not None:
             return ["force"]
         return [key for key in ("force", "torque") if getattr(self, key).any()]
 
     def at_times(self, times: Array) -> Array:
-        """Force and torque at these times, (T, 2, 3), N and Nm."""
+        """Returns force and torque at some times, shape (T, 2, 3), N and Nm."""
         if self.samples is None:
             return self.share(times)[:, None, None] * np.stack([self.force, self.torque])
         since = np.asarray(times, np.float64) - self.begin + _SAME_TIME
@@ -114,7 +115,7 @@ class Force(Disturbance):
         return found
 
     def share(self, times: Array) -> Array:
-        """How much of the force acts at these times, (T,), 0 to 1, without samples."""
+        """Returns the factor of the force at some times, shape (T,), 0 to 1, without samples."""
         times = np.asarray(times, np.float64)
         inside = times >= self.begin
         if self.end is None:
@@ -136,15 +137,16 @@ def _physical(inertia: Array | None) -> Array | None:
 
 
 class Payload(Disturbance):
-    """A mass that is fixed to a flange, and that the controller does not know of.
+    """A mass that is fixed to a flange, and that the controller does not know.
 
     Attributes:
-        robot: which one picks it up.
-        mass: kg.
-        center_of_mass: (3,), in the flange's frame, m.
-        inertia: about it, Ixx, Iyy, Izz, Ixy, Ixz, Iyz, kg m2; that of a ball of steel if None.
-        object: an object of the scene that goes with the flange meanwhile.
-        grasp: T_flange_object; where the object is at `begin` when None.
+        robot: robot that picks up the payload.
+        mass: mass of the payload, kg.
+        center_of_mass: center of mass (3,) in the flange frame, m.
+        inertia: entries Ixx, Iyy, Izz, Ixy, Ixz, Iyz of the inertia tensor about the center of
+            mass, kg m2; None for a steel ball.
+        object: object of the scene that moves with the flange.
+        grasp: T_flange_object; None for the relative pose at `begin`.
     """
 
     kind: Literal["payload"] = "payload"
@@ -160,12 +162,12 @@ DISTURBANCES: Mapping[str, type[Disturbance]] = {"force": Force, "payload": Payl
 
 
 class Fault(Timed, ABC):
-    """A fault from one time to another.
+    """A fault during a period of time.
 
     Attributes:
-        robot: whose; may be left out where there is one only.
-        joints: names of the joints; all when empty.
-        part: what breaks; where one fault of it ends, the others go on.
+        robot: robot with the fault; optional if there is only one.
+        joints: names of the joints; empty for all.
+        part: component with the fault. If one fault of it ends, the others continue.
     """
 
     part: ClassVar[Part] = "sensors"
@@ -174,11 +176,7 @@ class Fault(Timed, ABC):
     joints: list[str] = Field(default_factory=list)
 
     def check(self, robots: Mapping[str, SerialRobot]) -> None:
-        """Checks that its robot and joints are there.
-
-        Raises:
-            DeclarationError: no such robot or joint, or it has to be named.
-        """
+        """Raises DeclarationError if the robot is missing or unknown, or a joint is unknown."""
         name = self._owner(robots)
         if name is None:
             expected = f"one of {', '.join(robots)}"
@@ -196,7 +194,7 @@ class Fault(Timed, ABC):
         return self.robot or (next(iter(robots)) if len(robots) == 1 else None)
 
     def rows(self, robots: Mapping[str, SerialRobot]) -> list[int]:
-        """Which joints of the plant it concerns: of all robots together, in their order."""
+        """Returns the indices of its joints among the joints of all robots."""
         chosen = self._owner(robots)
         joints = [(name, joint) for name, robot in robots.items() for joint in robot.names]
         return [
@@ -207,10 +205,10 @@ class Fault(Timed, ABC):
 
     @abstractmethod
     def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
-        """Begins it.
+        """Starts the fault.
 
         Args:
-            gains: (n,), what the torques that controllers ask for are multiplied by.
+            gains: factors of the commanded torques, shape (n,), which may be changed.
         """
 
 
@@ -218,12 +216,12 @@ class SensorFault(Fault):
     """A sensor with errors.
 
     Attributes:
-        signal: `angles`, `velocities` or `torques`.
-        bias: added, rad, rad/s or Nm.
-        gain: what it is multiplied by.
-        noise: standard deviation, rad, rad/s or Nm.
-        resolution: distance of the values that it can show.
-        delay_ms: until a value is read.
+        signal: affected signal: `angles`, `velocities` or `torques`.
+        bias: constant error, rad, rad/s or Nm.
+        gain: factor of the true value.
+        noise: standard deviation of the noise, rad, rad/s or Nm.
+        resolution: quantization step, rad, rad/s or Nm.
+        delay_ms: delay of the readings, ms.
     """
 
     kind: Literal["sensor"] = "sensor"
@@ -238,11 +236,10 @@ class SensorFault(Fault):
     def _breaks_something(self) -> SensorFault:
         keys = ("bias", "gain", "noise", "resolution", "delay_ms")
         if all(getattr(self, key) is None for key in keys):
-            raise ValueError(f"does nothing; expected one of {', '.join(keys)}")
+            raise ValueError(f"has no effect; expected one of {', '.join(keys)}")
         return self
 
     def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
-        """Changes the sensor."""
         given = {key: getattr(self, key) for key in ("bias", "gain", "noise", "resolution")}
         changed = {key: value for key, value in given.items() if value is not None}
         if changed:
@@ -256,8 +253,8 @@ class EncoderOffset(Fault):
     """An encoder with a constant offset.
 
     Attributes:
-        offset: rad or m.
-        offset_deg: the same in degrees.
+        offset: offset of the reading, rad or m.
+        offset_deg: offset of the reading in degrees.
     """
 
     kind: Literal["encoder_offset"] = "encoder_offset"
@@ -265,7 +262,6 @@ class EncoderOffset(Fault):
     offset_deg: float = 0.0
 
     def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
-        """Shifts the encoder."""
         offset = self.offset + float(np.deg2rad(self.offset_deg))
         plant.sensors.change("angles", rows, bias=offset)
 
@@ -274,30 +270,28 @@ class DeadSensor(Fault):
     """A sensor that reads zero.
 
     Attributes:
-        signal: `angles`, `velocities` or `torques`.
+        signal: affected signal: `angles`, `velocities` or `torques`.
     """
 
     kind: Literal["dead_sensor"] = "dead_sensor"
     signal: Signal = "torques"
 
     def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
-        """Sets its readings to zero."""
         for row in rows:
             plant.sensors.kill(self.signal, row)
 
 
 class FrozenSensor(Fault):
-    """A sensor that keeps its last reading.
+    """A sensor that holds its last reading.
 
     Attributes:
-        signal: `angles`, `velocities` or `torques`.
+        signal: affected signal: `angles`, `velocities` or `torques`.
     """
 
     kind: Literal["frozen_sensor"] = "frozen_sensor"
     signal: Signal = "torques"
 
     def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
-        """Freezes its last reading."""
         for row in rows:
             plant.sensors.freeze(self.signal, row)
 
@@ -306,7 +300,7 @@ class ControllerFault(Fault):
     """Drives with a wrong gain.
 
     Attributes:
-        gain: what torques are multiplied by: -1 is a wrong sign, 0 a drive that is off.
+        gain: factor of the commanded torques: -1 for a wrong sign, 0 for a drive that is off.
     """
 
     part: ClassVar[Part] = "drives"
@@ -315,17 +309,16 @@ class ControllerFault(Fault):
     gain: float = -1.0
 
     def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
-        """Changes the gain of the drives."""
         gains[list(rows)] = self.gain
 
 
 class FrictionFault(Fault):
-    """Friction that changes: a bearing that runs dry, a brake that does not open.
+    """Changed friction, for example of a dry bearing or a brake that does not open.
 
     Attributes:
-        viscous: factor on what there is.
-        coulomb: likewise.
-        added_coulomb: Nm, what is added to it.
+        viscous: factor of the viscous friction.
+        coulomb: factor of the Coulomb friction.
+        added_coulomb: added Coulomb friction, Nm.
     """
 
     part: ClassVar[Part] = "friction"
@@ -338,11 +331,10 @@ class FrictionFault(Fault):
     @model_validator(mode="after")
     def _changes_something(self) -> FrictionFault:
         if (self.viscous, self.coulomb, self.added_coulomb) == (1.0, 1.0, 0.0):
-            raise ValueError("does nothing; expected viscous, coulomb or added_coulomb")
+            raise ValueError("has no effect; expected viscous, coulomb or added_coulomb")
         return self
 
     def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
-        """Changes the friction."""
         first = 0
         for name, part in plant.world.robots.items():
             mine = [row - first for row in rows if first <= row < first + part.robot.n]

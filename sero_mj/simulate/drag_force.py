@@ -1,4 +1,4 @@
-"""`DragForce`: pulls a link of a simulated robot by a spring to a point that is moved meanwhile."""
+"""`DragForce`: pulls a link of a simulated robot toward a moving point by a spring."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from .plant import Plant
 from .runs.run_log import event_of
 from .scenario import Scenario
 
-LIMIT = 150.0  # N; what a person pulls with an arm
-STIFFNESS = 500.0  # N/m, at first
+LIMIT = 150.0  # N, as strong as a person pulls with one arm
+STIFFNESS = 500.0  # N/m, initially
 STIFFNESS_RANGE = (20.0, 5000.0)  # N/m
-STRONGER = 1.25  # factor of one step of the wheel
-_DAMPING = 0.7  # of the critical one of the spring with the mass that the point feels like
-_MOST_DAMPED = 0.5  # of the point's speed in a step: beyond 1 a damper would throw it back
-_MOST_BENT = 0.25  # of the same for the spring, whose step is squared
-_LIGHTEST = 1e-6  # 1/kg; what moves less has no degree of freedom
-_DECIMALS = 3  # of forces, N: files of them are short, and say exactly what acted
+STRONGER = 1.25  # stiffness factor of one wheel notch
+_DAMPING = 0.7  # damping ratio with the apparent mass of the point
+_MAX_DAMPED = 0.5  # maximum d T / m; a damper above 1 would reverse the motion in a step
+_MAX_SPRING = 0.25  # maximum k T^2 / m
+_MIN_MOBILITY = 1e-6  # 1/kg; below this, the link cannot move
+_DECIMALS = 3  # of forces in N, so that files are short and exact
 _NAME = "by_hand"
 
 
@@ -33,10 +33,10 @@ class Pull:
     """A pull at one point, from grab to release.
 
     Attributes:
-        at: the frame.
-        point: (3,), in it, m.
-        first: the row of the log from which on it acts.
-        forces: (3,) of every step from then on, in the world, N.
+        at: name of the frame.
+        point: shape (3,), in the frame, m.
+        first: first row of the log in which it acts.
+        forces: force in each step, shape (3,), in the world, N.
     """
 
     at: str
@@ -48,18 +48,19 @@ class Pull:
 class DragForce:
     """Pulls a link of a simulated robot by a spring and a damper.
 
-    The force in a step is k (target - point) - d v, at most `LIMIT`, with the state at its
-    beginning; d makes the spring with what the point weighs (the smallest eigenvalue of
-    (J M^-1 J^T)^-1) a damped oscillator. Stiffness and damping are as large as the step holds.
+    The force in a step is k (target - point) - d v, limited to `LIMIT`, with the state at the
+    beginning of the step. The damping d makes a damped oscillator of the spring and the apparent
+    mass of the point (the smallest eigenvalue of (J M^-1 J^T)^-1). Stiffness and damping are
+    reduced if they would be unstable at the timestep.
 
     Attributes:
-        name: of the arrow that shows the force, and of its signals in the log.
-        pulls: those until now, with that which acts.
-        stiffness: k, N/m, as it is wished; set it at any time.
-        target: (3,), where it pulls to, m, in the world; set it at any time.
-        force: (3,), in the last step, N.
-        place: (3,), where the grabbed point is, m, in the world.
-        limit: of the force, N.
+        name: name of the force arrow and of the signals in the log.
+        pulls: all pulls, including the active one.
+        stiffness: requested stiffness k, N/m; may be set at any time.
+        target: point to pull toward, shape (3,), m, in the world; may be set at any time.
+        force: force of the last step, shape (3,), N.
+        place: position of the grabbed point, shape (3,), m, in the world.
+        limit: maximum force, N.
     """
 
     limit = LIMIT
@@ -82,69 +83,61 @@ class DragForce:
         self.target: Array = np.zeros(3)
         self.force: Array = np.zeros(3)
         self.place: Array = np.zeros(3)
-        self._push: _SpringPush | None = None  # that acts in the plant
-        self._wanted: _SpringPush | None = None  # that is to act from the next step on
+        self._push: _SpringPush | None = None  # active in the plant
+        self._wanted: _SpringPush | None = None  # requested from the next step on
 
     def grab(self, frame: str, point: Array) -> None:
-        """Grabs a point, from the next step on; pulls nothing until `target` is set.
+        """Grabs a point from the next step on. It pulls nothing until `target` is set.
 
         Args:
-            frame: of the link, `lwr/link3`.
-            point: (3,), in it, m.
+            frame: frame of the link, for example `lwr/link3`.
+            point: shape (3,), in the frame, m.
 
         Raises:
-            UnknownName: no such frame.
-            UsageError: nothing there can move.
+            UnknownName: there is no such frame.
+            UsageError: the link cannot move.
         """
         plant = self._plant
         push = _SpringPush(self, plant, frame, point)
         now = copy.copy(plant.data)  # leaves the plant's own data unchanged
         mujoco.mj_forward(plant.model, now)
         mobility = push.mobility(plant.model, now)
-        if mobility < _LIGHTEST:
-            raise UsageError(f"{frame} cannot move: nothing to pull")
+        if mobility < _MIN_MOBILITY:
+            raise UsageError(f"{frame} cannot be pulled: it has no degree of freedom")
         push.mass = 1.0 / mobility
         self.place = push.point(now).copy()
         self.target = self.place
         self._wanted = push
 
     def make_stronger(self, steps: float) -> None:
-        """Makes the spring stiffer by so many steps of a wheel, softer for less than zero."""
+        """Makes the spring stiffer by some notches of a wheel; negative numbers make it softer."""
         low, high = STIFFNESS_RANGE
         self.stiffness = min(max(self.stiffness * STRONGER**steps, low), high)
 
     def release(self) -> None:
-        """Lets go, from the next step on."""
+        """Releases the point from the next step on."""
         self._wanted = None
 
     def gains(self, mass: float) -> tuple[float, float]:
-        """Stiffness, N/m, and damping, N s/m, that the step holds for a mass, kg."""
+        """Returns stable stiffness (N/m) and damping (N s/m) for a mass in kg."""
         step = self._timestep
-        stiffness = min(self.stiffness, _MOST_BENT * mass / step**2)
-        damping = min(2 * _DAMPING * sqrt(stiffness * mass), _MOST_DAMPED * mass / step)
+        stiffness = min(self.stiffness, _MAX_SPRING * mass / step**2)
+        damping = min(2 * _DAMPING * sqrt(stiffness * mass), _MAX_DAMPED * mass / step)
         return stiffness, damping
 
     def log_events(self) -> dict[str, str]:
-        """Columns of the log: the force, and the frame at the point where it acts."""
+        """Returns its log columns: the force, and a frame at the point of application."""
         return {event_of(self.name, "force"): "1V", event_of(self.name, "frame"): "1M"}
 
     def begin(self, columns: dict[str, slice], rows: Array) -> None:
-        """Discards all pulls, and continues with another log.
-
-        Args:
-            rows: (T, width), the log.
-        """
+        """Discards all pulls and continues with another log, shape (T, width)."""
         self._clear()
         force, frame = (columns[event] for event in self.log_events())
         self._columns, self._rows = (force, frame), rows
         rows[:, frame] = np.eye(4).ravel()
 
     def drop_oldest(self, dropped: int, kept: int) -> None:
-        """Discards pulls in rows that the log has discarded.
-
-        Args:
-            kept: how many are left; those behind them have nothing yet.
-        """
+        """Discards pulls in dropped rows of the log, of which `kept` rows are left."""
         for pull in self.pulls:
             pull.first -= dropped
             if pull.first < 0:
@@ -170,7 +163,7 @@ class DragForce:
             self._push.is_due = True
 
     def after(self, k: int) -> None:
-        """Writes the pull of the step before row k, as long as it lasts."""
+        """Logs the force of the step before row k."""
         if self._push is None:
             return
         self.force = self._push.force.copy()
@@ -183,15 +176,13 @@ class DragForce:
 
 
 class _SpringPush(Push):
-    """A push by the pointer's spring, updated in every step of the controllers.
+    """A push by the drag spring, computed while pushes are applied.
 
-    It is computed where pushes act, not before: what a step computes, and in which order, is then
-    the same as where the scenario repeats it.
+    Replaying the recorded forces from a scenario then computes the same values in the same order.
 
     Attributes:
-        offset: (3,), the point in the frame, m.
-        mass: that the point feels like, kg.
-        place: (3,), the point in the world at the beginning of the step, m.
+        mass: apparent mass of the point, kg.
+        place: point in the world at the beginning of the step, shape (3,), m.
         is_due: whether a step of the controllers begins.
     """
 
@@ -217,7 +208,7 @@ class _SpringPush(Push):
         super().apply(model, data, torques)
 
     def mobility(self, model: mujoco.MjModel, data: mujoco.MjData) -> float:
-        """The largest acceleration of the point by a force of 1 N, 1/kg: of J M^-1 J^T."""
+        """Returns the largest acceleration of the point by a unit force, 1/kg: of J M^-1 J^T."""
         mujoco.mj_jac(model, data, self._jacobian, None, self.point(data), self.body)
         accelerations = np.zeros_like(self._jacobian)
         mujoco.mj_solveM(model, data, accelerations, self._jacobian)

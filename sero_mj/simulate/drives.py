@@ -1,8 +1,8 @@
-"""`Drives`: torque control, delays and saturation between controllers and motors.
+"""`Drives`: joint torque control, delay and saturation between controllers and motors.
 
-Gains of faulty controllers, joint torque control at the rate of the physics, a delay, and torque
-limits, in that order. One step of the drives is one of the controllers, and as many of the plant as
-the physics is faster.
+Gains of faulty drives, joint torque control at the rate of the physics, delay and torque limits act
+in this order. One step of the drives is one step of the controllers and `substeps` steps of the
+plant.
 """
 
 from __future__ import annotations
@@ -23,17 +23,16 @@ class Drives:
     """Steps a plant with the commands of its controllers.
 
     Args:
-        plant: whose timestep divides that of the controllers.
+        plant: its timestep divides that of the controllers.
         robots: in the plant's order.
-        run: with the rates, the delay, and whether joint torque is controlled.
 
     Attributes:
-        loop: the joint torque control; None where a run has none.
-        gains: of the loop, by robot.
-        substeps: of the plant in one of the controllers.
+        loop: joint torque control; None if the run has none.
+        gains: gains of the loop, by robot.
+        substeps: number of plant steps in one step of the controllers.
 
     Raises:
-        DeclarationError: a loop that is unstable at this step, or that a robot cannot have.
+        DeclarationError: a loop is unstable at this timestep, or does not fit its robot.
     """
 
     def __init__(self, plant: PlantRows, robots: dict[str, SerialRobot], run: Run) -> None:
@@ -46,10 +45,10 @@ class Drives:
             self._find_gains(robots)
             joined = LoopGains.joined([*self.gains.values()])
             self.loop = TorqueLoop(joined, plant.timestep, self._high, plant.physics.m)
-        # Motors of elastic joints have encoders of their own, without errors; others the links'.
+        # Elastic joints have ideal motor encoders; other joints use the links' sensors.
         self._velocities = plant.motor_velocities if plant.joints.elastic else None
         self._measured: Array = plant.measured[:, 1:]
-        # Torques that do not act yet, in a ring, and the place in it of the next ones.
+        # Ring buffer of delayed torques, and the place of the next ones.
         delay = round(run.drive_delay / plant.timestep)
         self._pending: Array = np.zeros((delay + 1, plant.physics.m, plant.n))
         self._place = 0
@@ -69,16 +68,17 @@ class Drives:
     def check(
         self, name: str, mass: Array, stiffness: Array, damping: Array, *, has_springs: bool = True
     ) -> None:
-        """Refuses a loop, or a controller before it, that is unstable at this time step.
+        """Checks the stability of a robot's torque loop and of its controller.
 
         Args:
-            mass: (n, n), of its links where it starts, without the motors, kg m2 (kg).
-            stiffness: (n, n), by which its controller's torques fall with the angles, Nm/rad (N/m).
-            damping: (n, n), likewise with velocities, Nm s/rad (N s/m).
-            has_springs: whether its damping is designed for a stiffness, or declared.
+            mass: mass matrix of the links without motors, shape (n, n), kg m2 (kg).
+            stiffness: stiffness of the controller, shape (n, n), Nm/rad (N/m).
+            damping: damping of the controller, shape (n, n), Nm s/rad (N s/m).
+            has_springs: whether the damping is designed for a stiffness.
 
         Raises:
-            DeclarationError: names the joint that would shake most, and what would do.
+            DeclarationError: names the joint with the fastest growing vibration, and a stable
+                value.
         """
         gains, timestep = self.gains[name], self.plant.timestep
         joints = self.plant.world.robots[name].robot.names
@@ -88,17 +88,20 @@ class Drives:
                 lambda each: unstable_loop(gains.lighter(each), mass, timestep) is None
             )
             least = 1.01 * gains.lighter(share).shaped_inertias[joint]
-            found = f"joint {joints[joint]} is unstable at {gains.shaped_inertias[joint]:.3g}"
             better = (
                 f"at least {least:.3g}, or a shorter run.physics_timestep"
                 if share > 0
                 else "a lower torque_control.bandwidth, or a shorter run.physics_timestep"
             )
-            message = f"{found} with a loop of {1 / timestep:.0f} Hz; expected {better}"
-            raise Problem(f"robots.{name}.torque_control.motor_inertias", message).error()
+            raise Problem(
+                f"robots.{name}.torque_control.motor_inertias",
+                f"a torque loop of {1 / timestep:.0f} Hz makes joint {joints[joint]} unstable at",
+                found=float(gains.shaped_inertias[joint]),
+                expected=better,
+            ).error()
 
         def shaken(share: float) -> int | None:
-            # Damping is designed with the root of the stiffness.
+            # Designed damping is proportional to the square root of the stiffness.
             scaled = share * stiffness, (np.sqrt(share) if has_springs else share) * damping
             return unstable_loop(gains, mass, timestep, *scaled, self.substeps)
 
@@ -108,20 +111,16 @@ class Drives:
             what = "stiffness" if has_springs else "damping"
             raise Problem(
                 f"controllers.{name}.{what}",
-                (
-                    f"joint {joints[joint]} is unstable with a torque loop of "
-                    f"{1 / timestep:.0f} Hz and a time step of"
-                ),
+                f"joint {joints[joint]} is unstable with a torque loop of {1 / timestep:.0f} Hz "
+                "and a time step of",
                 found=1000.0 * timestep * self.substeps,
                 of="ms",
-                expected=(
-                    f"at most {99 * share:.2g} % of all {what}, a shorter run.timestep, or a "
-                    "larger torque_control.inertia_ratio"
-                ),
+                expected=f"at most {99 * share:.2g} % of each {what}, a shorter run.timestep, or "
+                "a larger torque_control.inertia_ratio",
             ).error()
 
     def reset(self, which: Bools | slice = slice(None)) -> None:
-        """Restarts some rows with a plant at rest, held by its motors."""
+        """Resets some rows to a plant at rest, held by its motors."""
         plant = self.plant
         self._pending[:, which] = plant.actual[which, 2]
         if self.loop is not None:
@@ -133,7 +132,8 @@ class Drives:
         """Simulates one step of the controllers; see `PlantRows.step`.
 
         Args:
-            commanded: (m, n), torques behind the controllers' limits and faults, Nm or N.
+            commanded: torques after the controllers' limits and drive faults, shape (m, n), Nm or
+                N.
         """
         plant, loop = self.plant, self.loop
         if loop is None:
@@ -151,7 +151,7 @@ class Drives:
             loop.step(motor_torques)
             if is_late:
                 motor_torques[...] = self._delayed(motor_torques)
-            plant.step_given()
+            plant.step_with_set_torques()
 
     def _delayed(self, torques: Array) -> Array:
         pending = self._pending

@@ -1,4 +1,4 @@
-"""`endless_scene`: robots simulated without an end time, pulled, steered and tuned meanwhile."""
+"""`endless_scene`: simulates robots without end, which can be dragged, moved and tuned."""
 
 from __future__ import annotations
 
@@ -16,36 +16,30 @@ from .scenario import Scenario
 from .simulated_scene import simulated_scene
 from .simulation import Simulation
 
-KEPT = 60.0  # s of the past that can be seen again, at least
-_LONGEST = 90.0  # s of the log, before its oldest rows are forgotten
-# Where a start is looked for: poses, and rad or m to either side of zero.
+KEPT = 60.0  # s, minimum length of the past that can be replayed
+_LOG_DURATION = 90.0  # s, before the oldest rows are discarded
+# Number of random poses, and their range about zero in rad or m.
 _POSES, _RANGE = 1000, 1.6
-_SINGULAR = 0.03  # inverse condition number, below which a start is looked for
-# What this number must gain for a mean rad or m away from zero, and what it may lose for the flange
-# to be farther in front of the base by the reach.
+_SINGULAR = 0.03  # a pose with a smaller inverse condition number is singular
+# Score of a pose relative to the inverse condition number: cost per mean rad or m from zero, and
+# gain per reach of the flange in front of the base.
 _PER_MOTION, _PER_REACH = 0.06, 0.3
-_HEIGHTS = (0.2, 0.6)  # of the reach, of the flange above the base
+_HEIGHTS = (0.2, 0.6)  # range of the flange's height above the base, relative to the reach
 
 
 class EndlessRun(RunSource):
-    """A simulation without an end time; when its log is full, the oldest third is discarded.
-
-    So it takes no more memory than its log of 90 s, and at least the last 60 s can be seen again.
-    """
+    """A simulation without end. When its log of 90 s is full, the oldest third is discarded."""
 
     @property
     def end(self) -> float | None:
-        """None: it has no end."""
         return None
 
     @property
     def begin(self) -> float:
-        """Time of the oldest row, s."""
         return float(self.run.times[0])
 
     @property
     def newest(self) -> float:
-        """Time of the newest row, s."""
         return float(self.run.time)
 
     @property
@@ -63,7 +57,6 @@ class EndlessRun(RunSource):
         return row - 1
 
     def advance_to(self, time: float) -> None:
-        """Passes on the rows up to a time, s; simulates missing ones."""
         run = self.run
         while time > run.times[-1] and self._error is None:
             super().advance_to(float(run.times[-1]))
@@ -76,19 +69,19 @@ class EndlessRun(RunSource):
 def endless_scene(
     scene: Scene, control: str = "joint", angles: Mapping[str, Array] | None = None
 ) -> Scene:
-    """Returns a scene whose robots are simulated without an end while it is shown.
+    """Returns a scene whose robots are simulated without end while it is shown.
 
-    Physics and controllers run at 1 kHz; where all robots declare a torque loop, joint torque
-    control between them at 3 kHz. Sources and routes of the scene have no part in it; of a scenario
-    its scene and gravity are taken. Arrows are shown, unless a robot declares that they are not.
+    Physics and controllers run at 1 kHz. If all robots declare torque control, it runs at 3 kHz.
+    Sources and routes of the scene are removed; of a scenario, only the scene and gravity are used.
+    Arrows are shown unless a robot disables them.
 
     Args:
-        control: kind of the controller of all of them at first, or its short name, as `joint`.
-        angles: where they begin, (n,), rad or m; others at the declared pose, see `bent_pose`.
+        control: kind or short name of the initial controllers, for example `joint`.
+        angles: initial joint angles by robot, shape (n,), rad or m; the default is `bent_pose`.
 
     Raises:
-        DeclarationError: what only shows when robots are simulated: starts beyond limits, no
-            masses.
+        DeclarationError: errors that are only detected in simulation: an initial pose beyond
+            limits, or missing masses.
     """
     runs = [each.run for each in scene.sources.values() if isinstance(each, RunSource)]
     declared = [run.scenario for run in runs if isinstance(run, Simulation)]
@@ -106,9 +99,9 @@ def endless_scene(
         for name, robot in shown.robots.items()
     }
     has_loops = all("torque_control" in robot.model_fields_set for robot in shown.robots.values())
-    given: dict[str, Any] = {"gravity": declared[0].run.gravity} if declared else {}
+    gravity: dict[str, Any] = {"gravity": declared[0].run.gravity} if declared else {}
     scenario = Scenario(
-        shown, name=scene.name, duration=_LONGEST, torque_control=has_loops, **given
+        shown, name=scene.name, duration=_LOG_DURATION, torque_control=has_loops, **gravity
     )
     simulation = Simulation(scenario, by_hand=True, is_live=True)
     assert simulation.live is not None
@@ -118,12 +111,12 @@ def endless_scene(
 
 
 def bent_pose(robot: SerialRobot) -> Array:
-    """Returns the declared pose (n,), rad or m; without one a pose from which an arm can move.
+    """Returns the declared pose, shape (n,), rad or m; if there is none, one that is easy to move.
 
-    At zeros many an arm is stretched upwards: its flange is in a singularity and its joints carry
-    nothing. Of random poses within the limits, the same ones each time, this one has its flange in
-    front of the base and above it, is far from singularities (by the inverse condition number of
-    the Jacobian, lengths in units of the reach) and not far from zero.
+    Many arms are stretched at zeros: the flange is singular and the joints carry no load. The
+    result is one of a fixed set of random poses within the limits: the flange is above and in front
+    of the base, far from singularities (by the inverse condition number of the Jacobian, with
+    lengths divided by the reach), and the angles are close to zero.
     """
     if robot.joint_angles is not None or robot.free_base:
         return robot.home
@@ -138,18 +131,18 @@ def bent_pose(robot: SerialRobot) -> Array:
     poses = np.where(stays, home, poses)
     poses = robot.coupled.positions(poses[:, robot.coupled.independent])
     frames = robot.kinematics.frames(poses, robot.base_frame)
-    tips = (frames[:, robot.flange_link] @ robot.T_n_flange)[:, :3, 3] - robot.base_frame[:3, 3]
+    flanges = (frames[:, robot.flange_link] @ robot.T_n_flange)[:, :3, 3] - robot.base_frame[:3, 3]
     J = robot.kinematics.jacobian(poses, robot.base_frame, robot.T_n_flange, robot.flange_link)
     J[:, :3] /= robot.reach
     values = np.linalg.svd(J[:, :, chain], compute_uv=False)
     inverse = values[:, -1] / np.maximum(values[:, 0], 1e-12)
     if inverse[0] > _SINGULAR:
         return home
-    tips /= robot.reach
-    score = inverse + _PER_REACH * tips[:, 0] - _PER_MOTION * np.abs(poses - home).mean(axis=1)
+    flanges /= robot.reach
+    score = inverse + _PER_REACH * flanges[:, 0] - _PER_MOTION * np.abs(poses - home).mean(axis=1)
     lowest = frames[:, 1:, 2, 3].min(axis=1) - robot.base_frame[2, 3]
-    is_good = (tips[:, 2] > _HEIGHTS[0]) & (tips[:, 2] < _HEIGHTS[1]) & (lowest > -1e-6)
-    is_good &= inverse > _SINGULAR
-    if not is_good.any():
+    is_valid = (flanges[:, 2] > _HEIGHTS[0]) & (flanges[:, 2] < _HEIGHTS[1]) & (lowest > -1e-6)
+    is_valid &= inverse > _SINGULAR
+    if not is_valid.any():
         return home
-    return np.asarray(poses[np.where(is_good, score, -np.inf).argmax()])
+    return np.asarray(poses[np.where(is_valid, score, -np.inf).argmax()])

@@ -17,12 +17,8 @@ from .runs.run_log import event_of
 from .scenario import Scenario
 
 
-class DueActions:
-    """Actions by the step at which they are due, in the order in which they were added.
-
-    Args:
-        timestep: s.
-    """
+class TimedActions:
+    """Actions in the order of their steps, and of addition within a step."""
 
     def __init__(self, timestep: float) -> None:
         self._timestep = timestep
@@ -30,31 +26,30 @@ class DueActions:
         self._next = 0
 
     def add(self, time: float, action: Callable[[], None]) -> None:
-        """Plans an action for a time, s."""
+        """Schedules an action for a time in seconds."""
         self._due.append((max(round(time / self._timestep), 0), action))
         self._due.sort(key=lambda entry: entry[0])
 
     @property
     def next(self) -> float:
-        """The row at which the next action is due; infinite if none is left."""
+        """Row at which the next action is due; infinite if there is none."""
         return self._due[self._next][0] if self._next < len(self._due) else math.inf
 
     def act(self, k: int) -> None:
-        """Runs the actions that are due at row k, before the step after it."""
+        """Runs the actions that are due at row k, before the next step."""
         while self._next < len(self._due) and self._due[self._next][0] <= k:
             self._due[self._next][1]()
             self._next += 1
 
 
 class FaultSchedule:
-    """Lets the faults of a scenario begin and end.
+    """Starts and ends the faults of a scenario.
 
     Args:
-        gains: (n,), factors of the commanded torques, after the limits: those of faulty drives;
-            to be written.
+        gains: factors of the commanded torques, shape (n,), to be written: those of faulty drives.
     """
 
-    def __init__(self, scenario: Scenario, plant: Plant, due: DueActions, gains: Array) -> None:
+    def __init__(self, scenario: Scenario, plant: Plant, due: TimedActions, gains: Array) -> None:
         self._scenario, self._plant, self._gains = scenario, plant, gains
         self._active: list[Fault] = []
         model, parts = plant.world.model, plant.world.robots
@@ -75,7 +70,6 @@ class FaultSchedule:
         fault.apply(self._plant, fault.rows(self._scenario.scene.robots), self._gains)
 
     def _end(self, fault: Fault) -> None:
-        """Ends a fault; others of the same part are applied again in their order."""
         self._active = [other for other in self._active if other is not fault]
         others = [other for other in self._active if other.part == fault.part]
 
@@ -95,33 +89,32 @@ class FaultSchedule:
 
 
 class CarriedObjects:
-    """Objects that robots of any rows carry, whose poses are computed and logged together."""
+    """Carried objects of all rows, whose poses are computed and logged together."""
 
     def __init__(self, plant: PlantRows) -> None:
         self._plant = plant
-        # By row and name: the flange's body, T_flange_object, and where poses are written.
+        # By row and name: the flange's body, T_flange_object, and the poses to be written.
         self._carried: dict[tuple[int, str], tuple[int, Array, Array]] = {}
 
     def __bool__(self) -> bool:
         return bool(self._carried)
 
     def take(self, plant: Plant, name: str, robot: str, grasp: Array, poses: Array) -> None:
-        """Lets an object be carried.
+        """Adds a carried object.
 
         Args:
             grasp: T_flange_object.
-            poses: (T, 16), its poses at every step, to be written.
+            poses: its poses in every step, shape (T, 16), to be written.
         """
         self._carried[plant.row, name] = plant.flange_body(robot), grasp, poses
         self._sort()
 
     def put_down(self, plant: Plant, name: str) -> None:
-        """Lets an object be carried no more."""
+        """Removes a carried object."""
         del self._carried[plant.row, name]
         self._sort()
 
     def clear(self) -> None:
-        """Lets none be carried."""
         self._carried.clear()
 
     def _sort(self) -> None:
@@ -132,7 +125,7 @@ class CarriedObjects:
         self._written = [poses for _, _, poses in carried]
 
     def write(self, k: int) -> None:
-        """Writes where they are now into the rows k of their poses."""
+        """Writes the current poses into row k of the arrays."""
         poses = self._plant.physics.poses_of(self._rows, self._bodies) @ self._grasps
         for written, pose in zip(self._written, poses.reshape(-1, 16), strict=True):
             written[k] = pose
@@ -143,9 +136,8 @@ class EventSchedule:
     """The disturbances and faults of a scenario, ordered by step.
 
     Args:
-        gains: (n,), factors of the commanded torques, after the limits: those of faulty drives; to
-            be written.
-        carried: the objects that robots carry, those of other runs in a batch as well.
+        gains: factors of the commanded torques, shape (n,), to be written: those of faulty drives.
+        carried: carried objects of all runs of the batch.
     """
 
     scenario: Scenario
@@ -156,12 +148,12 @@ class EventSchedule:
 
     def __post_init__(self) -> None:
         self.gains[:] = 1.0
-        self._due = DueActions(self.scenario.run.timestep)
-        self._varying: list[tuple[Push, Array]] = []  # with force and torque at every step
-        self._objects: dict[str, Array] = {}  # T_world_object at first, of those picked up
+        self._due = TimedActions(self.scenario.run.timestep)
+        self._varying: list[tuple[Push, Array]] = []  # pushes, and force and torque of every step
+        self._objects: dict[str, Array] = {}  # initial T_world_object of carried objects
         self._columns: dict[str, slice] = {}
         self._log: Array = np.zeros((0, 0))
-        self._now = 0  # the row before the step to come
+        self._now = 0  # row before the next step
         times = np.arange(self.steps + 1, dtype=np.float64) * self.scenario.run.timestep
         for disturbance in self.scenario.disturbances.values():
             if isinstance(disturbance, Force):
@@ -171,7 +163,6 @@ class EventSchedule:
         FaultSchedule(self.scenario, self.plant, self._due, self.gains)
 
     def before(self, k: int) -> None:
-        """Applies the events due at row k, before the step after it."""
         self._now = k
         self._due.act(k)
         for push, forces in self._varying:
@@ -179,11 +170,11 @@ class EventSchedule:
 
     @property
     def next(self) -> float:
-        """The next row at which `before` changes anything; infinite for none."""
+        """Next row at which `before` changes anything; infinite for none."""
         return 0 if self._varying else self._due.next
 
     def log_events(self) -> dict[str, str]:
-        """Further columns of the log: forces as they act, and objects that are carried."""
+        """Returns additional log columns: applied forces, and poses of carried objects."""
         events: dict[str, str] = {}
         for name, disturbance in self.scenario.disturbances.items():
             if isinstance(disturbance, Force):
@@ -192,11 +183,7 @@ class EventSchedule:
         return events
 
     def fill(self, columns: dict[str, slice], rows: Array) -> None:
-        """Writes events known in advance into the log, and keeps it for carried objects.
-
-        Args:
-            rows: (T, width), the log.
-        """
+        """Writes known events into the log, shape (T, width), which is stored for later poses."""
         times = rows[:, 0]
         self._columns, self._log = columns, rows
         for name, disturbance in self.scenario.disturbances.items():

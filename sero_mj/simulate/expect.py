@@ -20,26 +20,22 @@ from .runs.run_log import RunLog
 
 
 class RunContext(Protocol):
-    """What an expectation needs of its scenario."""
+    """The parts of a scenario that an expectation depends on."""
 
     scene: Scene
     disturbances: dict[str, Disturbance]
     faults: dict[str, Fault]
-    broken: set[str]  # disturbances and faults that are declared wrongly
+    broken: set[str]  # disturbances and faults with an invalid declaration
 
     @property
-    def duration(self) -> float:
-        """Of the run, s."""
+    def duration(self) -> float: ...
 
     @property
-    def has_surroundings(self) -> bool:
-        """Whether robots can touch anything."""
+    def has_surroundings(self) -> bool: ...
 
-    def has_target(self, robot: str) -> bool:
-        """Whether a robot has a target pose."""
+    def has_target(self, robot: str) -> bool: ...
 
-    def is_in_real_time(self, robot: str) -> bool:
-        """Whether a robot has a controller that runs in real time."""
+    def is_in_real_time(self, robot: str) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -47,10 +43,10 @@ class Outcome:
     """The outcome of an expectation.
 
     Attributes:
-        name: of what was expected.
-        holds: whether it did.
-        text: what was found, and what was expected.
-        value: what was found; NaN where nothing was.
+        name: name of the expectation.
+        holds: whether it passed.
+        text: found and expected values.
+        value: found value; NaN for none.
     """
 
     name: str
@@ -60,31 +56,33 @@ class Outcome:
 
 
 class Expect(Declaration):
-    """A number that must stay within bounds, or a fault that must be found (or must not).
+    """A value that must stay within bounds, or a fault that must (or must not) be detected.
 
-    A measure is a number for every joint, or for every robot, at every time. `of` makes one number
-    of all times, and `holds_at` says at how many joints and robots this one must be within bounds.
+    A measure has a value for every joint, or for every robot, at every time. `of` reduces the times
+    to one value, and `holds_at` sets at which joints and robots the value must be within the
+    bounds.
 
     Attributes:
         measure: one of `MEASURES`: `position_error`, `flange_error`, `torque_share`,
             `real_time_factor`, ...
-        robot: whose; all robots when None.
-        object: a free object, whose `height`, `displacement` or `tilt` it is.
-        joints: names; all when empty.
-        signed: whether the measure has its sign; its size counts when not.
-        of: `max`, `rms`, `mean`, `min` or `final`: what of it counts (default: `max`; `final` for
-            `real_time_factor`, which is the simulated time divided by the time that it took).
-        below: what this must be below.
-        above: what this must be above.
-        holds_at: where it must be: at `all` joints of all robots (the default of `below` alone), at
-            `any` one of them, or of `each_robot` at one joint at least. Required for `above` where
-            there are several.
-        after: from this time on, s.
-        before: until this time, s.
-        finds: a kind of fault that the monitor must find, in one of the joints.
-        within: s after the disturbance or fault `cause` (or after `after`) at the latest.
+        robot: robot name; None for all robots.
+        object: a free object, for `height`, `displacement` or `tilt`.
+        joints: joint names; empty for all.
+        signed: whether the sign counts; by default, the absolute value counts.
+        of: `max`, `rms`, `mean`, `min` or `final` value over time (default: `max`; `final` for
+            `real_time_factor`, which is simulated time divided by elapsed time).
+        below: upper bound.
+        above: lower bound.
+        holds_at: where the bounds must hold: at `all` joints of all robots (default for `below`
+            alone), at `any` joint, or at one joint of `each_robot`. Required for `above` if there
+            are several joints.
+        after: beginning of the evaluated time, s.
+        before: end of the evaluated time, s.
+        finds: kind of fault that the monitor must detect in one of the joints.
+        within: maximum delay in seconds after the disturbance or fault `cause` (or after `after`).
         cause: name of the disturbance or fault.
-        finds_nothing: kinds that the monitor must not find between `after` and `before`; `any`.
+        finds_nothing: kinds of faults that the monitor must not detect between `after` and
+            `before`; `any` for all.
     """
 
     measure: str | None = None
@@ -112,22 +110,22 @@ class Expect(Declaration):
 
     @model_validator(mode="after")
     def _asks_one_thing(self) -> Expect:
-        asked = [
+        keys = [
             key for key in ("measure", "finds", "finds_nothing") if getattr(self, key) is not None
         ]
-        if len(asked) != 1:
-            found = " and ".join(asked) or "none of them"
+        if len(keys) != 1:
+            found = " and ".join(keys) or "none"
             raise ValueError(f"found {found}; expected one of measure, finds, finds_nothing")
         if self.measure is None:
             for key in ("below", "above", "of", "signed", "holds_at"):
                 if key in self.model_fields_set:
-                    raise ValueError(f"{key}: is for a measure; found {asked[0]}")
+                    raise ValueError(f"{key}: requires measure; found {keys[0]}")
         elif self.finds is None and (self.within is not None or self.cause is not None):
-            raise ValueError("within and cause are for what `finds` a fault")
+            raise ValueError("within and cause require finds")
         if self.below is not None and self.above is not None and self.above >= self.below:
             raise Problem("above", found=self.above, expected=f"less than {self.below:g}").error()
         if self.measure is not None and self.below is None and self.above is None:
-            raise Problem("below", "is required", expected="below or above, a number").error()
+            raise Problem("below", "is required", expected="below or above").error()
         for key, known in (("measure", list(MEASURES)), ("finds", [*KINDS, "any"])):
             value = getattr(self, key)
             if value is not None and value not in known:
@@ -145,10 +143,10 @@ class Expect(Declaration):
 
     def _check_sign(self) -> None:
         if self.signed and self.measure not in SIGNED:
-            raise ValueError(f"signed: is for {', '.join(SIGNED)}; found {self.measure}")
+            raise ValueError(f"signed: requires one of {', '.join(SIGNED)}; found {self.measure}")
         if self.signed and self.of == "rms":
             raise Problem(
-                "signed", "found of = 'rms', which has no sign", expected="mean, say"
+                "signed", "found of = 'rms', which has no sign", expected="of = 'mean'"
             ).error()
         if self.measure is None or self.signed:
             return
@@ -157,31 +155,23 @@ class Expect(Declaration):
             ("above", self.above, self.above is not None and self.above < 0),
         ):
             if wrong:
-                near = "; expected signed = true, or a size" if self.measure in SIGNED else ""
-                raise ValueError(f"{key}: found {value:g}, but no size is below 0{near}")
+                near = "; set signed = true" if self.measure in SIGNED else ""
+                raise ValueError(f"{key}: found {value:g}, but absolute values are 0 or more{near}")
 
     def _check_whose(self) -> None:
         if self.joints and self.measure is not None and self.measure not in PER_JOINT:
-            whole = "an object" if self.object is not None else "a robot as a whole"
-            raise Problem(
-                "joints", f"found {self.measure}, of {whole}", expected="no joints"
-            ).error()
+            raise ValueError(f"joints: {self.measure} has no value per joint; remove joints")
         if self.measure in OF_FREE and (self.robot is None) == (self.object is None):
-            found = "none of them" if self.robot is None else "robot and object"
+            found = "neither" if self.robot is None else "both"
             raise Problem(
                 "measure",
-                f"'{self.measure}' is of one thing that is free; found {found}",
-                expected="robot, with a free base, or object",
+                f"'{self.measure}' requires robot (with a free base) or object; found {found}",
             ).error()
         if self.measure not in OF_FREE and self.object is not None:
-            raise ValueError(f"object: is for {', '.join(OF_FREE)}; found {self.measure}")
+            raise ValueError(f"object: requires one of {', '.join(OF_FREE)}; found {self.measure}")
 
     def check(self, scenario: RunContext) -> None:
-        """Checks that the scenario has the robots, joints and causes that are named.
-
-        Raises:
-            DeclarationError: no such robot, joint, disturbance or fault.
-        """
+        """Raises DeclarationError if names are unknown, or the measure is not available."""
         robots = scenario.scene.robots
         problems = []
         if self.robot is not None and self.robot not in robots:
@@ -215,7 +205,7 @@ class Expect(Declaration):
             ]
         problems += self._ambiguous(scenario.scene)
         if self.measure == "contact_force" and not scenario.has_surroundings:
-            message = "has nothing to touch; expected an object or another robot in the scene"
+            message = "there are no contacts; add an object or another robot to the scene"
             problems.append(Problem("measure", message))
         if self.after >= scenario.duration:
             message = f"found {self.after:g} s; the run ends at {scenario.duration:g} s"
@@ -236,12 +226,9 @@ class Expect(Declaration):
         if len(places) < 2:
             return []
         what = "joints" if self.measure in PER_JOINT else "robots"
-        each = ", 'each_robot' (at one joint of each)" if len(robots) > 1 else ""
-        message = (
-            f"is required with above, for {len(places)} {what}; expected 'all'{each} or 'any' "
-            "(at one of them, as it was)"
-        )
-        return [Problem("holds_at", message)]
+        each = ", 'each_robot' (one joint of each)" if len(robots) > 1 else ""
+        message = f"is required with above for {len(places)} {what}"
+        return [Problem("holds_at", message, expected=f"'all'{each} or 'any' (one of them)")]
 
     def _not_free(self, scene: Scene) -> list[Problem]:
         if self.object is not None:
@@ -249,7 +236,9 @@ class Expect(Declaration):
             if self.object not in objects:
                 return [Problem("object", "no object", found=self.object, available=objects)]
             if not objects[self.object].is_free:
-                return [Problem("object", f"'{self.object}' is fixed; expected one with a mass")]
+                return [
+                    Problem("object", f"'{self.object}' is fixed; expected an object with a mass")
+                ]
             return []
         robot = scene.robots.get(self.robot or "") if self.measure in OF_FREE else None
         if robot is None or robot.free_base:
@@ -266,7 +255,6 @@ class Expect(Declaration):
     def judge(
         self, name: str, log: RunLog, findings: Sequence[Finding], scenario: RunContext
     ) -> Outcome:
-        """Judges a run."""
         if self.measure is not None:
             return self._judge_measure(name, log)
         start = self.after
@@ -287,15 +275,15 @@ class Expect(Declaration):
         what = "fault" if self.finds == "any" else self.finds.replace("_", " ")
         limit = "" if self.within is None else f", expected within {1e3 * self.within:g} ms"
         if not found:
-            return Outcome(name, False, f"no {what} found{limit or ', expected one'}", np.nan)
-        late = found[0].time - start
-        holds = self.within is None or late <= self.within
-        text = f"{what} at {found[0].joint} found after {1e3 * late:.0f} ms{limit}"
-        return Outcome(name, holds, text, late)
+            return Outcome(name, False, f"no {what} detected{limit or ', expected one'}", np.nan)
+        delay = found[0].time - start
+        holds = self.within is None or delay <= self.within
+        text = f"{what} at {found[0].joint} detected after {1e3 * delay:.0f} ms{limit}"
+        return Outcome(name, holds, text, delay)
 
     @property
     def unit(self) -> str:
-        """Unit of the value that is found: of its measure, s until a finding, or none."""
+        """Unit of the found value: that of its measure, s until a finding, or none."""
         if self.measure is not None:
             return MEASURES[self.measure][0]
         return "" if self.finds_nothing is not None else "s"
@@ -304,8 +292,8 @@ class Expect(Declaration):
         wanted = KINDS if self.finds_nothing == "any" else self.finds_nothing or ()
         found = [finding for finding in findings if finding.kind in wanted]
         if not found:
-            return Outcome(name, True, "nothing found, as expected", 0.0)
-        return Outcome(name, False, f"expected to find nothing; found {found[0]}", len(found))
+            return Outcome(name, True, "no fault detected, as expected", 0.0)
+        return Outcome(name, False, f"expected no fault; found {found[0]}", len(found))
 
     def _judge_measure(self, name: str, log: RunLog) -> Outcome:
         assert self.measure is not None
@@ -319,9 +307,9 @@ class Expect(Declaration):
         )
         what = f"{'' if self.of == 'max' else f'{self.of} '}{self.measure.replace('_', ' ')}"
         if not rows.any():
-            text = f"{what}: the run ended at {log.times[-1]:g} s, before it counts"
+            text = f"{what}: the run ended at {log.times[-1]:g} s, before the evaluated time"
             return Outcome(name, False, f"{text}; expected {bounds}", np.nan)
-        # Of every robot the place that decides, and of these the one that does.
+        # The deciding joint of every robot, and then the deciding robot.
         deciding = []
         for whose, names, values in self._values(log, rows):
             reduced = _REDUCE[self.of](values)
@@ -332,12 +320,12 @@ class Expect(Declaration):
         k = self._deciding(np.array([value for value, *_ in deciding]), self.holds_at == "any")
         value, place, unit = deciding[k]
         holds = reaches_end and bool(self._margins(np.array(value)) > 0)
-        ended = "" if reaches_end else "; the run ended before"
+        ended = "" if reaches_end else "; the run ended early"
         text = f"{what} {value:.4g} {unit} at {place}, expected {bounds}"
         return Outcome(name, holds, f"{text}{self._where}{ended}", value)
 
     def _values(self, log: RunLog, rows: Bools | slice) -> Iterator[tuple[str, list[str], Array]]:
-        """Of every robot, or of the object: its name, its joints, and its values (T, joints)."""
+        """Yields name, joint names and values (T, joints) of each robot, or of the object."""
         assert self.measure is not None
         whose = self._robots(list(log.robots)) if self.object is None else [self.object]
         for each in whose:
@@ -353,7 +341,7 @@ class Expect(Declaration):
                 yield each, names, values
 
     def _margins(self, values: Array) -> Array:
-        """How far values are within the bounds; below 0 where they are not, NaN where unknown."""
+        """Returns distances to the bounds; negative if out of bounds, NaN if unknown."""
         high = np.inf if self.below is None else self.below - values
         low = np.inf if self.above is None else values - self.above
         return np.minimum(high, low)
@@ -371,15 +359,15 @@ class Expect(Declaration):
         }.get(self.holds_at or "", "")  # fmt: skip
 
     def share(self, log: RunLog) -> float:
-        """How far the measure is within its bounds in the last row of a log.
+        """Returns how close the last row of a log is to the bounds; 1 if it is within them.
 
-        Only bounds that hold at every time count: a `max` need be above, and a `min` below, once.
+        Only bounds that hold at every time count: not `above` for a `max`, nor `below` for a `min`.
 
         Args:
-            log: its first row is what drift counts from.
+            log: drift is measured from its first row.
 
         Returns:
-            1 while it is within, `below / value` or `value / above` beyond, 0 at least.
+            1 within the bounds; outside, `below / value` or `value / above`, at least 0.
         """
         robots = []
         for _, _, values in self._values(log, slice(-1, None)):

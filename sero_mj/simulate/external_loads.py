@@ -1,4 +1,4 @@
-"""Forces from outside on simulated robots: pushes at frames, payloads, contacts."""
+"""External forces on simulated robots: pushes at frames, payloads and contacts."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from .physics import Physics
 
 
 class Push:
-    """A force and a torque that move with a frame; both can be changed at any time.
+    """A force and a torque that move with a frame. Both can be changed at any time.
 
-    For arguments and errors see `Plant.push`.
+    See `Plant.push` for arguments and errors.
 
     Attributes:
-        at: (3,), where in the frame they act, m.
-        body: of the frame, in the model.
-        site: of the frame itself.
-        axes: the site in whose axes force and torque are given; None for the world's.
-        wrench: (2, 3), force and torque, N and Nm, in place.
+        at: point of application in the frame, shape (3,), m.
+        body: index of the frame's body.
+        site: index of the frame's site.
+        axes: site in whose axes force and torque are expressed; None for the world.
+        wrench: force and torque, shape (2, 3), N and Nm, in place.
     """
 
     def __init__(
@@ -49,25 +49,19 @@ class Push:
 
     @property
     def force(self) -> Array:
-        """(3,), N, in place."""
         return np.asarray(self.wrench[0])
 
     @property
     def torque(self) -> Array:
-        """(3,), Nm, in place."""
         return np.asarray(self.wrench[1])
 
     def write_into(self, wrench: Array) -> None:
-        """Keeps force and torque in an array from now on, (2, 3)."""
+        """Moves `wrench` into another array, shape (2, 3)."""
         wrench[...] = self.wrench
         self.wrench = wrench
 
     def apply(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array) -> None:
-        """Adds its joint torques.
-
-        Args:
-            torques: (nv,), Nm or N, to which they are added.
-        """
+        """Adds the generalized forces of the push to `torques`, shape (nv,), Nm or N."""
         force, torque = self.force, self.torque
         if self.axes is not None:
             axes = data.site_xmat[self.axes].reshape(3, 3)
@@ -75,7 +69,7 @@ class Push:
         mujoco.mj_applyFT(model, data, force, torque, self.point(data), self.body, torques)
 
     def point(self, data: mujoco.MjData) -> Array:
-        """Returns the world point at which it acts, (3,), m."""
+        """Returns the point of application in the world, shape (3,), m."""
         point: Array = data.site_xpos[self.site]
         if self.at.any():
             point = point + data.site_xmat[self.site].reshape(3, 3) @ self.at
@@ -83,10 +77,10 @@ class Push:
 
 
 class PushRows:
-    """The pushes of many rows, whose joint torques are computed together, as `Push.apply` does.
+    """The pushes of many rows, which are computed together.
 
-    MuJoCo is asked for no row by itself: to copy a row's `MjData` takes twice as long as its step.
-    Sums and products are those of `mj_applyFT` in its order, so that the torques are the same.
+    Copying the `MjData` of a row would take twice as long as its step. The sums and products are
+    those of `mj_applyFT` in the same order, so the torques are equal.
     """
 
     def __init__(self, physics: Physics, pushes: Sequence[tuple[int, Push]]) -> None:
@@ -96,7 +90,7 @@ class PushRows:
         for push, wrench in zip(acting, self._wrenches, strict=True):
             push.write_into(wrench)
         self._of: Ints = np.array([row for row, _ in pushes], np.intp)
-        # Of a row with one push there is nothing to sum up.
+        # Without a second push in the same row, no sum is needed.
         self._is_single = len(np.unique(self._of)) == len(pushes)
         bodies = [push.body for push in acting]
         self._sites: Ints = np.array([push.site for push in acting], np.intp)
@@ -110,17 +104,13 @@ class PushRows:
         turned = [k for k, push in enumerate(acting) if push.axes is not None]
         self._turned: Ints = np.array(turned, np.intp)
         self._axes: Ints = np.array([acting[k].axes for k in turned], np.intp)
-        # Bound only where needed: what is bound is copied in every step.
+        # Bound only if needed: bound arrays are copied in every step.
         self._turns = physics.bind("site_xmat") if is_off or turned else None
 
     def write(self, torques: Array) -> None:
-        """Writes their torques on the joints.
-
-        Args:
-            torques: (m, nv), Nm or N: zeros.
-        """
+        """Writes the generalized forces of the pushes into zeros, shape (m, nv), Nm or N."""
         of, sites = self._of, self._sites
-        self._physics.look_ahead()
+        self._physics.forward()
         wrenches = self._wrenches
         points = self._places[of, sites]
         if self._turns is not None:
@@ -129,16 +119,16 @@ class PushRows:
                 points += (turns[of, sites] @ self._off)[..., 0]
             if len(self._turned):
                 wrenches, axes = wrenches.copy(), turns[of[self._turned], self._axes]
-                for k in range(2):  # one by one, as `Push.apply` does
+                for k in range(2):  # force and torque separately, as in `Push.apply`
                     wrenches[self._turned, k] = (axes @ wrenches[self._turned, k, :, None])[..., 0]
         arms = points - self._centers[of, self._roots]
-        # By component, (k, nv) each: numpy is slow where few numbers follow each other.
+        # By component, (k, nv) each: numpy is slow with a short last axis.
         motions = self._motions[of].transpose(2, 0, 1).copy()
         x, y, z, *lines = motions
         (rx, ry, rz), (fx, fy, fz), (tx, ty, tz) = (
             each.T[..., None] for each in (arms, wrenches[:, 0], wrenches[:, 1])
         )
-        # Columns of the Jacobian of the point: v + w x r. `np.cross` takes twice as long.
+        # Columns of the point's Jacobian: v + w x r. `np.cross` takes twice as long.
         lines[0] += y * rz - z * ry
         lines[1] += z * rx - x * rz
         lines[2] += x * ry - y * rx
@@ -152,7 +142,7 @@ class PushRows:
 
 
 def _moving(model: mujoco.MjModel, body: int) -> Bools:
-    """Which degrees of freedom move a body, (nv,)."""
+    """Returns which degrees of freedom move a body, shape (nv,)."""
     found: Bools = np.zeros(model.nv, bool)
     while body:
         first = model.body_dofadr[body]
@@ -207,7 +197,7 @@ def attach_payload(
 
 
 def detach_payload(model: mujoco.MjModel, robot: str) -> None:
-    """Takes the mass away again."""
+    """Removes the mass of a robot's payload body."""
     _set(model, robot, 0.0, np.zeros(3), np.zeros(3), np.array([1.0, 0, 0, 0]))
 
 
@@ -218,25 +208,25 @@ def _set(
     model.body_mass[body] = mass
     model.body_ipos[body], model.body_iquat[body] = center, quat
     model.body_inertia[body] = moments
-    model.body_sameframe[body] = 0  # its centre of mass is no longer taken for its origin
+    model.body_sameframe[body] = 0  # the center of mass is no longer at the body's origin
     kept = model.stat.center.copy(), model.stat.extent, model.stat.meansize
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    model.stat.center, model.stat.extent, model.stat.meansize = kept  # else the camera jumps
+    model.stat.center, model.stat.extent, model.stat.meansize = kept  # keeps the camera still
 
 
 class Contacts:
-    """Sums the contact forces on robots from outside, without contacts among their own links.
+    """Sums the external contact forces on each robot, without contacts among its own links.
 
     Args:
-        world: compiled with `dynamic`.
+        world: compiled with `dynamic=True`.
 
     Attributes:
-        forces: (robots, 3), on every robot, in the world's axes, N; of the last `update`.
+        forces: force on each robot at the last `update`, shape (robots, 3), in the world's axes, N.
     """
 
     def __init__(self, world: World, model: mujoco.MjModel) -> None:
         self.forces: Array = np.zeros((len(world.robots), 3))
-        # Of every geom the robot's number, -1 for all else.
+        # Robot index of every geom, or -1.
         self._owner = robots_of_bodies(model, world.robots)[model.geom_bodyid]
         self._force: Array = np.zeros(6)
 
@@ -249,7 +239,7 @@ class Contacts:
             if first == second or contact.exclude[index]:
                 continue
             mujoco.mj_contactForce(model, data, index, self._force)
-            # Rows of the contact's frame: normal from the first geom to the second, two tangents.
+            # Rows of the contact frame: normal from the first to the second geom, two tangents.
             force = self._force[:3] @ contact.frame[index].reshape(3, 3)
             if second >= 0:
                 forces[second] += force

@@ -1,21 +1,22 @@
 """`JointModel`: motors, links and torque sensors of rigid and elastic joints in MuJoCo.
 
-Rigid: motor and link are one degree of freedom. The motor's torque, less what its own inertia and
-friction take, goes through the sensor:
+Rigid joint: motor and link share one degree of freedom. The sensor measures the motor torque minus
+the torques of motor inertia and friction:
 
     torque = motor_torque - motor_inertia * acceleration - friction
 
-Elastic: motor and link have an angle each, and the sensor reads the spring and damper between:
+Elastic joint: motor and link have one angle each. The sensor measures the spring and damper between
+them:
 
-    torque = stiffness * (motor_angle - link_angle) + damping * (their velocities' difference)
+    torque = stiffness * (motor_angle - link_angle) + damping * (motor_velocity - link_velocity)
 
-Both are what acted during the last step, to rounding: accelerations are differences of velocity,
-viscous friction and spring act as MuJoCo's integrator took them (velocities at the step's end,
-angles at its start), and Coulomb friction is what its solver found, also where it holds. The gear
-or tendon of coupled joints is on the motors' side: what it carries goes through the sensors.
+Both are the torques of the last step, exact to rounding: accelerations are velocity differences;
+viscous friction and spring are evaluated as in MuJoCo's integrator (velocities at the end of the
+step, angles at its start); Coulomb friction is the result of MuJoCo's solver, also during sticking.
+Couplings between joints act on the motor side, so the sensors measure their forces.
 
-With the LWR's assumed springs, motors that are shaken by 8 Nm, and steps of 1 ms, angles are within
-2e-5 rad and torques within 0.1 Nm of those with steps of 10 us.
+With the assumed springs of the LWR, an excitation of 8 Nm and a timestep of 1 ms, angles are within
+2e-5 rad and torques within 0.1 Nm of a simulation with 10 us.
 
 Source: Albu-Schaeffer, Ott, Hirzinger, A Unified Passivity-based Control Framework for Position,
 Torque and Impedance Control of Flexible Joint Robots, IJRR 26(1), 2007, eq. 1-3.
@@ -37,7 +38,10 @@ Index = slice | Ints
 
 
 def as_slice(indices: Ints) -> Index:
-    """Indices with equal steps as a slice, which numpy reads in place; others as they are."""
+    """Returns evenly spaced indices as a slice, and other indices unchanged.
+
+    Indexing by a slice yields a view instead of a copy.
+    """
     if not len(indices):
         return slice(0, 0)
     steps = np.unique(np.diff(indices))
@@ -47,26 +51,26 @@ def as_slice(indices: Ints) -> Index:
 
 
 class JointModel:
-    """Where motors, links and torque sensors of a world's robots are in MuJoCo's arrays.
+    """Maps the motors, links and torque sensors of a world's robots to MuJoCo's arrays.
 
-    Angles of links and their velocities are sums of two joints' where joints are elastic. Readings
-    of the sensors are linear in the states before and after a step and in the torques that acted in
-    it: one matrix product computes them all, in few calls of numpy. All arrays have the m worlds as
-    their first axis.
+    Link angles and velocities of elastic joints are sums of two MuJoCo joints. Sensor readings are
+    linear in the states before and after a step and in the torques of the step, so one matrix
+    product computes all of them. The m worlds are the first axis of all arrays.
 
     Attributes:
-        n: number of joints of all robots together.
-        elastic: whether any of them is.
-        looks_ahead: whether a step ends with what follows from the state that it leads to
-            (kinematics, bias torques); else the next one begins with it, which is faster.
-        reads_torques: whether torques are asked for after steps; their friction costs most.
-        motor_dofs: index of every motor in `qvel`, (n,).
-        motor_positions: likewise in `qpos`.
-        motor_angles: (n,), rad, as the last step left them.
-        motor_velocities: (n,), likewise, rad/s.
-        sensor_dofs: index in `qvel` of that which every torque sensor feels, (n,): the link
-            together with the motor, or the deflection.
-        motor_torques: (n,), in the next step, Nm; to be written before `advance`.
+        n: number of joints of all robots.
+        elastic: whether any joint is elastic.
+        forwards: whether a step ends with the kinematics and bias torques of the new state. If not,
+            the next step computes them, which is faster.
+        reads_torques: whether torques are read after steps; reading the friction takes the most
+            time.
+        motor_dofs: indices of the motors in `qvel`, shape (n,).
+        motor_positions: indices of the motors in `qpos`, shape (n,).
+        motor_angles: motor angles after the last step, shape (m, n), rad.
+        motor_velocities: motor velocities after the last step, shape (m, n), rad/s.
+        sensor_dofs: index in `qvel` that each torque sensor acts on, shape (n,): link and motor, or
+            the deflection.
+        motor_torques: motor torques of the next step, shape (m, n), Nm; written before `advance`.
     """
 
     def __init__(self, world: World, physics: Physics) -> None:
@@ -90,7 +94,7 @@ class JointModel:
                 sensor.append(int(of.dofadr[0]))
                 spring_q.append(int(of.qposadr[0]))
         self.n = len(motor)
-        self.looks_ahead = self.reads_torques = True
+        self.forwards = self.reads_torques = True
         self.elastic = bool(spring_q)
         self.motor_dofs = as_slice(np.array(motor, np.intp))
         self.sensor_dofs = np.array(sensor, np.intp)
@@ -98,7 +102,7 @@ class JointModel:
         self._motor_q, self._spring_q = np.array(motor_q, np.intp), np.array(spring_q, np.intp)
         self._spring_dofs = self.sensor_dofs[self._elastic_rows]
         self._qpos, self._qvel, self._applied = physics.qpos, physics.qvel, physics.applied
-        # Where joints stand in equal steps these are views, which are always up to date.
+        # Views, which are always up to date, if the indices are evenly spaced.
         self._copies: list[tuple[Array, Ints, Array]] = []
         self.motor_angles = self._watch(self._qpos, self.motor_positions)
         self.motor_velocities = self._watch(self._qvel, self.motor_dofs)
@@ -111,7 +115,7 @@ class JointModel:
     def _find_couplings(self) -> None:
         model = self._model
         couplings: list[int] = []
-        self._coupled_dofs: list[tuple[int, int, float]] = []  # which follows which, by what ratio
+        self._coupled_dofs: list[tuple[int, int, float]] = []  # follower, source, ratio
         for name, part in self._world.robots.items():
             coupled = part.robot.coupled
             for i, source in enumerate(coupled.independent[coupled.source].tolist()):
@@ -120,7 +124,7 @@ class JointModel:
                     ratio = float(coupled.ratio[i])
                     self._coupled_dofs.append((int(part.dofs[i]), int(part.dofs[source]), ratio))
         ids: list[int] = []
-        if couplings:  # equality constraints stand first, and all are active from the start on
+        if couplings:  # equality constraints come first, and all are always active
             data = mujoco.MjData(self._physics.model)
             mujoco.mj_forward(self._physics.model, data)
             ids = data.efc_id[: data.ne].tolist()
@@ -134,7 +138,7 @@ class JointModel:
         return watched
 
     def refresh(self) -> None:
-        """Reads inertia, friction and stiffness anew from the models, after they were changed."""
+        """Reads inertia, friction and stiffness from the models again after a change."""
         model, physics = self._model, self._physics
         models = [physics.model_of(row) for row in range(physics.m)]
         for name, part in self._world.robots.items():
@@ -154,7 +158,7 @@ class JointModel:
         self._friction[:] = friction[:, self._dofs_with_friction]
 
     def _arrange(self, models: Sequence[mujoco.MjModel]) -> None:
-        """Lays out what the sensors feel: [q, dq; torques; q, dq after; couplings; friction]."""
+        """Lays out the sensor terms: [q, dq; torques; q, dq after; couplings; friction]."""
         model, n = self._model, self.n
         kinds = [model.nq, model.nv, n, model.nq, model.nv, len(self._coupled_dofs)]
         sizes = np.array([*kinds, len(self._dofs_with_friction)])
@@ -173,19 +177,19 @@ class JointModel:
         found = {id(each): np.zeros((3 * n, ends[-1])) for each in models}
         for each in {id(each): each for each in models}.values():
             self._fill(each, found[id(each)].reshape(3, n, -1), first)
-        # Rows with a friction of their own have a matrix of their own.
+        # Rows with their own friction have their own matrix.
         self._readings_of: Array = np.array([found[id(each)] for each in models])
         if len(found) == 1:
             self._readings_of = self._readings_of[0]
         self._states = q_before, dq_before, q_after, dq_after
 
     def _fill(self, model: mujoco.MjModel, readings: Array, first: Sequence[int]) -> None:
-        """Fills a model's matrix (3, n, terms) by the columns at which the kinds of terms begin."""
+        """Fills a model's matrix, (3, n, terms); `first` has the first column of each kind."""
         q_before, dq_before, motor_torques, q_after, dq_after, coupling, friction = first
         dofs, springs = self.sensor_dofs, self._elastic_rows
         angles, velocities, torques = readings
         rows = np.arange(self.n)
-        rigid = np.setdiff1d(rows, springs)  # other motors are on the far side of a spring
+        rigid = np.setdiff1d(rows, springs)
         angles[rows, q_after + self._motor_q] = 1.0
         angles[springs, q_after + self._spring_q] = 1.0
         velocities[rows, dq_after + np.arange(model.nv)[self.motor_dofs]] = 1.0
@@ -195,7 +199,7 @@ class JointModel:
         torques[springs, q_before + self._spring_q] = -self._spring_stiffness
         torques[rows, dq_before + dofs] = inertia
         torques[rows, dq_after + dofs] = -(inertia + model.dof_damping[dofs])
-        # A row's constraint is q - ratio * q_source - offset = 0: its force acts by that slope.
+        # A coupling's constraint is q - ratio * q_source - offset = 0; forces act by its gradient.
         slopes = self._couples_at = np.zeros((self.n, len(self._coupled_dofs)))
         for row, (follows, source, ratio) in enumerate(self._coupled_dofs):
             slopes[:, row] = (dofs == follows) - ratio * (dofs == source)
@@ -211,13 +215,10 @@ class JointModel:
         data.qpos[motors] = angles - deflection
 
     def advance(self, pushes: Array | None) -> bool:
-        """Simulates one step.
+        """Simulates one step; returns whether the motion is stable.
 
         Args:
-            pushes: torques that act from outside, (m, nv), Nm.
-
-        Returns:
-            whether the motion is stable.
+            pushes: external generalized forces, shape (m, nv), Nm.
         """
         physics = self._physics
         q_before, dq_before, q_after, dq_after = self._states
@@ -231,33 +232,33 @@ class JointModel:
         q_after[...], dq_after[...] = self._qpos, self._qvel
         if self.reads_torques:
             physics.read_inner_forces(self._coupling_rows, self._dofs_with_friction, self._inner)
-        if self.looks_ahead:
-            physics.look_ahead()
+        if self.forwards:
+            physics.forward()
         return is_stable
 
     def external(self, row: int, pushes: Array) -> Array:
-        """Torques on the links of a row from outside in the last step, (n,), Nm.
+        """Returns the external torques on the links of a row in the last step, (n,), Nm.
 
         Args:
-            pushes: torques of pushes, (nv,).
+            pushes: generalized forces of pushes, shape (nv,).
         """
         outer = pushes + self._physics.data_of(row).qfrc_constraint
         inner = self._friction_at @ self._friction[row] + self._couples_at @ self._coupling[row]
         return np.asarray(outer[self.sensor_dofs] - inner)
 
     def read(self, readings: Array) -> None:
-        """Writes what sensors feel of the links: angles, velocities, torques, (m, 3n, 1)."""
+        """Writes the true angles, velocities and torques of the links, shape (m, 3n, 1)."""
         self.update_motors()
-        # One product per row: one for all would round differently.
+        # One product per row: a single product for all rows would round differently.
         np.matmul(self._readings_of, self._column, readings)
 
     def update_motors(self) -> None:
-        """Brings `motor_angles` and `motor_velocities` up to date, where they are copies."""
+        """Updates `motor_angles` and `motor_velocities` if they are copies."""
         for array, index, copy in self._copies:
             np.take(array, index, axis=1, out=copy)
 
     def read_at_rest(self, row: int, data: mujoco.MjData) -> Array:
-        """Readings of a row at rest, (3, n), before any step: torque sensors read the load."""
+        """Returns the readings of a row at rest, shape (3, n), before the first step."""
         self._terms[row] = 0.0
         self._terms[row, self._after] = np.hstack([data.qpos, data.qvel])
         friction = self._friction[row]

@@ -1,4 +1,4 @@
-"""`LiveControl`: controllers, gains and targets of simulated robots, changed while they run."""
+"""`LiveControl`: changes controllers, gains and targets of robots while they are simulated."""
 
 from __future__ import annotations
 
@@ -17,20 +17,16 @@ from .control.joint_control import largest_share
 from .control.make_controller import controller_kinds
 from .control.robot_model import RobotModel
 
-_HALVINGS = 8  # of a first stiffness that the step does not hold
-# The target goes to where it is wanted as a critically damped mass of this frequency would, 1/s,
-# and at most at this share of the joints' velocity limits: never jumps.
+_HALVINGS = 8  # maximum number of reductions of an initial stiffness that is unstable
+# The target moves to its goal like a critically damped mass of this frequency (1/s), at most at
+# this share of the joints' velocity limits.
 _FREQUENCY = 20.0
 _SHARE = 0.7
-_RESTS = 1e-9  # rad and rad/s (m, m/s)
+_AT_REST = 1e-9  # rad and rad/s (m, m/s)
 
 
 def kind_of_control(name: str) -> str:
-    """The kind of a controller by that name or its short name.
-
-    Raises:
-        UnknownName: there is none.
-    """
+    """Returns the kind of a controller from its kind or short name. Raises UnknownName."""
     kinds = controller_kinds()
     by_name = {kind.short: key for key, kind in kinds.items() if kind.short}
     if name not in kinds and name not in by_name:
@@ -40,21 +36,21 @@ def kind_of_control(name: str) -> str:
 
 @dataclass(eq=False)
 class LiveRobot:
-    """The controller and target of one robot, and how they are changed.
+    """The controller and target of one robot.
 
     Attributes:
-        robot: as it stands in the world at first.
-        model: for itself.
-        timestep: of the controllers, s.
-        target: of its controller.
-        measured: its angles, (n,), rad or m; a view.
-        speeds: likewise, per second.
-        written: the log's columns of target angles, velocities and pose, (T, ...); views.
-        use: changes its controller; raises DeclarationError where the step does not hold it.
-        controllers: declarations of all that it can have, by kind, with the gains of now.
-        control: the kind of the one it has.
-        first: the same with the gains at first.
-        goal: where its target is wanted, (n,), rad or m.
+        robot: the robot in its initial pose in the world.
+        model: model of the robot, which the controller does not share.
+        timestep: time step of the controllers, s.
+        target: target of its controller.
+        measured: joint angles, shape (n,), rad or m; a view.
+        speeds: joint velocities, shape (n,); a view.
+        written: log columns of target angles, velocities and pose, shape (T, ...); views.
+        use: function that replaces the controller. It raises DeclarationError for unstable gains.
+        controllers: all available controllers by kind, with the current gains.
+        control: kind of the current controller.
+        first: all available controllers with the initial gains.
+        goal: final joint angles of the target, shape (n,), rad or m.
     """
 
     robot: SerialRobot
@@ -82,21 +78,20 @@ class LiveRobot:
 
     @property
     def controller(self) -> ControllerDeclaration:
-        """The one that it has."""
         return self.controllers[self.control]
 
     def choose(self, control: str) -> str:
         """Changes the controller, and sets the target to the current pose.
 
         Returns:
-            why it cannot be; empty where it is.
+            the reason if it is refused, or an empty text.
 
         Raises:
-            UnknownName: no controller of that kind can be chosen.
+            UnknownName: no controller of that kind is available.
         """
         control = kind_of_control(control)
         if control not in self.controllers:
-            raise UnknownName("controller to play with", control, self.controllers)
+            raise UnknownName("available controller", control, self.controllers)
         self._stand()
         declared: ControllerDeclaration | None = self.controllers[control]
         why = ""
@@ -113,10 +108,10 @@ class LiveRobot:
         return why
 
     def change(self, values: Mapping[str, Any], text: Callable[[Mapping[str, Any]], str]) -> str:
-        """Changes gains of the controller in use, at once; refuses what the step cannot hold.
+        """Changes gains of the current controller unless they are unstable.
 
         Returns:
-            why they are refused, and the largest that the step holds; empty where they are not.
+            the reason and the largest stable gains if they are refused, or an empty text.
         """
         now = self.controller
         try:
@@ -142,7 +137,7 @@ class LiveRobot:
 
             largest = text(part(0.99 * largest_share(holds)))
             self.use(now)
-            return f"refused: {_reason(error)}. At most {largest} holds here"
+            return f"refused: {_reason(error)}. The largest stable value here is {largest}"
         self.controllers[self.control] = declared
         return ""
 
@@ -150,7 +145,7 @@ class LiveRobot:
         target = self.target
         target.angles[:] = target.posture[:] = self.measured
         target.velocities[:] = self.speeds
-        # From there the target comes to rest without overshoot.
+        # The target comes to rest there without overshoot.
         self.goal = target.angles + target.velocities / _FREQUENCY
         self._place()
         self._is_moving = True
@@ -171,13 +166,13 @@ class LiveRobot:
         target, step = self.target, self.timestep
         angles, velocities = target.angles, target.velocities
         pull = _FREQUENCY**2 * (self.goal - angles) - 2.0 * _FREQUENCY * velocities
-        most = np.maximum(self._fastest, np.abs(velocities))  # it may come from a faster robot
-        faster = np.clip(velocities + step * pull, -most, most)
-        target.accelerations[:] = (faster - velocities) / step
-        velocities[:] = faster
-        angles += step * faster
+        limit = np.maximum(self._fastest, np.abs(velocities))  # the robot may have been faster
+        changed = np.clip(velocities + step * pull, -limit, limit)
+        target.accelerations[:] = (changed - velocities) / step
+        velocities[:] = changed
+        angles += step * changed
         left = max(np.abs(self.goal - angles).max(), np.abs(velocities).max())
-        self._is_moving = bool(left > _RESTS)
+        self._is_moving = bool(left > _AT_REST)
         if not self._is_moving:
             angles[:], velocities[:], target.accelerations[:] = self.goal, 0.0, 0.0
         target.posture[:] = angles
@@ -192,17 +187,13 @@ class LiveRobot:
 
 
 class LiveControl:
-    """The robots of a simulation whose controllers and targets are changed while it runs.
-
-    Attributes:
-        robots: by name.
-    """
+    """The robots of a simulation whose controllers and targets can be changed."""
 
     def __init__(self) -> None:
         self.robots: dict[str, LiveRobot] = {}
 
     def begin(self, robots: dict[str, LiveRobot]) -> None:
-        """Continues with a restarted simulation, keeping the controllers."""
+        """Continues with a restarted simulation with the same controllers."""
         before, self.robots = self.robots, robots
         for name, robot in robots.items():
             if name in before:

@@ -19,22 +19,22 @@ from .scenario import Scenario
 from .simulated_scene import SOURCE
 from .simulation import Simulation
 
-SIGNALS_RATE = 5.0  # decoded rows per simulated second, for programs that plot; 0 for none
+SIGNALS_RATE = 5.0  # default number of decoded rows per simulated second, for plotting programs
 
 
 class RunRecorder:
-    """Writes rows of a simulation's log into a recording, as if they had just been received.
+    """Writes rows of a simulation's log into a recording, as if they had been received.
 
-    A replay shows it like the simulation itself, and `sero-mj compare` reads it. Use it as a
-    context manager.
+    A replay shows it like the simulation, and `sero-mj compare` reads it. Use it as a context
+    manager.
 
     Args:
-        path: where to, OUT.mcap.
-        overwrite: write over a file that exists.
-        signals_rate: of how many rows per simulated second the values are kept as JSON as well.
+        path: output file, OUT.mcap.
+        overwrite: replace an existing file.
+        signals_rate: number of rows per simulated second that are also stored as JSON; 0 for none.
 
     Raises:
-        RecordingError: the file exists already, or cannot be written.
+        RecordingError: the file exists, or cannot be written.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class RunRecorder:
         self._every = max(round(1.0 / (signals_rate * timestep)), 1) if signals_rate > 0 else 0
 
     def write(self, first: int, stop: int) -> None:
-        """Writes these rows of the log; raises RecordingError when the disk is full."""
+        """Writes rows of the log. Raises RecordingError if the disk is full."""
         simulation, writer, begin = self._simulation, self._writer, self._begin
         rows = simulation.rows[first:stop]
         writer.write_rows(SOURCE, rows.view(np.uint8), begin + rows[:, 0])
@@ -98,17 +98,13 @@ def _signals_of(simulation: Simulation) -> Signals:
 
 
 def files_of(scenario: Scenario) -> list[Path]:
-    """The scenario's file, its scene's, and those of its models."""
+    """Returns the files of the scenario, its scene and its models."""
     own = [] if scenario.file is None else [scenario.file.absolute()]
     return list(dict.fromkeys(file for file in [*own, *scenario.scene.files()] if file.is_file()))
 
 
 class LogSignals:
-    """The signals of one robot of a simulation at any time until now; stands in for a motion.
-
-    Args:
-        robot: whose signals.
-    """
+    """The signals of one simulated robot at any past time; can be sent like those of a motion."""
 
     def __init__(self, simulation: Simulation, robot: str) -> None:
         self._simulation = simulation
@@ -121,7 +117,7 @@ class LogSignals:
         }
 
     def signals(self, t: float) -> Mapping[str, Array]:
-        """What is measured at time t, s."""
+        """Returns the signals at a time in seconds."""
         simulation, timestep = self._simulation, self._simulation.scenario.run.timestep
         row = min(round(t / timestep), simulation.step)
         found = {signal: simulation.rows[row, columns] for signal, columns in self._columns.items()}

@@ -1,4 +1,4 @@
-"""`without_timers`: lets MuJoCo compute without its timers, which take a seventh of every step."""
+"""`without_timers`: disables MuJoCo's timers, which take a seventh of the time of every step."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from threading import Lock
 import mujoco
 
 _lock, _depth = Lock(), 0
-_clock: int | None = None  # what timers read where they run
+_clock: int | None = None  # the clock of the timers when they are enabled
 
 
 @contextmanager
 def without_timers() -> Iterator[None]:
-    """Stops the timers of MuJoCo, `MjData.timer`, in this process for a while.
+    """Disables the timers of MuJoCo (`MjData.timer`) in this process for a while.
 
-    Each reads the clock twice for every part of a step. MuJoCo's own default is not to; its Python
-    package installs a clock, and `mujoco.set_mjcb_time(None)` installs it again. Where MuJoCo's
-    library is not found the timers run on.
+    Each timer reads the clock twice for every part of a step. MuJoCo does not use a clock by
+    default, but its Python package installs one, and `mujoco.set_mjcb_time(None)` installs it
+    again. If MuJoCo's library is not found, the timers stay enabled.
     """
     global _clock, _depth  # noqa: PLW0603
     installed = _installed_clock()

@@ -1,4 +1,4 @@
-"""`Physics`: m equal worlds that MuJoCo steps together, the first axis of all arrays."""
+"""`Physics`: m worlds that MuJoCo steps together; they are the first axis of all arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..base.frames import Array, Bools, Ints
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
 _NOTHING = int(mujoco.mjtStage.mjSTAGE_NONE)
-# MuJoCo's warnings about an unstable motion.
+# MuJoCo's warnings of an unstable motion.
 _POSITION, _SPEED, _ACCELERATION = _UNSTABLE = [
     int(kind)
     for kind in (
@@ -27,23 +27,23 @@ _POSITION, _SPEED, _ACCELERATION = _UNSTABLE = [
 
 
 class Physics:
-    """m equal worlds that are stepped together.
+    """m worlds that are stepped together.
 
-    One world is an `MjData` of its own, because a batch of one takes 4 to 8 us longer per step
-    (an LWR's `mj_step` takes 7 us), and to read its `MjData` another 8 us. Worlds of a batch whose
-    motion becomes unstable wait where they were at the last `begin`.
+    A single world is a plain `MjData`, because a batch of one takes 4 to 8 us longer per step
+    (`mj_step` of an LWR takes 7 us), and reading its `MjData` takes another 8 us. If the motion of
+    a world in a batch becomes unstable, the world is reset to its state at the last `begin`.
 
     Args:
-        is_pushed: whether the poses of bodies are needed after every step.
+        is_pushed: whether body poses are needed after every step.
 
     Attributes:
-        batch: MuJoCo's simulations; None for one world.
-        qpos: (m, nq), in place, as are the two that follow.
-        qvel: (m, nv).
-        applied: (m, nv), `qfrc_applied`, Nm or N.
-        unstable: (m,), worlds whose motion has become unstable since `begin`.
-        broken: time (s) and accelerations (nv,) of each of these.
-        is_ahead: whether kinematics and bias torques of the current state have been computed.
+        batch: MuJoCo's batch; None for one world.
+        qpos: positions, shape (m, nq), in place.
+        qvel: velocities, shape (m, nv), in place.
+        applied: `qfrc_applied`, shape (m, nv), in place, Nm or N.
+        unstable: worlds whose motion has become unstable since `begin`, shape (m,).
+        broken: time (s) and accelerations (nv,) of each of these worlds.
+        is_forwarded: whether kinematics and bias torques of the current state are computed.
     """
 
     def __init__(self, model: mujoco.MjModel, m: int = 1, *, is_pushed: bool = False) -> None:
@@ -55,7 +55,7 @@ class Physics:
         self._stage = _VELOCITY if is_pushed else _NOTHING
         self.unstable: Bools = np.zeros(m, bool)
         self.broken: dict[int, tuple[float, Array]] = {}
-        self.is_ahead = True
+        self.is_forwarded = True
         if m == 1:
             data = self._data
             self._warned = memoryview(data.warning.number)
@@ -63,7 +63,7 @@ class Physics:
             self.qvel: Array = data.qvel[None]
             self.applied: Array = data.qfrc_applied[None]
             return
-        # Persistent data have the constraint forces, which a batch cannot bind.
+        # Persistent data provide the constraint forces, which a batch cannot bind.
         self.batch = batch = Batch(model, m, 1, persistent=True)
         self.qpos, self.qvel = batch.bind("qpos"), batch.bind("qvel")
         self.applied = batch.bind("qfrc_applied")
@@ -74,29 +74,29 @@ class Physics:
         self.begin(np.ones(m, bool))
 
     def settle(self, k: int, data: mujoco.MjData) -> None:
-        """Sets world k to the state of data that `mj_forward` has completed."""
+        """Sets world k to the state of `data`, for which `mj_forward` has been called."""
         if self.batch is not None:
             mujoco.mj_getState(self.model, data, self.batch.state[k], _STATE)
             self.batch.forward([k], stage=_VELOCITY)
-        self.is_ahead = True
+        self.is_forwarded = True
 
     def begin(self, which: Bools) -> None:
-        """Selects the worlds of the next steps, (m,)."""
+        """Selects the worlds of the next steps by flags, shape (m,)."""
         self.unstable[:] = False
         self.broken.clear()
         self._which = which.copy()
         if self.batch is not None:
             self._choose()
-            self.is_ahead = False
+            self.is_forwarded = False
             self._before: Array = self.batch.state.copy()
 
     def bind(self, field: str) -> Array:
-        """An array of `MjData` of all worlds, (m, ...), as `step` and `look_ahead` leave it."""
+        """Returns a field of `MjData` of all worlds, (m, ...), updated by `step` and `forward`."""
         if self.batch is None:
             return np.asarray(getattr(self._data, field))[None]
         if field not in self._bound:
             self._bound[field] = self.batch.bind(field)
-            self.is_ahead = False  # it is not written before the next call
+            self.is_forwarded = False  # the new array is written by the next call
         return self._bound[field]
 
     def drop(self, k: int) -> None:
@@ -111,8 +111,8 @@ class Physics:
     def step(self) -> bool:
         """Simulates a step of the selected worlds; returns whether their motion is stable."""
         if self.batch is None:
-            (mj_step2 if self.is_ahead else mj_step)(self.model, self._data)
-            self.is_ahead = False
+            (mj_step2 if self.is_forwarded else mj_step)(self.model, self._data)
+            self.is_forwarded = False
             warned = self._warned
             if not (warned[_POSITION] or warned[_SPEED] or warned[_ACCELERATION]):
                 return True
@@ -120,7 +120,7 @@ class Physics:
             self.unstable[0] = True
             return False
         self.batch.step(self._ids, stage=self._stage)
-        self.is_ahead = self._stage == _VELOCITY
+        self.is_forwarded = self._stage == _VELOCITY
         warnings = self.batch.warning
         if not warnings.any():
             return True
@@ -135,20 +135,20 @@ class Physics:
         self._choose()
         return not broken.any()
 
-    def look_ahead(self) -> None:
-        """Computes kinematics and bias torques of the selected worlds, if not done yet."""
-        if self.is_ahead:
+    def forward(self) -> None:
+        """Computes kinematics and bias torques of the selected worlds, unless up to date."""
+        if self.is_forwarded:
             return
         if self.batch is None:
             mj_step1(self.model, self._data)
         else:
             self.batch.forward(self._ids, stage=_VELOCITY)
-        self.is_ahead = True
+        self.is_forwarded = True
 
     def poses_of(self, worlds: Sequence[int], bodies: Ints) -> Array:
-        """T_world_body now, (k, 4, 4), m, of k bodies, each in the matching one of `worlds`."""
+        """Returns T_world_body, (k, 4, 4), m, of k bodies, each in the matching one of `worlds`."""
         positions, rotations = self.bind("xpos"), self.bind("xmat")
-        self.look_ahead()
+        self.forward()
         at = np.asarray(worlds, np.intp), bodies
         poses: Array = np.zeros((len(bodies), 4, 4))
         poses[:, :3, 3], poses[:, :3, :3] = positions[at], rotations[at].reshape(-1, 3, 3)
@@ -156,21 +156,21 @@ class Physics:
         return poses
 
     def data_of(self, k: int) -> mujoco.MjData:
-        """Data of a world after its last step or `look_ahead`; of several, valid until a call."""
+        """Returns the data of a world; in a batch, a copy that is valid until the next call."""
         return self._data if self.batch is None else self.batch.get_data(k, self._data)
 
     def model_of(self, k: int) -> mujoco.MjModel:
-        """The model of a world, not to be changed."""
+        """Returns the model of a world, which must not be changed."""
         return self._models[k]
 
     def own_model(self, k: int) -> mujoco.MjModel:
-        """The model of a world by itself, to be changed; call `refresh` afterwards."""
+        """Returns a world's own model, which may be changed; call `refresh` afterwards."""
         if self.batch is not None and self._models[k] is self.model:
             self._models[k] = copy.copy(self.model)
         return self._models[k]
 
     def forget_model(self, k: int) -> bool:
-        """Gives a world the shared model again; returns whether it had one of its own."""
+        """Gives a world the shared model again; returns whether it had its own."""
         is_own = self._models[k] is not self.model
         if is_own and self.batch is not None:
             self._models[k] = self.model
@@ -180,36 +180,36 @@ class Physics:
     def refresh(self, k: int) -> None:
         """Computes kinematics and bias torques of a world after a change of its model."""
         if self.batch is None:
-            self.is_ahead = False
-            self.look_ahead()
+            self.is_forwarded = False
+            self.forward()
             return
         self.batch.set_models(self._models)
         self.batch.forward([k], stage=_VELOCITY)
 
     def touching(self) -> Sequence[int]:
-        """The worlds in which there were contacts in the last step."""
+        """Returns the worlds that had contacts in the last step."""
         if self.batch is None:
             return (0,) if self._data.ncon else ()
         return self._contacts.nonzero()[0].tolist() if self._contacts.any() else ()
 
     def read_inner_forces(self, couplings: Ints, dofs_with_friction: Ints, out: Array) -> None:
-        """Writes the forces of couplings, then of Coulomb friction, that acted in the last step.
+        """Writes the forces of couplings and Coulomb friction in the last step, Nm or N.
 
-        They exist until `look_ahead`.
+        They are valid until `forward`.
 
         Args:
-            out: (m, k), to be written, Nm or N.
+            out: shape (m, k), to be written.
         """
         if self.batch is None:
             _read_inner_forces(self._data, couplings, len(dofs_with_friction), out[0])
             return
         out[:, len(couplings) :] = self._constrained[:, dofs_with_friction]
         hidden = self._which & (self._constraints != self._frictions)
-        if not hidden.any():  # else friction acts among other constraints
+        if not hidden.any():  # otherwise there are other constraints than friction
             return
         for k in np.flatnonzero(hidden).tolist():
             data, forces = self.data_of(k), out[k]
-            # Of joints without friction in this world there is no force.
+            # In this world, joints without friction have no constraint.
             rubs = self._models[k].dof_frictionloss[dofs_with_friction] > 0
             inner = np.zeros(len(couplings) + int(rubs.sum()))
             _read_inner_forces(data, couplings, int(rubs.sum()), inner)
@@ -218,7 +218,7 @@ class Physics:
 
 
 def _read_inner_forces(data: mujoco.MjData, couplings: Ints, rubs: int, out: Array) -> None:
-    # Coulomb friction's rows stand behind those of equality constraints, and before all others.
+    # Friction constraints follow the equality constraints.
     if len(couplings):
         out[: len(couplings)] = data.efc_force[couplings]
     if rubs:

@@ -1,4 +1,4 @@
-"""`Plant`: the simulated robots, which take motor torques and give what their sensors read."""
+"""`Plant`: simulated robots, which take motor torques and return sensor readings."""
 
 from __future__ import annotations
 
@@ -21,27 +21,25 @@ from .sensors import SensorRows, Sensors
 
 P = TypeVar("P", bound=Push)
 
-MAX_TORQUE = 1e9  # Nm, norm of all motor torques; a comparison with it refuses NaN as well
+MAX_TORQUE = 1e9  # Nm, norm of all motor torques; the comparison fails for NaN, too
 
 
 class PlantRows:
-    """The robots of m equal worlds, which are stepped together; `Plant` is one row of them.
+    """The robots of m worlds with the same model, which are stepped together.
 
     Args:
         world: compiled with `dynamic=True`.
 
     Attributes:
-        n: number of joints of all robots of a row together.
-        joints: motors, links and torque sensors in MuJoCo.
-        measured: (m, 3, n), what the sensors read; always the same array.
-        motor_angles: (m, n), true, rad: before the spring of an elastic joint; always the same
-            array.
-        motor_velocities: (m, n), the same for velocities, rad/s.
-        timestep: of a step, s.
-        pushes: that act, of every row.
-        has_pushes: whether any acts, or did in the last step.
-        has_changed: whether others act in the next step.
-        pushed: (m, nv), torques of pushes in the last step, Nm or N.
+        n: number of joints of all robots of a row.
+        measured: sensor readings, shape (m, 3, n); always the same array.
+        motor_angles: true motor angles, shape (m, n), rad; always the same array. In elastic
+            joints, the motor is before the spring.
+        motor_velocities: true motor velocities, shape (m, n), rad/s.
+        pushes: active pushes of each row.
+        has_pushes: whether a push is active, or was in the last step.
+        has_changed: whether the set of active pushes has changed since the last step.
+        pushed: generalized forces of pushes in the last step, shape (m, nv), Nm or N.
         failed: errors of rows that could not take the last step.
     """
 
@@ -59,7 +57,7 @@ class PlantRows:
         self.sensors = SensorRows(sensors)
         self.measured = self.sensors.measured
         self._actual: Array = np.zeros_like(self.measured)
-        self._is_measured = False  # whether `measured` has the true values
+        self._is_measured = False  # whether `measured` holds the true values
         self._readings = self._actual.reshape(m, -1, 1)
         self._measured_readings = self.measured.reshape(m, -1, 1)
         self.timestep = float(world.model.opt.timestep)
@@ -67,30 +65,30 @@ class PlantRows:
         self.has_pushes = self.has_changed = False
         self.pushed: Array = np.zeros((m, world.model.nv))
         self.pushes: list[list[Push]] = [[] for _ in range(m)]
-        self._acting: PushRows | None = None  # of several rows, those of the last step
+        self._acting: PushRows | None = None  # pushes of the last step, if there are several rows
         self._each = sensors
         self._scratch = self.physics.data_of(0) if m == 1 else mujoco.MjData(model)
 
     def row(self, row: int) -> Plant:
-        """The robots of a row; a new object, for one that is kept here would be freed late."""
+        """Returns the robots of a row as a new object, which avoids a reference cycle."""
         return Plant(self.world, self._each[row], rows=self, row=row)
 
     @property
     def actual(self) -> Array:
-        """(m, 3, n), true angles and velocities of the links and torques between motors and links.
+        """True link angles, link velocities and joint torques, shape (m, 3, n); rad, rad/s, Nm.
 
-        The latter during the last step; rad, rad/s, Nm. Not to be written into.
+        The torques are those between motors and links in the last step. Do not write to the array.
         """
-        if self._is_measured and not self.sensors.is_perfect:  # since a moment ago
+        if self._is_measured and not self.sensors.is_perfect:  # a fault has just begun
             np.copyto(self._actual, self.measured)
             self._is_measured = False
         return self.measured if self._is_measured else self._actual
 
     def reset(self, row: int, joint_angles: Array | None = None) -> None:
-        """Puts the robots of a row at rest; frictions of a row of several are as declared again.
+        """Resets the robots of a row to rest. In a batch, its model is reset, too.
 
         Args:
-            joint_angles: (n,), rad; the declared ones when None.
+            joint_angles: shape (n,), rad; None for the declared ones.
         """
         physics, data, joints = self.physics, self._scratch, self.joints
         if physics.m > 1 and physics.forget_model(row):
@@ -111,19 +109,19 @@ class PlantRows:
         sensors.reset(self.actual[row].copy())
 
     def step(self, motor_torques: Array) -> Array:
-        """Simulates one timestep; rows that cannot take it are in `failed` then.
+        """Simulates one timestep. Errors of rows that cannot take it are in `failed`.
 
         Args:
-            motor_torques: (m, n), before gear friction and as seen at the joint, Nm.
+            motor_torques: torques before gear friction, at the joint side, shape (m, n), Nm.
 
         Returns:
-            `measured`, (m, 3, n).
+            `measured`, shape (m, 3, n).
         """
         applied = self.joints.motor_torques
         applied[...] = motor_torques
         if not np.vdot(applied, applied) < MAX_TORQUE**2:
             self._refuse_torques()
-        return self.step_given()
+        return self.step_with_set_torques()
 
     def _refuse_torques(self) -> None:
         for row, torques in enumerate(self.joints.motor_torques):
@@ -134,8 +132,8 @@ class PlantRows:
         self.failed[row] = error
         self.physics.drop(row)
 
-    def step_given(self) -> Array:
-        """Simulates one timestep with `joints.motor_torques`, unchecked; see `step`."""
+    def step_with_set_torques(self) -> Array:
+        """As `step`, with `joints.motor_torques` as they are, unchecked."""
         joints, is_single = self.joints, self.physics.m == 1
         if is_single and self.failed:
             return self.measured
@@ -155,7 +153,6 @@ class PlantRows:
         return sensors.measure(self._actual)
 
     def _gather_pushes(self) -> Array | None:
-        """Joint torques of all pushes, (m, nv), Nm; None without pushes."""
         if not self.has_pushes:
             return None
         physics = self.physics
@@ -164,7 +161,7 @@ class PlantRows:
             acting = self.pushes[0]
             self.has_pushes = bool(acting)
             if acting:
-                physics.look_ahead()
+                physics.forward()
                 for push in acting:
                     push.apply(physics.model, physics.data_of(0), self.pushed[0])
             return self.pushed
@@ -179,27 +176,25 @@ class PlantRows:
 
 
 class Plant:
-    """All robots of a dynamic world, joint after joint in the order of `world.robots`.
+    """All robots of a dynamic world, or of one row of `PlantRows`.
 
-    After construction and, if `rows.joints.looks_ahead`, after every step `data` holds the
-    kinematics, the mass matrix and the bias torques (`qfrc_bias`) of the state that it is in, so a
-    controller need not compute them.
+    Joints are in the order of `world.robots`. After construction and, if `rows.joints.forwards`,
+    after every step, `data` holds the kinematics, the mass matrix and the bias torques
+    (`qfrc_bias`) of its state.
 
     Args:
         world: compiled with `dynamic=True`.
-        sensors: of the robots; perfect ones when None.
-        timestep: s; the model's when None.
-        rows: the rows that this one belongs to, if it is stepped with others.
-        row: its index among them.
+        sensors: None for perfect sensors.
+        timestep: in seconds; None for the model's.
 
     Attributes:
-        measured: (3, n), what the sensors read; always the same array.
-        motor_angles: (n,), true, rad: before the spring of an elastic joint; always the same array.
-        motor_velocities: (n,), the same for velocities, rad/s.
+        measured: sensor readings, shape (3, n); always the same array.
+        motor_angles: true motor angles, shape (n,), rad; always the same array.
+        motor_velocities: true motor velocities, shape (n,), rad/s.
 
     Raises:
-        ValueError: the world is not dynamic, the timestep not positive, or the sensors are not
-            those of n joints.
+        ValueError: the world is not dynamic, the timestep is not positive, or the sensors are for
+            another number of joints.
     """
 
     def __init__(
@@ -212,7 +207,7 @@ class Plant:
         row: int = 0,
     ) -> None:
         if not world.dynamic:
-            raise ValueError("found a world to look at; expected World(scene, dynamic=True)")
+            raise ValueError("the world has no dynamics; expected World(scene, dynamic=True)")
         if timestep is not None:
             if not 0 < timestep < 1:
                 raise Problem(
@@ -236,56 +231,56 @@ class Plant:
 
     @property
     def actual(self) -> Array:
-        """(3, n), true angles and velocities of the links and torques between motors and links.
+        """True link angles, link velocities and joint torques, shape (3, n); rad, rad/s, Nm.
 
-        The latter during the last step; rad, rad/s, Nm. Not to be written into.
+        The torques are those between motors and links in the last step. Do not write to the array.
         """
         return np.asarray(self.rows.actual[self.row])
 
     @property
     def model(self) -> mujoco.MjModel:
-        """Its `MjModel`; payloads and frictions change it."""
+        """The `MjModel`; payloads and frictions change it."""
         return self.rows.physics.model_of(self.row)
 
     @property
     def data(self) -> mujoco.MjData:
-        """Its `MjData`; of several rows a copy, until that of the next row is asked for."""
+        """The `MjData`; in a batch, a copy that is valid until another row's `data` is read."""
         return self.rows.physics.data_of(self.row)
 
     @property
     def qpos(self) -> Array:
-        """MuJoCo's coordinates, (nq,), in place."""
+        """MuJoCo's positions, shape (nq,), in place."""
         return np.asarray(self.rows.physics.qpos[self.row])
 
     @property
     def pushed(self) -> Array:
-        """Joint torques of pushes in the last step, (nv,), Nm or N."""
+        """Generalized forces of pushes in the last step, shape (nv,), Nm or N."""
         return np.asarray(self.rows.pushed[self.row])
 
     @property
     def time(self) -> float:
-        """Since the start, s."""
+        """Simulated time in seconds."""
         return float(self.data.time)
 
     @property
     def motor_torques(self) -> Array:
-        """What acted on the motors in the last step, (n,), Nm."""
+        """Torques that acted on the motors in the last step, shape (n,), Nm."""
         applied = self.rows.physics.applied[self.row]
         return np.asarray((applied - self.pushed)[self.joints.motor_dofs])
 
     def step(self, motor_torques: Array) -> Array:
-        """Simulates one timestep of robots that are the only row.
+        """Simulates one timestep of a single row.
 
         Args:
-            motor_torques: (n,), before gear friction and as seen at the joint, Nm; none is cut
-                off here.
+            motor_torques: torques before gear friction, at the joint side, shape (n,), Nm. They are
+                not limited.
 
         Returns:
-            `measured`, (3, n): the same array every time.
+            `measured`, shape (3, n); always the same array.
 
         Raises:
-            SimulationError: a torque is not a number, or the motion has become unstable; names the
-                joint and the time. `measured` and `actual` are those before.
+            SimulationError: a torque is not finite, or the motion has become unstable. `measured`
+                and `actual` are unchanged.
         """
         self.rows.step(motor_torques)
         if self.rows.failed:
@@ -293,12 +288,12 @@ class Plant:
         return self.measured
 
     def reset(self, joint_angles: Any | None = None) -> None:
-        """Puts the robots where they are declared to be, at rest, and ends pushes.
+        """Resets the robots to rest and removes all pushes.
 
-        Payloads, frictions and faults of sensors stay; the noise begins anew.
+        Payloads, frictions and sensor faults stay; the noise restarts.
 
         Args:
-            joint_angles: (n,), of all robots, rad; the declared ones when None.
+            joint_angles: joint angles of all robots, shape (n,), rad; None for the declared ones.
 
         Raises:
             ValueError: not n finite numbers.
@@ -311,9 +306,9 @@ class Plant:
         self.rows.reset(self.row, angles)
 
     def external_torques(self) -> Array:
-        """What acted on the links from outside in the last step, (n,), Nm, true.
+        """Returns the true external torques on the links in the last step, shape (n,), Nm.
 
-        Of pushes, contacts and stops; a payload is a part of its robot.
+        They come from pushes, contacts and joint stops. A payload is part of its robot.
         """
         return self.joints.external(self.row, self.pushed)
 
@@ -328,29 +323,29 @@ class Plant:
         """Applies a force and a torque at a frame until `release`.
 
         Args:
-            frame: at whose origin they act, e.g. `lwr/flange`.
-            force: (3,), N.
-            torque: (3,), Nm.
-            expressed_in: name of the frame in whose axes both are given.
-            at: (3,), where in the frame they act, m.
+            frame: frame at whose origin they act, for example `lwr/flange`.
+            force: shape (3,), N.
+            torque: shape (3,), Nm.
+            expressed_in: frame in whose axes both are expressed.
+            at: point of application in `frame`, shape (3,), m.
 
         Returns:
-            the push; change its `force` and `torque` at any time.
+            the push, whose `force` and `torque` can be changed at any time.
 
         Raises:
-            UnknownName: no such frame.
+            UnknownName: there is no such frame.
             ValueError: not three finite numbers.
         """
         return self.add_push(Push(self.world, frame, force, torque, expressed_in, at))
 
     def add_push(self, push: P) -> P:
-        """Lets a push act until `release`, see `push`."""
+        """Applies a push until `release`; see `push`."""
         self.rows.pushes[self.row].append(push)
         self.rows.has_pushes = self.rows.has_changed = True
         return push
 
     def release(self, push: Push) -> None:
-        """Ends a push; nothing happens if it has ended."""
+        """Removes a push, if it is active."""
         pushes = self.rows.pushes[self.row]
         if push in pushes:
             pushes.remove(push)
@@ -363,16 +358,16 @@ class Plant:
         center_of_mass: ArrayLike = (0.0, 0.0, 0.0),
         inertia: ArrayLike | None = None,
     ) -> None:
-        """Fixes a payload to a robot's flange, in place of the one that it may have.
+        """Attaches a payload to a robot's flange and replaces a previous one.
 
         Args:
-            mass: kg.
-            center_of_mass: (3,), in the flange's frame, m.
-            inertia: about it, in the flange's axes, kg m2: 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz,
-                Iyz) or (3, 3); that of a ball of steel when None.
+            mass: mass of the payload, kg.
+            center_of_mass: center of mass (3,) in the flange frame, m.
+            inertia: inertia about the center of mass, in the flange's axes, kg m2: 6 numbers (Ixx,
+                Iyy, Izz, Ixy, Ixz, Iyz) or shape (3, 3); None for that of a steel ball.
 
         Raises:
-            UnknownName: no such robot.
+            UnknownName: there is no such robot.
             ValueError: no rigid body has this mass and inertia.
         """
         self._part(robot)
@@ -380,11 +375,7 @@ class Plant:
         self.rows.physics.refresh(self.row)
 
     def detach_payload(self, robot: str) -> None:
-        """Takes a robot's payload away.
-
-        Raises:
-            UnknownName: no such robot.
-        """
+        """Removes a robot's payload. Raises UnknownName if there is no such robot."""
         self._part(robot)
         detach_payload(self.rows.physics.own_model(self.row), robot)
         self.rows.physics.refresh(self.row)
@@ -395,12 +386,12 @@ class Plant:
         """Changes a robot's friction from now on.
 
         Args:
-            viscous: one number or (n,), Nm s/rad; as it is when None.
-            coulomb: likewise, Nm.
+            viscous: one number or shape (n,), Nm s/rad; None to leave it unchanged.
+            coulomb: one number or shape (n,), Nm; None to leave it unchanged.
 
         Raises:
-            UnknownName: no such robot.
-            ValueError: a friction below zero, or neither one nor n.
+            UnknownName: there is no such robot.
+            ValueError: a negative friction, or neither one nor n numbers.
         """
         dofs, model = self._part(robot).dofs, self.rows.physics.own_model(self.row)
         for name, value, target in (
@@ -419,17 +410,17 @@ class Plant:
         self.refresh()
 
     def refresh(self) -> None:
-        """Recomputes what depends on `model` and `data` after they were changed; no time passes."""
+        """Recomputes derived quantities after changes of `model` or `data`, without a time step."""
         self.joints.refresh()
         self.rows.physics.refresh(self.row)
 
     def flange(self, robot: str) -> Array:
-        """T_world_flange now, (4, 4), m: the true one, in an array of its own."""
+        """Returns the true T_world_flange as a new array, shape (4, 4), m."""
         body = np.array([self.flange_body(robot)])
         return np.asarray(self.rows.physics.poses_of([self.row], body)[0])
 
     def flange_body(self, robot: str) -> int:
-        """The body of a robot's flange in the model."""
+        """Returns the body index of a robot's flange."""
         return self._part(robot).flange_body
 
     def _part(self, robot: str) -> RobotPart:
@@ -444,7 +435,7 @@ class Plant:
         return names[row]
 
     def torque_error(self) -> SimulationError:
-        """The error of invalid motor torques, which are set to zero."""
+        """Returns the error for invalid motor torques, and sets these to zero."""
         torques = self.joints.motor_torques[self.row]
         joint = int(np.argmax(~(np.abs(torques) < MAX_TORQUE / np.sqrt(self.n))))
         problem = Problem(
@@ -452,13 +443,13 @@ class Plant:
             "found a motor torque of",
             found=float(torques[joint]),
             of="Nm",
-            expected="a finite one, below 1e9",
+            expected="a finite torque below 1e9",
         )
         torques[:] = 0.0
         return SimulationError(float(self.data.time), self._joint_name(joint), problem)
 
     def motion_error(self) -> SimulationError:
-        """The error of an unstable motion, with its joint."""
+        """Returns the error for an unstable motion; it names the joint."""
         time, accelerations = self.rows.physics.broken[self.row]
         found = accelerations[self.joints.motor_dofs]
         broken = ~(np.abs(found) < mujoco.mjMAXVAL)

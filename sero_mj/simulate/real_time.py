@@ -1,4 +1,4 @@
-"""Real time that a run misses: warnings while it happens and at the end, and numbers of its log."""
+"""Delay behind real time: warnings during and after a run, and values of its log."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from .runs.run_log import RunLog, event_of
 
 log = logging.getLogger(__name__)
 
-_LATE = 0.1  # s behind real time that are reported
+_LATE = 0.1  # s, delay that is reported
 _EVERY = 5.0  # s between two warnings
 
 
 @dataclass(frozen=True)
 class RealTime:
-    """The real time of a robot in a run.
+    """The timing of a robot in a run.
 
     Attributes:
-        factor: simulated time divided by the time that it took.
-        max_lateness: how late a step began, at most, s.
+        factor: simulated time divided by elapsed time.
+        max_lateness: maximum delay at the beginning of a step, s.
     """
 
     factor: float
@@ -29,30 +29,30 @@ class RealTime:
 
 
 def real_time_of(log: RunLog) -> dict[str, RealTime]:
-    """Returns the real time of the robots that were controlled in real time, by name."""
+    """Returns the timing of robots that were controlled in real time, by name."""
     found = {}
     for robot in log.robots:
         late = log.signals.get(event_of(robot, STEP_LATENESS))
-        if late is not None and late.any():  # in lockstep it is zero
+        if late is not None and late.any():  # zero in lockstep
             factor = MEASURES["real_time_factor"][1](log, robot)
             found[robot] = RealTime(float(factor[-1, 0]), float(late.max()))
     return found
 
 
 class RealTimeWatch:
-    """Warns of a run that falls behind real time, at most every 5 s."""
+    """Warns about a run that falls behind real time, at most every 5 s."""
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._known = 0.0  # s behind real time that was warned of
+        self._known = 0.0  # s, reported delay
         self._warned = -_EVERY
 
     def update(self, time: float, late: float) -> None:
-        """Warns if the run has fallen further behind.
+        """Warns if the delay has increased.
 
         Args:
-            time: simulated, s.
-            late: how far behind real time it is, s.
+            time: simulated time, s.
+            late: delay behind real time, s.
         """
         self._known = min(self._known, late)
         now = clock.monotonic()
@@ -61,7 +61,7 @@ class RealTimeWatch:
             self._known, self._warned = late, now
 
     def finish(self, time: float, late: float) -> None:
-        """Warns if the run has ended behind real time; arguments as of `update`."""
+        """Warns if the run has ended behind real time; see `update` for arguments."""
         if late > _LATE:
             log.warning("%s was late: %s", self._name, _took(time, late))
 

@@ -1,4 +1,4 @@
-"""A robot of a run with its controller, and `RobotControl`, which computes torques."""
+"""`ControlledRobot`: a robot with its controller; `RobotControl`: computes torques in each step."""
 
 from __future__ import annotations
 
@@ -15,27 +15,26 @@ from .control.make_controller import LimitedController, make_controller
 from .control.plan import Plan
 from .control.robot_model import RobotModel
 from .control.robot_models import RobotModels
-from .control.torque_loop import HangingLinks
+from .control.torque_loop import StaticDeflection
 from .joint_model import as_slice
 from .plant import Plant, PlantRows
 
-_ROUNDS = 30  # of `HangingLinks`, until less than 0.2 % of the first deviation is left
-_MOVE = 1e-5  # rad and rad/s, between which controllers are linear
+_ROUNDS = 30  # iterations of `StaticDeflection`, until less than 0.2 % of the error is left
+_MOVE = 1e-5  # step of the numeric derivatives, rad and rad/s
 
 
 class ControlledRobot:
     """A robot of a run with its controller and target.
 
     Args:
-        timestep: of the controllers, s.
-        stiffness: of its elastic joints behind a torque loop, (n,), Nm/rad (N/m), or None.
-        make_model: of what its controller knows of it; called at any time.
+        stiffness: stiffness of elastic joints behind a torque loop, shape (n,), Nm/rad (N/m); None
+            without them.
+        make_model: makes the robot model of the controller; may be called at any time.
 
     Attributes:
-        joints: its joints in the plant.
-        target: what its controller is asked for.
-        controller: as made, behind its torque limits.
-        control: what computes its torques, perhaps with those of others.
+        joints: slice of its joints in the plant.
+        controller: the controller with its torque limits.
+        control: computes its torques, possibly together with those of other robots.
 
     Raises:
         DeclarationError: gains or limits do not fit the robot.
@@ -58,7 +57,7 @@ class ControlledRobot:
         self._timestep, self._make_model = timestep, make_model
         self.target = Target(robot.n)
         self.target.posture[:] = robot.home
-        self.target.has_torques = False  # no target motion has any
+        self.target.has_torques = False
         plan.write(0, self.target)
         self.declared, self.controller = declared, self._made(declared)
 
@@ -72,11 +71,11 @@ class ControlledRobot:
 
     @property
     def sensed(self) -> Sensed:
-        """What its controller senses, if it is called alone."""
+        """Input of the controller if it controls only this robot."""
         return self.control.sensed
 
     def use(self, declared: Any) -> None:
-        """Replaces the controller; raises DeclarationError if gains or limits do not fit."""
+        """Replaces the controller. Raises DeclarationError if gains or limits do not fit."""
         made = self._made(declared)
         before = self.controller.controller
         if type(before) is type(made.controller):
@@ -85,7 +84,7 @@ class ControlledRobot:
 
     @property
     def in_use(self) -> tuple[Any, LimitedController]:
-        """Its controller as declared, and as made."""
+        """The declaration of the controller, and the controller."""
         return self.declared, self.controller
 
     @in_use.setter
@@ -94,40 +93,38 @@ class ControlledRobot:
 
     @property
     def group(self) -> object:
-        """A hashable value; robots with equal ones can have one `RobotControl`, None for none."""
+        """Hashable value; robots with equal values can share a `RobotControl`. None for none."""
         controller = self.controller.controller
         if controller.group is None:
             return None
         return controller.group, self.stiffness is None, bool(self.robot.elastic_joints)
 
-    def hanging(self) -> HangingLinks | None:
-        """Where its links rest; None if its controller takes the angles that are measured."""
+    def deflection(self) -> StaticDeflection | None:
+        """Returns the static deflection of elastic joints, or None if the controller ignores it."""
         if self.stiffness is None:
             return None
-        model = self._make_model(self.robot)
-        return HangingLinks(self.stiffness, self._at_rest, model, self.robot.home)
+        return StaticDeflection(self.stiffness, self._at_rest, self.model(), self.robot.home)
 
     def model(self) -> RobotModel:
-        """A new model of what a controller knows of it."""
         return self._make_model(self.robot)
 
     @property
     def has_springs(self) -> bool:
-        """Whether a stiffness is declared, for which its damping is designed."""
+        """Whether the controller's damping is designed for a declared stiffness."""
         return hasattr(self.declared, "stiffness")
 
     def linearised(self, angles: Array) -> tuple[Array, Array, Array]:
-        """Linearises the robot and its controller about a target pose at rest.
+        """Linearizes the robot and its controller about a target pose at rest.
 
         Args:
-            angles: (n,), rad or m.
+            angles: target pose, shape (n,), rad or m.
 
         Returns:
-            the links' mass matrix, and stiffness and damping matrix: the slopes by which torques
-            fall with angles and with velocities, without limits. Compensation of gravity, whose
-            slope gravity takes away, is left out: of the stiffness only what pulls back. Both are
-            zero for a controller that is not declared, because asking it may change it. (n, n)
-            each.
+            mass matrix of the links, stiffness matrix and damping matrix of the controller, shape
+                (n, n) each. The last two are the slopes by which torques decrease with angles and
+                velocities, without limits. Gravity compensation is left out: only the restoring
+                part of the stiffness counts. Both are zero if the controller must not be called
+                outside of a run (`may_be_asked`).
         """
         n, model = len(angles), self.model()
         slopes: Array = np.zeros((2, n, n))
@@ -141,7 +138,7 @@ class ControlledRobot:
             target.pose[:] = model.flange()
             target.has_torques = False
             stiffness = self.stiffness
-            bends: Array = np.zeros((2, n))  # of elastic joints: at first, and now; else zero
+            bends: Array = np.zeros((2, n))  # of elastic joints: initially, and now
             if stiffness is not None:
                 held = controller.hold_links(stiffness)
                 at_rest: Array = model.gravity() if held is None else held
@@ -162,25 +159,23 @@ class ControlledRobot:
 
 
 class RobotControl:
-    """A controller with what it senses, is asked for and commands.
+    """A controller with its inputs and outputs.
 
-    It is of one robot in one row of a plant, or of one or more robots in all rows, which are the
-    first axis of all arrays then.
+    It controls one robot in one row of a plant, or one or more robots in all rows. In the latter
+    case, the rows are the first axis of all arrays.
 
     Args:
-        drive: (m, 2, N), torques of all joints of the plant, Nm or N: commanded, and asked for
-            before the limits; its own are written there.
-        row: the only row, or None for all.
+        drive: torques of all joints of the plant, shape (m, 2, n), Nm or N, to be written:
+            commanded, and requested before the limits.
+        row: the row; None for all rows.
 
     Attributes:
-        rows: (), or (m,) for all rows.
-        parts: the joints of each robot, among those of the control.
-        sensed: what the controller senses.
-        target: what it is asked for.
-        commanded: what it has commanded in the last step, Nm or N.
-        controller: behind its torque limits; to be set by `use`.
-        hanging: where the links of elastic joints rest; None where that does not matter.
-        live: targets that are changed at any time, which are read at every step: to, from.
+        rows: () for one row, or (m,).
+        parts: slice of each robot's joints among the controlled joints.
+        commanded: torques of the last step, Nm or N.
+        controller: the controller with its torque limits; set it by `use`.
+        deflection: static deflection of elastic joints; None if it does not matter.
+        live: pairs of targets; the second is copied to the first in every step.
     """
 
     controller: LimitedController
@@ -200,14 +195,14 @@ class RobotControl:
         n, self._joints = ends[-1], as_slice(np.concatenate(places))
         self._drive: Array = drive[of]
         measured: Array = plant.measured[of]
-        # Springs and dampers act on the motors of elastic joints, which have encoders of their own.
+        # Controllers of elastic joints use the motor encoders.
         has_motors = bool(robots[0].elastic_joints)
         is_view = isinstance(self._joints, slice)
         own = measured[..., self._joints] if is_view else None
         motor_state = np.zeros((*self.rows, 2 * n)) if has_motors else None
         values = own if own is not None and own.flags.c_contiguous else None
         self.sensed = sensed = Sensed(n, values, motor_state, self.rows)
-        self._read: list[tuple[Array, Array]] = []  # to, from: what is measured is not in place
+        self._read: list[tuple[Array, Array]] = []  # destination and source of copied signals
         if values is None:
             self._read.append((sensed.values, measured))
         if has_motors:
@@ -216,9 +211,9 @@ class RobotControl:
                 (sensed.motor_velocities, plant.motor_velocities[of]),
             ]
         self.target = Target(n, self.rows)
-        self.hanging: HangingLinks | None = None
+        self.deflection: StaticDeflection | None = None
         self.live: list[tuple[Target, Target]] = []
-        self._moving: list[tuple[Array, Array]] = []  # to, from step by step
+        self._moving: list[tuple[Array, Array]] = []  # destination, and source of every step
         self.commanded: Array = np.zeros((*self.rows, n))
         self._requested: Array | None = None
         if is_view:
@@ -229,9 +224,9 @@ class RobotControl:
     def alone(
         cls, robot: ControlledRobot, plant: PlantRows, drive: Array, row: int
     ) -> RobotControl:
-        """The control of a robot of one row by its own controller."""
+        """Returns the control of one robot in one row."""
         made = cls([robot.robot], plant, drive, row)
-        made.target, made.hanging = robot.target, robot.hanging()
+        made.target, made.deflection = robot.target, robot.deflection()
         if robot.plan.moves:
             made._follow(robot.plan, robot.target)
         made.use(robot.controller)
@@ -248,10 +243,10 @@ class RobotControl:
         *,
         is_live: bool,
     ) -> RobotControl:
-        """One control of robots in all rows, whose controllers have one group.
+        """Returns one control of robots in all rows, whose controllers have the same group.
 
         Args:
-            is_live: whether targets are changed at any time.
+            is_live: whether targets can change at any time.
         """
         first, flat = each[0], [one for row in each for one in row]
         made = cls([one.robot for one in first], plant, drive)
@@ -269,33 +264,28 @@ class RobotControl:
                     made._follow(one.plan, own)
         for number, (one, joints) in enumerate(zip(first, made.parts, strict=True)):
             if not is_live and one.plan.moves and made._is_same(each, number):
-                assert one.plan.motion is not None
-                made._moving.append((target.motion[:, :, joints], one.plan.motion))
-                if one.plan.flange is not None:
-                    flange = one.plan.flange
-                    made._moving += [(target.pose, flange.poses), (target.twist, flange.twists)]
+                made._follow(one.plan, target, joints)
         if first[0].stiffness is not None:
             stiffness = np.concatenate(
                 [one.stiffness for one in first if one.stiffness is not None]
             )
             home = np.tile(np.concatenate([one.robot.home for one in first]), (len(each), 1))
             at_rest = made.controller.controller.hold_links(stiffness)
-            made.hanging = HangingLinks(stiffness, at_rest, models, home)
+            made.deflection = StaticDeflection(stiffness, at_rest, models, home)
         return made
 
     @staticmethod
     def _is_same(each: Sequence[Sequence[ControlledRobot]], number: int) -> bool:
         return all(row[number].plan is each[0][number].plan for row in each)
 
-    def _follow(self, plan: Plan, target: Target) -> None:
+    def _follow(self, plan: Plan, target: Target, joints: slice = slice(None)) -> None:
         assert plan.motion is not None
-        self._moving.append((target.motion, plan.motion))
+        self._moving.append((target.motion[..., joints], plan.motion))
         if plan.flange is not None:
             flange = plan.flange
             self._moving += [(target.pose, flange.poses), (target.twist, flange.twists)]
 
     def use(self, controller: LimitedController) -> None:
-        """Sets the controller."""
         if self._requested is not None:
             controller.requested = self._requested
         self.controller = controller
@@ -303,17 +293,14 @@ class RobotControl:
     def command(self, k: int, time: float) -> None:
         """Computes `commanded` for the step after row k of the log.
 
-        Args:
-            time: of the row, s.
-
         Raises:
             SimulationError: a torque of the only robot is NaN or infinite.
         """
         sensed, joints = self.sensed, self._joints
         for to, measured in self._read:
             to[...] = measured[..., joints]
-        if self.hanging is not None:
-            sensed.motor_angles[...] = self.hanging.link_angles(sensed.motor_angles)
+        if self.deflection is not None:
+            sensed.motor_angles[...] = self.deflection.link_angles(sensed.motor_angles)
         sensed.time = time
         for to, rows in self._moving:
             to[...] = rows[k]

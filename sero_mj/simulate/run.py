@@ -1,7 +1,8 @@
-"""`BatchRun`: a run in one row of a `RunBatch`: its targets, controllers, events and log."""
+"""`BatchRun`: one run of a batch, with its targets, controllers, events and log."""
 
 from __future__ import annotations
 
+import time as clock
 from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
@@ -23,44 +24,31 @@ from .event_schedule import EventSchedule
 from .external_loads import Contacts
 from .live_control import LiveControl, LiveRobot
 from .robot_control import ControlledRobot
+from .runs.measures import STEP_LATENESS
 from .runs.run_log import MEASURED, TARGETS, RunLayout, event_of
 from .scenario import Scenario
 
 T = TypeVar("T")
 
 
-# s; half of the observer's time constant at its default gain, at a tenth of the cost of every step.
+# In seconds: half of the observer's time constant at its default gain. Ten times cheaper than an
+# estimate in every step.
 OBSERVED_EVERY = 0.01
 
 
 def observed_every(scenario: Scenario) -> int:
-    """Number of steps between two estimates of the external torques."""
+    """Returns the number of steps between two estimates of the external torques."""
     run = scenario.run
     return max(round(min(OBSERVED_EVERY, 0.5 / run.observer_gain) / run.timestep), 1)
 
 
 class BatchRun:
-    """A run in one row of a batch.
+    """One row of a batch.
 
-    Args:
-        by_hand: whether robots can be pulled by hand while it runs.
-        is_live: whether targets and controllers are changed while it runs, see `LiveControl`.
+    See `Simulation` for arguments, attributes and errors.
 
     Attributes:
-        robots: by name, as they are simulated: with elastic joints where the run asks for them.
-        plant: the simulated robots.
-        layout: of the log's rows.
-        rows: (steps + 1, width), the log; rows behind `step` hold targets only.
-        times: (steps + 1,), of the rows, s.
         controlled: the robots with their controllers, in the order of `robots`.
-        step: number of steps that have been made.
-        error: what has ended it, if it is simulated `together` with others; else None.
-        drag_force: pulls robots by hand; None without.
-        live: changes targets and controllers; None without.
-
-    Raises:
-        DeclarationError: what only shows when robots are compiled and targets computed: unstable
-            gains, unreachable targets, limits of zero.
     """
 
     def __init__(
@@ -91,10 +79,10 @@ class BatchRun:
         self.plan(batch.start)
 
     def plan(self, start: Array) -> None:
-        """Computes targets and makes new controllers for a plant at rest.
+        """Computes the targets and makes new controllers for robots at rest.
 
         Args:
-            start: (n,), of all robots together, rad or m.
+            start: joint angles of all robots, shape (n,), rad or m.
         """
         self.step, self._start = 0, start
         run, batch, row = self.scenario.run, self._setup, self.plant.row
@@ -125,14 +113,14 @@ class BatchRun:
                 self._plans[name],
                 run.timestep,
                 stiffness,
-                partial(_robot_model, batch, self.whole_body),  # else it is freed late
+                partial(_robot_model, batch, self.whole_body),  # no reference to this run
             )
 
         self.controlled = list(self._of_robots("controllers", control).values())
 
     def _plan_of(self, robot: SerialRobot, start: Array) -> Plan:
         name, scenario = robot.name, self.scenario
-        if self.live is not None:  # the plan is replaced, but keeps its columns in the log
+        if self.live is not None:  # `LiveControl` replaces the target, but uses its log columns
             return make_plan(robot, None, self.times[:1], self.compiler, start)
         controller = as_controller(scenario.controller_of(name))
         target = scenario.targets.get(name)
@@ -143,7 +131,7 @@ class BatchRun:
         return known[key]
 
     def check_gains(self) -> None:
-        """Refuses gains of controllers and torque loop that are unstable at the time step."""
+        """Raises DeclarationError if a controller or the torque loop is unstable."""
         robots, start = dict(zip(self.robots, self.controlled, strict=True)), self._start
         self._of_robots(
             "controllers", lambda name: robots[name].controller.check(start[robots[name].joints])
@@ -157,7 +145,6 @@ class BatchRun:
                 raise DeclarationError(self.scenario.scene.located(error.problems)) from None
 
     def _of_robots(self, section: str, make: Callable[[str], T]) -> dict[str, T]:
-        """Makes one object per robot, by name; reports all problems of a section together."""
         made: dict[str, T] = {}
         problems: list[Problem] = []
         for name in self.robots:
@@ -177,18 +164,18 @@ class BatchRun:
         for name, plan in plans.items():
             if plan.flange is not None:
                 events[event_of(name, "target_pose")] = "1M"
-            logged = as_controller(self.scenario.controller_of(name)).logged
-            events |= {event_of(name, key): "1F" for key in logged if isinstance(key, str)}
+            controller = as_controller(self.scenario.controller_of(name))
+            events |= {
+                event_of(name, key): "1F" for key in controller.logged if isinstance(key, str)
+            }
+            if controller.is_in_real_time:
+                events[event_of(name, STEP_LATENESS)] = "1F"
         targets = tuple(name for name, plan in plans.items() if plan.joints is not None)
         joints = {name: robot.n for name, robot in self.robots.items()}
         return RunLayout(joints, targets, events)
 
     def open_log(self, rows: Array) -> None:
-        """Begins to write a log.
-
-        Args:
-            rows: (T, width), zeros but for what the plant measures at first.
-        """
+        """Starts a log in `rows`, (steps + 1, width), which holds the initial measurements."""
         self.rows, columns = rows, self.layout.columns
         rows[:, 0] = self.times
         for name, plan in self._plans.items():
@@ -211,6 +198,13 @@ class BatchRun:
             for robot in self.controlled
         }
         self._has_logged = any(self._logged.values())
+        # Controllers that run in real time and do not log their delay themselves.
+        self._timed = [
+            columns[event_of(robot.robot.name, STEP_LATENESS)]
+            for robot in self.controlled
+            if (controller := as_controller(robot.declared)).is_in_real_time
+            and STEP_LATENESS not in controller.logged
+        ]
         self.before = [
             each.before for each in (self._schedule, self.drag_force, self.live) if each is not None
         ]
@@ -236,40 +230,47 @@ class BatchRun:
         )
 
     def robot_model(self, robot: SerialRobot) -> RobotModel:
-        """Returns a new model of a robot for its controller, which knows what the robot carries.
+        """Returns a new model of a robot, including what the robot carries.
 
-        Behind a torque loop the motors are what they feel like.
+        Behind a torque loop, the model has the shaped motor inertias.
         """
         return _robot_model(self._setup, self.whole_body, robot)
 
     @property
     def prepares(self) -> bool:
-        """Whether `prepare` has to be called for every row of the log."""
+        """Whether `prepare` must be called in every step."""
         return self.drag_force is not None or self.live is not None
 
     @property
     def wakes(self) -> float:
-        """Else the next row for which it has to be; infinite for none."""
+        """Next row for which `prepare` must be called if `prepares` is false; infinite for none."""
         return self._schedule.next
 
     @property
     def finishes(self) -> bool:
-        """Whether `finish` has to be called for every row of the log."""
-        return bool(self._free or self.drag_force is not None or self._has_logged)
+        """Whether `finish` must be called in every step."""
+        has_own = self._has_logged or self._timed
+        return bool(self._free or self.drag_force is not None or has_own)
 
     def prepare(self, k: int) -> None:
-        """Applies events for the step after row k of the log."""
+        """Applies the events that are due before the step after row k."""
         for act in self.before:
             act(k)
 
     def finish(self, k: int) -> None:
-        """Writes the columns of row k of the log that measured values and torques are not in."""
+        """Writes the columns of row k other than measured values and torques."""
         if self._free:
             self._write_free(k)
         if self.drag_force is not None:
             self.drag_force.after(k)
         if self._has_logged:
             self._write_logged(k)
+        if self._timed:
+            now = clock.monotonic() - self.times[k]
+            if k == 1:
+                self._started = now
+            for columns in self._timed:
+                self.rows[k, columns] = max(now - self._started, 0.0)
 
     def _write_free(self, k: int) -> None:
         for event, pose in self._free.items():
@@ -280,7 +281,7 @@ class BatchRun:
             name, controller = robot.robot.name, robot.controller.controller
             places = self._logged[name]
             numbers = controller.logged
-            if len(places) == len(numbers):  # else of another controller, live
+            if len(places) == len(numbers):  # differs after `use_controller`
                 for columns, value in zip(places, numbers, strict=True):
                     self.rows[k, columns] = value
             wanted = controller.commanded_angles
@@ -288,7 +289,7 @@ class BatchRun:
                 self.rows[k, self.layout.columns[event_of(name, "target_angles")]] = wanted
 
     def write_contacts(self, k: int) -> None:
-        """Writes the forces of the contacts that there are into row k."""
+        """Writes the contact forces of the last step into row k."""
         if self._contacts is None:
             return
         forces = self._contacts.update(self.plant.model, self.plant.data)
@@ -296,18 +297,20 @@ class BatchRun:
             self.rows[k, self.layout.columns[event_of(name, "contact_force")]] = force
 
     def use_controller(self, robot: str, controller: ControllerDeclaration) -> None:
-        """Changes the controller of a robot from the next step on.
+        """Replaces the controller of a robot from the next step on.
+
+        If an error is raised, the previous controller stays in use.
 
         Raises:
-            DeclarationError: gains that do not fit the robot, or that the step cannot hold where it
-                is; the controller is what it was then.
-            UsageError: its torques are computed together with those of other runs, see `together`.
+            DeclarationError: the gains do not fit the robot, or are unstable at this time step and
+                in this pose.
+            UsageError: other runs share the controller; see `Simulation.together`.
         """
         controlled = self.controlled[list(self.robots).index(robot)]
         if self._setup.plant.physics.m > 1 and controlled.control.rows:
             raise UsageError(
-                f"{robot} is controlled together with the same robot of other runs; expected a "
-                "Simulation of its own to change its controller"
+                f"{robot} shares its controller with other runs of the batch; run it in its own "
+                "Simulation to change the controller"
             )
         angles = self.plant.actual[0, controlled.joints]
         before = controlled.in_use
@@ -323,7 +326,7 @@ class BatchRun:
         self._setup.has_changed = True
 
     def close(self) -> None:
-        """Ends what controllers have started; it cannot be advanced any more."""
+        """Closes all controllers. The run cannot be continued."""
         for robot in self.controlled:
             robot.controller.controller.close()
 
@@ -336,6 +339,5 @@ def _robot_model(setup: BatchSetup, whole_body: WholeBody | None, robot: SerialR
 
 
 def _pose_of(free: Ints, qpos: Array) -> Array:
-    """The pose (4, 4) of a free joint with these indices in qpos."""
     at = qpos[free]
     return frame(rotation_from_quat(at[3:]), at[:3])

@@ -1,8 +1,8 @@
-"""`RunBatch`: runs of equal robots that are simulated together; a run by itself is a batch of one.
+"""`RunBatch`: simulates runs with the same robots together; a single run is a batch of one.
 
-In every step MuJoCo, drives, sensors, the log and observers are computed once for all robots of all
-runs, and so are controllers of a kind that can be joined. Other controllers are called one by one,
-and events when they are due. A run in a batch is the same as one by itself, to rounding.
+MuJoCo, drives, sensors, the log, the observers and controllers of the same group are computed once
+for all runs. Other controllers are called one by one. The result of a run does not depend on its
+batch, except for rounding.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from .run import BatchRun
 from .runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED
 from .scenario import Scenario
 
-# Of a run's declaration, what may differ between those of a batch.
+# Fields of `Run` that may differ within a batch.
 _OWN = ("seed", "observer_gain", "show_targets", "show_paths")
 
 
 def batch_key(scenario: Scenario) -> object:
-    """A hashable value; scenarios with equal ones can be simulated as one batch.
+    """Returns a hashable value; scenarios with equal values can be simulated in one batch.
 
-    They have the same robots and surroundings, duration, rates and drives. Controllers, targets,
-    sensors, disturbances, faults and what is expected may differ.
+    They have the same robots, surroundings, duration, rates and drives. Controllers, targets,
+    sensors, disturbances, faults and expectations may differ.
     """
     scene, run = scenario.scene, scenario.run
     shared = {key: getattr(run, key) for key in type(run).model_fields if key not in _OWN}
@@ -45,8 +45,8 @@ class RunBatch(BatchSetup):
     """Runs that are simulated together.
 
     Args:
-        scenarios: of the runs, with one `batch_key`.
-        raises: whether what ends a run is raised, as for one by itself; else it is its `error`.
+        scenarios: scenarios with the same `batch_key`.
+        raises: whether an error of a run is raised; otherwise it becomes the run's `error`.
     """
 
     def __init__(
@@ -59,19 +59,18 @@ class RunBatch(BatchSetup):
     ) -> None:
         super().__init__(scenarios, seeds, compiler)
         self._raises = raises
-        self._runs: list[ref[BatchRun]] = []  # a run that nobody has any more is not simulated
+        self._runs: list[ref[BatchRun]] = []  # weak: runs without other references are skipped
         self._limit_speeds(self._run.runaway_speed)
 
     def _limit_speeds(self, share: float) -> None:
-        """Computes the speeds at which joints run away, `share` times their limits; 0 for none."""
         limits = [joint_speeds(robot, "runaway") for robot in self.robots.values()]
         self._runaway, self._fastest = share, np.concatenate(limits) * (share or np.inf)
-        # While the sum of all squared speeds is below this, no joint exceeds its limit.
+        # If the sum of all squared speeds is below this, no joint exceeds its limit.
         self._surely_slow = float(self._fastest.min()) ** 2
         self._motor_speeds = self.plant.motor_velocities if self.plant.joints.elastic else None
 
     def restart(self, joint_angles: Array, seed: int) -> None:
-        """Puts the plant of the only run at rest in a pose, with another seed of the noise."""
+        """Resets the plant of the only run to a pose at rest, with a new seed."""
         plant = self.plant.row(0)
         plant.sensors.seed = seed
         plant.reset(joint_angles)
@@ -80,13 +79,13 @@ class RunBatch(BatchSetup):
             self.drives.reset()
 
     def begin(self, runs: Sequence[BatchRun]) -> None:
-        """Makes the logs of runs that begin, at rest."""
+        """Makes the logs of new runs at rest."""
         self.carried.clear()
         self._runs = [ref(run) for run in runs]
         layout, steps = runs[0].layout, self._run.steps
         width = max(run.layout.width for run in runs)
         log: Array = np.zeros((self.plant.physics.m, steps + 1, width))
-        # Views (T, m, signals, n): those of all robots lie in a row.
+        # Views of shape (T, m, signals, n).
         self._measured, self._actual, self._driven = (
             log.swapaxes(0, 1)[..., layout.block(signals)].reshape(
                 steps + 1, len(log), len(signals), -1
@@ -94,7 +93,7 @@ class RunBatch(BatchSetup):
             for signals in (MEASURED, ACTUAL, DRIVEN)
         )
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
-        self._driven[0, :, 0] = self.plant.actual[:, 2]  # what holds it at rest
+        self._driven[0, :, 0] = self.plant.actual[:, 2]  # the torques that hold it at rest
         observed: dict[int, list[int]] = defaultdict(list)
         self._estimated: dict[int, Array] = {}
         for run in runs:
@@ -115,20 +114,20 @@ class RunBatch(BatchSetup):
     def _join(self, runs: Sequence[BatchRun]) -> None:
         self.has_changed = False
         by_row = {run.plant.row: run for run in runs}
-        # The first run stands in for those that could not be made.
+        # Rows whose run could not be made use the first run's robots.
         rows = [by_row.get(row, runs[0]).controlled for row in range(self.plant.physics.m)]
         self._controls: list[RobotControl] = []
         self._alone: list[tuple[int, RobotControl]] = []
         groups: dict[object, list[int]] = defaultdict(list)
         for number, (first, *others) in enumerate(zip(*rows, strict=True)):
             group, controller = first.group, first.controller.controller
-            # Only the model of a single robot knows where its flange is, at its own base.
+            # Models of several rows do not follow the bases of mounted robots.
             is_bound = not controller.spans_robots and self.whole_bodies and len(rows) > 1
             if is_bound or any(one.group != group for one in others):
                 group = None
             groups[(number,) if group is None else group].append(number)
         for group, numbers in groups.items():
-            # One controller of one row is quicker by itself: numpy's `dot` takes half of `matvec`.
+            # A single controller is faster alone: numpy's `dot` takes half the time of `matvec`.
             if group == (numbers[0],) or len(numbers) * len(rows) == 1:
                 for run in by_row.values():
                     one = run.controlled[numbers[0]]
@@ -143,11 +142,7 @@ class RunBatch(BatchSetup):
             )
 
     def advance(self, to_step: int) -> None:
-        """Simulates all active runs up to a step, see `Simulation.advance`.
-
-        Raises:
-            SimulationError: a run cannot go on; see `raises`.
-        """
+        """Simulates all active runs up to a step; see `Simulation.advance`."""
         held = [run() for run in self._runs]
         going = [run for run in held if run is not None and run.error is None]
         if not going:
@@ -159,9 +154,9 @@ class RunBatch(BatchSetup):
         try:
             self._make_steps(going, first, to_step + 1)
         finally:
-            self._sort([])  # a run that is given up afterwards ends with its last reference
+            self._sort([])  # keep no references, so that abandoned runs are freed
             written = self._driven[first : to_step + 1]
-            written[:, :, 1] = written[:, :, 0] != written[:, :, 1]  # saturated, or not
+            written[:, :, 1] = written[:, :, 0] != written[:, :, 1]  # whether saturated
 
     def _make_steps(self, going: list[BatchRun], first: int, stop: int) -> None:
         plant, commanded, gains = self.plant, self.drive[:, 0], self.gains
@@ -186,14 +181,12 @@ class RunBatch(BatchSetup):
                 self._stop_runaways(going, speeds)
 
     def _sort(self, going: list[BatchRun]) -> None:
-        """Finds what each run is to be asked for: a call for all of them costs as much as a step.
-
-        Runs that have ended stay in these lists.
-        """
+        # Sorted once per `advance`: calling every run in every step costs as much as a step.
+        # Runs that have ended stay in these lists.
         self._by_row = {run.plant.row: run for run in going}
         self._busy = [run for run in going if run.prepares]
         self._resting = [run for run in going if not run.prepares]
-        self._wakes: float = 0  # the next row for which one of those has something to do
+        self._wakes: float = 0  # the next row for which one of these has an event
         self._finishing = [run for run in going if run.finishes]
 
     def _prepare(self, going: list[BatchRun], k: int) -> None:
@@ -249,7 +242,7 @@ class RunBatch(BatchSetup):
                 estimates = observer.update(self._measured[k - observer.every + 1 : k + 1])
                 for row, estimate in zip(observer.rows, estimates, strict=True):
                     self._estimated[row][k : k + observer.every] = estimate
-        for run in self._by_row.values():  # what controllers and hooks call the time
+        for run in self._by_row.values():  # controllers and hooks read the time from it
             if run.error is None:
                 run.step = k
 
@@ -275,11 +268,6 @@ class RunBatch(BatchSetup):
                 self._end(going, run, self.plant.failed.pop(run.plant.row))
 
     def _stop_runaways(self, going: list[BatchRun], speeds: Array) -> None:
-        """Ends runs in which a joint, or the motor of an elastic one, has run away.
-
-        Args:
-            speeds: (m, n), of the links now, rad/s or m/s.
-        """
         speeds = np.abs(speeds)
         if self._motor_speeds is not None:
             speeds = np.maximum(speeds, np.abs(self._motor_speeds))
@@ -299,18 +287,16 @@ class RunBatch(BatchSetup):
         limit = f"{self._fastest[row] / self._runaway:.4g} {unit}"
         named = f"its velocity limit, {limit}"
         if robot.velocity_limits is None:
-            named = f"{limit}, which stands for a velocity limit where none is declared"
+            named = f"the default velocity limit, {limit}"
         problem = Problem(
             found=float(speeds[row]),
-            of=f"{unit}, more than {self._runaway:g} times {named}: it runs away",
-            expected="other gains or torques, or another run.runaway_speed (0 for none)",
+            of=f"{unit}, more than {self._runaway:g} times {named}",
+            expected="a stable motion; change the gains or torques, or run.runaway_speed (0: off)",
         )
         return SimulationError(time, f"{robot.name}/{robot.names[joint]}", problem)
 
 
 class _Observer:
-    """Estimates the external torques of all robots in some rows."""
-
     def __init__(
         self, every: int, rows: list[int], models: RobotModels, gains: Array, timestep: float
     ) -> None:
@@ -318,13 +304,12 @@ class _Observer:
         self._own = MomentumObserver(models, gains, timestep * every)
 
     def update(self, measured: Array) -> Array:
-        """Estimates external torques after further steps, (k, n), Nm or N, until the next call.
+        """Returns estimated external torques, (k, n), Nm or N, valid until the next call.
 
-        The observer gets the mean of the measured torques, which has changed the momentum
-        meanwhile.
+        The observer uses the mean of the measured torques since the last update.
 
         Args:
-            measured: (steps, m, 3, n), angles, velocities and torques in these steps.
+            measured: angles, velocities and torques, shape (steps, m, 3, n).
         """
         own = measured if measured.shape[1] == len(self.rows) else measured[:, self.rows]
         angles, velocities = own[-1, :, 0], own[-1, :, 1]

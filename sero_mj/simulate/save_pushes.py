@@ -1,4 +1,4 @@
-"""Saves a run with drags: as a recording, and as a scenario that repeats its pushes."""
+"""Saves a run with drags as a recording, and as a scenario that repeats the pushes."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ _DIGITS = 9  # of times, s
 
 
 def save_pushes(simulation: Simulation, folder: Path) -> Path:
-    """Saves a run that was pushed by drag: `NAME_pushed.toml`, and `.mcap` beside it.
+    """Saves a run with drags as `NAME_pushed.toml` and `NAME_pushed.mcap`.
 
     Args:
-        folder: where to; names that are taken there get a number.
+        folder: output folder. If a file exists, the name gets a number.
 
     Returns:
-        the scenario: it extends the one that was run, and its disturbances have the forces of every
-        step, so that it makes the same run to the last bit.
+        path of the scenario. It extends the original one and has the drag forces as disturbances,
+            so that it repeats the run exactly.
 
     Raises:
-        UsageError: nothing was pushed, or what was run is not from a file.
+        UsageError: nothing was dragged, or the scenario is not from a file.
         RecordingError: the recording cannot be written.
         SeroError: the scenario cannot be written.
     """
     scenario, drag = simulation.scenario, simulation.drag_force
     pulls = [] if drag is None else [pull for pull in drag.pulls if pull.forces]
     if not pulls:
-        raise UsageError("nothing was pushed yet: drag a link with Ctrl held")
+        raise UsageError("there are no pushes to save: drag a link with Ctrl held")
     if scenario.file is None:
-        raise UsageError("a scenario that was made in Python has no file that another could extend")
+        raise UsageError("the scenario was made in Python; only a scenario file can be extended")
     path = _unused(folder, f"{scenario.name}_pushed")
     timestep = scenario.run.timestep
     names = (f"push{i}" for i in range(1, 10**6))
@@ -65,10 +65,10 @@ def save_pushes(simulation: Simulation, folder: Path) -> Path:
 
 
 def save_run(simulation: Simulation, folder: Path) -> Path:
-    """Saves a run as far as its log goes back: `NAME.mcap`; a name that is taken gets a number.
+    """Saves the rows in the log of a run as `NAME.mcap`. If it exists, the name gets a number.
 
     Raises:
-        RecordingError: it cannot be written.
+        RecordingError: the file cannot be written.
     """
     path = _unused(folder, simulation.scenario.name).with_suffix(".mcap")
     with RunRecorder(simulation, path) as recorder:

@@ -1,4 +1,4 @@
-"""`Scenario`: a scene to be simulated, with controllers, targets, disturbances and faults."""
+"""`Scenario`: a scene to simulate, with controllers, targets, disturbances and faults."""
 
 from __future__ import annotations
 
@@ -36,15 +36,14 @@ from .disturbances import (
     Payload,
 )  # fmt: skip
 from .expect import Expect
-from .runs.measures import STEP_LATENESS
 from .runs.monitor import Monitor
 from .sensors import SIGNALS, SensorErrors, Sensors
 
 log = logging.getLogger(__name__)
 
-TORQUE_RATE = 3000.0  # Hz, of joint torque control on the LWR
+TORQUE_RATE = 3000.0  # Hz, rate of joint torque control on the LWR
 OBSERVER_GAIN = 50.0  # 1/s
-_LONGEST = 1e5  # s, that a run may take
+_MAX_DURATION = 1e5  # s
 
 
 class RobotSensors(Declaration):
@@ -52,11 +51,11 @@ class RobotSensors(Declaration):
 
     Attributes:
         angles: errors of the encoders.
-        velocities: of what is differentiated from them.
-        torques: of the torque sensors.
-        velocity_filter: 1/s, bandwidth of the low pass through which velocities are differences of
-            the angles that are read, their errors included; true ones, with the errors of
-            `velocities` alone, when None.
+        velocities: errors of the velocity sensors, or of the differentiated velocities.
+        torques: errors of the torque sensors.
+        velocity_filter: bandwidth of the low-pass filter with which velocities are differentiated
+            from the encoder readings, 1/s; None for the true velocities with the errors of
+            `velocities`.
     """
 
     angles: SensorErrors = Field(default_factory=SensorErrors)
@@ -66,29 +65,30 @@ class RobotSensors(Declaration):
 
 
 class Run(Declaration):
-    """How a scenario is run.
+    """Settings of a run.
 
     Attributes:
-        duration: s.
-        timestep: of the controllers and of the log, s.
-        physics_timestep: of physics, sensors and joint torque control, s, of which `timestep` is a
-            multiple; when None that of the controllers, and with torque control the multiple that
-            makes at least 3 kHz.
-        torque_control: whether joint torque control is between controllers and motors, see
-            `TorqueControl`; without it commanded torques are those of the motors.
-        drive_delay: s until a motor's torque acts; a multiple of the steps of the physics.
-        gravity: (3,), m/s2, in the world; zeros for robots in orbit. Controllers know it.
-        seed: of everything that is random.
-        elastic: whether joints are elastic, for all robots; as they are declared when None.
-        show_targets: whether transparent doubles show where robots are commanded to be.
-        show_paths: whether rows of doubles show the way there.
-        observer_gain: of the momentum observer, 1/s.
-        runaway_speed: how many times its velocity limit a joint, or its motor, has to move for the
-            run to end, with the joint and the time; 0 for never. A joint without a limit counts as
-            one with 20 rad/s, or 5 m/s.
+        duration: duration of the run, s.
+        timestep: time step of the controllers and of the log, s.
+        physics_timestep: time step of physics, sensors and joint torque control, s; `timestep` must
+            be a multiple. Default: `timestep`, or with torque control a fraction of it that gives
+            at least 3 kHz.
+        torque_control: whether there is joint torque control between controllers and motors, see
+            `TorqueControl`; without it, commanded torques act on the motors directly.
+        drive_delay: delay until a motor torque acts, s; a multiple of the physics time step.
+        gravity: gravity vector (3,) in the world, m/s2, which controllers know; zeros for robots
+            in orbit.
+        seed: seed of all random numbers.
+        elastic: whether the joints of all robots are elastic; None for the setting of each robot.
+        show_targets: whether transparent doubles show the commanded poses.
+        show_paths: whether rows of doubles show the commanded paths.
+        observer_gain: gain of the momentum observer, 1/s.
+        runaway_speed: velocity of a joint or its motor at which the run ends with an error, as a
+            multiple of the velocity limit; 0 for never. The default velocity limit is 20 rad/s or 5
+            m/s.
     """
 
-    duration: float = Field(5.0, gt=0, le=_LONGEST)
+    duration: float = Field(5.0, gt=0, le=_MAX_DURATION)
     timestep: float = Field(0.001, ge=1e-5, le=0.05)
     physics_timestep: float | None = Field(None, ge=1e-5, le=0.05)
     torque_control: bool = False
@@ -115,37 +115,38 @@ class Run(Declaration):
             ratio = self.timestep / self.physics_timestep
             if ratio < 0.999 or abs(ratio - round(ratio)) > 1e-3 * ratio:
                 fit = self.timestep / max(round(ratio), 1)
-                wanted = f"a whole number of steps in run.timestep, {self.timestep:g} s: {fit:.6g}"
+                expected = f"run.timestep ({self.timestep:g} s) / N, for example {fit:.6g} s"
                 problems.append(
-                    Problem("physics_timestep", found=self.physics_timestep, of="s",
-                            expected=f"{wanted}, for instance")
-                )  # fmt: skip
+                    Problem(
+                        "physics_timestep", found=self.physics_timestep, of="s", expected=expected
+                    )
+                )
         step = self.timestep / self.substeps
         ratio = self.drive_delay / step
         if not problems and abs(ratio - round(ratio)) > 1e-3 * max(ratio, 1.0):
-            wanted = f"a multiple of the physics' step, {step:.6g} s: {round(ratio) * step:.6g}"
+            expected = (
+                f"a multiple of the physics time step ({step:.6g} s), for example "
+                f"{round(ratio) * step:.6g} s"
+            )
             problems.append(
-                Problem("drive_delay", found=self.drive_delay, of="s",
-                        expected=f"{wanted}, for instance")
-            )  # fmt: skip
+                Problem("drive_delay", found=self.drive_delay, of="s", expected=expected)
+            )
         if self.observer_gain > max(OBSERVER_GAIN, (1 + 1e-9) / self.timestep):
-            wanted = f"up to {1 / self.timestep:g} with a timestep of {self.timestep:g} s"
+            expected = f"at most {1 / self.timestep:g}, 1 / run.timestep"
             problems.append(
-                Problem("observer_gain", found=self.observer_gain, of="1/s",
-                        expected=f"{wanted}: beyond it nothing gets faster")
-            )  # fmt: skip
+                Problem("observer_gain", found=self.observer_gain, of="1/s", expected=expected)
+            )
         if problems:
             raise DeclarationError(problems)
         return self
 
     @property
     def steps(self) -> int:
-        """Number of steps."""
         return max(round(self.duration / self.timestep), 1)
 
     @property
     def substeps(self) -> int:
-        """Steps of the physics in one of the controllers."""
+        """Number of physics steps in one step of the controllers."""
         if self.physics_timestep is not None:
             return max(round(self.timestep / self.physics_timestep), 1)
         return max(ceil(self.timestep * TORQUE_RATE - 1e-6), 1) if self.torque_control else 1
@@ -153,35 +154,36 @@ class Run(Declaration):
 
 @cache
 def _warn_of_jit() -> None:
-    log.warning("run.jit: has no effect any more: leave it out")
+    log.warning("run.jit has no effect any more; remove it")
 
 
 class Scenario:
     """A scene with controllers, targets, disturbances, faults and expectations.
 
     Args:
-        scene: robots, objects, and what is shown.
-        controllers: robot name to a controller's declaration or table, or to any object with the
-            method `torques` of `Controller`. Robots without one compensate gravity. Under the name
-            of a group these, and the two that follow, are for all its robots without an own entry.
-        targets: robot name to a target motion, in joint space or of the flange.
-        sensors: robot name to what its sensors add.
-        disturbances: by name.
-        faults: by name.
-        expect: by name, what must hold.
-        monitor: what a fault detector looks for.
-        name: for titles.
-        description: one line, for `sero-mj list`.
+        scene: scene with robots, objects and the view.
+        controllers: mapping from robot names to controller declarations, their tables, or objects
+            with the method `torques` of `Controller`. Robots without a controller compensate
+            gravity. An entry for a group applies to all robots of the group that have no entry of
+            their own, also in `targets` and `sensors`.
+        targets: mapping from robot names to target motions of the joints or of the flange.
+        sensors: mapping from robot names to sensor errors.
+        disturbances: mapping from names to disturbances.
+        faults: mapping from names to faults.
+        expect: mapping from names to pass criteria.
+        monitor: thresholds of the fault detector.
+        name: name in titles.
+        description: one line for `sero-mj list`.
         **run: fields of `Run`: `duration`, `timestep`, `seed`, ...
 
     Attributes:
-        run: how it is run.
-        file: that it was read from.
-        settings: dotted key to its value, set over what the file says when it was read.
-        tables: its file, and the scenarios that the file extends.
+        run: the settings of the run.
+        file: file that the scenario was read from.
+        settings: overrides by dotted key that were applied when the file was read.
+        tables: the file of the scenario, and the scenarios that it extends.
 
     Raises:
-        DeclarationError: everything that is wrong, at once.
+        DeclarationError: the scenario is invalid. The error contains all problems.
     """
 
     def __init__(
@@ -204,8 +206,8 @@ class Scenario:
         self.file: Path | None = scene.file
         self.settings: Mapping[str, Any] = {}
         self.tables: tuple[Path, ...] = ()
-        # Where it is wrong, nothing is said to begin after the end that it would have by default.
-        self.run = Run(duration=_LONGEST)
+        # If [run] is invalid, events after the default duration must not be reported.
+        self.run = Run(duration=_MAX_DURATION)
         with collect(self.problems, "run"):
             self.run = Run(**run)
         self.controllers: dict[str, ControllerDeclaration | Controller] = self._each(
@@ -229,7 +231,7 @@ class Scenario:
 
     def _each(self, section: str, tables: Mapping[str, Any] | None) -> dict[str, Any]:
         if tables is not None and not isinstance(tables, Mapping):
-            self.problems.append(Problem(section, found=tables, expected="tables by name"))
+            self.problems.append(Problem(section, found=tables, expected="a table of named tables"))
             return {}
         found = {}
         for name, table in (tables or {}).items():
@@ -240,7 +242,7 @@ class Scenario:
     def _check_names(self) -> None:
         robots = self.scene.robots
         if not robots:
-            self.problems.append(Problem("robots", "found none; expected one to be simulated"))
+            self.problems.append(Problem("robots", "found none; expected at least one"))
         for section in ("controllers", "targets", "sensors"):
             for name in getattr(self, section):
                 if name not in robots:
@@ -252,6 +254,12 @@ class Scenario:
                             available=[*robots, *self.scene.groups],
                         )
                     )
+        for name, controller in self.controllers.items():
+            joints = getattr(controller, "protocol_joints", None)
+            if name in robots and joints is not None and robots[name].n != joints:
+                kind = getattr(controller, "kind", "")
+                message = f"'{kind}' is for {joints} joints, but {name} has {robots[name].n}"
+                self.problems.append(Problem(f"controllers.{name}.kind", message))
         for name, disturbance in self.disturbances.items():
             self._check_disturbance(f"disturbances.{name}", disturbance)
         for section in ("disturbances", "faults"):
@@ -278,9 +286,9 @@ class Scenario:
                 turns = robot.types[joint] == "revolute"
                 factor, unit = (np.rad2deg(1.0), "deg") if turns else (1.0, "m")
                 numbers = factor * np.array([robot.home[joint], low[joint], high[joint]])
-                found = f"joint {robot.names[joint]} begins at {numbers[0]:.4g} {unit}"
+                found = f"joint {robot.names[joint]} starts at {numbers[0]:.4g} {unit}"
                 message = f"{found}; expected {numbers[1]:.4g} to {numbers[2]:.4g} {unit}"
-                message += "; is it in degrees?" if in_degrees[joint] else ""
+                message += "; are the angles in degrees?" if in_degrees[joint] else ""
                 self.problems.append(Problem(f"robots.{name}.joint_angles", message))
 
     def _check_disturbance(self, place: str, disturbance: Disturbance) -> None:
@@ -301,29 +309,28 @@ class Scenario:
 
     @property
     def duration(self) -> float:
-        """Of the run, s."""
         return self.run.duration
 
     @property
     def obstacles(self) -> list[Object]:
-        """The objects that robots can collide with: all that are not carried."""
+        """The objects that robots can collide with: all that no robot carries."""
         payloads = [each for each in self.disturbances.values() if isinstance(each, Payload)]
         carried = {payload.object for payload in payloads}
         return [each for each in self.scene.objects if each.name not in carried]
 
     @property
     def has_surroundings(self) -> bool:
-        """Whether robots can touch anything: objects, a floor, each other."""
+        """Whether robots can have contacts with objects, a floor or each other."""
         return bool(self.obstacles or self.scene.floor) or len(self.scene.robots) > 1
 
     @property
     def amplifies(self) -> bool:
-        """Whether a fault makes commanded torques larger, behind the controllers' limits."""
+        """Whether a fault increases commanded torques beyond the controllers' limits."""
         faults = self.faults.values()
         return any(isinstance(each, ControllerFault) and abs(each.gain) > 1 for each in faults)
 
     def request(self) -> Request | None:
-        """Returns what its simulation would start or load, see `base.trust`; None for nothing."""
+        """Returns the programs and libraries that a simulation would run, or None."""
         actions = [
             action
             for name, declared in self.controllers.items()
@@ -334,20 +341,20 @@ class Scenario:
         return Request(file, tuple(actions), self.tables) if actions else None
 
     def set_origin(self, origin: FileOrigin) -> None:
-        """Says which file its controllers were read from, and whether that is trusted."""
+        """Sets the file that the controllers were read from, and whether it is trusted."""
         for declared in self.controllers.values():
             if isinstance(declared, ControllerDeclaration):
                 declared.set_origin(origin)
 
     @property
     def withheld(self) -> Request | None:
-        """What it asks to run and may not, so that it cannot be simulated; None for nothing."""
+        """The programs and libraries that the scenario may not run without permission, or None."""
         origins = [getattr(declared, "origin", None) for declared in self.controllers.values()]
         is_trusted = all(origin is None or origin.is_trusted for origin in origins)
         return None if is_trusted else self.request()
 
     def without_programs(self) -> Scenario:
-        """Returns a copy in which robots compensate gravity instead of running anything."""
+        """Returns a copy in which robots with external controllers compensate gravity."""
         copied = copy(self)
         copied.controllers = {
             name: declared
@@ -357,30 +364,29 @@ class Scenario:
         return copied
 
     def has_target(self, robot: str) -> bool:
-        """Whether a robot has a target pose: a declared one, or that at which it starts."""
+        """Whether a robot has a target: a declared one, or its initial pose."""
         if self._is_wrong(f"controllers.{robot}", f"targets.{robot}"):
-            return True  # its declaration is invalid, which is reported, not missing
+            return True  # its declaration is invalid, which is reported already
         return robot in self.targets or as_controller(self.controller_of(robot)).needs_target
 
     def is_in_real_time(self, robot: str) -> bool:
-        """Whether a robot has a controller that runs in real time, and logs how late steps are."""
+        """Whether a robot's controller runs in real time."""
         controller = as_controller(self.controller_of(robot))
-        is_timed = controller.is_in_real_time and STEP_LATENESS in controller.logged
-        return is_timed or self._is_wrong(f"controllers.{robot}")
+        return bool(controller.is_in_real_time) or self._is_wrong(f"controllers.{robot}")
 
     def _is_wrong(self, *sections: str) -> bool:
         keys = [f"{problem.key}." for problem in self.problems]
         return any(key.startswith(f"{each}.") for key in keys for each in sections)
 
     def controller_of(self, robot: str) -> Any:
-        """The controller of a robot; gravity compensation where none is declared."""
+        """Returns the controller of a robot; gravity compensation if none is declared."""
         return self.controllers.get(robot, GravityCompensation())
 
     def make_sensors(self, seed: int) -> Sensors:
-        """The sensors of all robots together.
+        """Returns the sensors of all robots together.
 
         Raises:
-            DeclarationError: errors that do not fit the joints, or delays that differ.
+            DeclarationError: a sensor error has the wrong number of values, or delays differ.
         """
         merged: dict[str, SensorErrors] = {}
         for signal in SIGNALS:
@@ -408,10 +414,10 @@ class Scenario:
                 delays[name] = errors.delay
             if len(set(delays.values())) > 1:
                 found = ", ".join(f"{name} {delay}" for name, delay in delays.items())
-                message = f"found {found} steps; expected the same delay of {signal} for all robots"
+                message = f"found {found} steps; expected one delay of {signal} for all robots"
                 self.problems.append(Problem("sensors", message))
             joined = {key: np.concatenate(values) for key, values in parts.items()}
-            # Sensors are read in every step of the physics; delays are steps of the controllers.
+            # Sensors are read in every physics step, but delays count steps of the controllers.
             delay = max(delays.values()) * self.run.substeps
             merged[signal] = SensorErrors(**joined, delay=delay)
         if self.problems:
@@ -430,23 +436,23 @@ class Scenario:
 
 
 def _share_out(section: dict[str, Any], scene: Scene) -> None:
-    """Replaces the entries of groups by entries of their robots; those of inner groups count."""
+    """Replaces entries of groups by entries of their robots; inner groups have priority."""
     around, members = scene.membership.around, scene.membership.members
     own = {name: section.pop(name) for name in [*section] if name in members}
     robots = dict.fromkeys(robot for name in own for robot in members[name])
     for robot in robots:
-        first = next(group for group in around[robot] if group in own)  # inner ones stand first
+        first = next(group for group in around[robot] if group in own)  # inner groups come first
         section.setdefault(robot, own[first])
 
 
 def build_entry(section: str, table: Any) -> Any:
-    """Builds what a table of one of these sections declares; what is built stays as it is.
+    """Builds the object that a table declares; objects are returned unchanged.
 
     Args:
         section: `controllers`, `targets`, `sensors`, `disturbances`, `faults` or `expect`.
 
     Raises:
-        DeclarationError: what is wrong in it.
+        DeclarationError: the table is invalid.
     """
     return _BUILDERS[section](table)
 

@@ -1,4 +1,4 @@
-"""Reads scenario files, and the recorded motions that they name as targets."""
+"""Reads scenario files, and the recorded motions that they use as targets."""
 
 from __future__ import annotations
 
@@ -38,37 +38,36 @@ from .runs.tables import find_tables
 from .scenario import Run, Scenario, build_entry
 from .sections import OTHERS, SECTIONS
 
-# s between two rows that are kept: encoders are not that good that more would tell accelerations.
-_EVERY = 0.02
+_EVERY = 0.02  # s between two rows: with more rows, encoder noise would dominate the accelerations
 
 
 def read_scenario(
     path: Path | str, overrides: Mapping[str, Any] | None = None, *, trusted: bool = True
 ) -> Scenario:
-    """Reads and checks a scenario; runs nothing.
+    """Reads and checks a scenario without running it.
+
+    A scenario that `extends` another one consists of that scenario, the entries of the table `set`
+    (with keys like those of `overrides`), and the entries of its own sections.
 
     Args:
-        path: a TOML file, or a shipped scenario's name.
-        overrides: dotted key to its value, over what the file says:
-            `controllers.lwr.stiffness`, `run.duration`, `lwr.show_axes`.
-        trusted: whether a simulation of it may start the programs and load the libraries that it
-            names. Pass False for a file that the user has not chosen to simulate: it is then
-            trusted only as `base.trust` says.
-
-    A scenario that `extends` another one is that one, with what its table `set` sets (keys as those
-    of `overrides`) and the entries of its own sections over it.
+        path: TOML file, or name of an included scenario.
+        overrides: values by dotted key that override the file: `controllers.lwr.stiffness`,
+            `run.duration`, `lwr.show_axes`.
+        trusted: whether a simulation may run the programs and load the libraries of the scenario.
+            Pass False for a file that the user has not chosen to simulate; `base.trust` then
+            decides.
 
     Raises:
-        DeclarationError: everything that is wrong in the file, at once.
+        DeclarationError: the file is invalid. The error contains all problems.
         UnknownName: there is no such scenario.
-        UsageError: it is a robot.
+        UsageError: the file is a robot.
     """
     if os.path.isfile(path) and is_robot_file(Path(path)):
-        alone = f"sero-mj view {path} --simulate simulates it alone"
-        raise UsageError(f"{path} is a robot; expected a scenario. {alone}")
+        hint = f"Use sero-mj view {path} --simulate to simulate the robot alone"
+        raise UsageError(f"{path} is a robot; expected a scenario. {hint}")
     file = find_scenario(str(path))
     scenario = _read(file, dict(overrides or {}), ())
-    if trusted:  # without a request, which reads all files: sweeps come here for each variant
+    if trusted:  # `request` would read all files, and sweeps read many variants
         scenario.set_origin(FileOrigin(file, is_trusted=True))
     elif (request := scenario.request()) is not None:
         scenario.set_origin(FileOrigin(file, is_allowed(request)))
@@ -96,7 +95,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         else:
             is_own = key.partition(".")[0] in (*SECTIONS, "run")
             (of_own if is_own else of_scene)[key] = value
-    message = "is for a scenario that extends another one; write it into the tables themselves"
+    message = "requires `extends`; change the tables themselves"
     problems = [Problem("set", message)] if "set" in own else []
     scene = None
     try:
@@ -109,7 +108,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
     except DeclarationError as error:
         problems += error.problems
     if scene is None or (problems and "robots" in " ".join(scene.broken)):
-        # References to robots would be reported as wrong as well, except in other sections.
+        # References to invalid robots are not reported, but errors in overrides are.
         if of_scene and of_own:
             problems += _problems_without(file, whole, of_own)
         raise DeclarationError(problems)
@@ -118,8 +117,8 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
     problems += _read_motions(own, scene, file.parent)
     _place_files(own, file.parent)
     run = own.get("run", {})
-    for key, expected in (("run", "a table [run]"), ("description", "a text")):
-        if not isinstance(own.get(key, {} if key == "run" else ""), dict if key == "run" else str):
+    for key, kind, expected in (("run", dict, "a table [run]"), ("description", str, "a text")):
+        if key in own and not isinstance(own[key], kind):
             problems.append(Problem(key, found=own[key], expected=expected))
     try:
         scenario = Scenario(
@@ -135,7 +134,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         raise DeclarationError(problems)
     scenario.file, scenario.settings = file, overrides
     scenario.tables = (file,)
-    scenario.set_origin(FileOrigin(file))  # whoever reads files decides whether it is trusted
+    scenario.set_origin(FileOrigin(file))  # not trusted, unless the caller decides so
     return scenario
 
 
@@ -161,14 +160,14 @@ def _read_extended(
     problems: list[Problem] = []
     if not isinstance(settings, dict):
         problems.append(
-            Problem("set", found=settings, expected='a table with "run.duration" = 8, say')
+            Problem("set", found=settings, expected='a table, for example "run.duration" = 8')
         )
         settings = {}
     for section, entries in tables.items():
         if section == "description":
             settings[section] = entries
         elif section not in (*SECTIONS, "run"):
-            message = f"belongs to what is extended, {base}; set parts of it in [set]"
+            message = f"can only be changed in [set] of a scenario that extends {base}"
             problems.append(Problem(section, message))
         elif not isinstance(entries, dict):
             problems.append(Problem(section, found=entries, expected=f"a table [{section}]"))
@@ -196,7 +195,7 @@ def _extended(file: Path, base: Any, extending: tuple[Path, ...]) -> Path:
     except UnknownName as error:
         raise _wrong("extends", str(error)) from None
     if path.resolve() in extending:
-        raise _wrong("extends", f"found {base}, which extends this file itself")
+        raise _wrong("extends", f"found {base}, which itself extends this file")
     return path
 
 
@@ -210,7 +209,10 @@ def _as_set_in(problems: list[Problem], settings: Mapping[str, Any]) -> list[Pro
 
 
 def _read_motions(own: dict[str, Any], scene: Scene, beside: Path) -> list[Problem]:
-    """Replaces motions in files by what is in them; a robot without a pose begins where they do."""
+    """Reads motions from files.
+
+    A robot without a declared pose starts at the start of its motion.
+    """
     targets = own.get("targets")
     problems: list[Problem] = []
     for name, table in targets.items() if isinstance(targets, dict) else ():
@@ -250,7 +252,7 @@ def _other_scene(
         raise Problem("scene", found=name, expected="the name or file of a scene").error()
     if tables:
         key = next(iter(tables))
-        message = f"is of the scene; write it there ({name}), or leave `scene` out"
+        message = f"belongs to the scene; move it to {name}, or remove `scene`"
         raise _wrong(key, message)
     beside = folder / name
     try:
@@ -263,16 +265,16 @@ def _other_scene(
 def _set_all(
     own: dict[str, Any], settings: Mapping[str, Any], scene: Scene, file: Path
 ) -> list[Problem]:
-    """Sets dotted keys in the tables of a scenario; tables that are not there are made.
+    """Applies overrides to the tables of a scenario; missing tables are created.
 
     Args:
-        own: the tables, by section; those that something is set in are replaced.
+        own: tables by section. Changed tables are replaced by copies.
 
     Returns:
-        what is wrong with the keys, once for each.
+        one problem per invalid key.
     """
     problems: list[Problem] = []
-    made: dict[tuple[str, str], list[str]] = {}  # entries that are not in the file, by what keys
+    made: dict[tuple[str, str], list[str]] = {}  # keys of created entries
     for key, value in settings.items():
         try:
             section, *parts = parts_of(key)
@@ -312,12 +314,13 @@ def _with_setting(
     value: Any,
     scene: Scene,
 ) -> Any:
-    """Returns an entry of a section with a value set in it.
+    """Returns an entry of a section with a changed value.
 
-    What is set of a robot without an entry is laid over that of the innermost group with one.
+    An entry for a robot that does not exist yet is a copy of that of its innermost group with an
+    entry.
 
     Raises:
-        ValueError: a part is in no table or list, or there is no such robot.
+        ValueError: a part of the key is not a table or list, or there is no such robot.
     """
     table: Any = tables.get(name, {})
     robots: list[str] = []
@@ -346,17 +349,17 @@ def _with_setting(
 
 
 def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> dict[str, Any]:
-    """Puts the motion that `file` names into a table of kind `recorded`.
+    """Replaces `file` in a table of kind `recorded` by the motion in this file.
 
-    A recording (`.mcap`) has the angles of the robot of the same name, of that named `of`, or of
-    the only one. A table (`.csv`) has times and joint angles that are recognized, or one column for
-    every joint, in order.
+    A recording (`.mcap`) contains the angles of a robot with the same name, of the robot `of`, or
+    of a single robot. A table (`.csv`) contains times and recognized joint angles, or one column
+    per joint in their order.
 
     Args:
-        table: of the target; others than such with a `file` come back as they are.
+        table: table of a target. It is returned unchanged if it does not have a `file`.
 
     Returns:
-        the table with `times` and `angles` instead, averaged over 20 ms and beginning at 0 s.
+        the table with `times` from 0 s on and `angles`, averaged over 20 ms.
 
     Raises:
         DeclarationError: the file cannot be read, or has no such motion.
@@ -373,12 +376,12 @@ def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> 
         raise _wrong("file", f"found {file!r}; expected the name of a recording or a table")
     for key in ("times", "angles", "angles_deg"):
         if key in fields:
-            raise _wrong(key, "is what the file says; leave it or `file` out")
+            raise _wrong(key, "is read from the file; remove it or `file`")
     try:
         if not is_table(file):
             times, angles = _from_recording(beside / file, robot, of)
         elif of is not None:
-            raise _wrong("of", "is for recordings, which may have several robots; leave it out")
+            raise _wrong("of", "is only for recordings; remove it")
         else:
             times, angles = find_tables(beside / file).read_motion(beside / file, robot)
     except SeroError as error:
@@ -388,10 +391,10 @@ def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> 
     rows = ((times - times[0]) / _EVERY).astype(int)
     _, first, counts = np.unique(rows, return_index=True, return_counts=True)
     means = np.add.reduceat(angles, first) / counts[:, None]
-    moments = np.add.reduceat(times - times[0], first) / counts
-    if len(moments) < 2:
+    mean_times = np.add.reduceat(times - times[0], first) / counts
+    if len(mean_times) < 2:
         raise _wrong("file", f"{file} is shorter than {2 * _EVERY:g} s")
-    return {**fields, "times": moments - moments[0], "angles": means}
+    return {**fields, "times": mean_times - mean_times[0], "angles": means}
 
 
 def _from_recording(file: Path, robot: SerialRobot, of: object) -> tuple[Array, Array]:

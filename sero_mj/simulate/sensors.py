@@ -1,11 +1,12 @@
-"""`Sensors`: noise, bias, quantisation, delay and faults of a robot's sensors.
+"""`Sensors`: noise, bias, quantization, delay and faults of a robot's sensors.
 
-A value goes through gain and bias, noise, quantisation and faults, and then through the delay.
-Velocities may be differentiated from what the encoders of the angles read before that:
+A value passes gain and bias, noise, quantization and faults, and then the delay. Velocities can be
+differentiated from the readings of the angle encoders before the delay:
 
     v(k) = v(k-1) + (1 - exp(-w t)) ((q(k) - q(k-1)) / t - v(k-1)),
 
-differences through a first-order low pass of bandwidth w, exact for what is constant during a step.
+differences with a first-order low-pass filter of bandwidth w, exact if the difference is constant
+during a step.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from ..base.frames import Array, Bools, Ints
 Signal = Literal["angles", "velocities", "torques"]
 SIGNALS: tuple[Signal, ...] = ("angles", "velocities", "torques")
 _ERRORS = ("gain", "bias", "noise", "resolution")
-_BLOCK = 256  # steps; drawing noise for each by itself takes longer than the rest
+_BLOCK = 256  # steps for which noise is drawn at once; drawing dominates the time otherwise
 
 
 def _per_joint(value: Any) -> Array:
@@ -46,14 +47,15 @@ _NotNegative = Annotated[Array, BeforeValidator(_per_joint), AfterValidator(_at_
 
 
 class SensorErrors(Declaration):
-    """Errors of the sensors of one signal: one number for all joints, or (n,).
+    """Sensor errors of one signal: one number for all joints, or one per joint.
 
     Attributes:
         noise: standard deviation of white noise, rad, rad/s or Nm.
-        bias: rad, rad/s or Nm.
-        resolution: quantisation step; 0 for none.
-        gain: 1 for a sensor that is right, 0 for one that shows its bias only.
-        delay: steps until a value is read; whole, the same for all joints.
+        bias: constant error, rad, rad/s or Nm.
+        resolution: quantization step; 0 for none.
+        gain: factor of the true value: 1 for an ideal sensor, 0 for a sensor that reads only its
+            bias.
+        delay: delay of the readings in whole steps, the same for all joints.
     """
 
     noise: _NotNegative = np.array(0.0)
@@ -68,20 +70,17 @@ Joints = int | Sequence[int] | slice
 
 
 class Sensors:
-    """Sensors of n joints for three signals: angles, velocities and torques, in that order.
+    """Sensors of n joints for three signals: angles, velocities and torques of the links.
 
     Args:
-        angles: of the link, behind gear and spring.
-        velocities: of the same.
-        torques: of the torque sensors.
-        seed: of the noise; the same seed gives the same values.
-        velocity_filter: w, (n,), 1/s, of joints whose velocities are differentiated, with their own
-            errors on top; 0 for those that have tachometers. None for no differentiated ones.
-        timestep: t, seconds between two readings; needed with `velocity_filter`.
+        seed: seed of the noise.
+        velocity_filter: bandwidth w of differentiated velocities, shape (n,), 1/s, whose own errors
+            are added; 0 for joints with tachometers. None for tachometers only.
+        timestep: time t between two readings in seconds; required with `velocity_filter`.
 
     Attributes:
-        rows: the sensors of all rows that are read together; this is row `row` of them.
-        seed: of the noise from the next `reset` on.
+        rows: the sensors of all rows that are read together; this object is row `row` of them.
+        seed: seed of the noise from the next `reset` on.
 
     Raises:
         ValueError: an error has neither one number nor n, or the timestep is missing.
@@ -107,7 +106,7 @@ class Sensors:
 
     @property
     def measured(self) -> Array:
-        """(3, n), the last readings; always the same array."""
+        """The last readings, shape (3, n); always the same array."""
         return np.asarray(self.rows.measured[self.row])
 
     @property
@@ -116,34 +115,25 @@ class Sensors:
         return bool(self.rows.is_idle[self.row])
 
     def reset(self, actual: Array) -> None:
-        """Restarts the noise from its seed, and delays as if everything had been at rest.
-
-        Args:
-            actual: (3, n), the true values now.
-        """
+        """Restarts the noise, and fills the delays with the true values `actual`, shape (3, n)."""
         self.rows.reset(self.row, actual, self.seed)
 
     def measure(self, actual: Array) -> Array:
-        """Reads sensors that are the only row.
+        """Reads the sensors of a single row from the true values `actual`, shape (3, n).
 
-        Args:
-            actual: (3, n), the true values.
-
-        Returns:
-            `measured`, (3, n).
+        Returns `measured`.
         """
         return np.asarray(self.rows.measure(actual[None])[0])
 
     def change(self, signal: Signal, joints: Joints | None = None, **errors: float) -> None:
-        """Changes gain, bias, noise or resolution of some sensors while they run.
+        """Changes gain, bias, noise or resolution of some sensors during a run.
 
         Args:
-            joints: from 0; all when None.
-            **errors: of `SensorErrors`, but `delay`.
+            joints: indices of joints; None for all.
 
         Raises:
-            UnknownName: no such signal or error.
-            ValueError: noise or resolution below 0.
+            UnknownName: there is no such signal or error.
+            ValueError: noise or resolution is negative.
         """
         number = _number(signal)
         for key, value in errors.items():
@@ -158,14 +148,14 @@ class Sensors:
     def delay(self, signal: Signal, steps: int, joints: Joints | None = None) -> None:
         """Sets the delay of a signal in steps; 0 ends it.
 
-        Earlier readings are kept; before the first delay only the last one.
+        If the signal was not delayed before, only the last reading is available as an earlier one.
 
         Args:
-            joints: from 0; all when None.
+            joints: indices of joints; None for all.
 
         Raises:
-            UnknownName: no such signal.
-            ValueError: fewer than 0 steps.
+            UnknownName: there is no such signal.
+            ValueError: the delay is negative.
         """
         number = _number(signal)
         if steps < 0:
@@ -178,25 +168,25 @@ class Sensors:
         self.rows.set_delays(self.row, delays)
 
     def kill(self, signal: Signal, joint: int) -> None:
-        """Lets a sensor read zero."""
+        """Makes a sensor read zero."""
         self.rows.dead[self.row, _number(signal), joint] = True
         self.rows.update()
 
     def freeze(self, signal: Signal, joint: int) -> None:
-        """Lets a sensor keep its last reading."""
+        """Makes a sensor hold its last reading."""
         place = self.row, _number(signal), joint
         self.rows.frozen[place], self.rows.held[place] = True, self.rows.measured[place]
         self.rows.update()
 
     def repair(self) -> None:
-        """Ends all faults and changes: every sensor is as it was declared."""
+        """Ends all faults and changes."""
         self.rows.repair(self.row)
 
     def end_faults(self, reapply: Callable[[], None]) -> None:
         """Ends all faults and changes, and applies the remaining ones again.
 
         Args:
-            reapply: applies these; what they hold and delay continues.
+            reapply: applies the remaining faults, whose held and delayed values continue.
         """
         rows, row = self.rows, self.row
         held, delays, past = rows.held[row].copy(), rows.delays[row].copy(), rows.past.copy()
@@ -208,20 +198,22 @@ class Sensors:
 
 
 class SensorRows:
-    """The sensors of m rows, which are read together; all arrays have the rows as first axis.
+    """The sensors of m rows, which are read together. The rows are the first axis of all arrays.
 
     Args:
-        each: the sensors of every row, of n joints and with one timestep; they become its rows.
+        each: the sensors of every row, which have the same number of joints and timestep. They
+            become its rows.
 
     Attributes:
-        measured: (m, 3, n), the last readings; always the same array.
-        errors: gain, bias, noise and resolution, (m, 3, n) each; call `update` after a change.
-        dead: (m, 3, n), sensors that read zero.
-        frozen: (m, 3, n), sensors that read what is in `held`.
-        delays: (m, 3, n), steps.
-        past: (L, m, 3, n), a ring of readings that were not delayed yet.
-        is_idle: (m,), whether a row reads the true values.
-        is_perfect: whether all do, so that `measure` need not be called.
+        measured: last readings, shape (m, 3, n); always the same array.
+        errors: gain, bias, noise and resolution, shape (m, 3, n) each; call `update` after a
+            change.
+        dead: sensors that read zero, shape (m, 3, n).
+        frozen: sensors that read `held`, shape (m, 3, n).
+        delays: delays in steps, shape (m, 3, n).
+        past: ring buffer of readings before the delay, shape (L, m, 3, n).
+        is_idle: rows that read the true values, shape (m,).
+        is_perfect: whether all rows read the true values, so that `measure` need not be called.
     """
 
     def __init__(self, each: Sequence[Sensors]) -> None:
@@ -233,7 +225,7 @@ class SensorRows:
         self.dead, self.frozen = np.zeros((2, *shape), bool)
         self.delays: Ints = np.zeros(shape, np.intp)
         self.past: Array = np.zeros((1, *shape))
-        self._place = 0  # in that ring
+        self._place = 0  # in the ring buffer
         filters = np.array([one.filters for one in each])
         self._is_filtered: Bools = filters > 0
         self._differentiates = bool(filters.any())
@@ -241,10 +233,9 @@ class SensorRows:
         self._new_share = -np.expm1(-filters * self._timestep)
         self._speeds, self._read_angles = np.zeros((2, m, first.n))
         self._has_read: Bools = np.zeros((m, 1), bool)
-        # Noise is drawn for a block of readings: for each alone that takes longer than the rest.
         self._noise: Array = np.zeros((m, _BLOCK, 3, first.n))
         self._has_drawn: Bools = np.zeros(m, bool)
-        self._k: Ints = np.zeros(m, np.intp)  # readings until now
+        self._k: Ints = np.zeros(m, np.intp)  # number of readings
         self._rngs = [np.random.default_rng(one.seed) for one in each]
         self._at = np.arange(m)[:, None, None], np.arange(3)[:, None], np.arange(first.n)
         for row, one in enumerate(each):
@@ -253,7 +244,6 @@ class SensorRows:
             self.reset(row, self.measured[row].copy(), one.seed)
 
     def repair(self, row: int) -> None:
-        """Ends all faults and changes of a row."""
         self.dead[row] = self.frozen[row] = False
         self.held[row] = 0.0
         delays = np.zeros_like(self.delays[row])
@@ -271,7 +261,7 @@ class SensorRows:
         self.set_delays(row, delays)
 
     def set_delays(self, row: int, delays: Ints) -> None:
-        """Sets the delays of a row, (3, n), in steps."""
+        """Sets the delays of a row, shape (3, n), in steps."""
         was_late = self.delays.any(axis=(0, 2))  # signals of any row
         row_was_late = self.delays[row].any(axis=1)
         is_new = (delays != self.delays[row]).any(axis=1)
@@ -288,7 +278,7 @@ class SensorRows:
         self.update()
 
     def update(self) -> None:
-        """Determines what every reading takes, after changes."""
+        """Updates cached flags after a change of errors or faults."""
         errors = self.errors
         self._has_noise: Bools = np.asarray(errors["noise"].any(axis=(1, 2)))
         self._coarse: Bools = errors["resolution"] > 0
@@ -313,11 +303,7 @@ class SensorRows:
         self.is_perfect = bool(self.is_idle.all())
 
     def reset(self, row: int, actual: Array, seed: int) -> None:
-        """Restarts a row: its noise, and its delays as if it had been at rest.
-
-        Args:
-            actual: (3, n), the true values now.
-        """
+        """Restarts the noise of a row, and fills its delays with `actual`, shape (3, n)."""
         self._rngs[row] = np.random.default_rng(seed)
         self._has_drawn[row] = self._has_read[row] = False
         self._k[row], self._speeds[row] = 0, 0.0
@@ -330,7 +316,7 @@ class SensorRows:
         self.measured[row] = self.past[late, row, *self._at[1:]]
 
     def measure(self, actual: Array) -> Array:
-        """Reads all sensors, (m, 3, n); returns `measured`."""
+        """Reads all sensors; returns `measured`, shape (m, 3, n)."""
         measured = self.measured
         measured[...] = self._read(actual, _ALL)
         if self._is_late:
@@ -359,7 +345,6 @@ class SensorRows:
         return values
 
     def _noise_now(self, rows: slice) -> Array:
-        """Standard noise of this reading, (k, 3, n)."""
         if len(self._k) == 1:
             k = int(self._k[0]) % _BLOCK
             if k == 0 or not self._has_drawn[0]:

@@ -1,4 +1,4 @@
-"""The scene of a simulation: with it as a source, and routes, doubles and arrows that show it."""
+"""Scenes of simulations, with routes, doubles and arrows that show the run."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from .scenario import Scenario
 from .simulation import Simulation
 
 SOURCE = "simulation"
-# Inputs that robots get of the log, unless the scene routes something else there.
+# Robot inputs that are routed from the log.
 _SHOWN = ("joint_angles", "torques", "commanded_torques", "base_frame")
 
 
 def simulated_scene(simulation: Simulation, source: RunSource | None = None) -> Scene:
-    """Returns a scene that shows a simulation and advances it.
+    """Returns a scene that shows and advances a simulation.
 
-    Rows of doubles stand along the targets' paths where `[run]` asks for them.
+    If the run sets `show_paths`, rows of doubles show the paths of the targets.
 
     Args:
-        source: that hands in its rows; one to its end when None.
+        source: source of the rows; None for one that ends with the run.
     """
     scenario, columns = simulation.scenario, simulation.layout.columns
     scene = with_routes(scenario, columns, source or RunSource(run=simulation))
@@ -47,12 +47,11 @@ def simulated_scene(simulation: Simulation, source: RunSource | None = None) -> 
 
 
 def replayed_scene(scenario: Scenario, file: Path) -> Scene:
-    """Returns a scene that shows a recording of a scenario; nothing is simulated.
+    """Returns a scene that shows a recording of a scenario without simulating it.
 
     Args:
-        scenario: that was recorded; its controllers are not made.
-        file: the recording, or a table, which `replay_instead` then lets lead the robots; where it
-            has no simulation, that reports it.
+        scenario: the recorded scenario; its controllers are not made.
+        file: a recording or a table. If a recording has no simulation, `replay_instead` reports it.
 
     Raises:
         RecordingError: the file cannot be read.
@@ -72,14 +71,14 @@ def replayed_scene(scenario: Scenario, file: Path) -> Scene:
 
 
 def with_routes(scenario: Scenario, events: Collection[str], source: object) -> Scene:
-    """Returns the scene as it is shown: with the source, and routes from it.
+    """Returns the scene with a source, and routes from it.
 
-    Robots get measured angles and torques and commanded torques, and their external torques where
-    an input has that name; targets get transparent doubles, pushes get arrows, and what is carried
-    goes along. What the scenario's scene routes itself is left as it is.
+    Robots get measured angles, measured and commanded torques, and external torques if an input has
+    that name. Targets get transparent doubles, pushes get arrows, and carried objects move. Routes
+    of the scenario's scene have priority.
 
     Args:
-        events: of the log; in a recording they may have old names, see `recorded_event`.
+        events: names of log events; in a recording they may be old names, see `recorded_event`.
     """
 
     def is_there(event: str) -> bool:
@@ -109,7 +108,7 @@ def with_routes(scenario: Scenario, events: Collection[str], source: object) -> 
 def _show_pushes(
     scene: Scene, scenario: Scenario, is_there: Callable[[str], bool]
 ) -> dict[str, str]:
-    """Adds arrows for pushes and for what robots touch; returns routes to them."""
+    """Adds arrows for pushes and contacts; returns routes to them."""
     routes = {}
     for name, disturbance in scenario.disturbances.items():
         if not isinstance(disturbance, Force) or not disturbance.show:
@@ -130,10 +129,9 @@ def _show_pushes(
 
 
 def _add_path(scene: Scene, name: str, angles: Array) -> None:
-    """Adds a row of doubles along the path of a robot's target, angles (T, n)."""
     if len(angles) == 0 or np.ptp(angles, axis=0).max() < 1e-6:
         return
-    # Evenly along the path, not in time: the places where it rests would be repeated.
+    # Evenly along the path, not in time, so that poses at rest are not repeated.
     steps = np.abs(np.diff(angles, axis=0)).max(axis=1)
     way = np.hstack([0.0, np.cumsum(steps)])
     picked = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], 40)))

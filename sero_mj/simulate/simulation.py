@@ -1,4 +1,4 @@
-"""`Simulation`: runs a scenario step by step, with a log of everything."""
+"""`Simulation`: runs a scenario step by step and logs every step."""
 
 from __future__ import annotations
 
@@ -19,33 +19,32 @@ from .runs.monitor import Finding
 from .runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLog, event_of
 from .scenario import Scenario
 
-MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
+MAX_BYTES = 2 * 2**30  # of a log
 
 
 class Simulation(BatchRun):
-    """Runs a scenario.
+    """Simulates a scenario.
 
     Args:
-        seed: of the noise; the scenario's when None.
-        compiler: that remembers what it has compiled, for those who run many; a new one when None.
-        by_hand: whether robots can be pulled by hand while it runs.
-        is_live: whether targets and controllers are changed while it runs, see `LiveControl`.
-        batch: that it is simulated in, and its row there, see `together`; one of its own when None.
+        seed: seed of the sensor noise; None uses the scenario's seed.
+        compiler: cache of compiled models, to share between simulations; None makes a new one.
+        by_hand: whether robots can be dragged during the simulation.
+        is_live: whether targets and controllers can be changed during the simulation; see
+            `LiveControl`.
+        batch: batch and row to simulate in, see `together`; None makes a batch of one.
 
     Attributes:
-        robots: by name, as they are simulated: with elastic joints where the run asks for them.
-        plant: the simulated robots.
-        layout: of the log's rows.
-        rows: (steps + 1, width), the log; rows behind `step` hold targets only.
-        times: (steps + 1,), of the rows, s.
-        step: number of steps that have been made.
-        error: what has ended it, if it is simulated `together` with others; else None.
-        drag_force: pulls robots by hand; None without.
-        live: changes targets and controllers; None without.
+        robots: robots as simulated, by name; joints are elastic if the run requests it.
+        rows: the log, shape (steps + 1, width). Rows after `step` contain only targets.
+        times: times of the rows, shape (steps + 1,), s.
+        step: number of completed steps.
+        error: the error that ended this run of a batch, see `together`; otherwise None.
+        drag_force: applies drag forces to links; None unless `by_hand`.
+        live: changes targets and controllers; None unless `is_live`.
 
     Raises:
-        DeclarationError: what only shows when robots are compiled and targets computed: unstable
-            gains, unreachable targets, limits of zero.
+        DeclarationError: unstable gains, unreachable targets or limits of zero, which are only
+            detected when models are compiled and targets are computed.
     """
 
     def __init__(
@@ -75,15 +74,15 @@ class Simulation(BatchRun):
     def together(
         cls, scenarios: Sequence[Scenario], compiler: Compiler | None = None
     ) -> list[Simulation | DeclarationError]:
-        """Simulations that are advanced together: one's `advance` is that of all.
+        """Returns simulations that advance together: `advance` of one advances all.
 
-        Where one cannot go on it has its `error`, and the others go on.
+        If one fails, its `error` is set and the others continue.
 
         Args:
-            scenarios: with one `batch_key`.
+            scenarios: scenarios with the same `batch_key`.
 
         Returns:
-            in their order; where one cannot be run, why.
+            one simulation per scenario, or the error that prevents it.
         """
         seeds = [each.run.seed for each in scenarios]
         batch = RunBatch(scenarios, seeds, compiler or Compiler(), raises=False)
@@ -100,15 +99,14 @@ class Simulation(BatchRun):
     def __reduce__(
         self,
     ) -> tuple[Callable[..., Simulation], tuple[Scenario, Array, int, bool, bool]]:
-        """Pickles what is run, so that it runs anew, to the same log, where it is unpickled."""
         seed, by_hand = self.plant.sensors.seed, self.drag_force is not None
         return _begun_again, (self.scenario, self._start, seed, by_hand, self.live is not None)
 
     def restart(self, joint_angles: Array, seed: int) -> None:
-        """Restarts with other joint angles and noise; changes of the plant persist.
+        """Restarts with other joint angles and noise. Payloads and frictions stay as they are.
 
         Args:
-            joint_angles: (n,), of all robots together, rad or m.
+            joint_angles: joint angles of all robots, shape (n,), rad or m.
         """
         self._batch.restart(joint_angles, seed)
         self.plan(joint_angles)
@@ -120,30 +118,28 @@ class Simulation(BatchRun):
 
     @property
     def structure(self) -> Structure:
-        """Of a row of the log as a packet."""
+        """Structure of a log row as a packet."""
         return self.layout.structure
 
     @property
     def steps(self) -> int:
-        """How many steps the run has."""
+        """Number of steps of the run."""
         return len(self.rows) - 1
 
     @property
     def time(self) -> float:
-        """Until when it has been simulated, s."""
+        """Simulated time in seconds."""
         return float(self.rows[self.step, 0])
 
     @property
     def is_done(self) -> bool:
-        """Whether the run is over."""
         return self.step >= self.steps
 
     def run(self, chunk: int = 1000) -> Iterator[tuple[int, int]]:
-        """Runs to the end, and tells after every so many steps which rows are new.
+        """Runs to the end and yields the range of new rows after every `chunk` steps.
 
         Raises:
-            SimulationError: it cannot go on; names the joint and the time. What came before is in
-                the log.
+            SimulationError: the run cannot continue. Earlier rows are in the log.
         """
         first = 0 if self.step == 0 else self.step + 1
         watch = RealTimeWatch(self.scenario.name)
@@ -165,16 +161,16 @@ class Simulation(BatchRun):
         return max((float(each[0]) for each in late), default=0.0)
 
     def advance(self, to_step: int) -> None:
-        """Simulates until a step.
+        """Simulates up to a step.
 
-        In every step, in this order: disturbances and faults that begin or end; each robot's
-        controller, from what its sensors read, then its torque limits; the drives, with gains of
-        faulty controllers, joint torque control and the motors' limits; the plant, once or several
-        times, with pushes, physics and sensors; the log. The observer takes several steps at once.
+        Each step applies, in this order: due disturbances and faults; each robot's controller and
+        its torque limits; faulty drive gains, joint torque control and motor limits; the plant with
+        pushes, physics and sensors, once or several times; the log. The external torques are
+        estimated for several steps at once.
 
         Raises:
-            SimulationError: it cannot go on, and the log ends with the step before; or a joint has
-                run away, and the log ends there.
+            SimulationError: the run cannot continue, and the log ends with the previous step; or a
+                joint exceeds `run.runaway_speed`, and the log ends with this step.
         """
         try:
             self._batch.advance(min(to_step, self.steps))
@@ -185,13 +181,13 @@ class Simulation(BatchRun):
             self.close()
 
     def drop_oldest(self, keep: int) -> int:
-        """Discards all but the last rows of the log, which makes room for new ones.
+        """Discards the oldest rows of the log to make room for new ones.
 
         Args:
-            keep: how many rows, at least; a few more are kept.
+            keep: minimum number of rows to keep.
 
         Returns:
-            how many were forgotten.
+            number of discarded rows.
         """
         dropped = max(self.step + 1 - keep, 0) // self.observed_every * self.observed_every
         if not dropped:
@@ -208,16 +204,16 @@ class Simulation(BatchRun):
 
     @property
     def log(self) -> RunLog:
-        """The log until now; its signals are views."""
+        """The log up to now. Its signals are views."""
         rows = self.rows[: self.step + 1]
         return RunLog.from_rows(self.layout, rows, self.robots, name=self.scenario.name)
 
     def findings(self) -> list[Finding]:
-        """What the monitor finds in the log until now."""
+        """Returns the faults that the monitor detects in the log up to now."""
         return self.scenario.monitor.find(self.log)
 
     def outcomes(self) -> list[Outcome]:
-        """Whether what was expected held."""
+        """Returns the outcome of each expectation."""
         log, findings = self.log, self.findings()
         return [
             expect.judge(name, log, findings, self.scenario)
@@ -240,5 +236,5 @@ def _check_size(scenario: Scenario) -> None:
     size = 8 * (scenario.run.steps + 1) * signals * joints
     if size > MAX_BYTES:
         found = f"found {scenario.run.steps} steps, a log of {size / 2**30:.1f} GiB"
-        message = f"{found}; expected up to {MAX_BYTES / 2**30:.0f} GiB"
+        message = f"{found}; expected at most {MAX_BYTES / 2**30:.0f} GiB"
         raise DeclarationError(scenario.scene.located([Problem("run.duration", message)]))

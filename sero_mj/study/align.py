@@ -16,11 +16,11 @@ from ..simulate.runs.run_log import RunLog, compared_signal
 
 log = logging.getLogger(__name__)
 
-_MIN_OVERLAP = 0.3  # of the shorter one
+_MIN_OVERLAP = 0.3  # share of the shorter motion
 _MIN_SPEED = 1e-4  # rad/s or m/s, root mean square
 _MAX_ROWS = 2**21
-# The difference in correlation needed to beat a shift with a longer overlap: a periodic motion
-# matches at every period, and the nearest one is meant.
+# Penalty in correlation for shorter overlaps. A periodic motion matches at every period; the shift
+# with the longest overlap is selected.
 _OVERLAP_WEIGHT = 0.1
 
 
@@ -29,8 +29,8 @@ class Shift:
     """The time shift between two motions.
 
     Attributes:
-        seconds: to be added to its times.
-        correlation: normalised cross-correlation of the velocities there, 1 for the same motion.
+        seconds: shift to add to the times of the second motion.
+        correlation: normalized cross-correlation of the velocities, 1 for the same motion.
     """
 
     seconds: float
@@ -38,10 +38,11 @@ class Shift:
 
 
 def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array) -> Shift | None:
-    """Finds the shift of the times of `b` from the velocities of all joints; None for no motion.
+    """Estimates the shift of the times of `b` from the velocities of all joints.
 
-    It maximizes the normalised cross-correlation over overlaps of at least 30 % of the shorter
-    motion, refined by a parabola through the highest three values. Times are (T,), angles (T, n).
+    The shift maximizes the normalized cross-correlation over overlaps of at least 30 % of the
+    shorter motion, refined by a parabola through the highest three values. Times have the shape
+    (T,), angles (T, n). Returns None if one of them hardly moves.
     """
     spans = times_a[-1] - times_a[0], times_b[-1] - times_b[0]
     if min(spans) <= 0.0:
@@ -55,7 +56,7 @@ def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array)
         return None
     scores, correlation, first = _correlate(a, b)
     best = int(np.argmax(scores))
-    # The overlap selects among peaks; their height is the correlation alone.
+    # The overlap selects a peak; its maximum depends on the correlation only.
     while best + 1 < len(correlation) and correlation[best + 1] > correlation[best]:
         best += 1
     while best > 0 and correlation[best - 1] > correlation[best]:
@@ -70,10 +71,8 @@ def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array)
 
 
 def _correlate(a: Array, b: Array) -> tuple[Array, Array, int]:
-    """Score and correlation for every lag of b in rows, and the first of these lags.
-
-    At lag k row i of `b` is at row i + k of `a`.
-    """
+    # Returns score and correlation of every lag, and the first lag. Lag k aligns row i of b with
+    # row i + k of a.
     length = len(a) + len(b) - 1
     size = 1 << (length - 1).bit_length()
     product = np.fft.rfft(a, size, axis=0) * np.conj(np.fft.rfft(b, size, axis=0))
@@ -92,7 +91,6 @@ def _correlate(a: Array, b: Array) -> tuple[Array, Array, int]:
 
 
 def _summed(velocities: Array) -> Array:
-    """Cumulative energy of the rows before each row, (T + 1,)."""
     return np.concatenate([[0.0], np.cumsum(np.sum(velocities**2, axis=1))])
 
 
@@ -108,9 +106,9 @@ def _rms(velocities: Array) -> float:
 
 # The compared signals, if both runs have them.
 COMPARED = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
-# A gap longer than this time and than this many packets is not interpolated.
-_GAP, _GAP_ROWS = 0.1, 5
-_MIN_CORRELATION = 0.5  # below, the offset is meaningless
+# Gaps that exceed both limits are not interpolated.
+_GAP, _GAP_ROWS = 0.1, 5  # s, packets
+_MIN_CORRELATION = 0.5  # minimum for a meaningful offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,13 +116,13 @@ class Pair:
     """Two runs of a robot at the same times.
 
     Attributes:
-        robot: as the first run declares it.
-        times: (T,), s, on the clock of the first run.
-        a: signal to the first run's values, (T, n).
-        b: likewise of the second; NaN where unknown.
-        offset: added to the times of the second run, s.
-        correlation: of the motions if the offset was estimated, 1 for the same motion; else None.
-        names: of the two runs.
+        robot: robot as declared in the first run.
+        times: times on the clock of the first run, shape (T,), s.
+        a: values of the first run by signal, shape (T, n), NaN if unknown.
+        b: values of the second run by signal.
+        offset: offset that was added to the times of the second run, s.
+        correlation: correlation of the motions if the offset was estimated, else None.
+        names: names of the two runs.
     """
 
     robot: SerialRobot
@@ -136,39 +134,35 @@ class Pair:
     names: tuple[str, str]
 
     def difference(self, signal: str) -> Array:
-        """First run less second, (T, n).
-
-        Raises:
-            KeyError: one of them lacks this signal.
-        """
+        """Returns the first run minus the second, shape (T, n)."""
         return np.asarray(self.a[signal] - self.b[signal])
 
     @property
     def signals(self) -> list[str]:
-        """The common signals."""
         return [signal for signal in COMPARED if signal in self.a and signal in self.b]
 
     @property
     def has_one_motion(self) -> bool:
-        """Whether both have the same motion by definition, such as a robot and its model."""
+        """Whether the runs have the same motion by definition, such as a robot and its model."""
         return self.a.get("joint_angles") is self.b.get("joint_angles")
 
 
 def align(
     a: RunLog, b: RunLog, robot: str | None = None, offset: float | Literal["auto"] = 0.0
 ) -> Pair:
-    """Resamples two runs at common times, those of the run with more rows per second.
+    """Resamples two runs at common times, which are those of the run with the higher rate.
 
     Values are interpolated linearly, except across gaps.
 
     Args:
-        a: a run.
-        b: another one.
-        robot: its name in both; `NAME,NAME` where they differ. The only common one when None.
-        offset: s, added to the times of `b`; `auto` estimates it from the velocities of the joints.
+        a: first run.
+        b: second run.
+        robot: name of the robot, or `NAME,NAME` for different names in `a` and `b`; None for the
+            only common robot.
+        offset: offset to add to the times of `b`, s; `auto` estimates it from joint velocities.
 
     Raises:
-        UsageError: there is no such robot, or no common time; names the existing ones.
+        UsageError: there is no such robot, or the runs do not overlap.
     """
     of_a, of_b = choose_robots(a, b, robot)
     shift: Shift | None = None
@@ -196,7 +190,7 @@ def align(
         spans = [f"{name} from {t[0]:.3f} s to {t[-1]:.3f} s"
                  for name, t in ((a.name, a.times), (b.name, moved))]  # fmt: skip
         where = f" with the offset {seconds:g} s" if seconds else ""
-        expected = "runs that overlap; give --offset S, or --offset auto"
+        expected = "runs that overlap. Set --offset S or --offset auto."
         raise UsageError(Problem("", f"found {spans[0]}, {spans[1]}{where}", expected=expected))
     return Pair(
         a.robots[of_a],
@@ -210,16 +204,16 @@ def align(
 
 
 def pair_with_commands(log: RunLog, robot: str | None = None) -> Pair:
-    """The commanded and the measured torques of a robot, the only one when None, as a pair of runs.
+    """Pairs the commanded with the measured torques of a robot; None for the only robot.
 
     Raises:
-        UsageError: there is no such robot, there are several, or one of the torques is missing.
+        UsageError: there is no such robot, the robot is ambiguous, or torques are missing.
     """
     name = choose_robot(log, robot)
     for signal in ("torques", "commanded_torques"):
         if not log.has(name, signal):
             found = f"has no {signal} of '{name}'"
-            expected = "both kinds, or another recording to compare with"
+            expected = "torques and commanded_torques, or a second recording to compare with"
             raise UsageError(Problem(log.name, found, expected=expected))
     angles = log.of(name, "joint_angles")
     return Pair(
@@ -234,10 +228,10 @@ def pair_with_commands(log: RunLog, robot: str | None = None) -> Pair:
 
 
 def choose_robot(log: RunLog, name: str | None) -> str:
-    """The name of a robot in a run; that of the only one when None.
+    """Returns the name of a robot in a run, or of the only robot for None.
 
     Raises:
-        UsageError: there is no such robot, or there are several.
+        UsageError: there is no such robot, or None is ambiguous.
     """
     if name is not None and name not in log.robots:
         where, known = f"in {log.name}", log.robots
@@ -249,10 +243,12 @@ def choose_robot(log: RunLog, name: str | None) -> str:
 
 
 def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, str]:
-    """Names of a robot in two runs, from `NAME`, `NAME,NAME`, or None for the only common one.
+    """Returns the names of a robot in two runs.
+
+    `name` is `NAME`, `NAME,NAME`, or None for the only common robot.
 
     Raises:
-        UsageError: there is none, there are several, or their numbers of joints differ.
+        UsageError: there is no such robot, None is ambiguous, or the numbers of joints differ.
     """
     if name is not None:
         in_a, _, in_b = name.partition(",")
@@ -273,7 +269,7 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
         else:
             has = [f"{run.name} has {', '.join(run.robots) or 'no robot'}" for run in (a, b)]
             hint = "choose with --robot NAME,NAME"
-            raise UsageError(f"{has[0]}, {has[1]}: no robot in common; {hint}")
+            raise UsageError(f"{has[0]}, {has[1]}: no common robot; {hint}")
     first, second = a.robots[pair[0]], b.robots[pair[1]]
     if first.n != second.n:
         found = f"{pair[0]} has {first.n} joints in {a.name}, {pair[1]} has {second.n} in {b.name}"
@@ -287,9 +283,9 @@ def _check_names(a: RunLog, of_a: str, b: RunLog, of_b: str) -> None:
         return
     names = f"{first_of(first)} in {a.name}, {first_of(second)} in {b.name}"
     if sorted(first) == sorted(second):
-        expected = "the same order; --scene ROBOT reads both in the order of ROBOT"
+        expected = "the same order. --scene ROBOT reads both in the order of ROBOT."
         raise UsageError(Problem("", f"the joints are {names}", expected=expected))
-    log.warning("joints are compared in their order, because their names differ: %s", names)
+    log.warning("joint names differ, so joints are compared in order: %s", names)
 
 
 def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, Array]:
@@ -301,7 +297,7 @@ def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, 
 
 
 def at_times(times: Array, values: Array, wanted: Array) -> Array:
-    """Interpolates values (T, n) at rising times linearly, (T', n); NaN in gaps and outside."""
+    """Interpolates values (T, n) linearly at increasing times; returns NaN in gaps and outside."""
     if len(times) == 1:
         return np.where(wanted[:, None] == times[0], values[0], np.nan)
     right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
@@ -310,7 +306,7 @@ def at_times(times: Array, values: Array, wanted: Array) -> Array:
     with np.errstate(invalid="ignore"):
         share = np.clip((wanted - times[left]) / widths, 0.0, 1.0)
         result = values[left] + share[:, None] * (values[right] - values[left])
-    # NaN in a neighbouring row does not affect an exactly matched row.
+    # NaN in an adjacent row must not affect a row that matches exactly.
     for exact, rows in ((share == 0.0, left), (share == 1.0, right)):
         result[exact] = values[rows[exact]]
     steps = np.diff(times)

@@ -1,4 +1,4 @@
-"""How much two runs of a robot differ, joint by joint; and a scene that plays both."""
+"""Compares two runs of a robot joint by joint, and builds a scene that plays both."""
 
 from __future__ import annotations
 
@@ -26,23 +26,22 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-_MAX_RATE = 240.0  # rows per second; above the frame rate of films
+_MAX_RATE = 240.0  # rows per second; above the frame rate of videos
 _GREEN = np.array([0.10, 0.62, 0.30, 0.42])
-# For robots with more joints tables show those that differ most; files have all.
-MANY_JOINTS, MOST_SHOWN = 24, 12
-_IN_TABLE = ("joint_angles", "torques")  # if present; the rest is in the JSON
+# For robots with more joints, tables show only those that differ most; files contain all.
+MANY_JOINTS, MAX_SHOWN = 24, 12
+_IN_TABLE = ("joint_angles", "torques")  # the JSON contains all signals
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference of a joint's signal; first run minus second.
+    """The difference of one signal of one joint: first run minus second.
 
     Attributes:
-        joint: its name.
         signal: `joint_angles`, `joint_velocities`, `torques` or `commanded_torques`.
         unit: rad, m, rad/s, m/s, Nm or N.
-        peak: the signed difference of largest magnitude; NaN if unknown.
-        at: its time, s.
+        peak: signed difference of the largest magnitude; NaN if unknown.
+        at: time of the peak, s.
         rms: root mean square over time.
     """
 
@@ -66,11 +65,11 @@ class Exceeded:
         what = "torque" if found.signal == "torques" else "angle"
         peak, allowed = factor * abs(found.peak), factor * self.tolerance
         return f"{found.joint}: {what} differs by {peak:.4g} {unit} at {found.at:.3f} s; " \
-               f"allowed {allowed:.4g} {unit}"  # fmt: skip
+               f"tolerance {allowed:.4g} {unit}"  # fmt: skip
 
 
 def compare(pair: Pair) -> list[Difference]:
-    """The differences of all signals that both runs have, joint by joint."""
+    """Returns the differences of all common signals, joint by joint."""
     found = []
     for signal in pair.signals:
         difference = pair.difference(signal)
@@ -81,16 +80,16 @@ def compare(pair: Pair) -> list[Difference]:
 
 
 def unit_of(signal: str, joint_type: str) -> str:
-    """The unit of a joint's signal."""
-    turns = joint_type == "revolute"
+    """Returns the unit of a signal for a joint type."""
+    is_revolute = joint_type == "revolute"
     if signal.endswith("torques"):
-        return "Nm" if turns else "N"
-    length = "rad" if turns else "m"
+        return "Nm" if is_revolute else "N"
+    length = "rad" if is_revolute else "m"
     return f"{length}/s" if signal.endswith("velocities") else length
 
 
 def one_unit(units: Iterable[str]) -> str:
-    """The common unit; empty if units differ."""
+    """Returns the common unit, or an empty text if units differ."""
     first, *others = dict.fromkeys(units)
     return "" if others else first
 
@@ -103,20 +102,21 @@ def _difference(joint: str, signal: str, unit: str, times: Array, values: Array)
 
 
 def differ_most(pair: Pair) -> list[str]:
-    """Names of the joints to show: of many those that differ most, in their order.
+    """Returns the names of the joints to show, in order.
 
-    They differ by the peak of their torques as a share of the limit, else of their angles.
+    For robots with many joints, these are the joints with the largest peak difference of torques as
+    a share of the limit, or of angles if there are no torques.
     """
     names = pair.robot.names
     if len(names) <= MANY_JOINTS:
         return names
     signal = "torques" if "torques" in pair.signals else "joint_angles"
     if signal not in pair.signals:
-        return names[:MOST_SHOWN]
+        return names[:MAX_SHOWN]
     peaks = np.nan_to_num(np.abs(pair.difference(signal))).max(axis=0, initial=0.0)
     limits = pair.robot.torque_bounds if signal == "torques" else np.ones(len(names))
     shares = peaks / np.where(np.isfinite(limits), limits, max(peaks.max(), 1e-9))
-    return [names[k] for k in np.sort(np.argsort(-shares, kind="stable")[:MOST_SHOWN])]
+    return [names[k] for k in np.sort(np.argsort(-shares, kind="stable")[:MAX_SHOWN])]
 
 
 def exceeded(
@@ -126,9 +126,10 @@ def exceeded(
     angle: float | None = None,
     travel: float | None = None,
 ) -> list[Exceeded]:
-    """Differences of measured torques or angles above a tolerance; NaN is above any.
+    """Returns the differences of measured torques and angles that exceed a tolerance.
 
-    Tolerances are in Nm (N), rad and, for prismatic joints, m; None allows any difference.
+    Tolerances are in Nm (N), rad and, for prismatic joints, m. NaN exceeds every tolerance, and
+    None allows any difference.
     """
     found = []
     for each in differences:
@@ -144,7 +145,7 @@ def as_json(
     differences: Sequence[Difference],
     explanations: Sequence[Explanation] | None = None,
 ) -> dict[str, Any]:
-    """The comparison as JSON types; unknown values are None."""
+    """Returns the comparison as JSON types."""
     return {
         "a": pair.names[0],
         "b": pair.names[1],
@@ -162,7 +163,7 @@ def as_json(
 
 
 def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
-    """A table for the terminal; angles in degrees."""
+    """Returns a table for the terminal, with angles in degrees."""
     from rich import box
     from rich.table import Table
 
@@ -182,7 +183,7 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
         table.add_column("at, s", justify="right")
     joints = differ_most(pair)
     if len(joints) < pair.robot.n:
-        table.caption = f"{len(joints)} of {pair.robot.n} joints, those that differ most"
+        table.caption = f"the {len(joints)} of {pair.robot.n} joints that differ most"
     for joint in joints:
         cells = [joint]
         for each in differences:
@@ -200,37 +201,37 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
 
 
 def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table:
-    """A table for the terminal: a row for every joint and explanation."""
+    """Returns a table for the terminal with a row for every joint and explanation."""
     from rich import box
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD)
     table.add_column("joint", no_wrap=True)
-    table.add_column("what explains the difference")
-    table.add_column("when")
-    table.add_column("sure", justify="right")
-    told: list[Explanation] = []
+    table.add_column("explanation of the difference")
+    table.add_column("time")
+    table.add_column("confidence", justify="right")
+    listed: list[Explanation] = []
     explained = {joint for each in explanations for joint in each.joints}
     shown = {*explained, *differ_most(pair)}
     for joint in [name for name in pair.robot.names if name in shown]:
         name = joint
         for each in explanations:
             if joint in each.joints:
-                sure = f"{100.0 * each.confidence:.0f} %"
-                text = f"{each.short}, as above" if each in told else each.text
-                table.add_row(name, text, each.when, sure)
+                confidence = f"{100.0 * each.confidence:.0f} %"
+                text = f"{each.short}, see above" if each in listed else each.text
+                table.add_row(name, text, each.when, confidence)
                 name = ""
-                told.append(each)
+                listed.append(each)
         if name:
             known = "torques" in pair.signals and np.isfinite(
                 pair.difference("torques")[:, pair.robot.names.index(name)]
             ).any()  # fmt: skip
-            table.add_row(name, "no difference found" if known else "no torques to tell", "", "")
+            table.add_row(name, "no difference found" if known else "no torque data", "", "")
     return table
 
 
 def shown_as(unit: str) -> tuple[float, str]:
-    """Factor and unit for display: degrees, mm."""
+    """Returns factor and unit for display, in degrees and mm."""
     if unit.startswith("rad"):
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
     if unit.startswith("m"):
@@ -239,18 +240,14 @@ def shown_as(unit: str) -> tuple[float, str]:
 
 
 def shown_units(robot: SerialRobot, signal: str) -> Sequence[tuple[float, str]]:
-    """Factor and unit for display of every joint's signal, n; torques are in the robot's unit."""
+    """Returns factor and unit for display for each joint; torques are in the robot's unit."""
     if signal.endswith("torques"):
         return robot.torque_units
     return [shown_as(unit_of(signal, kind)) for kind in robot.types]
 
 
 def write_csv(pair: Pair, path: Path | str) -> None:
-    """Writes both runs and their difference as a table: `time`, `torques_A1_a`, `_b`, `_diff`.
-
-    Raises:
-        CsvError: the file cannot be written.
-    """
+    """Writes both runs and their difference: `time`, `torques_A1_a`, `_b`, `_diff` and so on."""
     names, columns = ["time"], [pair.times]
     for signal in pair.signals:
         difference = pair.difference(signal)
@@ -266,10 +263,10 @@ def write_csv(pair: Pair, path: Path | str) -> None:
 
 
 def compare_scene(pair: Pair) -> Scene:
-    """A scene that plays both runs on one clock.
+    """Returns a scene that plays both runs on one clock.
 
-    Arrows show the torques of the first run less those of the second; the robot stands as in the
-    first, and a transparent double as in the second.
+    The robot shows the first run and a transparent double the second. Arrows show the torques of
+    the first run minus those of the second.
     """
     robot = pair.robot.name
     other = "b" if robot != "b" else "second"

@@ -1,64 +1,76 @@
-"""What runs many tasks: `Work` is handed to an `Engine`, which yields their results.
+"""Parallel tasks: an `Engine` runs `Work` and yields the results.
 
-A `Job` says what is done: a recording is examined (`EachRecording`), say. `workers.Processes` does
-it on this machine. A package adds an engine by an entry point in the group `sero_mj.engines`: a
-class whose arguments are the values of `--scheduler` and of `--ship`. This file imports little:
-every new process reads it.
+A `Job` such as `EachRecording` defines what a task does. `Processes` is the engine for this
+machine. A package adds an engine by an entry point in the group `sero_mj.engines`: a class whose
+arguments are the values of `--scheduler` and `--ship`. This file imports little, because every new
+process loads it.
 """
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+from collections import deque
 from collections.abc import Generator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Protocol
 
-Task = tuple[int, Mapping[str, Any]]  # its number and values
-Result = tuple[int, dict[str, Any]]  # its number and outcomes, by column
+from ..base.child_process import end_all
+from ..base.errors import Problem, SeroError, UsageError
 
-_ENOUGH = 24  # tasks that are done together; what a step costs however many is little of it then
-KILLED = "its process was killed, or ran out of memory; expected an answer"
+Task = tuple[int, Mapping[str, Any]]  # number and values
+Result = tuple[int, dict[str, Any]]  # number of the task, and results by column
+
+_EFFICIENT_BATCH = 24  # tasks per batch above which the fixed cost of a step is negligible
+KILLED = "the process was killed or ran out of memory"
 
 
 class Runner(Protocol):
-    """Does tasks of a job in one process, and keeps what several need."""
+    """Runs tasks of a job in one process, and caches what several tasks need."""
 
     def run(self, tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Returns the outcomes of tasks with these values; what goes wrong is their `error`."""
+        """Returns the results of tasks with these values; `error` describes a failure."""
 
 
 class Job(Protocol):
-    """What is done in all tasks; it is sent to other processes, so it has plain values only."""
+    """The definition of tasks. It is sent to other processes, so it contains only plain values."""
 
     def runner(self) -> Runner:
-        """What does it, made in the process that does."""
+        """Returns a runner; called in the process that runs the tasks."""
 
     def check(self) -> None:
-        """Raises SeroError where it cannot be done: files that it needs are missing, say."""
+        """Raises SeroError if the job cannot run, for example because files are missing."""
 
     def files(self) -> list[Path]:
-        """The files that it reads, whatever the task."""
+        """Returns the files that all tasks read."""
 
     def files_of(self, values: Mapping[str, Any]) -> list[Path]:
-        """The files that the task with these values reads besides."""
+        """Returns the additional files of the task with these values."""
 
     def below(self, root: Path) -> Job:
-        """The same where all these files are below a root."""
+        """Returns the same job for copies of these files below a root folder."""
 
     def killed(self) -> dict[str, Any]:
-        """The outcomes of a task whose process ended."""
+        """Returns the results of a task whose process was killed."""
 
 
 @dataclass(frozen=True)
 class EachRecording:
-    """A `Job`: the same is asked of every recording, which is the `file` of its task.
+    """A `Job` that applies a function to each recording, which is the `file` of its task.
 
     Attributes:
-        study: the function that is asked, `module:name`; takes `shared` and the recording's path,
-            and returns outcomes by column.
-        shared: plain values, the same in all tasks.
-        needed: files that `shared` names.
+        study: `module:name` of the function, which takes `shared` and the path of a recording, and
+            returns results by column.
+        shared: plain values, the same for all tasks.
+        needed: files in `shared`.
     """
 
     study: str
@@ -66,89 +78,199 @@ class EachRecording:
     needed: Sequence[Path] = ()
 
     def runner(self) -> Runner:
-        """Asks for one recording after the other."""
-        return _Asking(self)
+        return _RecordingRunner(self)
 
     def check(self) -> None:
-        """Nothing is known beforehand."""
+        pass
 
     def files(self) -> list[Path]:
-        """Those that all recordings are asked with."""
         return [file.absolute() for file in self.needed]
 
     def files_of(self, values: Mapping[str, Any]) -> list[Path]:
-        """The recording, which may be a folder."""
-        from .shipped_files import files_in
-
         return files_in(Path(values["file"]))
 
     def below(self, root: Path) -> EachRecording:
-        """With the names of files among the plain values."""
-        from .shipped_files import below
-
         return replace(self, shared=below(root, self.shared))
 
     def killed(self) -> dict[str, Any]:
-        """Only why."""
         return {"error": KILLED}
 
 
-class _Asking:
+class _RecordingRunner:
     def __init__(self, job: EachRecording) -> None:
         self._shared = job.shared
         self._study = EntryPoint("study", job.study, "").load()
 
     def run(self, tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        return [self._asked(Path(values["file"])) for values in tasks]
+        return [self._examine(Path(values["file"])) for values in tasks]
 
-    def _asked(self, file: Path) -> dict[str, Any]:
-        from ..base.errors import SeroError
-
+    def _examine(self, file: Path) -> dict[str, Any]:
         try:
             return {"error": "", **self._study(self._shared, file)}
         except SeroError as error:
             text = str(error)
-        except Exception as error:  # a fault in this program shall not end all others
+        except Exception as error:  # a bug must not end the other tasks
             text = f"{type(error).__name__}: {error}"
         return {"error": " ".join(text.split())}  # a row is one line
 
 
 @dataclass(frozen=True)
 class Work:
-    """Tasks to be done.
+    """Tasks of a job.
 
     Attributes:
-        job: what is done in each.
-        tasks: in their order.
-        most: how many may be done together: they need memory.
+        max_batch: maximum number of tasks in one batch, limited by memory.
     """
 
     job: Job
     tasks: Sequence[Task]
-    most: int = 1
+    max_batch: int = 1
 
-    def size(self, left: int, workers: int) -> int:
-        """How many are done together: few enough for memory, and for results to come meanwhile.
+    def batch_size(self, left: int, workers: int) -> int:
+        """Returns the size of batches that fit into memory and deliver intermediate results.
 
-        Batches are of one size, so that at the end no worker waits for another.
+        All batches have the same size, so that the workers finish at the same time.
         """
         each = -(-left // max(workers, 1))
-        batches = max(-(-each // self.most), min(each // _ENOUGH, 2), 1)  # of every worker
+        batches = max(-(-each // self.max_batch), min(each // _EFFICIENT_BATCH, 2), 1)  # per worker
         return max(-(-each // batches), 1)
 
 
 class Engine(Protocol):
-    """Does tasks; nothing else knows where.
+    """Runs tasks, on this machine or elsewhere.
 
     Attributes:
-        workers: how many do tasks at the moment.
+        workers: current number of workers.
     """
 
     workers: int
 
     def run(self, work: Work) -> Generator[Result]:
-        """Yields the results of all tasks, in any order, as they are ready.
+        """Yields the results of all tasks as they become ready, in any order.
 
-        A task that cannot be done, or ends the process that does it, has an `error`. Closing the
-        generator ends what is still going on.
+        The result of a task that fails or ends its process has an `error`. Closing the generator
+        ends the running tasks.
         """
+
+
+def files_in(path: Path) -> list[Path]:
+    """Returns a file, or all files in a folder; raises UsageError if there is none."""
+    found = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file())
+    if not found:
+        raise UsageError(Problem("--ship", "no file or folder with files", found=str(path)))
+    return [each.absolute() for each in found]
+
+
+def below(root: Path, value: Any) -> Any:
+    """Returns a value with the names of all files that exist below the root redirected there."""
+    if isinstance(value, str) and value.startswith("/") and (root / value[1:]).exists():
+        return f"{root}{value}"
+    if isinstance(value, list | tuple):
+        return [below(root, each) for each in value]
+    if isinstance(value, Mapping):
+        return {key: below(root, each) for key, each in value.items()}
+    return value
+
+
+_runner: Runner  # of a worker process
+
+
+def available_cpus() -> int:
+    """Returns the number of processors available to this process."""
+    if hasattr(os, "process_cpu_count"):  # since Python 3.13
+        return os.process_cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def start_worker(parent: Connection, job: Job) -> None:
+    """Initializes a worker process, which exits when the other end of `parent` is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process ends it
+    threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
+    os.environ["MUJOCO_GL"] = "disable"  # no rendering here
+    global _runner  # noqa: PLW0603
+    _runner = job.runner()
+
+
+def _exit_with(parent: Connection) -> None:
+    with suppress(EOFError, OSError):
+        parent.recv_bytes()
+    end_all()
+    os._exit(1)
+
+
+def _run(tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    return _runner.run(tasks)
+
+
+class Processes:
+    """An `Engine` with `jobs` processes on this machine; a single job runs in this process.
+
+    Threads would not help, because controllers, sensors and events are Python code between the
+    steps of MuJoCo. `mujoco.rollout` needs all torques in advance, so it does not allow feedback.
+    In a script, use it below `if __name__ == "__main__":`, because new processes load the script.
+    """
+
+    def __init__(self, jobs: int = 1) -> None:
+        self.workers = jobs
+
+    def run(self, work: Work) -> Generator[Result]:
+        """Yields the results of each finished batch.
+
+        If a process is killed, for example because memory is exhausted, its tasks are repeated one
+        by one in a new process. If this is killed, too, the task has an error.
+        """
+        count = len(work.tasks)
+        size = work.batch_size(count, self.workers)
+        batches = [work.tasks[first : first + size] for first in range(0, count, size)]
+        if (jobs := min(self.workers, count)) > 1:
+            yield from _run_in_processes(batches, jobs, work.job)
+            return
+        runner = work.job.runner()
+        for batch in batches:
+            results = runner.run([values for _, values in batch])
+            yield from zip((number for number, _ in batch), results, strict=True)
+
+
+def _run_in_processes(batches: Sequence[Sequence[Task]], jobs: int, job: Job) -> Generator[Result]:
+    context = get_context("spawn")  # a fork would inherit broken threads and OpenGL
+    child_end, own_end = context.Pipe(duplex=False)
+
+    def new_pool() -> ProcessPoolExecutor:
+        arguments = (child_end, job)
+        return ProcessPoolExecutor(1, context, initializer=start_worker, initargs=arguments)
+
+    todo = deque(batches)
+    # A killed process breaks its pool. With one process per pool, its tasks are known.
+    free = [new_pool() for _ in range(jobs)]
+    busy: dict[Future[list[dict[str, Any]]], tuple[ProcessPoolExecutor, Sequence[Task]]] = {}
+    try:
+        while True:
+            while free and todo:
+                batch, pool = todo.popleft(), free.pop()
+                values = [dict(each) for _, each in batch]
+                try:
+                    future = pool.submit(_run, values)
+                except BrokenProcessPool:  # killed while idle
+                    pool = new_pool()
+                    future = pool.submit(_run, values)
+                busy[future] = pool, batch
+            if not busy:
+                return
+            for future in wait(busy, return_when=FIRST_COMPLETED).done:
+                pool, batch = busy.pop(future)
+                try:
+                    results = future.result()
+                except BrokenProcessPool:
+                    pool, results = new_pool(), [job.killed()]
+                    if len(batch) > 1:
+                        todo.extend([each] for each in batch)
+                        batch, results = [], []
+                free.append(pool)
+                yield from zip((number for number, _ in batch), results, strict=True)
+    finally:
+        own_end.close()  # ends all processes immediately
+        for pool in [*free, *(pool for pool, _ in busy.values())]:
+            pool.shutdown()
+        child_end.close()

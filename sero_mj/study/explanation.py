@@ -1,12 +1,23 @@
-"""`Explanation`: an explained difference between torques, and its description."""
+"""`Explanation`: the explanation of a difference between torques; `Explainer` finds them.
+
+A package adds an explainer by an entry point in the group `sero_mj.explainers`. The first one is
+used. Without any, `compare` reports differences without explanations.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+
+from ..base.plugins import EXPLAINERS, load_first
+
+if TYPE_CHECKING:
+    from ..simulate.runs.run_log import RunLog
+    from .align import Pair
 
 Kind = Literal[
     "sign",
@@ -24,32 +35,32 @@ Kind = Literal[
 Part = Literal["torque sensor", "drive", "joint", "flange", "links", "encoder", "sensor or drive"]
 _SIGNED: tuple[Kind, ...] = ("bias", "friction", "payload", "masses", "encoder")
 FLANGE, LINKS = "flange", "links"
-MOST_SURE = 0.99
-# Of two runs it is known which has them; others are another size where these change places.
+MAX_CONFIDENCE = 0.99
+# Faults that can be attributed to one of two runs. For the others, swapping the runs changes only
+# the sign of the size.
 OF_ONE_RUN: tuple[Kind, ...] = ("sign", "delay", "noise", "stuck")
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """An explained difference.
+    """The explanation of a difference.
 
     Attributes:
-        joint: its name; `flange` for a payload, `links` for the masses of all of them.
-        kind: of the fault.
-        part: its location.
-        size: the gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm),
-            noise's standard deviation (Nm), mass (kg), difference of the links' masses (%), an
-            encoder's offset (deg or m), held torque (Nm), or peak (Nm).
-        unit: of it; empty for a gain.
+        joint: name of the joint; `flange` for a payload, `links` for the masses of all links.
+        part: location of the fault.
+        size: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
+            deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
+            (deg or m), stuck torque (Nm), or unexplained peak (Nm).
+        unit: unit of the size; empty for a gain.
         error: standard error of the size; NaN if unknown.
-        confidence: 0 to 1.
-        begin: s.
-        end: s; None for the end of the run.
-        from_start: whether it is present from the start.
-        values: further figures by name: `viscous`, `x`, `y`, `z` of a payload's centre, m.
-        joints: at which it is visible.
-        is_difference: whether the size, a gain, is the difference of two runs.
-        is_second: whether it is a fault of the second of two runs, B, and not of the first.
+        confidence: probability from 0 to 1.
+        begin: begin of the fault, s.
+        end: end of the fault, s; None for the end of the run.
+        from_start: whether the fault exists from the start.
+        values: further values by name: `viscous`, and `x`, `y`, `z` of a payload's center, m.
+        joints: joints at which the fault is visible.
+        is_difference: whether the size is a difference between the gains of two runs.
+        is_second: whether the second of two runs has the fault.
     """
 
     joint: str
@@ -72,19 +83,19 @@ class Explanation:
 
     @property
     def text(self) -> str:
-        """Kind and size."""
+        """Kind, size and location of the fault."""
         size, error, unit, part = self.size, self.error, self.unit, self.part
         rate = f"{unit} s/{'rad' if unit == 'Nm' else 'm'}"
         center = ", ".join(
             f"{round(self.values[axis], 3) + 0.0:.3f}" for axis in "xyz" if axis in self.values
         )
-        stuck = f"it stands against {abs(size):.3g} {unit}"
+        stuck = f"no motion at up to {abs(size):.3g} {unit}"
         if part == "torque sensor":
-            stuck = f"the {part} shows {size:.4g} {unit} all the time"
-        unknown = "what does the drive do?" if part == "drive" else "contact, an unknown force?"
+            stuck = f"constant {size:.4g} {unit} of the {part}"
+        unknown = "on the drive side" if part == "drive" else "possibly contact or external force"
         texts = {
-            "sign": f"the {part} has the wrong one (gain {size:.2f})",
-            "gain": f"{size:+.3f}{_about(error)} of the {part}, A less B"
+            "sign": f"wrong sign of the {part} (gain {size:.2f})",
+            "gain": f"{size:+.3f}{_about(error)} of the {part}, A minus B"
             if self.is_difference
             else f"{size:.3f}{_about(error)} of the {part}",
             "bias": f"{size:+.3g}{_about(error)} {unit} of the {part}",
@@ -92,17 +103,17 @@ class Explanation:
             "friction": f"{size:+.3g}{_about(error)} {unit}, "
             f"{self.values.get('viscous', 0.0):+.2g} {rate}",
             "noise": f"{size:.2g} {unit} of the {part}",
-            "payload": f"{size:+.3g}{_about(error)} kg at ({center}) m of the flange",
-            "encoder": f"off by {size:+.3g}{_about(error)} {unit}",
-            "masses": f"{size:+.1f}{_about(error)} % of what the robot's file declares",
+            "payload": f"{size:+.3g}{_about(error)} kg at ({center}) m in the flange frame",
+            "encoder": f"offset {size:+.3g}{_about(error)} {unit}",
+            "masses": f"{size:+.1f}{_about(error)} % relative to the declared masses",
             "stuck": stuck,
-            "unexplained": f"up to {abs(size):.3g} {unit}; {unknown}",
+            "unexplained": f"up to {abs(size):.3g} {unit}, {unknown}",
         }
         return f"{self.kind}: {texts[self.kind]}{', in B' if self.is_second else ''}"
 
     @property
     def short(self) -> str:
-        """The kind and its size, for figures."""
+        """Kind and size, for figures."""
         of_second = " in B" if self.is_second else ""
         if self.kind in ("sign", "stuck", "unexplained"):
             return f"{self.kind} ({self.part}){of_second}"
@@ -113,10 +124,51 @@ class Explanation:
 
     @property
     def when(self) -> str:
-        """Begin and end."""
+        """Begin and end as text."""
         begin = "from the start" if self.from_start else f"from {self.begin:.2f} s"
         return begin if self.end is None else f"{begin} to {self.end:.2f} s"
 
 
 def _about(error: float) -> str:
     return f" ± {error:.1g}" if np.isfinite(error) and error > 0 else ""
+
+
+class Explainer(ABC):
+    """Explains differences of torques. It is created without arguments."""
+
+    @abstractmethod
+    def of_two(
+        self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
+    ) -> list[Explanation]:
+        """Explains the torques of A minus those of B.
+
+        Raises:
+            UsageError: the runs cannot be analyzed.
+        """
+
+    @abstractmethod
+    def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
+        """Explains commanded minus measured torques; also returns lines about the method."""
+
+    @abstractmethod
+    def with_model(self, run: RunLog, robot: str) -> tuple[Pair, list[Explanation], list[str]]:
+        """Compares a run with the robot's model in the same motion.
+
+        Returns the pair, the explanations of its torque difference, and lines about the method.
+
+        Raises:
+            UsageError: the robot has no model, or the run has no torques.
+        """
+
+
+def find_explainer() -> Explainer | None:
+    """Returns the installed explainer, or None."""
+    found: Explainer | None = load_first(EXPLAINERS, Explainer)
+    return found
+
+
+def differing(pair: Pair, found: Sequence[Explanation]) -> list[Explanation]:
+    """Returns the explanations for joints whose torques differ at all."""
+    differs = (pair.difference("torques") != 0).any(axis=0)
+    joints = {joint for joint, is_one in zip(pair.robot.names, differs, strict=True) if is_one}
+    return [each for each in found if joints & {*each.joints}]

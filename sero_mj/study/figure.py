@@ -1,6 +1,6 @@
-"""Figures for reports: rows of small panels over one time axis, in the colours of the viewer.
+"""Figures for reports: rows of small panels with a common time axis, in the colors of the viewer.
 
-matplotlib is imported only when a figure is created, and its settings are restored.
+matplotlib is imported only when a figure is created, and its global settings are not changed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".png", ".pdf", ".svg")
 NO_MATPLOTLIB = "figures need matplotlib: pip install 'sero-mj[figures]'"
-# The colours of the round arrows: distinguishable by colour-blind people, and in grey.
+# The colors of the round arrows, distinguishable with color blindness and in grayscale.
 ORANGE, BLUE = "#E8720C", "#0B5CC2"
 INK, GREY, FAINT = "#23282E", "#6B737C", "#D9DDE1"
 FAULT = "#8E3B8A"
@@ -33,16 +33,16 @@ FAULT = "#8E3B8A"
 A4_WIDTH = 190.0  # mm, within its margins
 _A4_HEIGHT = 265.0
 _ROW, _MIN_ROW = 27.0, 14.0  # mm
-_HEAD, _FOOT = 12.0, 20.0  # mm, of the title and the legend; of headings and the time axis
+_HEAD, _FOOT = 12.0, 20.0  # mm: title and legend; headings and time axis
 _NAMES = 27.0  # mm, left of the panels
-_MAX_NAME = 9  # characters; longer ones are smaller
+_MAX_NAME = 9  # characters; longer names have smaller letters
 _TITLE_PAD, _LINE = 10.5, 6.5  # points; names of spans are below the title
 _MM = 1.0 / 25.4  # inch
 _MIN_MM = 60.0, 40.0
 _MAX_MM = 2000.0, 20000.0
 _DPI = 300
 _POINTS = 1500  # bins of an envelope, above a panel's printed resolution
-# A panel's minimum range as a share of the joint's limit, so that noise does not look like torque.
+# Minimum range of a panel as a share of the joint's limit, so that noise does not fill the panel.
 MIN_SHARE = 0.01
 
 _STYLE: Any = {
@@ -79,14 +79,7 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Span:
-    """An event of a run, shown as a band behind the panels.
-
-    Attributes:
-        name: what.
-        begin: s.
-        end: s; None for the end of the run.
-        is_fault: whether it is a fault.
-    """
+    """An event of a run, shown as a band behind the panels; `end` is None until the end."""
 
     name: str
     begin: float
@@ -100,7 +93,7 @@ def has_matplotlib() -> bool:
 
 
 def check_suffix(path: Path | str) -> Path:
-    """Raises UsageError for a suffix that is not a figure's, or without matplotlib."""
+    """Returns the path; raises UsageError for a wrong suffix, or if matplotlib is missing."""
     path = Path(path)
     if not has_matplotlib():
         raise UsageError(NO_MATPLOTLIB)
@@ -112,7 +105,7 @@ def check_suffix(path: Path | str) -> Path:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Sets the style of figures while they are created and written."""
+    """Sets the style of figures within the context."""
     import matplotlib as mpl
 
     with mpl.rc_context(_STYLE):
@@ -134,7 +127,7 @@ def _more_families() -> list[str]:
     from ..viewer.decor.font import more_fonts
 
     found = []
-    for file in more_fonts()[1:]:  # the first has what DejaVu Sans has as well
+    for file in more_fonts()[1:]:  # DejaVu Sans has all characters of the first font
         with suppress(OSError, RuntimeError):
             font_manager.fontManager.addfont(file)
             found.append(font_manager.get_font(file).family_name)
@@ -142,17 +135,15 @@ def _more_families() -> list[str]:
 
 
 class Figure:
-    """A figure of rows and columns of panels that share their time. Use it within `styled`.
-
-    matplotlib's constrained layout makes room for every label.
+    """A figure with rows and columns of panels that share the time axis. Use it within `styled`.
 
     Args:
-        rows: name and further line left of each row.
+        rows: name and second line to the left of each row.
         columns: title and share of the width of each column.
-        size_mm: width and height; the width of A4, and a height that suits the rows, when None.
+        size_mm: width and height; None for the width of A4 and a height that fits the rows.
 
     Raises:
-        UsageError: an invalid size.
+        UsageError: the size is invalid.
     """
 
     def __init__(
@@ -207,15 +198,15 @@ class Figure:
                        color=GREY, linespacing=1.25)  # fmt: skip
 
     def line(self, panel: Axes, times: Array, values: Array, label: str, **look: Any) -> None:
-        """Draws values (T,) over time; of many rows only their envelope."""
+        """Draws values (T,) over time; for many rows, draws their envelope."""
         panel.plot(*envelope(times, values, _POINTS), label=label, **look)
 
     def signed_area(self, panel: Axes, times: Array, values: Array) -> None:
-        """Draws a difference (T,): orange above zero, blue below, like the arrows."""
+        """Draws a difference (T,), orange above zero and blue below, like the arrows."""
         at, shown = envelope(times, values, _POINTS)
         for colour, side in ((ORANGE, np.maximum(shown, 0.0)), (BLUE, np.minimum(shown, 0.0))):
             panel.fill_between(at, side, 0.0, color=colour, alpha=0.45, linewidth=0.0)
-        if np.isfinite(shown).any():  # else "no data" is there
+        if np.isfinite(shown).any():  # else the panel shows "no data"
             panel.axhline(0.0, color=GREY, linewidth=0.5)
         panel.plot(at, shown, color=INK, linewidth=0.5, label="difference")
 
@@ -228,9 +219,9 @@ class Figure:
         floor: float,
         also: Sequence[float] = (),
     ) -> bool:
-        """Sets the range of a panel to its curves, at least `least`; returns whether it has any.
+        """Fits the range of a panel to its curves and to the values `also`.
 
-        `floor` replaces an infinite `least`; `also` are further values to include.
+        The range is at least `least`, or `floor` if that is infinite. Returns False without data.
         """
         known = [curve[np.isfinite(curve)] for curve in curves]
         known = [curve for curve in known if len(curve)]
@@ -247,12 +238,12 @@ class Figure:
         return True
 
     def note(self, panel: Axes, text: str) -> None:
-        """Writes small print into the upper right corner of a panel."""
+        """Writes a small text into the upper right corner of a panel."""
         panel.text(1.0, 1.02, text, transform=panel.transAxes, ha="right", va="bottom",
                    fontsize=5.5, color=GREY)  # fmt: skip
 
     def spans(self, spans: Sequence[Span]) -> None:
-        """Draws events as bands behind all panels, with names above the first row."""
+        """Draws events as bands behind all panels, with their names above the first row."""
         begin, end = self.axes[0][0].get_xlim()
         shown = [span for span in spans if span.begin < end
                  and (span.end is None or span.end > begin)]  # fmt: skip
@@ -281,14 +272,14 @@ class Figure:
             taken.append(name.get_window_extent())
 
     def lay_out(self) -> None:
-        """Computes the layout once; matplotlib would repeat it in every drawing."""
+        """Computes the layout once; otherwise matplotlib repeats it with every drawing."""
         engine = self.figure.get_layout_engine()
         if engine is not None:
             engine.execute(self.figure)
             self.figure.set_layout_engine(None)
 
     def legend(self, handles: Sequence[Any]) -> None:
-        """Puts the legend into the upper right corner."""
+        """Draws the legend into the upper right corner."""
         self._head.legend(
             handles=list(handles), loc="upper right", ncols=min(len(handles), 4), frameon=False,
             borderpad=0.2, borderaxespad=0.2, handlelength=1.8, columnspacing=1.2, fontsize=6.5,
@@ -296,11 +287,11 @@ class Figure:
 
 
 def save_figures(figures: Sequence[Figure], path: Path) -> None:
-    """Writes a figure, or several as the pages of a .pdf. Use it within `styled`.
+    """Writes one figure, or several as pages of a .pdf. Use it within `styled`.
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: several figures, but not a .pdf.
+        UsageError: several figures are written to a file that is not a .pdf.
     """
     from matplotlib.backends.backend_pdf import PdfPages
 
@@ -313,7 +304,7 @@ def save_figures(figures: Sequence[Figure], path: Path) -> None:
         )
         raise UsageError(problem)
     try:
-        if suffix == ".pdf":  # with dates, files of the same run would differ
+        if suffix == ".pdf":  # without dates, so that the same run gives the same file
             with PdfPages(path, metadata={"CreationDate": None}) as pages:
                 for each in figures:
                     pages.savefig(each.figure, dpi=_DPI)

@@ -1,4 +1,4 @@
-"""Figures of a run, and of two runs of a robot: torques, limits and errors, joint by joint."""
+"""Figures of one run, and of two runs of a robot: torques, limits and errors of each joint."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from ..simulate.scenario import Scenario
 
 
-_LIMIT_SHARE = 0.6  # share of its limit above which a torque is shown together with it
+_LIMIT_SHARE = 0.6  # share of the limit above which a panel also shows the limit
 _MIN_TORQUE = 0.2  # Nm, or the robot's unit; minimum range of a panel without a limit
-_MIN_ANGLE = 0.02  # deg or mm
+_MIN_ANGLE = 0.02  # deg or mm; minimum range
 _MARKERS = {
     "torque_error": "v",
     "external_torque": "D",
@@ -50,10 +50,10 @@ _MARKERS = {
     "velocity_limit": ">",
     "position_limit": "<",
 }
-_MAX_ROWS = 12  # of a page, unless joints or a size are given
-_CLOSE, _LEVELS = 0.1, 5  # share of the time within which marks are stacked
-_Joint = tuple[str, int]  # robot, and index of the joint
-_ERROR_FINDINGS = ("torque_error", "frozen_torque")  # findings marked beside the error
+_MAX_ROWS = 12  # per page, unless joints or a size are requested
+_CLOSE, _LEVELS = 0.1, 5  # marks within this share of the time are stacked in so many levels
+_Joint = tuple[str, int]  # robot, index of the joint
+_ERROR_FINDINGS = ("torque_error", "frozen_torque")  # findings marked in the panel of the error
 
 
 def plot_run(
@@ -66,25 +66,25 @@ def plot_run(
     spans: Sequence[Span] = (),
     size_mm: tuple[float, float] | None = None,
 ) -> None:
-    """Draws runs: a row for each joint, torques on the left, commanded minus measured beside them.
+    """Draws runs with one row per joint: torques on the left, torque errors on the right.
 
-    Lines are envelopes: even of a million rows every peak is preserved, without interpolation.
+    Lines are envelopes, so every peak is visible even with a million rows.
 
     Args:
-        logs: a run with `torques`, `commanded_torques`, or both; of several each is a page of a
-            .pdf. More than 12 joints are several pages of a .pdf; other files then have the 12 with
-            the largest share of their limits.
-        path: where to: .png (300 dpi), .pdf or .svg.
-        robots: their names; all when None.
-        joints: their names, of any of the robots; all when None.
-        findings: of the monitor; marked at the joints.
-        spans: events; `spans_of` derives them from a scenario.
-        size_mm: width and height; the width of A4 when None.
+        logs: a run with `torques`, `commanded_torques` or both, or several runs, which become pages
+            of a .pdf. More than 12 joints also become pages of a .pdf; other formats show the 12
+            joints with the largest share of their limits.
+        path: .png (300 dpi), .pdf or .svg file.
+        robots: names of the robots; None for all.
+        joints: names of the joints of these robots; None for all.
+        findings: findings of the monitor, marked at the joints.
+        spans: events, see `spans_of`.
+        size_mm: width and height; None for the width of A4.
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: no such robot or joint, no torque, another suffix, or several runs without a
-            .pdf.
+        UsageError: there is no such robot, joint or torque, the suffix is wrong, or several runs
+            are written to a file that is not a .pdf.
     """
     path = check_suffix(path)
     with styled():
@@ -102,7 +102,7 @@ def plot_run(
 
 
 def _by_robots(chosen: Sequence[_Joint]) -> list[list[_Joint]]:
-    """Distributes joints over pages; those of a robot are kept together if they fit on one."""
+    # Joints of a robot stay on one page if they fit.
     pages: list[list[_Joint]] = [[]]
     for _, group in groupby(chosen, key=lambda each: each[0]):
         joints = list(group)
@@ -124,8 +124,7 @@ def _most_loaded(log: RunLog, chosen: Sequence[_Joint]) -> list[_Joint]:
                 values = np.abs(log.of(robot, signal)[:, k])
                 peaks[i] = max(peaks[i], np.nanmax(values, initial=0.0))
     shares = peaks / np.where(np.isfinite(limits), limits, max(peaks.max(), 1e-9))
-    kept = np.sort(np.argsort(-shares, kind="stable")[:_MAX_ROWS])
-    return [chosen[i] for i in kept]
+    return [chosen[i] for i in np.sort(np.argsort(-shares, kind="stable")[:_MAX_ROWS])]
 
 
 def _draw_run(
@@ -174,7 +173,7 @@ def _draw_run(
 
 
 def spans_of(scenario: Scenario) -> list[Span]:
-    """The disturbances and faults of a scenario as bands."""
+    """Returns the disturbances and faults of a scenario."""
     spans = [Span(name, each.begin, each.end) for name, each in scenario.disturbances.items()]
     spans += [Span(name, each.begin, each.end, True) for name, each in scenario.faults.items()]
     return spans
@@ -187,7 +186,7 @@ def _choose(
         if name not in log.robots:
             where, known = f"in {log.name}", log.robots
             raise UsageError(Problem("", "no robot", found=name, of=where, available=known))
-    if robots is None:  # those with torques
+    if robots is None:  # all with torques
         signals = ("torques", "commanded_torques")
         robots = [robot for robot in log.robots if any(log.has(robot, each) for each in signals)]
     wanted = list(robots) or list(log.robots)
@@ -229,7 +228,7 @@ def _left_out(shown: int, count: int) -> str:
 def _about(log: RunLog, *, has_both: bool) -> str:
     rows = f"{len(log.times):,} rows".replace(",", " ")
     span = f"{log.times[-1] - log.times[0]:.4g} s, {rows}"
-    return f"{span}; error is commanded less measured" if has_both else span
+    return f"{span}; error is commanded minus measured" if has_both else span
 
 
 def _draw_torques(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) -> None:
@@ -247,7 +246,7 @@ def _draw_torques(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) 
     shown: list[float] = []
     known = np.concatenate(curves)
     known = known[np.isfinite(known)]
-    if np.isfinite(limit):  # a limit is shown if it is near, on its side
+    if np.isfinite(limit):  # shown if torques come near to it
         shown = [side * limit for side in (-1.0, 1.0) if len(known)
                  and (side * known).max() >= _LIMIT_SHARE * limit]  # fmt: skip
         for bound in shown:
@@ -339,20 +338,21 @@ def plot_pair(
     explanations: Sequence[Explanation] = (),
     size_mm: tuple[float, float] | None = None,
 ) -> None:
-    """Draws two runs: a row for each joint, with both torques and the differences, A minus B.
+    """Draws two runs, with one row per joint: both torques, and the differences A minus B.
 
-    Without torques in both, angles are shown instead.
+    If torques are not in both runs, angles are shown instead.
 
     Args:
-        pair: the runs on one clock.
-        path: where to: .png (300 dpi), .pdf or .svg.
-        joints: their names; when None all, or of many those that differ most.
-        explanations: of the differences; marked at their begin.
-        size_mm: width and height; the width of A4 when None.
+        pair: the aligned runs.
+        path: .png (300 dpi), .pdf or .svg file.
+        joints: names of the joints; None for all, or for the joints that differ most if there are
+            many.
+        explanations: explanations of the differences, marked at their begin.
+        size_mm: width and height; None for the width of A4.
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: no such joint, another suffix.
+        UsageError: there is no such joint, or the suffix is wrong.
     """
     path = check_suffix(path)
     names = pair.robot.names
@@ -418,7 +418,7 @@ def _beneath_pair(pair: Pair, k: int) -> str:
 
 def _about_pair(pair: Pair) -> str:
     span = f"{pair.robot.name}, {pair.times[-1] - pair.times[0]:.4g} s"
-    return f"{span}; B moved by {pair.offset:+.4g} s" if pair.offset else span
+    return f"{span}; B shifted by {pair.offset:+.4g} s" if pair.offset else span
 
 
 def _least(pair: Pair, signal: str, k: int) -> tuple[float, float]:

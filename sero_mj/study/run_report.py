@@ -1,27 +1,35 @@
-"""`write_report`: a run for CI: a page, a figure, `report.json`, and JUnit XML."""
+"""Reports of runs for CI, and marks on the timeline of a page: events, findings, expectations."""
 
 from __future__ import annotations
 
 import json
 import logging
+import math
+from collections.abc import Iterable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as xml
 
-from ..base.errors import UsageError
+from ..base.errors import SeroError, UsageError
+from ..data.record.replay import Replay
+from ..robots.declared.scene import Scene
 from ..simulate.expect import Outcome
+from ..simulate.runs.monitor import Finding, Monitor
+from ..simulate.runs.run_recording import read_run
+from ..simulate.runs.run_source import RunSource
+from ..simulate.scenario import Scenario
 from ..simulate.simulated_scene import simulated_scene
 from ..simulate.simulation import Simulation
-from ..viewer.player.capture import capture
+from ..viewer.player.capture import Mark, capture
 from ..viewer.player.page import write_page
 from .figure import NO_MATPLOTLIB
 from .plot import plot_run, spans_of
-from .run_marks import marks_of_run
 
 log = logging.getLogger(__name__)
 
 PAGE, FIGURE, JSON, JUNIT = "index.html", "torques.png", "report.json", "junit.xml"
+_MAX_FINDINGS = 200  # on a timeline
 
 
 def write_report(
@@ -32,17 +40,11 @@ def write_report(
     error: BaseException | None = None,
     fps: float = 30.0,
 ) -> None:
-    """Writes a report of a run.
+    """Writes a report of a run into a folder, which is created.
 
-    Every expectation is a test case; a run that could not go on is one with an error. The figure
-    is left out, with a warning, where matplotlib is not installed.
-
-    Args:
-        simulation: as far as it has come.
-        folder: for the files; is made.
-        found: what `report.json` has, without NaN.
-        error: why the run could not go on; None where it could.
-        fps: of the page.
+    In JUnit XML, each expectation is a test case. If the run failed with `error`, the only case has
+    this error. The figure is skipped with a warning if matplotlib is not installed. `found` is the
+    content of `report.json`, without NaN.
 
     Raises:
         UsageError: a file cannot be written.
@@ -99,5 +101,65 @@ def _junit(
 
 
 def _printable(text: str) -> str:
-    """Text without what XML cannot have."""
+    # XML cannot contain control characters.
     return "".join(each if each.isprintable() or each == "\n" else "?" for each in text)
+
+
+def marks_of(scene: Scene, begin: float = 0.0) -> list[Mark]:
+    """Returns the marks of a simulated scene or of recordings; `begin` (s) becomes time 0."""
+    marks: list[Mark] = []
+    for source in scene.sources.values():
+        if isinstance(source, RunSource) and isinstance(source.run, Simulation):
+            marks += marks_of_run(source.run, begin)
+        elif isinstance(source, dict) and source.get("kind") == "replay":
+            marks += _of_recording(source, scene, begin)
+    return marks
+
+
+def marks_of_run(simulation: Simulation, begin: float = 0.0) -> list[Mark]:
+    """Returns the disturbances, faults, findings and expectations of a run as marks."""
+    scenario = simulation.scenario
+    marks = [
+        _mark(span.begin, span.end, span.name, "fault" if span.is_fault else "push")
+        for span in spans_of(scenario)
+        if span.begin <= simulation.time
+    ]
+    marks += _of_findings(simulation.findings())
+    if simulation.step >= simulation.steps:
+        marks += [_of_outcome(each, scenario) for each in simulation.outcomes()]
+    return _shifted(marks, begin)
+
+
+def _of_outcome(outcome: Outcome, scenario: Scenario) -> Mark:
+    expect = scenario.expect[outcome.name]
+    end = scenario.duration if expect.before is None else expect.before
+    text = f"{outcome.name}: {outcome.text}"
+    begin = expect.after if not outcome.holds else end
+    return _mark(begin, end, text, "held" if outcome.holds else "failed")
+
+
+def _of_recording(source: dict[str, object], scene: Scene, begin: float) -> list[Mark]:
+    replay = Replay(**{"name": "replay", **{k: v for k, v in source.items() if k != "kind"}})
+    try:
+        findings = Monitor().find(read_run(replay.file, scene=scene))
+    except SeroError:  # the recording has no run of robots
+        return []
+    return _shifted(_of_findings(findings), begin + (replay.start or 0.0))
+
+
+def _of_findings(findings: Iterable[Finding]) -> list[Mark]:
+    found = []
+    for finding in [*findings][:_MAX_FINDINGS]:
+        text = str(finding).partition("  ")[2].replace("  ", " ")
+        found.append(_mark(finding.time, finding.time, text, "finding"))
+    return found
+
+
+def _mark(begin: float, end: float | None, text: str, kind: object) -> Mark:
+    last = end if end is not None and math.isfinite(end) else 1e9
+    return Mark(float(begin), float(last), text, kind)  # type: ignore[arg-type]
+
+
+def _shifted(marks: list[Mark], begin: float) -> list[Mark]:
+    shifted = [Mark(m.begin - begin, m.end - begin, m.text, m.kind) for m in marks]
+    return [mark for mark in shifted if mark.end >= 0.0]

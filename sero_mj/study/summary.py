@@ -1,4 +1,4 @@
-"""Summarises a run in a few numbers per joint: torques, errors, saturation, findings."""
+"""Summarizes a run in a few numbers per joint: torques, errors, saturation, findings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..base.frames import Array
 from ..base.reduction import peak, rms
 from ..robots.declared.torque_units import NM, TorqueUnit, torque_units
 from ..simulate.runs.run_log import RunLog, torque_error
-from .compare import MANY_JOINTS, MOST_SHOWN, shown_as, unit_of
+from .compare import MANY_JOINTS, MAX_SHOWN, shown_as, unit_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,25 +26,22 @@ _USED = ("torques", "commanded_torques", "target_angles", "saturated", "actual_a
 
 @dataclass(frozen=True)
 class JointSummary:
-    """The summary of a joint in a run; None if unknown.
+    """The summary of a joint in a run. Peaks are signed values of the largest magnitude.
 
     Attributes:
-        robot: name of its robot.
-        joint: its name.
         torque_unit: `Nm` or `N`.
         angle_unit: `rad` or `m`.
-        peak_torque_error: commanded minus measured torque of largest magnitude, signed.
-        peak_torque_error_at: its time, s.
+        peak_torque_error: peak of commanded minus measured torque.
+        peak_torque_error_at: time of this peak, s.
         rms_torque_error: root mean square over time.
-        peak_torque: measured, of largest magnitude, signed.
-        peak_share: its magnitude as a share of the joint's limit.
-        torque_limit: of the joint, N or Nm.
-        peak_position_error: target minus angle of largest magnitude, signed; of the true angle if
-            known, else of the measured one.
-        saturated_share: of the time in which the command was saturated.
-        findings: number of the monitor's findings.
-        first_finding: kind of the first.
-        first_finding_at: its time, s.
+        peak_torque: peak of the measured torque.
+        peak_share: magnitude of the peak torque as a share of the limit.
+        torque_limit: torque limit, N or Nm.
+        peak_position_error: peak of target minus angle; uses the true angle if known.
+        saturated_share: share of the time with a saturated command.
+        findings: number of findings of the monitor.
+        first_finding: kind of the first finding.
+        first_finding_at: time of the first finding, s.
     """
 
     robot: str
@@ -65,7 +62,7 @@ class JointSummary:
 
 
 def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummary]:
-    """Summarises a run, a row for each joint of every robot; signals may be missing."""
+    """Returns one row for each joint of each robot in a run; signals may be missing."""
     found = sorted(findings, key=lambda finding: finding.time)
     rows = []
     for robot, declared in log.robots.items():
@@ -88,9 +85,9 @@ def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummar
                 values["peak_torque_error_at"] = float(log.times[row])
                 values["rms_torque_error"] = rms(error[:, k])
             if has["torques"]:
-                most = values["peak_torque"] = _signed_peak(log.of(robot, "torques")[:, k])
-                if most is not None and np.isfinite(limits[k]):
-                    values["peak_share"] = abs(most) / float(limits[k])
+                highest = values["peak_torque"] = _signed_peak(log.of(robot, "torques")[:, k])
+                if highest is not None and np.isfinite(limits[k]):
+                    values["peak_share"] = abs(highest) / float(limits[k])
             if position is not None:
                 values["peak_position_error"] = _signed_peak(position[:, k])
             if has["saturated"] and len(log.times):
@@ -102,14 +99,14 @@ def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummar
 
 
 def as_json(rows: Sequence[JointSummary]) -> list[dict[str, Any]]:
-    """The rows as tables of JSON's types, SI units."""
+    """Returns the rows as JSON types in SI units."""
     return [asdict(row) for row in rows]
 
 
 def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
-    """A table for the terminal; angles in degrees. Empty columns are left out.
+    """Returns a table for the terminal, with angles in degrees and without empty columns.
 
-    For a robot with many joints, those with the largest shares of their limits are shown.
+    For a robot with many joints, shows the joints with the largest shares of their limits.
     """
     from rich import box
     from rich.table import Table
@@ -132,18 +129,18 @@ def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
         name = f"{row.robot}/{row.joint}" if several else row.joint
         table.add_row(name, *(cells[i] or "-" for _, cells in columns))
     if len(rows) < count:
-        table.caption = f"{len(rows)} of {count} joints, the most loaded; --json has all"
+        table.caption = f"the {len(rows)} most loaded of {count} joints; --json prints all"
     return table
 
 
 def _most_loaded(rows: Sequence[JointSummary]) -> list[JointSummary]:
-    kept: set[int] = set()
+    shown: set[int] = set()
     for robot in {row.robot for row in rows}:
         mine = [i for i, row in enumerate(rows) if row.robot == robot]
         if len(mine) > MANY_JOINTS:
-            mine = sorted(mine, key=lambda i: -(rows[i].peak_share or 0.0))[:MOST_SHOWN]
-        kept.update(mine)
-    return [rows[i] for i in sorted(kept)]
+            mine = sorted(mine, key=lambda i: -(rows[i].peak_share or 0.0))[:MAX_SHOWN]
+        shown.update(mine)
+    return [rows[i] for i in sorted(shown)]
 
 
 def _torque_units(rows: Sequence[JointSummary]) -> dict[tuple[str, str], TorqueUnit]:

@@ -19,7 +19,7 @@ from sero_mj import SerialRobot
 class Carry:
     """`sero-mj carry lwr`: the payload that the strongest joint can hold."""
 
-    GROUP, ORDER = "analyse", 100
+    GROUP, ORDER = "analyze", 100
 
     @staticmethod
     def add_to(commands: Any) -> None:

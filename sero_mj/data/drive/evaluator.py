@@ -1,15 +1,14 @@
-"""`Evaluator`: computes expressions and conditions of routes and triggers, row by row over time.
+"""Computes expressions and conditions of routes and triggers over time.
 
-Arrays are (T, ...): a row for every packet, or a single row for constants. To check and compile a
-route, the same evaluator computes one row of `Number` objects, which are constants plus multiples
-of received numbers.
+Arrays are (T, ...), with a row for each packet, or one row for constants. To check and compile a
+route, the same evaluator computes one row of `Number` objects.
 
-- Entries are picked along the first axis: `udp.vectors0[0]` is the first vector, `[0][2]` its z.
-- Operands have one shape, or one of them is a number or can be repeated as in numpy.
+- Indices apply to the first axis: `udp.vectors0[0]` is the first vector, `[0][2]` its z.
+- Operands have the same shape or are broadcast as in NumPy.
 - A list concatenates the numbers of its entries.
-- Matrices cannot be indexed or combined in routes. Exceptions: one of several can be picked, and a
-  factor changes the unit of length of their positions, as in `udp.matrices0 * mm`.
-- Conditions compare several numbers one by one. Missing data satisfies no comparison.
+- Matrices cannot be combined. An index selects one of several matrices, and a factor changes the
+  unit of length of their positions, as in `udp.matrices0 * mm`.
+- Conditions compare elementwise. Comparisons with missing data are false.
 """
 
 from __future__ import annotations
@@ -39,11 +38,11 @@ _QUANTIFIERS = ("any", "all")
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Numbers or truth values over time.
+    """Numbers or truth values over time, (T, ...).
 
     Attributes:
-        values: (T, ...).
-        is_frames: whether these are frames of a route, which cannot be combined.
+        labels: names of the numbers in a row, for reports.
+        is_frames: whether the numbers are frames of a route, which cannot be combined.
     """
 
     values: Any
@@ -53,14 +52,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """An evaluated comparison, for reports.
-
-    Attributes:
-        sign: such as `>`.
-        left: (T, ...).
-        right: (T, ...).
-        holds: (T, ...).
-    """
+    """An evaluated comparison of `left` and `right` by `sign`, for reports; arrays are (T, ...)."""
 
     text: str
     sign: str
@@ -70,19 +62,19 @@ class Compared:
     labels: Sequence[str]
 
 
-# The numbers of a part of an expression, if known as a whole; else None.
+# Function from a node to its numbers, or to None if the evaluator must compute them.
 Leaf = Callable[[ast.expr], Rows | None]
 
 
 class Evaluator:
-    """Computes the parts of an expression."""
+    """Computes the nodes of an expression."""
 
     def __init__(self, expression: Expression, leaf: Leaf, *, is_route: bool = False) -> None:
         self._expression, self._leaf, self._is_route = expression, leaf, is_route
         self.compared: list[Compared] = []
 
     def truth(self, node: ast.expr) -> Rows:
-        """Returns the truth values of a part; refuses numbers."""
+        """Returns the truth values of a node; raises RouteError for numbers."""
         match node:
             case ast.Compare():
                 return self._compare(node)
@@ -101,9 +93,9 @@ class Evaluator:
         self._refuse(node, "expected a comparison such as lwr.torques > 20")
 
     def numbers(self, node: ast.expr) -> Rows:
-        """Returns the numbers of a part; refuses truth values."""
+        """Returns the numbers of a node; raises RouteError for truth values."""
         chain: list[ast.BinOp | ast.UnaryOp | ast.Subscript] = []
-        while (found := self._leaf(node)) is None:  # a sum of 1,000 terms is a tree of that depth
+        while (found := self._leaf(node)) is None:  # not recursive: the tree of a sum is deep
             match node:
                 case ast.UnaryOp(op=ast.Not()):
                     break
@@ -127,7 +119,7 @@ class Evaluator:
         return found
 
     def check_comparison(self, node: ast.expr, left: Value, right: Value) -> None:
-        """Refuses a comparison of frames, of different units or of different numbers of values."""
+        """Raises RouteError for frames, and for different units or counts of numbers."""
         rows = [_rows_of(value) for value in (left, right)]
         for each in rows:
             self._refuse_frames(node, each)
@@ -142,7 +134,7 @@ class Evaluator:
             count = max(map(len, flat))
             return Rows(np.hstack([np.broadcast_to(r, (count, r.shape[1])) for r in flat]))
         if self._is_route:
-            reason = "expected numbers, names, + - * /; functions and comparisons are for switches"
+            reason = "expected numbers, names, + - * /; only toggles take functions and comparisons"
             self._expression.refuse(first_word(node), reason)
         match node:
             case ast.Call(args=[inner]) if (name := self._word(node)) not in _QUANTIFIERS:
@@ -152,8 +144,8 @@ class Evaluator:
                 function = np.linalg.norm if name == "norm" else getattr(np, name)
                 return Rows(function(_flat(found.values), axis=1))
             case ast.Call(args=[_, other, *_]):
-                self._refuse(other, "expected one value in brackets behind a function")
-        self._refuse(node, "expected numbers; comparisons are joined by and, or")
+                self._refuse(other, "expected one argument of the function")
+        self._refuse(node, "expected numbers; use and, or to combine comparisons")
 
     def _calculate(self, node: ast.BinOp, left: Rows, right: Rows) -> Rows:
         at = self._expression.behind(node.left)
@@ -168,7 +160,7 @@ class Evaluator:
             np.broadcast(left, right)
         except ValueError:
             many = " and ".join(amount(each.values.shape[1:]) for each in (a, b))
-            reason = f"expected as many on both sides; there are {many}"
+            reason = f"expected the same number on both sides; found {many}"
             self._expression.refuse(at, reason, len(self._expression.words[at].text))
         try:
             values = function(left, right)
@@ -177,21 +169,20 @@ class Evaluator:
         return Rows(values, a.labels if a.values.ndim >= b.values.ndim else b.labels)
 
     def _scaled_frames(self, at: int, sign: str, left: Rows, right: Rows) -> Rows:
-        """Frames with positions multiplied by a number: another unit of length."""
         frames, other = (right, left) if right.is_frames and sign == "*" else (left, right)
         is_number = other.values.shape == (1,) and not other.values.item().terms
         if sign in "+-" or other.is_frames or not is_number:
-            reason = "expected nothing but a number or a length beside frames, as in frames * mm"
+            reason = "frames can only be multiplied by a number or a length, as in frames * mm"
             self._expression.refuse(at, reason)
         factor: Number = other.values.item()
         if not factor.offset > 0.0:
-            reason = f"expected a number above 0 beside it; found {factor.offset:g}"
+            reason = f"expected a factor above 0; found {factor.offset:g}"
             self._expression.refuse(at, reason)
         factor = factor if sign == "*" else Number(1.0) / factor
         entries = frames.values.copy()
         given = any(any(entry.unit) for entry in entries[..., :3, 3].flat)
         if any(factor.unit) and (given or factor.unit != LENGTH):
-            reason = f"expected a length beside frames; found {describe(factor.unit)}"
+            reason = f"expected a length as the factor of frames; found {describe(factor.unit)}"
             self._expression.refuse(at, reason)
         entries[..., :3, 3] *= factor
         return Rows(entries, is_frames=True)
@@ -218,9 +209,9 @@ class Evaluator:
         values, name = found.values, self._expression.text_of(node.value)
         bracket = self._expression.behind(node.value)
         if values.ndim < 2:
-            self._expression.refuse(bracket, f"expected none: {name} is a single number")
+            self._expression.refuse(bracket, f"{name} is a single number, which has no index")
         if found.is_frames and values.ndim == 3:
-            reason = f"expected none: {name} is a frame, which cannot be indexed"
+            reason = f"{name} is a frame, which cannot be indexed"
             self._expression.refuse(bracket, reason)
         index: Any
         match node.slice:
@@ -238,7 +229,7 @@ class Evaluator:
                 index = self._position(one, values, name)
         picked = values[:, index]
         if not picked.size and values.size:
-            self._expression.refuse(bracket, "expected a slice with something in it")
+            self._expression.refuse(bracket, "the slice is empty")
         labels: Sequence[str] = ()
         if len(found.labels) == values.shape[1]:
             labels = np.atleast_1d(np.array(found.labels, object)[index]).tolist()
@@ -266,37 +257,30 @@ class Evaluator:
 
     def _refuse_frames(self, node: ast.expr, found: Rows) -> None:
         if found.is_frames:
-            reason = "expected no frames beside it: these cannot be indexed or combined"
+            reason = "frames cannot be indexed or combined"
             self._expression.refuse(first_word(node), reason)
 
 
 def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
     """Evaluates the expression of a route; raises RouteError."""
-    with np.errstate(all="ignore"):  # non-finite numbers are refused below
+    with np.errstate(all="ignore"):  # `_finite` reports numbers that are not finite
         rows = _of_route(expression, names).numbers(expression.tree)
     return _finite(_value_of(rows), expression, names)
 
 
 def condition_of(expression: Expression, names: Mapping[str, Value]) -> tuple[Value, Condition]:
-    """Returns the numbers compared by a route's condition, and the condition on them.
-
-    Args:
-        expression: result of `parse`, a condition.
-
-    Raises:
-        RouteError: points at the invalid part, with the reason.
-    """
+    """Returns the numbers that a condition compares, and the condition; raises RouteError."""
     of_route = _of_route(expression, names)
-    parts: dict[int, tuple[Value, slice]] = {}  # by id in the tree, which keeps them alive
+    parts: dict[int, tuple[Value, slice]] = {}  # id of a node to its value and numbers
 
     def find(node: ast.expr) -> Rows | None:
-        """Collects the largest parts that are linear in received numbers: these have units."""
+        """Collects the largest nodes that are linear in received numbers and so have units."""
         try:
             value = _value_of(of_route.numbers(node))
         except RouteError:
             if isinstance(node, ast.Name | ast.Constant):
                 raise
-            return None  # an error is found in its parts
+            return None  # errors are reported for the operands
         if value.is_frames:
             of_route.check_comparison(node, value, value)
         first = max((own.stop for _, own in parts.values()), default=0)
@@ -358,7 +342,7 @@ def _finite(value: Value, expression: Expression, names: Mapping[str, Value]) ->
 
 
 def amount(shape: tuple[int, ...]) -> str:
-    """Describes the size of an array, for messages."""
+    """Returns the size of an array in words."""
     if len(shape) > 1:
         return " x ".join(map(str, shape)) + " values"
     count = int(np.prod(shape))

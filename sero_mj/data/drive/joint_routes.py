@@ -25,11 +25,7 @@ _MAX_LISTED = 8  # joints in a message
 
 
 class Place(NamedTuple):
-    """A number of an input.
-
-    Attributes:
-        joint: index of the joint.
-    """
+    """A joint of an input, by its index."""
 
     to: Input
     joint: int
@@ -37,11 +33,11 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JointPart:
-    """An origin for some of the joints of an input.
+    """An origin for k joints of an input.
 
     Attributes:
-        value: their values, (k,).
-        numbers: index of each in the numbers of the text, k.
+        value: values of the joints, (k,).
+        numbers: index of each value in the numbers of `text`, k.
     """
 
     to: Input
@@ -54,9 +50,9 @@ class JointPart:
 def places_by_name(
     scene: Scene, inputs: Sequence[Input], *, in_group: bool
 ) -> dict[str, list[Place]]:
-    """Returns the joints by the names of joints and limbs.
+    """Returns the joints of inputs by names of joints and limbs.
 
-    In a group these are `ROBOT_JOINT` and `ROBOT_LIMB`, and a robot's own name means all of it.
+    In a group, these are `ROBOT_JOINT`, `ROBOT_LIMB` and `ROBOT`.
     """
     places: dict[str, list[Place]] = {}
     for item in inputs:
@@ -78,9 +74,9 @@ def named_joints(
     names: Sequence[str] | None,
     problems: list[Problem],
 ) -> list[Place]:
-    """Returns the named joints, in that order; errors are added to the problems."""
+    """Returns the named joints in order, and appends errors to `problems`."""
     if names is None:
-        message = "expected each of several origins 'for' the names of joints or limbs"
+        message = "expected 'for' and names of joints or limbs after each of several origins"
         problems.append(Problem("", message))
     for name in dict.fromkeys(names or []):
         if name not in places:
@@ -94,20 +90,16 @@ def named_twice(scene: Scene, places: Sequence[Place]) -> list[Problem]:
     """Returns a problem for each joint that occurs more than once."""
     twice = [place for place, count in Counter(places).items() if count > 1]
     names = [robot_of(scene, to).names[joint] for to, joint in twice]
-    return [Problem("", f"{name} is named twice; expected each joint once") for name in names]
+    return [Problem("", f"{name} occurs twice; expected each joint once") for name in names]
 
 
 def joint_parts(
     scene: Scene, value: Value, text: str, places: Sequence[Place], target: str
 ) -> list[JointPart]:
-    """Returns the values of an origin for joints, a part for each robot.
+    """Returns the values of an origin for joints, one part per robot; raises DeclarationError.
 
     Args:
-        places: the joints, in the order of the values; values of joints coupled to others of them
-            may be left out.
-
-    Raises:
-        DeclarationError: a wrong number of values, or a wrong unit.
+        places: joints in the order of the values; the values of coupled joints can be omitted.
     """
     named = set(places)
     free = [place for place in places if not _follows(place, named)]
@@ -144,9 +136,9 @@ def _follows(place: Place, places: Set[Place]) -> bool:
 
 
 def whole_route(scene: Scene, parts: Sequence[JointPart]) -> Route:
-    """Merges the parts for some joints of an input to one route.
+    """Merges the parts of an input to one route.
 
-    Joints that are coupled to these follow; the others keep their declared values.
+    Joints that are coupled to these joints follow; the others have their declared values.
     """
     item = parts[0].to
     rest = _declared_values(scene, item)

@@ -1,4 +1,4 @@
-"""The language of routes and triggers, parsed by Python's `ast`.
+"""Parses expressions of routes and triggers by Python's `ast`; `evaluator` computes them.
 
 origin     = ["not"] expression, or a condition
 condition  = comparisons of expressions with `<`, `<=`, `>`, `>=`, `==`, `!=`, and `any(condition)`,
@@ -6,10 +6,8 @@ condition  = comparisons of expressions with `<`, `<=`, `>`, `>=`, `==`, `!=`, a
 expression = numbers, names, `+ - * /`, parentheses, lists `[a, b]`, indices `a[0]`, `a[0,3,5]`,
              `a[1:4]`, as in Python, and in conditions `abs(a)`, `min(a)`, `max(a)`, `norm(a)`
 
-Names may contain `-`, `.` and `/`, so as operators `-` and `/` need spaces around them. Python
+Names may contain `-`, `.` and `/`, so the operators `-` and `/` need spaces around them. Python
 parses a text in which each token is replaced by a cell of fixed width.
-
-`evaluator` computes them.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from ...base.errors import RouteError, did_you_mean
 from ...robots.declared.route_text import FUNCTIONS, JOINING, NOT, Token, tokens_of
 
 _MAX_DEPTH = 40  # of nested brackets
-_MAX_WORDS = 2000  # parsing a sum takes quadratic time
+_MAX_WORDS = 2000  # the time to parse a sum is quadratic
 _ALLOWED = (
     ast.Name, ast.Constant, ast.Load, ast.List, ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div,
     ast.UnaryOp, ast.UAdd, ast.USub, ast.Not, ast.BoolOp, ast.And, ast.Or, ast.Compare,
@@ -55,29 +53,24 @@ class Expression:
 
     @property
     def name(self) -> str | None:
-        """The name if it consists of a single name, else None."""
+        """The name, if the expression is a single name; else None."""
         word = self.words[first_word(self.tree)]
         return word.text if isinstance(self.tree, ast.Name) and word.kind == "name" else None
 
     def text_of(self, node: ast.expr) -> str:
-        """A part of the text."""
+        """Returns the text of a node."""
         last = self.words[word_after(node) - 1]
         return self.text[self.words[first_word(node)].at : last.at + len(last.text)]
 
     def behind(self, node: ast.expr) -> int:
-        """Index of the operator after an operand and its brackets."""
+        """Returns the index of the operator after an operand and its brackets."""
         at = word_after(node)
         while self.words[at].text == ")":
             at += 1
         return at
 
     def refuse(self, word: int, reason: str, length: int = 1) -> NoReturn:
-        """Raises a RouteError that points at a word.
-
-        Args:
-            word: its index.
-            length: number of marked words.
-        """
+        """Raises a RouteError at the word with this index; marks `length` characters."""
         raise RouteError(self.text, self.words[word].at, reason, length)
 
 
@@ -119,12 +112,11 @@ def parse(text: str) -> Expression:
 
 
 def _sign_of(word: Token, is_condition: bool) -> str:
-    """The replacement of a word in the text that Python parses, shorter than `_CELL`."""
     if word.kind == "sign" or (is_condition and word.text in JOINING):
         return word.text
     if word.kind == "other" or word.text == NOT:
         return "$"
-    is_whole = word.text.isdigit() and len(word.text) < 10  # these can be indices
+    is_whole = word.text.isdigit() and len(word.text) < 10  # such numbers can be indices
     return "1" if is_whole else "_"
 
 
@@ -181,7 +173,7 @@ def _expected(before: Sequence[str], found: Token) -> str:
         return _is_beginning([*before, sign])
 
     if fits("_"):
-        hint = f"; '{NOT}' only stands in front of all" if found.text == NOT else ""
+        hint = f"; '{NOT}' must be the first word" if found.text == NOT else ""
         return f"expected an event such as udp.values0, a number, ( or [{hint}"
     if fits("1"):
         return "expected a whole number" + " or a slice such as 0:7" * (before[-1] == "[")
@@ -189,15 +181,15 @@ def _expected(before: Sequence[str], found: Token) -> str:
         return f"expected {' '.join([*filter(fits, ':,'), 'or ]'])}"
     end = ", or )" if fits(")") else ", or the end"
     named = found.kind in ("name", "number") and end != ", or )"
-    hint = "; equal is ==" if found.text == "=" else ""
+    hint = "; write == to compare" if found.text == "=" else ""
     return f"expected +, -, * or / between spaces{' before it' if named else end}{hint}"
 
 
 def first_word(node: ast.expr) -> int:
-    """Index of a part's first word."""
+    """Returns the index of the first word of a node."""
     return node.col_offset // _CELL
 
 
 def word_after(node: ast.expr) -> int:
-    """Index of the word after a part."""
+    """Returns the index of the word after a node."""
     return ((node.end_col_offset or 0) + _CELL - 2) // _CELL

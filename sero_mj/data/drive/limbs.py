@@ -1,4 +1,4 @@
-"""Limbs of people: two links from a fixed point to a frame that moves."""
+"""Limbs of people: two links between a fixed point and a moving frame."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Limbs:
         self._limbs = [
             (item, [int(world.model.body(name).mocapid[0]) for name in limb_bodies(item.name)])
             for item in world.scene.objects
-            if item.shape == "limb" and world.has_sites  # else the model is somebody else's
+            if item.shape == "limb" and world.has_sites  # external models have no sites
         ]
         self.are_any = bool(self._limbs)
 
     def place(self, data: mujoco.MjData) -> None:
-        """Places both links of all limbs, out of sight where what they reach for is."""
+        """Places both links of each limb; hides the limb if its frame is hidden."""
         mujoco.mj_kinematics(self._world.model, data)
         for item, bodies in self._limbs:
             assert item.size is not None and item.reaches is not None  # checked by Object
@@ -41,20 +41,21 @@ class Limbs:
 
 
 def middle_joint(begin: Array, end: Array, lengths: tuple[float, float], towards: Array) -> Array:
-    """Returns where the joint between two links is, (3,), m, by the law of cosines.
+    """Returns the position of the joint between two links of a limb, (3,), m.
 
     Args:
-        begin: where the first link begins, (3,), m.
-        end: where the second one ends, (3,), m; out of reach, the links point there, or are folded.
-        lengths: of both links, m.
-        towards: direction in which the joint is, (3,).
+        begin: begin of the first link, (3,), m.
+        end: end of the second link, (3,), m. If it is out of reach, the links are stretched or
+            folded.
+        lengths: lengths of the links, m.
+        towards: direction to which the joint bends, (3,).
     """
     first, second = lengths
     along = end - begin
     distance = float(np.linalg.norm(along))
     along = along / distance if distance > 0 else np.array([0.0, 0.0, 1.0])
     side = towards - (towards @ along) * along
-    if np.linalg.norm(side) < 1e-9:  # any other, if it is the direction of the end
+    if np.linalg.norm(side) < 1e-9:  # any direction, if it is parallel to the limb
         side = np.cross(along, np.eye(3)[np.abs(along).argmin()])
     reached = float(np.clip(distance, max(abs(first - second), 1e-9), first + second))
     share = (reached**2 + first**2 - second**2) / (2 * reached)

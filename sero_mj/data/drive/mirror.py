@@ -1,4 +1,4 @@
-"""`Mirror`: a world that follows its sources."""
+"""`Mirror`: applies the packets of sources to a world."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .route import Route
 from .velocities import Velocities
 from .wiring import wire
 
-if TYPE_CHECKING:  # what only overlays need
+if TYPE_CHECKING:
     from ...robots.external.model_world import ModelWorld
 
 Listener = Callable[[str, Packets], None]
@@ -31,61 +31,44 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class LiveWorld(Protocol):
-    """A world with changing data, shown by windows and pages."""
+    """A world with changing data, which windows and pages display; see `Mirror`."""
 
     @property
-    def world(self) -> WorldView:
-        """The world."""
+    def world(self) -> WorldView: ...
 
     @property
-    def data(self) -> mujoco.MjData:
-        """Its state."""
+    def data(self) -> mujoco.MjData: ...
 
     @property
-    def routes(self) -> Sequence[Route]:
-        """The routes of numbers in force."""
+    def routes(self) -> Sequence[Route]: ...
 
     @property
-    def sources(self) -> Mapping[str, Source]:
-        """Sources of packets, by name."""
+    def sources(self) -> Mapping[str, Source]: ...
 
     @property
-    def is_live(self) -> bool:
-        """Whether it follows the real time, so that hosts must as well."""
+    def is_live(self) -> bool: ...
 
-    def open(self) -> None:
-        """Starts following; raises SourceError."""
+    def open(self) -> None: ...
 
-    def close(self) -> None:
-        """Stops following."""
+    def close(self) -> None: ...
 
-    def wait(self, timeout: float) -> list[str]:
-        """Waits up to `timeout` s for packets of every source; returns those still silent."""
+    def wait(self, timeout: float) -> list[str]: ...
 
-    def listen(self, listener: Listener, *, to_all: bool = False) -> None:
-        """Calls `listener(source, packets)` in `advance` with all applied packets.
-
-        With `to_all` also with packets replaced by newer ones.
-        """
+    def listen(self, listener: Listener, *, to_all: bool = False) -> None: ...
 
     @property
     def has_states(self) -> bool:
-        """Whether a picture depends on MuJoCo's state only, so that it can be rendered later."""
+        """Whether an image depends only on MuJoCo's state, so that it can be rendered later."""
 
-    def reset(self) -> None:
-        """Resets to the declared pose."""
+    def reset(self) -> None: ...
 
-    def advance(self, now: float | None = None) -> bool:
-        """Updates `data`; `now` is the time to show, s since it was opened."""
+    def advance(self, now: float | None = None) -> bool: ...
 
 
 class Mirror:
-    """Follows live sources: opens them, applies what arrives, keeps the last good pose.
+    """A world whose data follow the sources of a scene; raises DeclarationError.
 
-    Use it as a context manager; `advance` applies the latest packets to `data`.
-
-    Raises:
-        DeclarationError: the scene, its sources or its routes are invalid.
+    Use it as a context manager, which opens the sources. `advance` applies the latest packets.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -102,18 +85,14 @@ class Mirror:
         self._velocities = Velocities(self.world, self.routes)
         self._states = _SourceStates(self.world)
         self._latest: dict[str, Packet] = {}
-        self._again: set[str] = set()  # whose latest packet is to be applied again
+        self._again: set[str] = set()  # sources whose latest packet is applied again
         self._listeners: list[Listener] = []
         self._listeners_to_all: list[Listener] = []
         self._news = threading.Event()
         self._started = time.monotonic()
 
     def open(self) -> None:
-        """Opens every source; on failure those already open are closed again.
-
-        Raises:
-            SourceError: a source cannot be opened.
-        """
+        """Opens all sources; raises SourceError, and then closes those that it has opened."""
         self._latest.clear()
         self._states.forget()
         self._velocities.forget()
@@ -121,10 +100,10 @@ class Mirror:
         self._news.clear()
         try:
             for source in self.sources.values():
-                source.remove_callback(self._news.set)  # where it was opened before
+                source.remove_callback(self._news.set)  # from an earlier `open`
                 source.on_receive(self._news.set)
                 if self._listeners_to_all:
-                    source.keep_all()
+                    source.start_history()
                 source.open()
         except Exception:
             self.close()
@@ -132,12 +111,12 @@ class Mirror:
         self._started = time.monotonic()
 
     def close(self) -> None:
-        """Closes every source; what it has registered with them is removed."""
+        """Closes all sources and removes the callbacks from them."""
         for source in self.sources.values():
             source.close()
             source.remove_callback(self._news.set)
             if self._listeners_to_all:
-                source.keep_none()
+                source.stop_history()
 
     def __enter__(self) -> Mirror:
         self.open()
@@ -148,7 +127,7 @@ class Mirror:
 
     @property
     def is_live(self) -> bool:
-        """Whether a source follows the real time, so that what shows it must as well."""
+        """Whether a source is live, so that the display must run in real time."""
         return any(source.is_live for source in self.sources.values())
 
     @property
@@ -156,10 +135,9 @@ class Mirror:
         return True
 
     def wait(self, timeout: float) -> list[str]:
-        """Waits until every source has sent a good packet, up to `timeout` s in all.
+        """Waits up to `timeout` s for a valid packet of each source.
 
-        Returns:
-            the names of the sources that are still silent.
+        Returns the names of the sources without a packet.
         """
         deadline = time.monotonic() + timeout
         return [
@@ -169,14 +147,10 @@ class Mirror:
         ]
 
     def wait_fresh(self, timeout: float, now: float | None = None) -> None:
-        """Waits for new packets of live, sending sources, and applies them.
+        """Waits up to `timeout` s for new packets of sources that are sending, and applies them.
 
-        A packet that arrived while this thread was busy, creating an OpenGL context for example,
-        may be outdated.
-
-        Args:
-            timeout: maximum time, s.
-            now: see `advance`.
+        Packets that arrived while this thread was busy may be old, for example after the creation
+        of an OpenGL context.
         """
         deadline = time.monotonic() + timeout
         live = {name: source for name, source in self.sources.items() if source.is_live}
@@ -189,28 +163,23 @@ class Mirror:
                 return
 
     def wait_next(self, timeout: float) -> bool:
-        """Waits up to `timeout` s for packets since its last return; whether any came."""
+        """Waits up to `timeout` s for packets since the last call; returns whether any arrived."""
         came = self._news.wait(timeout)
         self._news.clear()
         return came
 
     def listen(self, listener: Listener, *, to_all: bool = False) -> None:
-        """Calls `listener(source, packets)` in `advance` with all applied packets.
+        """Calls `listener(source, packets)` in `advance` with the applied packets.
 
-        For sources with `only_latest_packet = false` these are all good ones, in order. A packet
-        sets all inputs routed from its source, so `data` shows the last of them.
-
-        Args:
-            to_all: whether it is called with all good packets of every source, including those
-                replaced by newer ones before use. Up to 16 MB of them are kept between calls of
-                `advance`.
+        With `to_all`, calls it with all valid packets, including packets that newer ones have
+        replaced before use; up to 16 MB are stored between calls of `advance`.
         """
         if not to_all:
             self._listeners.append(listener)
             return
         self._listeners_to_all.append(listener)
         for source in self.sources.values():
-            source.keep_all()
+            source.start_history()
 
     def reset(self) -> None:
         """Resets the data to the declared pose; the next `advance` applies the latest packets."""
@@ -218,13 +187,10 @@ class Mirror:
         self._again.update(self._latest)
 
     def advance(self, now: float | None = None) -> bool:
-        """Applies the latest packet of every source and moves the frames.
+        """Applies the latest packet of each source; returns whether there was a new one.
 
         Args:
-            now: time to show, s since the mirror was opened; the real one when None.
-
-        Returns:
-            whether a new packet was applied.
+            now: time since the mirror was opened, s; the real time if None.
         """
         data = self.data
         data.time = time.monotonic() - self._started if now is None else now
@@ -236,7 +202,7 @@ class Mirror:
                 self._latest[name] = packets.last
                 for listener in self._listeners:
                     listener(name, packets)
-            if self._listeners_to_all and (all_packets := source.take_all()) is not None:
+            if self._listeners_to_all and (all_packets := source.take_history()) is not None:
                 for listener in self._listeners_to_all:
                     listener(name, all_packets)
             packet = self._latest.get(name)
@@ -263,14 +229,14 @@ class Mirror:
         return values
 
     def state(self) -> Array:
-        """Returns a copy of the state needed for a picture of the current time."""
+        """Returns a copy of the state that an image of the current time depends on."""
         state = np.empty(mujoco.mj_stateSize(self.world.model, _STATE))
         mujoco.mj_getState(self.world.model, self.data, state, _STATE)
         return state
 
 
 def restore(world: World, data: mujoco.MjData, state: Array) -> None:
-    """Restores a state in `data` and moves the frames. `state`: what `Mirror.state` returned."""
+    """Restores a state from `Mirror.state` in `data`, and computes the frames."""
     mujoco.mj_setState(world.model, data, state, _STATE)
     follow(world.model, data)
 
@@ -307,7 +273,7 @@ class _SourceStates:
                 counters.duplicates,
                 counters.restarts,
                 counters.dropped,
-                # One sender is normal, and a recording has none.
+                # Recordings have no sender.
                 counters.senders if counters.senders > 1 else 0,
                 self._link_age(name, counters, now),
                 counters.foreign,
@@ -318,7 +284,6 @@ class _SourceStates:
             )
 
     def _link_age(self, name: str, counters: Counters, now: float) -> float:
-        """Time (s) since the link last lost or reordered packets; -1 for never."""
         counts = (
             counters.lost,
             counters.late,
@@ -328,13 +293,12 @@ class _SourceStates:
         )
         before, since = self._link.get(name, ((0,) * len(counts), -1.0))
         if counts != before:
-            # Smaller than before after a restart, or when missing numbers have arrived late.
+            # Counts can decrease after a restart, or if missing numbers have arrived late.
             since = now if any(map(int.__gt__, counts, before)) else since
             self._link[name] = counts, since
         return max(now - since, 0.0) if since >= 0 else -1.0
 
     def _foreign_age(self, name: str, foreign: int, now: float) -> float:
-        """Time (s) since the last packet of a foreign sender; -1 for none."""
         before, since = self._foreign.get(name, (0, -1.0))
         if foreign != before:
             self._foreign[name] = foreign, now
@@ -343,9 +307,9 @@ class _SourceStates:
 
 
 class Watch:
-    """Follows the data of an overlay, like a mirror its sources.
+    """Displays the data of an overlay.
 
-    It shows a copy, so that a paused window does not change while the user's loop continues.
+    It copies the data, so that a paused window does not change while the user's loop continues.
     """
 
     def __init__(self, world: ModelWorld) -> None:
@@ -361,25 +325,24 @@ class Watch:
 
     @property
     def has_states(self) -> bool:
-        """False: any field of an external model may be shown."""
-        return False
+        return False  # any field of an external model may be displayed
 
     def open(self) -> None:
-        """Does nothing: there are no sources."""
+        """Has no effect, because there are no sources."""
 
     def close(self) -> None:
-        """Does nothing: there are no sources."""
+        """Has no effect, because there are no sources."""
 
     def wait(self, timeout: float) -> list[str]:
         return []
 
     def listen(self, listener: Listener, *, to_all: bool = False) -> None:
-        """Does nothing: no packets come."""
+        """Has no effect, because there are no packets."""
 
     def reset(self) -> None:
-        """Does nothing: the data is the user's."""
+        """Has no effect on the user's data."""
 
     def advance(self, now: float | None = None) -> bool:
-        """Copies the user's current data; `now` is ignored."""
+        """Copies the user's current data and ignores `now`."""
         mujoco.mj_copyData(self.data, self.world.model, self._theirs)
         return True

@@ -1,8 +1,7 @@
-"""Torques that routes and triggers can read of the models of robots.
+"""Outputs of robots that their models compute: `lwr.gravity_torques` and `lwr.friction_torques`.
 
-`lwr.gravity_torques` holds the robot at its angles, `lwr.friction_torques` overcomes the friction
-that it declares; both in Nm or N, one per joint. An input of that name, which a robot may declare
-for values that it receives, comes before.
+Gravity torques hold the robot in its pose, and friction torques overcome the declared friction.
+Both are in Nm or N, one per joint. A declared input of the same name takes precedence.
 """
 
 from __future__ import annotations
@@ -29,23 +28,23 @@ MODEL_TORQUES = (GRAVITY, FRICTION)
 
 
 def model_output(robot: SerialRobot, key: str) -> Input:
-    """Describes such an output of a robot, as if it were an input of it."""
+    """Returns the description of an output in the form of an input."""
     coupled = robot.coupled if robot.couplings else None
     return Input(robot.name, key, (robot.n,), "values", coupled)
 
 
 def why_unknown(robots: Mapping[str, SerialRobot], name: str, key: str) -> str:
-    """Returns why the models of robots do not tell an output of one; empty if they do."""
+    """Returns the reason why an output of a robot cannot be computed; "" if it can."""
     if key == FRICTION:
         return lack_of_friction(robots[name])
     floating = [each for each, robot in robots.items() if robot.free_base is True]
-    return f"the base of {floating[0]} is free: it holds nothing" if floating else ""
+    return f"the base of {floating[0]} is free, so no torques hold it" if floating else ""
 
 
 def origins_of(robots: Mapping[str, SerialRobot], name: str, key: str) -> list[str]:
     """Returns the inputs on which an output of a robot depends.
 
-    A robot's gravity torques depend on the angles of all: others may be mounted on it.
+    Gravity torques depend on the angles of all robots, because these may be mounted on it.
     """
     if key == GRAVITY:
         return [f"{each}.joint_angles" for each in robots]
@@ -53,26 +52,26 @@ def origins_of(robots: Mapping[str, SerialRobot], name: str, key: str) -> list[s
 
 
 def output_now(world: WorldView, data: mujoco.MjData, name: str, key: str) -> Array:
-    """Returns an output of a robot in the state of a world, (n,); NaN where it is unknown."""
+    """Returns an output of a robot in the current state, (n,); NaN if unknown."""
     torques = gravity_torques if key == GRAVITY else friction_torques
     return torques(world, data)[world.robots[name].joints]
 
 
 class ModelTorques:
-    """Computes outputs of robots from what leads to them, over time."""
+    """Computes outputs of robots over time from their inputs."""
 
     def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
         self._robots = robots
-        self._gravity: GravityTorques | None = None  # compiled when it is first needed
+        self._gravity: GravityTorques | None = None  # compiled on first use
 
     def output(self, name: str, key: str, input_of: Callable[[str], Array | None]) -> Array:
-        """Returns an output of a robot, (T, n), with T = 1 if it is the same at all times.
+        """Returns an output of a robot, (T, n), with T = 1 if it is constant.
 
-        NaN where nothing is known of its velocities, for friction.
+        Friction torques are NaN if the velocities are unknown.
 
         Args:
-            input_of: returns the values (T, n) of an input by its name, `lwr.joint_angles`; None
-                where nothing is known of it.
+            input_of: function from the name of an input, such as `lwr.joint_angles`, to its values
+                (T, n); None if unknown.
         """
         robot = self._robots[name]
         if key == FRICTION:

@@ -1,6 +1,6 @@
-"""Records the raw packets of a scene's sources, with the scene's names for their values.
+"""Records the packets of a scene's sources, and decoded values with the names in the scene.
 
-The numbers of joints and arrows are called `lwr.A1.torque [Nm]`, in SI units.
+Numbers of joints and arrows have names such as `lwr.A1.torque [Nm]`; all are in SI units.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ from .wiring import wire
 
 Shapes = Mapping[str, tuple[int, ...]]
 
-# The last word of a per-joint quantity to its singular, and to its units for revolute and prismatic
-# joints.
+# Last word of a per-joint quantity to its singular and its units for revolute and prismatic joints.
 _ONE: dict[str, tuple[str, str, str]] = {
     "angles": ("angle", "rad", "m"),
     "velocities": ("velocity", "rad/s", "m/s"),
@@ -53,13 +52,14 @@ def record_sources(
     overwrite: bool = False,
     signals_rate: float = SIGNALS_RATE,
 ) -> Iterator[Recorder]:
-    """Records every packet received by the sources within the context; raises RecordingError.
+    """Records all packets that sources receive within the context; raises RecordingError.
 
     Args:
-        sources: by name, `mirror.sources` say; opened or not. Replays are not recorded again.
-        scene: its file and those of its robots are stored in the recording, and its routes give the
-            names of decoded values: `lwr.A1.torque [Nm]`.
-        signals_rate: maximum rate of decoded values per source, packets/s.
+        sources: sources by name, such as `mirror.sources`. Replays are not recorded.
+        scene: scene whose files are attached, and whose routes determine the names of decoded
+            values.
+        signals_rate: maximum number of packets per second and source whose decoded values are
+            recorded as well.
     """
     about = {"sero-mj": __version__, "scene": "" if scene is None else scene.name}
     live = {name: source for name, source in sources.items() if source.is_live}
@@ -76,16 +76,14 @@ def record_events(
     scene: Scene,
     **options: Any,
 ) -> Iterator[TriggeredRecorder]:
-    """Records packets around the times at which a condition holds, within the context.
+    """Records the packets around each time at which a condition holds, within the context.
+
+    Raises RecordingError if a file exists or cannot be written, also at the end of the context.
 
     Args:
-        sources: by name; opened or not, live or replays.
-        trigger: the condition; with None only what `record_now` asks for is recorded.
-        path_of: see `TriggeredRecorder`.
-        **options: of `TriggeredRecorder`: `before`, `after`, ...
-
-    Raises:
-        RecordingError: a file exists already or cannot be written; also at the end.
+        sources: sources by name, live or replays.
+        trigger: condition; None to record only on `record_now`.
+        **options: options of `TriggeredRecorder`, such as `before` and `after`.
     """
 
     def find(name: str, rows: Rows, lengths: Ints) -> tuple[Bools, Callable[[int], str]]:
@@ -111,16 +109,7 @@ def record_last(
     seconds: float,
     signals_rate: float = SIGNALS_RATE,
 ) -> AbstractContextManager[TriggeredRecorder]:
-    """Keeps the packets of the last seconds within the context; `record_now` writes them.
-
-    Args:
-        sources: by name; opened or not.
-        path_of: see `TriggeredRecorder`.
-        signals_rate: see `TriggeredRecorder`.
-
-    Raises:
-        RecordingError: a file cannot be written; also at the end.
-    """
+    """Buffers the packets of the last seconds within the context; `record_now` writes them."""
     return record_events(
         sources, None, path_of, scene, before=seconds, after=0.0, signals_rate=signals_rate
     )
@@ -169,23 +158,23 @@ def _add(
 
 
 def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
-    """Names of a quantity of every joint, n: `lwr.A1.torque [Nm]`.
+    """Returns names for a quantity of each joint, n, such as `lwr.A1.torque [Nm]`.
 
     Args:
-        quantity: `torques`, `joint_angles`, `target_velocities`, or one of its own inputs, whose
-            unit a line of its billboards may give.
+        quantity: `torques`, `joint_angles`, `target_velocities`, or an input that the robot
+            declares. The unit of such an input is that of its billboard line.
     """
     *before, last = quantity.removeprefix("joint_").split("_")
-    word, turning, sliding = _ONE.get(last, (last, "", ""))
-    if not turning and robot.billboard_lines:
+    word, revolute, prismatic = _ONE.get(last, (last, "", ""))
+    if not revolute and robot.billboard_lines:
         declared = [
             line.unit
             for line in robot.billboard_lines
             if line.value == quantity and line.scale == 1.0 and line.unit
         ]
-        turning = sliding = next(iter(declared), "")
+        revolute = prismatic = next(iter(declared), "")
     word = "_".join((*before, word))
-    units = [turning if kind == "revolute" else sliding for kind in robot.types]
+    units = [revolute if kind == "revolute" else prismatic for kind in robot.types]
     return [
         f"{name}.{joint}.{word}" + (f" [{unit}]" if unit else "")
         for joint, unit in zip(robot.names, units, strict=True)
@@ -195,11 +184,11 @@ def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
 def joint_states_of(
     robots: Mapping[str, SerialRobot], keys: Collection[str], key_of: Callable[[str, str], str]
 ) -> dict[str, JointStates]:
-    """Which values are the states of robots' joints.
+    """Returns the joint states of robots among values.
 
     Args:
-        keys: of the values, `lwr.joint_angles` say.
-        key_of: the key of a robot's quantity, by the names of both.
+        keys: keys of the values, such as `lwr.joint_angles`.
+        key_of: function from the names of robot and quantity to a key.
     """
     found = {}
     for name, robot in robots.items():
@@ -213,12 +202,10 @@ def joint_states_of(
 
 
 class RoutedSignals:
-    """The packets of a source in a scene's terms: values routed to joints and arrows, by name.
+    """Decoded packets of a source, with the names of the joints and arrows they are routed to.
 
-    Numbers are the results of the routes, in SI units. Other values are unchanged.
-
-    Args:
-        routes: all of them; those that need more than a packet of this source are left out.
+    Routed numbers are results of the routes, in SI units; other values are unchanged. Routes that
+    depend on more than a packet of this source are ignored.
     """
 
     def __init__(self, scene: Scene, routes: Sequence[Route], source: str, events: Shapes) -> None:
@@ -245,7 +232,7 @@ class RoutedSignals:
         self.signals = Signals(shapes, names, origins, joints)
 
     def of(self, values: Mapping[str, Array]) -> dict[str, Array]:
-        """Returns the arrays of a decoded packet, by `signals`."""
+        """Returns the values of a decoded packet by the keys of `signals`."""
         found = {}
         with np.errstate(over="ignore", invalid="ignore"):
             for route in self._routes:

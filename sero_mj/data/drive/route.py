@@ -1,7 +1,7 @@
-"""Checked routes, compiled to a few numpy operations.
+"""Checked routes, compiled to a few NumPy operations.
 
-Everything that a route can compute is affine: each number of the input is a constant plus multiples
-of received numbers. Routes can therefore be inverted, to compute the packet for given inputs.
+Routes are affine: each number of an input is a constant plus multiples of received numbers. They
+can be inverted, to compute the packet that results in given inputs.
 """
 
 from __future__ import annotations
@@ -19,11 +19,7 @@ from ..receive.source import SIGNALS
 
 
 class Origin(NamedTuple):
-    """The origin of numbers.
-
-    Attributes:
-        key: the source's event, or the output.
-    """
+    """The origin of numbers: an event of a source, or an output (input) of a robot."""
 
     name: str
     key: str
@@ -34,10 +30,10 @@ class Origin(NamedTuple):
 
 
 class Term(NamedTuple):
-    """Multiples of the numbers of one origin.
+    """Multiples of k numbers of one origin.
 
     Attributes:
-        at: indices in the result to which they are added, (k,).
+        at: indices in the result, (k,).
         take: flat indices in the origin, (k,).
         times: factors, (k,).
     """
@@ -50,11 +46,12 @@ class Term(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """A constant plus multiples of received numbers; `make_affine` makes it.
+    """A constant plus multiples of received numbers; see `make_affine`.
 
     Attributes:
-        offset: the constant, (n,).
-        only: if the result consists of numbers of one origin: their indices and the origin.
+        offset: constant, (n,).
+        whole: origin whose numbers are the result, in order; None otherwise.
+        only: origin and indices, if the result has only numbers of this origin without factors.
     """
 
     offset: Array
@@ -67,12 +64,12 @@ class Affine:
         return tuple(dict.fromkeys(term.origin for term in self.terms))
 
     def evaluate(self, numbers_of: Callable[[Origin], Array]) -> Array:
-        """Returns the numbers (n,), or over time (T, n), a new array.
+        """Returns the numbers, (n,), or over time, (T, n).
 
-        NaN stays NaN. Numbers may overflow: call it under `np.errstate`.
+        Numbers may overflow; call this under `np.errstate`.
 
         Args:
-            numbers_of: gives the numbers of an origin, flat: (k,), or over time (T, k).
+            numbers_of: function from an origin to its flat numbers, (k,), or over time, (T, k).
         """
         if self.only is not None:
             origin, take = self.only
@@ -87,7 +84,7 @@ class Affine:
 
 
 def make_affine(offset: Array, terms: Sequence[Term], sizes: Mapping[Origin, int]) -> Affine:
-    """Builds an `Affine`. `offset`: the constant, (n,)."""
+    """Returns the `Affine` with a constant (n,); `sizes` has the number count of each origin."""
     only = whole = None
     if len(terms) == 1 and len(terms[0].at) == len(offset) and not offset.any():
         origin, _, take, times = terms[0]
@@ -102,23 +99,19 @@ def make_affine(offset: Array, terms: Sequence[Term], sizes: Mapping[Origin, int
     return Affine(offset, tuple(terms), whole, only)
 
 
-Truths = Callable[[Array], Any]  # of numbers over time, (T, n): (T, ...)
+Truths = Callable[[Array], Any]  # from numbers over time, (T, n), to truth values, (T, ...)
 
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """Comparisons of numbers, joined by `and`, `or` and `not`.
-
-    Attributes:
-        truths: computes truth values (T, ...) from numbers over time, (T, n).
-    """
+    """Comparisons of numbers, combined by `and`, `or` and `not`."""
 
     truths: Truths
 
     def __call__(self, numbers: Array) -> Array:
-        """Returns 1 if it holds for any of the numbers (n,), or over time (T, n), else 0.
+        """Returns 1 if the condition holds for any of the numbers, (n,) or (T, n), else 0.
 
-        NaN if one of them is unknown.
+        Returns NaN if a number is NaN.
         """
         rows = numbers if numbers.ndim > 1 else numbers[None]
         with np.errstate(all="ignore"):
@@ -133,12 +126,12 @@ class Route:
     """One checked route of numbers.
 
     Attributes:
-        numbers: index of each of the input's numbers in those of the text; a robot of a group has
-            its share of them, and coupled joints those of their driving joints.
-        texts: origin of each of the input's numbers, for routes to some joints; empty for joints
-            without a route, and for other routes.
-        rest: values of joints without a route in that case: the declared pose, or no data.
-        condition: of a toggle, compares the numbers; None if it uses a number directly.
+        numbers: for each number of the input, its index in the numbers of `text`. Coupled joints
+            have the index of their driving joint.
+        texts: for routes to individual joints, the origin of each number of the input; empty texts
+            for joints without a route.
+        rest: for such routes, the values of joints without a route: the declared pose, or NaN.
+        condition: condition of a toggle; None if the route sets a number.
     """
 
     to: Input
@@ -151,7 +144,7 @@ class Route:
     condition: Condition | None = None
 
     def origin_of(self, index: int) -> str:
-        """Returns the origin of one of the input's numbers: `values0[3]`; empty for none."""
+        """Returns the origin of a number of the input, such as `values0[3]`; empty for none."""
         offset = self.value.offset[index]
         text = self.texts[index] if self.texts else self.text
         if np.isnan(offset) or not text:
@@ -165,20 +158,20 @@ class Route:
 
     @property
     def sources(self) -> list[str]:
-        """Names of the sources of its numbers."""
+        """Names of the sources that it reads."""
         return list(dict.fromkeys(o.name for o in self.value.origins if o.is_event))
 
     @property
     def outputs(self) -> list[str]:
-        """The outputs of robots, doubles and arrows that it reads, `name.key`."""
+        """Outputs of robots, doubles and arrows that it reads, as `name.key`."""
         return [str(origin) for origin in self.value.origins if not origin.is_event]
 
     @property
     def direct(self) -> str | None:
-        """The source, if it depends on a packet of that only; else None."""
+        """The source, if the route depends only on packets of one source; else None."""
         sources = self.sources
         if any(o.is_event and o.key in SIGNALS for o in self.value.origins):
-            return None  # changes without a packet
+            return None  # changes also without a packet
         return sources[0] if len(sources) == 1 and not self.outputs else None
 
 
@@ -187,7 +180,7 @@ class FrameRoute:
     """One checked route from a frame.
 
     Attributes:
-        frame: name of the frame, or of the robot whose `fwd_kin_base_to_flange` it is.
+        frame: name of the frame; for `fwd_kin_base_to_flange`, name of the robot.
     """
 
     to: Input

@@ -1,6 +1,6 @@
-"""`RouteChecker`: resolves the targets and origins of routes, and reports their errors.
+"""`RouteChecker`: finds the targets and origins of routes, and reports their errors.
 
-A `DeclarationError` without problems means that the error is reported elsewhere.
+A `DeclarationError` without problems means that another check reports the error.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from .units import UNITS, units_of, wrong_unit
 from .values import Value, constant, joined, numbers_of
 
 FWD_KIN = "fwd_kin_base_to_flange"
-# Readable values of robots, doubles and arrows: their inputs except switches and poses.
+# Kinds of inputs that routes can read: all except toggles and poses.
 _READABLE = ("angles", "values", "vector")
 AnyRoute = Route | FrameRoute | JointPart
 
@@ -58,10 +58,10 @@ class RouteChecker:
         self._frames = scene.named_frames()
         self._outputs = {key: item for key, item in self._inputs.items() if item.kind in _READABLE}
         self._owners = {item.name for item in self._outputs.values()}
-        self._events: dict[Origin, Value] = {}  # cached: an event may have 65,000 numbers
+        self._events: dict[Origin, Value] = {}  # cache, because an event may have 65,000 numbers
 
     def check(self, target: str, origin: str) -> Sequence[AnyRoute]:
-        """Returns the routes of an entry; raises DeclarationError for target and origin."""
+        """Returns the routes from an origin to a target; raises DeclarationError."""
         name, _, key = target.partition(".")
         limb, dot, of_limb = key.partition(".")
         dot = "" if f"{name}.{limb}" in self._inputs else dot  # lwr.torques.0 is not a limb
@@ -89,7 +89,7 @@ class RouteChecker:
         scene, target = self._scene, f"{name}.{key}"
         inputs = self._inputs_of(name, key)
         if inputs[0].kind not in ("angles", "values"):
-            message = f"joints are for what has one value per joint; {target} takes"
+            message = f"joint names are only for inputs with a value per joint; {target} takes"
             raise Problem("", f"{message} {inputs[0].meaning}").error()
         problems: list[Problem] = []
         places = places_by_name(scene, inputs, in_group=scene.members(name) is not None)
@@ -101,7 +101,7 @@ class RouteChecker:
                 expression = _parsed(origin)
                 if expression.negated or expression.is_condition:
                     found = f"'{NOT}' is" if expression.negated else "comparisons are"
-                    message = f"{found} for switches; joints take numbers"
+                    message = f"{found} only for toggles; joints take numbers"
                     raise Problem("", message).error()
                 value = self._evaluated(expression)
                 if not problems:
@@ -114,14 +114,14 @@ class RouteChecker:
         expression = _parsed(origin)
         problems: list[Problem] = []
         if inputs and expression.negated and inputs[0].kind != "toggle":
-            message = f"'{NOT}' is for switches; {target} takes {inputs[0].meaning}"
+            message = f"'{NOT}' is only for toggles; {target} takes {inputs[0].meaning}"
             problems.append(Problem("", message))
         routes: Sequence[AnyRoute] = []
         with collect(problems, ""):
             if expression.name is not None and self._is_frame(expression.name):
                 routes = self._frame_route(inputs, expression.name)
             elif expression.is_condition:
-                routes = self._switches(inputs, expression, target)
+                routes = self._toggles(inputs, expression, target)
             else:
                 routes = self._numeric(inputs, expression, target)
         if problems:
@@ -152,7 +152,6 @@ class RouteChecker:
         return routes
 
     def _as_numbers(self, item: Input, value: Value) -> Input:
-        """The input as numbers, if a pose gets these in the place of a matrix."""
         count, robot = value.entries.size, self._scene.robots.get(item.name)
         is_planar = robot is not None and robot.free_base == "planar" and item.kind == "pose"
         fits = count == len(POSE_NUMBERS) or (count == len(PLANAR) and is_planar)
@@ -160,12 +159,10 @@ class RouteChecker:
             return item
         return replace(item, shape=(count,))
 
-    def _switches(
-        self, inputs: Sequence[Input], expression: Expression, target: str
-    ) -> list[Route]:
+    def _toggles(self, inputs: Sequence[Input], expression: Expression, target: str) -> list[Route]:
         problems: list[Problem] = []
         if inputs and inputs[0].kind != "toggle":
-            message = f"comparisons are for switches; {target} takes {inputs[0].meaning}"
+            message = f"comparisons are only for toggles; {target} takes {inputs[0].meaning}"
             problems.append(Problem("", message))
         with collect(problems, ""):
             names = self._known(expression)
@@ -216,12 +213,11 @@ class RouteChecker:
         return known
 
     def _inputs_of(self, name: str, key: str) -> list[Input]:
-        """Returns the input of a target, or those of all members of a group."""
         members = self._scene.members(name)
         if members is None:
             return [self._input(f"{name}.{key}")]
         if any(each not in {*self._scene.robots, *self._scene.doubles} for each in members):
-            raise DeclarationError([])  # declared wrongly, or missing
+            raise DeclarationError([])  # reported elsewhere
         try:
             return list(inputs_of_group(self._inputs, name, key, members))
         except UnknownName as error:
@@ -244,10 +240,10 @@ class RouteChecker:
         double, robot = scene.doubles.get(name), scene.robots.get(name)
         message = ""
         if double is not None and double.path is not None and key != "visible":
-            message = f"'{name}' shows a path; nothing can be routed to it"
+            message = f"'{name}' shows a path, which has no inputs for routes"
         if robot is not None and robot.mount is not None and key == "base_frame":
             message = f"{name} is mounted on {robot.mount}, which moves its base"
-            message += "; remove this route, or the mount"
+            message += ". Remove this route, or the mount"
         if message:
             raise Problem("", message).error()
         if keys and (double is None or double.of in scene.robots):
@@ -288,7 +284,7 @@ class RouteChecker:
         members = self._scene.members(owner)
         if members is not None:
             if any(each not in self._owners for each in members):
-                raise DeclarationError([])  # declared wrongly, or missing
+                raise DeclarationError([])  # reported elsewhere
             return joined([self._output(each, key) for each in members])
         if owner in self._owners or owner in self._scene.robots:
             return self._output(owner, key)
@@ -303,7 +299,9 @@ class RouteChecker:
         if self._sources[name].needs_joints(event):
             if self._scene.broken:  # a robot
                 raise DeclarationError([])
-            reason = f"joints of {name} are not known: no route leads it to all joints of a robot"
+            reason = (
+                f"joints of {name} are unknown: no route leads from it to all joints of a robot"
+            )
             raise Problem("", reason, expected=f"sources.{name}.joints, their names").error()
         if event not in events:
             hint, of = _missing_spaces(event, events), f"of {name}"
@@ -329,7 +327,7 @@ class RouteChecker:
         if not hint and name in robots:
             hint = did_you_mean(key, [*keys, FWD_KIN])
             if nearest(key, [*keys, FWD_KIN]) is None:
-                hint += f"; its frames are {name}/flange and so on"
+                hint += f"; frames are written as {name}/flange"
         message = f"no output '{key}' of {name}{hint or did_you_mean(key, keys)}"
         raise Problem("", message).error()
 
@@ -354,7 +352,7 @@ def _parsed(origin: str) -> Expression:
 
 def _shares(value: Value, items: Sequence[Input], text: str, target: str) -> list[Value]:
     if value.is_constant and not value.shape:
-        return [value] * len(items)  # one number for all
+        return [value] * len(items)  # the number is repeated
     full = [item.count for item in items]
     free = [item.count if item.coupled is None else item.coupled.k for item in items]
     found = value.entries.size
@@ -384,15 +382,14 @@ def _wrong_shape(value: Value, item: Input) -> str:
         takes = f"{item.meaning}, 1M in the structure, or {numbers}"
         return f"{found}; {item.target} takes {takes}"
     if value.is_constant and not shape:
-        return ""  # one number for all
+        return ""  # the number is repeated
     if count != item.count:
         return f"has {many}; {item.target} takes {item.meaning}"
     return f"is a 4 x 4 frame; {item.target} takes {item.meaning}" if value.is_frames else ""
 
 
 def _missing_spaces(name: str, known: Iterable[str]) -> str:
-    """Advice if a known name touches an operator that is also allowed in names."""
     for i, sign in enumerate(name):
         if sign in "-/" and name[:i] in known:
-            return f"; put spaces about '{sign}'"
+            return f"; write spaces around '{sign}'"
     return ""

@@ -1,9 +1,8 @@
-"""Triggers: conditions on received values, `abs(lwr.torque_error) > 20`, packet by packet.
+"""Triggers: conditions on received values, such as `abs(lwr.torque_error) > 20`.
 
-`language` has their grammar, and `evaluator` their meaning. Names are events of sources
-(`udp.values0`), inputs that routes lead to (`lwr.torques`), what the models of robots tell
-(`lwr.gravity_torques`, `lwr.friction_torques`) and, of robots with commanded and measured torque,
-their difference (`lwr.torque_error`).
+Names are events of sources (`udp.values0`), inputs with a route (`lwr.torques`), outputs of robot
+models (`lwr.gravity_torques`, `lwr.friction_torques`), and the difference of commanded and measured
+torques (`lwr.torque_error`). `language` parses conditions, and `evaluator` computes them.
 """
 
 from __future__ import annotations
@@ -32,18 +31,14 @@ Events = Mapping[str, Array]  # event to its numbers over time, (T, ...)
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """The rows in which a condition holds.
-
-    Attributes:
-        holds: of every row, (T,).
-    """
+    """The rows in which a condition holds, (T,)."""
 
     holds: Bools
     _compared: tuple[Compared, ...] = ()
     _text: str = ""
 
     def describe(self, row: int) -> str:
-        """Describes the condition in a row: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`."""
+        """Returns the values in a row, such as `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`."""
         parts = []
         for each in self._compared:
             holds = np.atleast_1d(each.holds[row]).ravel()
@@ -64,8 +59,7 @@ class Hits:
 class Trigger:
     """A condition on the received values of a scene's sources; raises RouteError.
 
-    It keeps the newest values of every source, which are used for sources other than that of the
-    examined packets.
+    It stores the newest values of each source, for conditions on several sources.
     """
 
     def __init__(self, text: str, scene: Scene, wiring: Wiring) -> None:
@@ -76,7 +70,6 @@ class Trigger:
         self._model = ModelTorques(scene.robots)
         self._expression = parse(text)
         self._latest: dict[str, dict[str, Array]] = {}
-        # Report errors immediately.
         with np.errstate(all="ignore"):
             evaluator = Evaluator(self._expression, self._leaf(_Reader(self, {}, 1)))
             evaluator.truth(self._expression.tree)
@@ -84,11 +77,7 @@ class Trigger:
             self._expression.refuse(0, "expected a comparison such as lwr.torques > 20")
 
     def find(self, source: str, events: Events) -> Hits:
-        """Returns in which of the packets of a source the condition holds.
-
-        Args:
-            events: event to its numbers, (T, ...), of good packets in their order.
-        """
+        """Returns in which valid packets of a source, (T, ...) by event, the condition holds."""
         count = len(next(iter(events.values()), np.empty(0)))
         if not count:
             return Hits(np.zeros(0, bool))
@@ -113,7 +102,7 @@ class Trigger:
 
     @property
     def names(self) -> list[str]:
-        """Names that a condition can use."""
+        """Names that conditions can use."""
         events = [
             f"{name}.{event}"
             for name, source in self._sources.items()
@@ -122,14 +111,14 @@ class Trigger:
         ]
         robots = [name for name in self._scene.robots if self._has_error(name)]
         errors = [f"{name}.{ERROR}" for name in robots]
-        told = [
+        outputs = [
             f"{name}.{key}"
             for name in self._scene.robots
             for key in MODEL_TORQUES
             if f"{name}.joint_angles" in self._routes
             and not why_unknown(self._scene.robots, name, key)
         ]
-        return [*dict.fromkeys([*self._routes, *errors, *told, *events])]
+        return [*dict.fromkeys([*self._routes, *errors, *outputs, *events])]
 
     def _has_error(self, robot: str) -> bool:
         return all(f"{robot}.{key}" in self._routes for key in ("torques", "commanded_torques"))
@@ -147,7 +136,7 @@ class Trigger:
                 for each in ("commanded_torques", "torques")
                 if f"{robot}.{each}" not in self._routes
             ]
-            reason = f"nothing is routed to {' and '.join(missing)}, which it is made of"
+            reason = f"it needs routes to {' and '.join(missing)}"
         self._expression.refuse(word, reason, len(name))
 
     def _check_velocities(self, word: int, name: str) -> None:
@@ -161,7 +150,7 @@ class Trigger:
             elif key == FRICTION and robot in self._scene.robots:
                 velocities = f"{robot}.{VELOCITIES}"
                 if velocities not in self._routes:
-                    reason = f"nothing is routed to {velocities}, which {output} needs"
+                    reason = f"{output} needs a route to {velocities}"
                     self._expression.refuse(word, reason, len(name))
 
 
@@ -192,7 +181,7 @@ class _Reader:
     def _event(self, origin: Origin) -> Array:
         source = self._trigger._sources[origin.name]
         if origin.key in SIGNALS:
-            return np.ones((1, 1))  # it receives
+            return np.ones((1, 1))  # a packet has arrived
         found = self._events.get(origin.name) or self._trigger._latest.get(origin.name)
         if found is None:
             return np.full((1, *source.events[origin.key]), np.nan)

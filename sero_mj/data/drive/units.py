@@ -1,7 +1,7 @@
-"""Units in routes: their SI factors, and the units accepted by inputs.
+"""Units in routes: their SI factors, and the units that inputs accept.
 
-A dimension is four exponents: of m, kg, s and rad. Angles have a separate one, so that degrees are
-never confused with millimetres. All zero means a plain number, which fits anything.
+A dimension has four exponents: of m, kg, s and rad. Angles have their own exponent, so that degrees
+are not confused with millimeters. Plain numbers, with zeros, match any dimension.
 """
 
 from __future__ import annotations
@@ -80,42 +80,41 @@ _JOINTS: dict[str, tuple[Dimension, Dimension]] = {
 
 
 def describe(dimension: Dimension) -> str:
-    """Describes a dimension: `an angle (rad)`, `m2 kg s-3`."""
+    """Returns the text of a dimension, such as `an angle (rad)` or `m2 kg s-3`."""
     units = zip(("m", "kg", "s", "rad"), dimension, strict=True)
     plain = " ".join(f"{unit}{'' if e == 1 else e}" for unit, e in units if e)
     return _NAMES.get(dimension, plain)
 
 
 def units_of(scene: Scene, item: Input) -> list[Dimension]:
-    """The units of the numbers of an input; `NONE` if it accepts any.
+    """Returns the units of the numbers of an input or output; `NONE` if it accepts any unit.
 
-    A robot's output has the unit of the input of that name. An arrow with its own `unit` accepts
-    any.
+    Arrows with their own `unit` accept any unit.
     """
     if item.kind == "vector":
         arrow = scene.arrows[item.name]
         return [_ARROWS[arrow.kind] if arrow.unit is None else NONE] * item.count
     if item.kind in ("angles", "values") and item.key in _JOINTS:
-        turning, sliding = _JOINTS[item.key]
+        revolute, prismatic = _JOINTS[item.key]
         kinematics = robot_of(scene, item).kinematics
-        return [turning if turns else sliding for turns in kinematics.revolute]
+        return [revolute if is_revolute else prismatic for is_revolute in kinematics.revolute]
     if item.is_pose and item.shape != (4, 4):
         return [LENGTH] * 2 + ([_ANGLE] if item.count == len(PLANAR) else [LENGTH] + [NONE] * 4)
     return [NONE] * item.count
 
 
 def wrong_unit(units: Sequence[Dimension], taken: Sequence[Dimension], target: str) -> str:
-    """Describes the first number with a wrong unit; empty if all fit."""
+    """Returns the error of the first number with a wrong unit; "" if all units match."""
     for i, want in enumerate(taken):
         have = units[i if len(units) > 1 else 0]
         if any(have) and any(want) and have != want:
             differ = len({*units}) > 1 or len({*taken}) > 1
-            where = f" at number {i}, counted from 0" if differ else ""
+            where = f" at index {i}" if differ else ""
             return f"is {describe(have)}; {target} takes {describe(want)}{where}"
     return ""
 
 
 def robot_of(scene: Scene, item: Input) -> SerialRobot:
-    """The robot of a per-joint input; a double's is the one it doubles."""
+    """Returns the robot of a per-joint input of a robot or double."""
     double = scene.doubles.get(item.name)
     return scene.robots[item.name if double is None else double.of]

@@ -1,7 +1,7 @@
 """Values of routes: arrays of constants plus multiples of received numbers.
 
-Such a value is computed once, when a scene is read. `Value.compile` converts it to the operations
-for every packet.
+They are computed once, when a scene is read; `Value.compile` converts them to operations for each
+packet.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Numbers = NDArray[Any]  # of `Number`
 
 
 class Impossible(Exception):
-    """An operation that has no meaning in a route, with the reason."""
+    """An operation that is impossible in a route; the text is the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Number:
     def __add__(self, other: Number) -> Number:
         if any(self.unit) and any(other.unit) and self.unit != other.unit:
             units = f"{describe(self.unit)} and {describe(other.unit)}"
-            raise Impossible(f"expected one unit on both sides; there are {units}")
+            raise Impossible(f"expected the same unit on both sides; found {units}")
         unit = self.unit if any(self.unit) else other.unit
         return Number(self.offset + other.offset, unit, self.terms + other.terms)
 
@@ -49,7 +49,7 @@ class Number:
 
     def __mul__(self, other: Number) -> Number:
         if self.terms and other.terms:
-            reason = "expected a constant on one side: a route adds multiples of what is received"
+            reason = "expected a constant on one side: routes can only add multiples of numbers"
             raise Impossible(reason)
         value, factor = (other, self) if other.terms else (self, other)
         unit = tuple(a + b for a, b in zip(self.unit, other.unit, strict=True))
@@ -58,9 +58,9 @@ class Number:
 
     def __truediv__(self, other: Number) -> Number:
         if other.terms:
-            raise Impossible("expected a constant behind it")
+            raise Impossible("expected a constant after it")
         if not other.offset:
-            raise Impossible("expected no 0 behind it")
+            raise Impossible("expected a divisor other than 0")
         return self * Number(1.0 / other.offset, tuple(-exponent for exponent in other.unit))
 
 
@@ -69,8 +69,9 @@ class Value:
     """An array of constants plus multiples of received numbers.
 
     Attributes:
-        entries: an array of `Number`, of the value's shape.
-        is_frames: whether it is 4 x 4 frames.
+        entries: array of `Number`.
+        is_frames: whether the array has 4 x 4 frames.
+        sizes: origin to the count of its numbers.
     """
 
     entries: Numbers
@@ -79,28 +80,22 @@ class Value:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the array; () for a number."""
         return self.entries.shape
 
     @property
     def units(self) -> list[Dimension]:
-        """Units of every entry, row-major."""
+        """Units of the entries, row-major."""
         return [entry.unit for entry in self.entries.flat]
 
     @property
     def is_constant(self) -> bool:
-        """Whether it contains no received numbers."""
+        """Whether the value has no received numbers."""
         return not any(entry.terms for entry in self.entries.flat)
 
     def gather(self, take: Ints, factors: Array, constants: Array) -> Value:
-        """Returns the numbers (m,): those at `take`, times factors, plus constants.
+        """Returns m numbers: those at the row-major indices `take`, times factors, plus constants.
 
-        A constant of NaN makes it no data, whatever is received.
-
-        Args:
-            take: (m,), indices of the numbers, row-major.
-            factors: (m,); a number loses its unit unless its factor is 1.
-            constants: (m,).
+        A number loses its unit unless its factor is 1. A constant of NaN means missing data.
         """
         flat = self.entries.ravel()
         entries = np.empty(len(take), dtype=object)
@@ -116,21 +111,21 @@ class Value:
         return Value(entries, sizes=self.sizes)
 
     def spread(self, at: Ints, rest: Array) -> Value:
-        """Returns numbers (m,): its own at the indices `at` (k,), and constants elsewhere, (m,).
+        """Returns the constants `rest`, (m,), with the own numbers at the k indices `at`.
 
-        A single number is written to all of these.
+        A single number is repeated k times.
         """
         entries = np.array([Number(float(each)) for each in rest], dtype=object)
         entries[at] = self.entries.ravel() if self.entries.size > 1 else self.entries.item()
         return Value(entries, sizes=self.sizes)
 
     def split(self, counts: Sequence[int]) -> list[Value]:
-        """Splits its numbers, row-major, into parts of these sizes."""
+        """Splits the numbers, row-major, into parts of these sizes."""
         parts = np.split(self.entries.ravel(), np.cumsum(counts)[:-1])
         return [Value(part, sizes=self.sizes) for part in parts]
 
     def compile(self, count: int) -> Affine:
-        """Returns the operations for every packet; a constant number is repeated `count` times."""
+        """Returns the operations for each packet; a constant is repeated `count` times."""
         entries = np.broadcast_to(self.entries.ravel(), count)
         terms = []
         for column in zip_longest(*(entry.terms for entry in entries)):
@@ -145,18 +140,14 @@ class Value:
 
 
 def constant(number: float, unit: Dimension = NONE) -> Value:
-    """A number, with the exponents of its unit."""
+    """Returns a constant number with the exponents of its unit."""
     return Value(np.array(Number(number, unit), dtype=object))
 
 
 def numbers_of(
     origin: Origin, shape: tuple[int, ...], units: Sequence[Dimension] | None = None
 ) -> Value:
-    """All numbers of an event or output.
-
-    Args:
-        units: exponents of the unit of each; None for plain numbers.
-    """
+    """Returns all numbers of an event or output, with the unit of each; None for no units."""
     count = int(np.prod(shape))
     numbers = [
         Number(0.0, unit, ((origin, i, 1.0),)) for i, unit in enumerate(units or [NONE] * count)
@@ -166,7 +157,7 @@ def numbers_of(
 
 
 def joined(values: Sequence[Value]) -> Value:
-    """Concatenates the numbers of values."""
+    """Concatenates the numbers of several values."""
     entries = np.concatenate([value.entries.ravel() for value in values])
     sizes = {origin: size for value in values for origin, size in value.sizes.items()}
     return Value(entries, sizes=sizes)

@@ -1,4 +1,4 @@
-"""`Velocities`: velocities of joints, as differences of the angles that come."""
+"""`Velocities`: joint velocities as differences of received joint angles."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .route import Route
 
 
 class Velocities:
-    """Writes the velocities of robots whose angles are received into `qvel`.
+    """Writes the velocities of robots with received joint angles to `qvel`.
 
-    They are differences between the angles of two packets that were applied, by their arrivals;
-    zero where these are more than half a second apart.
+    They are the differences between two applied packets, divided by the difference of their arrival
+    times; zero if these differ by more than half a second.
     """
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
@@ -42,11 +42,11 @@ class Velocities:
         *,
         late: bool,
     ) -> None:
-        """Updates the velocities of robots that have moved.
+        """Updates velocities from the joint angles in `data`.
 
         Args:
-            data: the world's state, with their angles.
-            late: whether of the robots that `Placer.place` moves, else of all others.
+            fresh: sources with new packets.
+            late: update the robots that `Placer.place` moves; otherwise, all other robots.
         """
         for name, (part, is_late, sources) in self._parts.items():
             came = [latest[source].arrival for source in sources & fresh]
@@ -56,7 +56,7 @@ class Velocities:
             before = self._before.get(name)
             self._before[name] = now, angles
             if before is None or now == before[0]:
-                continue  # the first one, or the same once more
+                continue  # the first packet, or the same packet again
             step = now - before[0]
             is_next = 0.0 < step < QUIET_AFTER
             with np.errstate(over="ignore", invalid="ignore"):  # angles may be any numbers

@@ -1,15 +1,15 @@
-"""Routes from sources, robots and frames to inputs.
+"""`wire`: builds the sources of a scene, and checks its routes.
 
 route  = target "=" origin
-target = name "." input          lwr.joint_angles, contact.vector, toggles.legend; of a group each
-                                 robot gets its share of the values, in their order
+target = name "." input          lwr.joint_angles, contact.vector, toggles.legend; values for
+                                 a group are split between its robots, in order
        | name "." limb "." input icub.left_arm.joint_angles
 origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.torques - lwr.torques;
                                  `not` negates a toggle
        | expression "for" joints udp.values0 for l_elbow, r_arm; several of these with ";" between
        | robot ".gravity_torques", robot ".friction_torques"  by its model, in expressions
        | frame                   lwr/flange: its pose in the world
-       | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
+       | robot ".fwd_kin_base_to_flange"  its pose in the robot's base
 
 `language` has the grammar of expressions, `evaluator` their meaning.
 """
@@ -55,8 +55,8 @@ class Wiring:
     """The sources of a scene and the routes from them.
 
     Attributes:
-        later: those among them that need more than one packet, each after its own origins.
-        levels: names of bodies placed by frames, each after its dependencies.
+        later: routes that depend on more than one packet, each after the routes to its origins.
+        levels: names of bodies that frames place, each level after those that it depends on.
     """
 
     sources: dict[str, Source] = field(default_factory=dict)
@@ -67,17 +67,16 @@ class Wiring:
     problems: list[Problem] = field(default_factory=list)
 
     def check(self, scene: Scene) -> Self:
-        """Returns itself; raises DeclarationError for errors in the scene."""
+        """Returns itself; raises DeclarationError if there are problems."""
         if self.problems:
             raise DeclarationError(scene.located(self.problems))
         return self
 
 
 def wire(scene: Scene) -> Wiring:
-    """Builds the scene's sources and checks its routes, without opening anything.
+    """Builds the sources of a scene and checks its routes, without opening sources.
 
-    Routes to invalid robots and sources are not checked, because each mistake is reported only
-    once.
+    Routes of invalid robots and sources are not checked, because each error is reported once.
     """
     wiring = Wiring()
     for name, declared in scene.sources.items():
@@ -85,17 +84,17 @@ def wire(scene: Scene) -> Wiring:
             wiring.sources[name] = wired_source(scene, name, declared)
     wiring.problems += _shared_places(wiring.sources)
     checker = RouteChecker(scene, wiring.sources)
-    led_by: dict[tuple[str, int], str] = {}  # the entry that leads to a number of an input
+    routed_by: dict[tuple[str, int], str] = {}  # number of an input to the target of its route
     parts: dict[str, list[JointPart]] = {}
     for target, origin in scene.routes.items():
         with collect(wiring.problems, f"routes.{target}"):
             for route in checker.check(target, origin):
                 to = route.to.target
                 joints = route.joints if isinstance(route, JointPart) else range(route.to.count)
-                before = [joint for joint in joints if (to, joint) in led_by]
+                before = [joint for joint in joints if (to, joint) in routed_by]
                 if before:
-                    raise DeclarationError([_led_twice(scene, route, before[0], led_by)])
-                led_by |= dict.fromkeys([(to, joint) for joint in joints], target)
+                    raise DeclarationError([_duplicate_route(scene, route, before[0], routed_by)])
+                routed_by |= dict.fromkeys([(to, joint) for joint in joints], target)
                 if isinstance(route, JointPart):
                     parts.setdefault(to, []).append(route)
                 elif isinstance(route, Route):
@@ -117,20 +116,16 @@ def wire(scene: Scene) -> Wiring:
 
 
 def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) -> Source:
-    """Builds a source of a scene, which is told the joints that its routes lead to.
-
-    Raises:
-        DeclarationError: as `make_source`.
-    """
+    """Builds a source of a scene, with the joints that it moves; raises DeclarationError."""
     source = make_source(name, declared)
-    source.set_joints(_joints_led_to(scene, name))
-    if (links := _links_led_to(scene, name)) is not None:
+    source.set_joints(_routed_joints(scene, name))
+    if (links := _routed_links(scene, name)) is not None:
         source.set_links(links)
     return source
 
 
 def topics_of(scene: Scene) -> dict[str, Source]:
-    """Returns what a scene's sources read of recorded messages, without wrongly declared ones."""
+    """Returns the receivers of messages of a scene's valid sources; see `Source.of_messages`."""
     found: dict[str, Source] = {}
     for name, declared in scene.sources.items():
         with suppress(SeroError):
@@ -140,7 +135,7 @@ def topics_of(scene: Scene) -> dict[str, Source]:
     return found
 
 
-def _links_led_to(scene: Scene, source: str) -> RoutedLinks | None:
+def _routed_links(scene: Scene, source: str) -> RoutedLinks | None:
     for target, origin in scene.routes.items():
         name, _, key = target.partition(".")
         robot = scene.robots.get(name)
@@ -153,7 +148,7 @@ def _links_led_to(scene: Scene, source: str) -> RoutedLinks | None:
     return None
 
 
-def _joints_led_to(scene: Scene, source: str) -> list[RoutedJoint]:
+def _routed_joints(scene: Scene, source: str) -> list[RoutedJoint]:
     inputs = list_inputs(scene)
     for target, origin in scene.routes.items():
         if not any(name.partition(".")[0] == source for name in names_in(origin)):
@@ -173,17 +168,17 @@ def _joints_led_to(scene: Scene, source: str) -> list[RoutedJoint]:
     return []
 
 
-def _led_twice(
+def _duplicate_route(
     scene: Scene,
     route: Route | FrameRoute | JointPart,
     joint: int,
-    led_by: Mapping[tuple[str, int], str],
+    routed_by: Mapping[tuple[str, int], str],
 ) -> Problem:
-    first = led_by[route.to.target, joint]
+    first = routed_by[route.to.target, joint]
     if not isinstance(route, JointPart):
-        return Problem("", f"{route.to.target} has a route already, {first}; remove one of them")
+        return Problem("", f"{route.to.target} already has the route {first}. Remove one of them")
     name = robot_of(scene, route.to).names[joint]
-    message = f"{name} gets its {route.to.key} by {first} already; expected each joint once"
+    message = f"route {first} already sets {route.to.key} of {name}; expected one route per joint"
     return Problem("", message)
 
 
@@ -192,20 +187,20 @@ def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
     taken: dict[tuple[str, int], str] = {}
     for name, source in sources.items():
         place = source.place
-        if place is None or place[1] == 0:  # no port, or one chosen by the system
+        if place is None or place[1] == 0:  # no port, or a port chosen by the system
             continue
         if place in taken:
-            message = f"{place[1]} on {place[0]} is the port of source '{taken[place]}' already"
+            message = f"source '{taken[place]}' already has the port {place[1]} on {place[0]}"
             problems.append(Problem(f"sources.{name}.port", message))
         taken.setdefault(place, name)
     return problems
 
 
 def _allow_blanks(wiring: Wiring) -> None:
-    """Allows NaN in events that move nothing, directly or through other routes."""
     routes = {route.to.target: route for route in wiring.routes}
     todo = [target for target, route in routes.items() if route.to.kind not in BLANKABLE]
-    moving: dict[str, Route] = {}  # routes to inputs that move something, and to their origins
+    # NaN is allowed in events that do not move anything, directly or through other routes.
+    moving: dict[str, Route] = {}
     while todo:
         target = todo.pop()
         if target in routes and target not in moving:
@@ -213,7 +208,7 @@ def _allow_blanks(wiring: Wiring) -> None:
             todo += routes[target].outputs
     finite = {origin for route in moving.values() for origin in route.value.origins}
     for name, source in wiring.sources.items():
-        # NaN in unused events is harmless, and many events may be unused.
+        # Unused events may have NaN.
         source.allow_nan({e for e in source.events if Origin(name, e, True) not in finite})
 
 
@@ -223,7 +218,7 @@ def _limit_numbers(wiring: Wiring) -> None:
         routed = (
             (route.to.limits.ravel(), route.value.terms)
             for route in wiring.routes
-            if route.to.kind != "toggle"  # any number is off or on, and conditions have several
+            if route.to.kind != "toggle"  # any number is off or on
         )
         for largest, term in ((largest, term) for largest, terms in routed for term in terms):
             key = term.origin.key
@@ -236,7 +231,6 @@ def _limit_numbers(wiring: Wiring) -> None:
 
 
 def _routes_in_order(scene: Scene, routes: Sequence[Route]) -> list[Route]:
-    """The routes that need more than one packet, each after the routes to its origins."""
     later = {route.to.target: route for route in routes if route.direct is None}
     inputs = list_inputs(scene)
 
@@ -254,7 +248,6 @@ def _routes_in_order(scene: Scene, routes: Sequence[Route]) -> list[Route]:
 
 
 def _levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[str]]:
-    """Bodies placed by frames, each after those that it follows."""
     frames = scene.named_frames()
     after: dict[str, set[str]] = {
         name: {double.of} for name, double in scene.doubles.items() if name not in scene.robots
@@ -285,6 +278,6 @@ def _levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[s
 
 def _circle(what: str, error: CycleError) -> Problem:
     names = list(reversed(error.args[1]))[:-1]
-    first = names.index(min(names))  # the first one found is random
+    first = names.index(min(names))  # the order of the error is random
     circle = " -> ".join([*names[first:], *names[:first], names[first]])
-    return Problem("routes", f"{what} that follow each other: {circle}")
+    return Problem("routes", f"{what} that depend on each other: {circle}")

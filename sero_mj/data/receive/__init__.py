@@ -1,7 +1,8 @@
-"""Receives packets on a separate thread for each source, and decodes them when they are taken.
+"""Receives packets in one thread per source, and decodes them when they are taken.
 
-In: UDP packets and shared memory. Out: checked packets by event name, and counters of rejected
-ones.
-Open first: `source.py` (the common base of sources); `structure.py` decodes packets
-(`decode_rows`), in the language that STRUCTURE.md explains; `intake.py` checks and counts them.
+In: UDP packets and shared memory. Out: valid packets by event name, and counters of other packets.
+Open first: `source.py`, the base of all sources; STRUCTURE.md describes the structure language.
+A UDP packet is read by `UdpReceiver._receive` in `udp.py`, checked by `Intake.take` in `intake.py`,
+stored by `Mailbox` in `mailbox.py`, and decoded by `Structure.decode_rows` in `structure.py` when
+`Source.take` is called.
 """

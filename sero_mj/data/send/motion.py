@@ -16,15 +16,12 @@ from ...robots.declared.mounts import carriers
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 
-LEAD = 0.5  # s by which the commanded position, for a double, leads the measured one
-_AMPLITUDE = 0.4  # of half the joint's range
-_AMPLITUDE_ABOUT_POSE = 0.2  # likewise, about a declared pose
-_BEND = 0.2  # of half the range: the arm swings about a bent pose, not about a stretched one
+LEAD = 0.5  # time in s by which the commanded position leads the measured position
+_AMPLITUDE = 0.4  # share of half the joint's range
+_AMPLITUDE_ABOUT_POSE = 0.2  # the same for motions about a declared pose
+_BEND = 0.2  # share of half the range, so that the arm is bent in the center pose
 _MAX_SWING = 1.1  # rad
-_REDUCTION, _REDUCTIONS = (
-    0.75,
-    10,
-)  # of swings with collisions, and how often
+_REDUCTION, _REDUCTIONS = 0.75, 10  # factor of amplitudes with collisions, and maximum number
 _SAMPLE_TIMES = 0.618034 * np.arange(500)  # s; poses of all phases of the joints' periods
 _PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more joints
 
@@ -32,10 +29,7 @@ _PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more
 class SineMotion:
     """Every joint oscillates with its own period; velocities stay below the limits.
 
-    A robot whose `joint_angles` are declared swings about these, else about a bent pose.
-
-    Args:
-        amplitude: scales the swing; 0 for none.
+    The center is the declared `joint_angles`, or a bent pose. `amplitude` is from 0 to 1.
     """
 
     def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
@@ -44,9 +38,9 @@ class SineMotion:
         sign = np.where(np.arange(robot.n) % 2 == 0, 1.0, -1.0)
         share = _AMPLITUDE if robot.joint_angles is None else _AMPLITUDE_ABOUT_POSE
         swing = np.minimum(share * half, _MAX_SWING)
-        self._centre = (low + high) / 2 + sign * _BEND * half
+        self._center = (low + high) / 2 + sign * _BEND * half
         if robot.joint_angles is not None:
-            self._centre = np.clip(robot.joint_angles, low + swing, high - swing)
+            self._center = np.clip(robot.joint_angles, low + swing, high - swing)
         swing *= min(max(amplitude, 0.0), 1.0)
         self._omega = 2 * np.pi / np.resize(_PERIODS, robot.n)
         self._phase = 0.7 * np.arange(robot.n)
@@ -56,10 +50,10 @@ class SineMotion:
         self._coupled = robot.coupled if robot.couplings else None
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
-        """Joint positions, velocities and accelerations (n,) at time t (s)."""
+        """Returns joint positions, velocities and accelerations, (n,), at a time, s."""
         angle = self._omega * t + self._phase
         sin, cos = np.sin(angle), np.cos(angle)
-        position = self._centre + self._swing * sin
+        position = self._center + self._swing * sin
         velocity = self._swing * self._omega * cos
         acceleration = -self._swing * self._omega**2 * sin
         if self._coupled is not None:
@@ -72,10 +66,7 @@ class SineMotion:
 class InverseDynamics:
     """Joint torques of robots from their motion, by MuJoCo's inverse dynamics.
 
-    Robots that are mounted on others load these.
-
-    Masses are those of the robot's file; where it has none, they follow from the volume of the
-    links at the density of water, so the torques are then an estimate.
+    Without declared masses, the torques are an estimate for links with the density of water.
     """
 
     def __init__(self, *robots: SerialRobot) -> None:
@@ -87,16 +78,7 @@ class InverseDynamics:
         self.world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
     def torques(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """Joint torques required for the motion.
-
-        Args:
-            position: of the joints of all robots, one robot after the other, (n,), rad or m.
-            velocity: of the joints, (n,), rad/s or m/s.
-            acceleration: of the joints, (n,), rad/s2 or m/s2.
-
-        Returns:
-            torques, (n,), Nm or N.
-        """
+        """Returns the torques for a motion of the joints of all robots, in order, (n,)."""
         data, dofs = self.data, self._dofs
         data.qpos[self._qpos], data.qvel[dofs], data.qacc[dofs] = position, velocity, acceleration
         mujoco.mj_inverse(self.world.model, data)
@@ -104,13 +86,10 @@ class InverseDynamics:
 
 
 def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[str, float]:
-    """Returns amplitudes with which robots that move together stay clear of each other.
+    """Returns amplitudes by robot with which robots that move together do not collide.
 
-    What touches as declared, or whatever the amplitudes are, is left as it is. The others' swings,
-    and those of what carries them, are reduced where links meet in poses from all over the motion.
-
-    Returns:
-        by name.
+    Amplitudes of robots that collide in sampled poses, and of robots that carry them, are reduced.
+    Collisions in the declared pose are ignored.
     """
     by_name = {robot.name: robot for robot in robots}
     amplitudes = dict.fromkeys(by_name, amplitude)
@@ -140,7 +119,10 @@ def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[st
         reduced: set[str] = set()
         for one, other in met:
             below, above = set(carriers(by_name, one)), set(carriers(by_name, other))
-            reduced |= (below ^ above) - {one, other} or {one, other}  # of hands that meet the arms
+            reduced |= (below ^ above) - {one, other} or {
+                one,
+                other,
+            }  # of colliding parts, only the carriers that differ
         for name in reduced:
             amplitudes[name] *= _REDUCTION
             motions[name] = SineMotion(by_name[name], amplitudes[name])
@@ -148,11 +130,7 @@ def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[st
 
 
 class CommonMotion:
-    """The motion of robots together, with the torques that it takes; they stay clear of each other.
-
-    Args:
-        amplitude: of the motion, 0 stands still, to 1.
-    """
+    """The motion of several robots without collisions, with its torques; amplitude from 0 to 1."""
 
     def __init__(self, robots: Sequence[SerialRobot], amplitude: float) -> None:
         amplitudes = clear_amplitudes(robots, amplitude)
@@ -163,11 +141,10 @@ class CommonMotion:
         self._last: tuple[float, Array] | None = None
 
     def of(self, robot: str, t: float, lead: float) -> Array:
-        """Position, velocity, acceleration, torques and target position of a robot, (5, n).
+        """Returns position, velocity, acceleration, torques and target position, (5, n).
 
         Args:
-            t: s.
-            lead: s by which the target is ahead.
+            lead: time by which the target leads the position, s.
         """
         if self._last is None or self._last[0] != t:  # once for all robots of a packet
             states = np.concatenate([motion.at(t) for motion in self._motions], axis=1)
@@ -183,7 +160,7 @@ class RobotSignals:
         self._robot, self._motion = robot, motion
 
     def signals(self, t: float) -> Mapping[str, Array]:
-        """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
+        """Returns the values of inputs (`joint_angles`, `torques`, ...) at a time, s."""
         position, velocity, acceleration, torques, target = self._motion.of(
             self._robot.name, t, LEAD
         )
@@ -196,6 +173,6 @@ class RobotSignals:
             "joint_accelerations": acceleration,
             "billboard_values": velocity,
             "flange_check": self._robot.fwd_kin_base_to_flange(position),
-            # The robot's own inputs are unknown; temperatures in degrees, say.
+            # For inputs that the robot declares, such as temperatures.
             "further": 30.0 + 5.0 * np.sin(0.2 * t + np.arange(self._robot.n)),
         }

@@ -1,7 +1,6 @@
-"""Generates packets as a robot would send them, to try receiving without a robot.
+"""`MotionPackets`: generates the packets that a moving robot would send.
 
-`MotionPackets` generates them; `RouteInverse` inverts routes: it computes the numbers of a packet
-for given values of inputs.
+`RouteInverse` computes the numbers of a packet from the values of inputs.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ _MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity
 
 
 def choose_source(wiring: Wiring, name: str | None = None) -> Source:
-    """The source of this name, or the only one; raises UsageError."""
+    """Returns the source of a name, or the only source; raises UsageError."""
     sources = wiring.sources
     if name is None and len(sources) == 1:
         name = next(iter(sources))
@@ -44,7 +43,7 @@ def choose_source(wiring: Wiring, name: str | None = None) -> Source:
 
 
 def structure_for(source: Source, text: str | None = None) -> Structure:
-    """The structure of packets for a source, or another one of the same types."""
+    """Returns the structure of a source, or another structure with the same types."""
     if text is None:
         return source.layout
     return Structure(
@@ -53,23 +52,19 @@ def structure_for(source: Source, text: str | None = None) -> Structure:
 
 
 class Player(Protocol):
-    """Gives the measured signals of one robot."""
+    """Provides the measured signals of one robot; see `RobotSignals`."""
 
-    def signals(self, t: float) -> Mapping[str, Array]:
-        """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
+    def signals(self, t: float) -> Mapping[str, Array]: ...
 
 
 class MotionPackets:
-    """Packets of a scene's source, with the signals routed to the robots.
+    """Packets of a scene's source; raises DeclarationError or UsageError.
 
     Args:
-        source: of the packets; the scene's only one when None.
-        structure: instead of the source's.
-        amplitude: of the motion, 0 to 1.
-
-    Raises:
-        DeclarationError: the scene's sources or routes are wrong.
-        UsageError: the scene has no such source, or nothing is routed from it.
+        source: name of the source; None for the only source.
+        structure: structure to use instead of that of the source.
+        amplitude: amplitude of the motion, 0 to 1.
+        players: signals by robot; None for a motion of the robots.
     """
 
     def __init__(
@@ -91,7 +86,7 @@ class MotionPackets:
         self._scene = scene
         self._inputs = list_inputs(scene)
         self._routes = {route.to.target: route for route in wiring.routes}
-        # If routes require different values of an event, the first ones win.
+        # If routes require different values of an event, the first routes take precedence.
         routes.sort(key=lambda route: _importance(scene, route.to))
         self._wanted = [(route.to, route.negated) for route in routes]
         self._inverse = None if all(r.value.whole for r in routes) else RouteInverse(routes)
@@ -99,7 +94,7 @@ class MotionPackets:
         for route in routes:
             if route.value.whole is not None:
                 self._plain.setdefault(route.value.whole.key, route.to.target)
-        played = {self._robot_of(item) for item in self._asked(routes)} - {None}
+        played = {self._robot_of(item) for item in self._needed_inputs(routes)} - {None}
         self._robots: dict[str, Player] = {}
         motion = None
         if players is None and played:
@@ -110,9 +105,8 @@ class MotionPackets:
             elif players is not None and name in players:
                 self._robots[name] = players[name]
             else:
-                raise UsageError(
-                    f"nothing is known of robot '{name}'{did_you_mean(name, players or {})}"
-                )
+                near = did_you_mean(name, players or {})
+                raise UsageError(f"there are no signals of robot '{name}'{near}")
         self._is_motion = players is None
         self._model = ModelTorques(scene.robots)
 
@@ -129,7 +123,7 @@ class MotionPackets:
                     f"{route.to.target} {wanted}"
                 )
 
-    def _asked(self, routes: Sequence[Route]) -> list[Input]:
+    def _needed_inputs(self, routes: Sequence[Route]) -> list[Input]:
         todo = [route.to.target for route in routes]
         todo += [each for route in routes for each in self._origins(route)]
         seen: dict[str, Input] = {}
@@ -155,7 +149,7 @@ class MotionPackets:
         return None
 
     def at(self, t: float) -> bytes:
-        """Returns the packet of time t (s)."""
+        """Returns the packet of a time, s."""
         now = {name: player.signals(t) for name, player in self._robots.items()}
         wanted = {}
         for item, negated in self._wanted:
@@ -210,13 +204,13 @@ class MotionPackets:
     def _value(self, item: Input, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
         scene, robot = self._scene, self._robot_of(item)
         if robot is not None:
-            # A double gets the command that its robot will follow.
+            # Doubles show the commanded angles.
             is_target = item.key == "joint_angles" and item.name in scene.doubles
             key = "commanded_angles" if is_target else item.key
             signals = now[robot]
             return signals[key] if key in signals else signals["further"]
         if item.kind == "vector" and not self._is_motion:
-            return np.zeros(3)  # what acts there nobody has measured
+            return np.zeros(3)  # unknown without a motion
         if item.kind == "vector":
             size = _MAGNITUDES[scene.arrows[item.name].kind]
             return size * np.array([np.cos(0.9 * t), np.sin(0.9 * t), 0.6 * np.sin(0.5 * t)])
@@ -240,7 +234,6 @@ class MotionPackets:
 
 
 def _connected(routes: Sequence[Route], source: str, events: Collection[str]) -> list[Route]:
-    """Returns routes that take events from a source or from what shares a route with it."""
     taking = [
         route
         for route in routes
@@ -273,20 +266,15 @@ def _nothing_to_send(routes: Sequence[Route], source: str, structure: Structure)
 
 
 def _importance(scene: Scene, item: Input) -> int:
-    """Sort key: inputs that move a robot first, switches last; else the order of the routes."""
     if item.kind == "angles":
         return int(item.name in scene.doubles)
     return {"pose": 2, "frame": 2, "values": 3, "vector": 4}.get(item.kind, 5)
 
 
 class RouteInverse:
-    """Solves routes for the numbers of their events.
+    """Solves routes for the numbers of their events, with minimum norm.
 
-    The solution has minimum norm. If routes contradict each other, the first ones win, number by
-    number.
-
-    Args:
-        routes: the most important first; each takes something from an event.
+    If routes contradict each other, the first routes take precedence.
     """
 
     def __init__(self, routes: Sequence[Route]) -> None:
@@ -303,7 +291,7 @@ class RouteInverse:
         rows = np.concatenate([self._rows(route, width) for route in routes])
         self._kept = _independent(rows)
         self._inverse = np.linalg.pinv(rows[self._kept])
-        # Of each origin: which of its numbers are taken, and where they are in the solution.
+        # For each origin: indices of its numbers, and their places in the solution.
         self._taken = {
             origin: (np.array(list(columns), np.intp), np.array(list(columns.values()), np.intp))
             for origin, columns in self._columns.items()
@@ -311,7 +299,7 @@ class RouteInverse:
 
     @property
     def origins(self) -> list[Origin]:
-        """The events whose numbers the routes take."""
+        """The events that the routes read."""
         return [origin for origin in self._columns if origin.is_event]
 
     def _rows(self, route: Route, width: int) -> Array:
@@ -325,14 +313,11 @@ class RouteInverse:
     def solve(
         self, wanted: Mapping[str, Array], output: Callable[[Origin], Array]
     ) -> Callable[[Origin, int], Array]:
-        """Solves for one packet.
+        """Solves for one packet; returns a function from event and count to its numbers.
 
         Args:
-            wanted: desired value of each route's input, (n,), by `name.key`.
-
-        Returns:
-            a function that gives the numbers of an event, of which there are so many, (n,); zero
-            where nothing is asked for.
+            wanted: values of the routes' inputs, (n,), by `name.key`.
+            output: function from an output of a robot to its values.
         """
 
         def known(origin: Origin) -> Array:
@@ -340,8 +325,8 @@ class RouteInverse:
                 return output(origin)
             return np.zeros(max(self._columns[origin], default=0) + 1)
 
-        asked = [wanted[r.to.target] - r.value.evaluate(known) for r in self._routes]
-        solution = self._inverse @ np.concatenate(asked)[self._kept]
+        rests = [wanted[r.to.target] - r.value.evaluate(known) for r in self._routes]
+        solution = self._inverse @ np.concatenate(rests)[self._kept]
 
         def numbers(origin: Origin, count: int) -> Array:
             found = np.zeros(count)
@@ -354,7 +339,6 @@ class RouteInverse:
 
 
 def _independent(rows: Array) -> list[int]:
-    """Indices of the rows that are linearly independent of earlier ones."""
     basis = np.empty((0, rows.shape[1]))
     kept = []
     for i, row in enumerate(rows):

@@ -1,7 +1,6 @@
-"""Sends packets at an exact rate, by UDP or through shared memory.
+"""`send`: sends packets at an exact rate to a `UdpSink` or `ShmWriter`.
 
-`UdpSink` and `ShmWriter` are where they go; `PacketBuffer` makes them ahead of time, so that they
-leave on time; `send` keeps the rate.
+`PacketBuffer` computes packets early, so that they are sent on time.
 """
 
 from __future__ import annotations
@@ -26,25 +25,23 @@ from ...base.errors import (
 from ..receive.shm_block import Block, block_path
 from ..receive.structure import Rows, Structure
 
-_SPIN = 2e-4  # s; sleep is not more accurate than this, so the rest is a busy wait
-_MAX_COMPUTED_RATE = (
-    1000.0  # packets/s; in between, floating-point numbers are interpolated linearly
-)
+_SPIN = 2e-4  # s; accuracy of sleep, after which the rest is a busy wait
+_MAX_COMPUTED_RATE = 1000.0  # packets/s; other packets are interpolated
 _LEAD_TIME = 0.25  # s
 
 
 class Sink(Protocol):
-    """Where packets go: `UdpSink`, `ShmWriter`."""
+    """The receiver of packets: `UdpSink` or `ShmWriter`."""
 
     def put(self, packet: bytes) -> None:
-        """Sends a packet; raises OSError when the system refuses it."""
+        """Sends a packet; raises OSError."""
 
 
 class UdpSink:
     """Sends packets to a UDP port; raises SourceError if the address cannot be resolved.
 
     Args:
-        message_of: makes what is sent of a packet; the packet itself is sent when None.
+        message_of: function from a packet to the message to send; None to send the packet.
     """
 
     def __init__(
@@ -62,7 +59,6 @@ class UdpSink:
         self._message_of = message_of
 
     def put(self, packet: bytes) -> None:
-        """Sends a packet; raises OSError when the system refuses it."""
         message = packet if self._message_of is None else self._message_of(packet)
         self.socket.sendto(message, self._address)
 
@@ -77,22 +73,16 @@ class UdpSink:
 
 
 class ShmWriter:
-    """Writes packets of one structure to a block of POSIX shared memory, each over the one before.
+    """Writes packets of one structure to a block of POSIX shared memory; raises SourceError.
 
-    The block is created if missing, and enlarged if too small; a block created by this writer is
-    removed with it.
+    The block is created if it is missing, and enlarged if it is too small. `close` removes a block
+    that the writer has created.
 
     Args:
         block: name of the shared memory, `robot` or `/robot`.
-        lock: event that is made odd before a packet is written and even when it is there (a
-            seqlock); what the packets have there is not used. Empty for none: readers then have to
-            guess whether a packet is whole.
-        offset: where in the block the packet begins, bytes.
-
-    Raises:
-        SourceError: no block can have this name, or it may not be made or written.
-        UnknownName: the structure has no event `lock`.
-        ValueError: `lock` is several numbers.
+        lock: event that is odd while a packet is written, and even afterwards (a seqlock); empty
+            for none. Its value in packets is not used.
+        offset: position of the packet in the block, bytes.
     """
 
     def __init__(self, block: str, structure: Structure, lock: str = "", offset: int = 0) -> None:
@@ -111,7 +101,6 @@ class ShmWriter:
             raise SourceError("writer", f"{self.place}: {reason_of(error)}") from error
 
     def _found_lock(self) -> int:
-        """The lock's number that another writer has left, maybe in the middle of a packet."""
         if self._lock is None:
             return 0
         field = self._lock
@@ -120,7 +109,7 @@ class ShmWriter:
         return int(number) if np.isfinite(number) and 0 <= number < _modulus(field.dtype) else 0
 
     def put(self, packet: bytes) -> None:
-        """Writes a packet over the one before; raises OSError or ValueError."""
+        """Overwrites the last packet; raises OSError or ValueError."""
         if len(packet) != self._size:
             raise mismatch(len(packet), self._size, of="bytes")
         block, offset, field = self._block, self._offset, self._lock
@@ -131,17 +120,17 @@ class ShmWriter:
         odd = self._number | 1
         self._number = (odd + 1) % modulus or 2  # 0 means that nothing has been written
         before, after = (np.array(n, field.dtype).tobytes() for n in (odd, self._number))
-        if self._structure.checksums:  # of the packet as it is read, with the lock's last number
+        if self._structure.checksums:  # of the packet with the final value of the lock
             whole = bytearray(packet[: field.offset] + after + packet[field.end :])
             self._structure.seal(np.frombuffer(whole, np.uint8)[None])
             packet = bytes(whole)
-        # Three calls: each has had its effect when the next begins, for readers on every processor.
+        # Three calls, because system calls are ordered on all processors.
         block.write(before, offset + field.offset)
         block.write(packet[: field.offset] + before + packet[field.end :], offset)
         block.write(after, offset + field.offset)
 
     def close(self) -> None:
-        """Closes the block, and removes it where this writer has made it."""
+        """Closes the block, and removes it if this writer has created it."""
         if self._is_own:
             self._block.unlink()
         self._block.close()
@@ -154,16 +143,16 @@ class ShmWriter:
 
 
 class PacketBuffer:
-    """Packets of a motion at a high rate, computed in the idle time between two of them.
+    """Packets of a motion at a high rate, computed in the idle time between packets.
 
-    Up to 1 kHz every packet is computed; above, as many as that are, and those in between are
-    interpolated: an LWR's joint angles are then 1e-6 rad off at most.
+    Above 1 kHz, packets between those at 1 kHz are interpolated linearly. The maximum error of an
+    LWR's joint angles is 1e-6 rad.
 
     Args:
-        packet_at: makes the packet of a time (s).
-        sequence: event that numbers the packets, from 1; empty for none.
-        time: event that says when a packet leaves; empty for none.
-        time_scale: s per unit of `time`.
+        packet_at: function from a time, s, to the packet.
+        sequence: event with the sequence number, from 1; empty for none.
+        time: event with the send time; empty for none.
+        time_scale: seconds per unit of `time`.
     """
 
     def __init__(
@@ -184,13 +173,13 @@ class PacketBuffer:
         self._floats = [field for field in structure.fields if field.is_float]
         self._step = max(math.ceil(rate / _MAX_COMPUTED_RATE), 1)
         self._packets: deque[bytes] = deque()
-        self._first = 0  # the number of the first of them, from 0
+        self._first = 0  # number of the first packet, from 0
         self._made = 0
         self._last: Rows | None = None
-        self._takes = 0.0  # s to make some more
+        self._takes = 0.0  # s to compute the next packets
 
     def at(self, t: float) -> bytes:
-        """Returns the packet of time t (s); times are those of packets, and go up."""
+        """Returns the packet of a time, s; times must not decrease."""
         number = round(t * self._rate)
         while self._made <= number:
             self._make()
@@ -200,7 +189,7 @@ class PacketBuffer:
         return self._packets[0]
 
     def idle(self, left: float) -> bool:
-        """Computes packets if that takes less than the time left (s); returns whether it did."""
+        """Computes packets if `left` s suffice for it; returns whether it did."""
         if left < 1.5 * self._takes or len(self._packets) > _LEAD_TIME * self._rate:
             return False
         self._make()
@@ -246,9 +235,9 @@ class SendReport:
     """Statistics of a sender.
 
     Attributes:
-        refused: number of packets that the system refused to send.
-        jitter_p50: median of how late packets left, s.
-        jitter_p99: 99th percentile of the same.
+        refused: number of packets that the system did not send.
+        jitter_p50: median delay of packets, s.
+        jitter_p99: 99th percentile of the delay, s.
     """
 
     packets: int
@@ -271,15 +260,7 @@ class SendReport:
 def paced(
     packet_at: Callable[[float], bytes], rate: float, duration: float | None = None
 ) -> Iterator[tuple[float, bytes]]:
-    """Packets at equal intervals.
-
-    Args:
-        packet_at: makes the packet of a time (s).
-        duration: s; None goes on for ever.
-
-    Returns:
-        When each packet is due, s, and the packet, made when it is asked for.
-    """
+    """Yields send times, s, at equal intervals, and packets; without end if `duration` is None."""
     for number in itertools.count():
         if duration is not None and number >= max(round(duration * rate), 1):
             return
@@ -292,23 +273,23 @@ def send(
     *,
     idle: Callable[[float], bool] | None = None,
 ) -> SendReport:
-    """Sends packets at exact times until there are no more or the user interrupts.
+    """Sends packets at exact times until the last packet or Ctrl+C.
 
     Args:
-        packets: when each one is due, s from now on, never decreasing, and its bytes.
-        idle: called with the time that is left (s) until a packet leaves, again and again while it
-            returns that it has done something; for what can be done ahead.
+        packets: send time of each packet, s from now, and its bytes.
+        idle: function that uses idle time, called with the time until the next packet, s, as long
+            as it returns true.
     """
     late: list[float] = []
     refused = sent = 0
-    gc.freeze()  # else garbage collection scans all imported objects, for 50 ms at a time
+    gc.freeze()  # without it, garbage collection of all imported objects takes 50 ms
     start = time.perf_counter()
     try:
         for due, packet in packets:
             late.append(wait_until(start + due, idle))
             try:
                 to.put(packet)
-            except OSError:  # no receiver yet, or no network: a robot continues
+            except OSError:  # no receiver or no network; robots continue, too
                 refused += 1
             sent += 1
             if len(late) > 100_000:
@@ -323,7 +304,7 @@ def send(
 
 
 def wait_until(when: float, idle: Callable[[float], bool] | None = None) -> float:
-    """Waits, and returns its delay (s)."""
+    """Waits until a time of `time.perf_counter`, s; returns the delay, s."""
     left = when - time.perf_counter()
     while idle is not None and left > 0 and idle(left):
         left = when - time.perf_counter()
@@ -335,8 +316,7 @@ def wait_until(when: float, idle: Callable[[float], bool] | None = None) -> floa
 
 
 def _open(name: str) -> tuple[Block, bool]:
-    """The block, and whether it was created now."""
-    while True:  # another writer may make or remove it meanwhile
+    while True:  # another writer may create or remove it meanwhile
         try:
             return Block(name, writable=True), False
         except FileNotFoundError:
@@ -347,7 +327,6 @@ def _open(name: str) -> tuple[Block, bool]:
 
 
 def _modulus(dtype: np.dtype[np.generic]) -> int:
-    """The range in which a lock of this type counts exactly."""
     if dtype.kind == "f":
         return 2**53 if dtype.itemsize == 8 else 2**24
     return int(2 ** (8 * dtype.itemsize - (dtype.kind == "i")))

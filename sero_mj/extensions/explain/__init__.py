@@ -1,6 +1,6 @@
-"""What explains the differences of torques that `compare` finds, and identification.
+"""Explanations of torque differences for `compare`, and identification of robots.
 
 In: runs of a robot. Out: the explainer `torques` and the command `identify`.
-Open first: `explain.py` for what is told, `explain_search.py` for how it is found,
-`torque_residuals.py` for the model, `identify.py` for friction, payload and offsets.
+Open first: `explain.py` for the kinds of faults. `explain_search.py` searches for them,
+`torque_residuals.py` has the model, and `identify.py` estimates friction, payload and offsets.
 """

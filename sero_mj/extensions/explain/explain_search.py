@@ -1,7 +1,7 @@
-"""`Search`: finds the kinds and times of differences that explain a robot's residuals.
+"""`Search`: searches for the kinds and times of faults that explain a robot's residuals.
 
-See `explain` for the effects of each kind. Each kind is a linear regression between two edges in
-time; with cumulative sums over rows, every pair of edges is evaluated at constant cost.
+See `explain` for the effects of each kind. Each kind is fitted by linear regression between two
+edges in time. With cumulative sums over rows, the cost of each pair of edges is constant.
 """
 
 from __future__ import annotations
@@ -15,48 +15,50 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array, Bools
-from ...study.explanation import FLANGE, LINKS, MOST_SURE, Explanation, Kind, Part
+from ...study.explanation import FLANGE, LINKS, MAX_CONFIDENCE, Explanation, Kind, Part
 from .torque_residuals import DELAYS, TorqueResiduals
 
 _erf = np.vectorize(erf)
-LEAST_EFFECT = 5e-4  # of the torque limit, root mean square while it acts
-LEAST_ROWS = 8  # of a stretch
-# Noise floor: of the torque limit, of the torque, and of its rate (times s).
+MIN_EFFECT = 5e-4  # share of the torque limit; root mean square while the fault acts
+MIN_ROWS = 8  # of an interval
+# Noise floor as a share of the torque limit, as a share of the torque, and in s of its rate.
 _FLOOR, _FLOOR_SHARE, _FLOOR_TIME = 1e-4, 1e-3, 2e-3
-_MIN_SHARE = 0.08  # of the largest effect at a joint; smaller ones are not reported
+_MIN_SHARE = 0.08  # share of the largest effect at a joint; smaller effects are not reported
 _MIN_SCORE = 12.0  # minimum improvement over no explanation
 _ROWS_PER_FACT = 2.0  # low-pass filtered rows are correlated
 _MAX_PER_JOINT = 3
 _ROUNDS = 40
 _MIN_VARIANCE = 1e-3  # of residuals in units of their standard deviations
-# Number of differing joints above which a payload is fitted without one of them; and how many of
-# these are tried.
+# Minimum number of differing joints for also fitting a payload without one of them, and maximum
+# number of these fits.
 _MIN_JOINTS, _MAX_TRIED = 3, 2
 _GRID, _ROUNDS_OF_EDGES = 18, 3
-# Prior standard deviations: gain, share of the torque limit, payload (SI), masses.
+# Prior standard deviations of a gain, and of a torque as a share of the torque limit.
 _GAIN, _SHARE = 1.0, 0.1
-_LATE, _NEAR = 1.3, (0.4, 2.0)  # of the factor by which a delay is fitted
-_TRIED_DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, before they are refined
+# Factor of a fitted delay: prior standard deviation, and valid range.
+_DELAY_FACTOR, _DELAY_RANGE = 1.3, (0.4, 2.0)
+_TRIED_DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, then refined
 _ROUNDS_OF_DELAYS, _EXACT = 4, 0.02
-_MAX_GAIN = 2.6  # away from 1
-_MIN_SIGN = 1.3  # likewise, above which the sign is wrong
+_MAX_GAIN = 2.6  # maximum deviation from 1
+_MIN_SIGN = 1.3  # minimum deviation from 1 of a gain that is reported as a wrong sign
+# Prior standard deviations of payload, masses and encoder offsets in SI units.
 _PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
 _MASSES, _ENCODER = np.array([0.5]), np.array([0.1])
-_MAX_ENCODERS, _MAX_OFFSET = 2, 0.2  # rad or m, for which torques change in proportion
-# kg; of the links' masses; rad or m.
-_LEAST: dict[Kind, float] = {"payload": 0.03, "masses": 0.005, "encoder": 5e-4}
-_RESIDUAL_RATIO = 0.1  # of the squared residuals of another explanation
-_UNEXPLAINED = 0.002  # of the torque limit
-_MIN_PUSHED = 2  # minimum number of joints with an unknown torque for it to act on others as well
+_MAX_ENCODERS, _MAX_OFFSET = 2, 0.2  # tried encoders; offset (rad or m) with a linear effect
+# Minimum reported size: kg, share of the masses, rad or m.
+_MIN_SIZE: dict[Kind, float] = {"payload": 0.03, "masses": 0.005, "encoder": 5e-4}
+_RESIDUAL_RATIO = 0.1  # ratio of squared residuals below which an explanation is far better
+_UNEXPLAINED = 0.002  # share of the torque limit
+_MIN_PUSHED = 2  # number of joints with unexplained torques that indicates an external force
 
 
 @dataclass(frozen=True, eq=False)
 class _Common:
-    """A kind that all joints' torques show together.
+    """A fault that affects all joints.
 
     Attributes:
-        place: `FLANGE`, `LINKS`, or the joint whose encoder it is.
-        torques: at the links per unit of each parameter, (K, n, p).
+        place: `FLANGE`, `LINKS`, or the joint with the encoder.
+        torques: link torques per unit of each parameter, shape (K, n, p).
     """
 
     kind: Kind
@@ -69,7 +71,7 @@ class _Common:
 
 @dataclass(eq=False)
 class _Fit:
-    """The best explanation of a joint's residuals, or of all joints' (`joint` is -1)."""
+    """The best explanation of the residuals of one joint, or of all joints (`joint` is -1)."""
 
     joint: int
     kind: Kind
@@ -82,8 +84,8 @@ class _Fit:
     errors: Array
     delay: float = 0.0
     confidence: float = 0.0
-    used: Bools | None = None  # joints used for the fit; all when None
-    common: _Common | None = None  # of all joints
+    used: Bools | None = None  # joints used for the fit; None for all
+    common: _Common | None = None  # the fault that affects all joints
 
     @property
     def is_on_link(self) -> bool:
@@ -91,10 +93,10 @@ class _Fit:
 
 
 class _Edges:
-    """Begin and end times of an effect, in half rows, after the low-pass filter.
+    """Begin and end times of an effect in half rows, after the low-pass filter.
 
-    Edge 0 is the start, edge 2 K - 1 the end; edge e between is at e / 2 rows. After the filter a
-    step is the integral of a Gaussian. `sharpness` is in rows per standard deviation of the filter.
+    Edge 0 is the start and edge 2 K - 1 the end; edge e is at e / 2 rows. The filter converts a
+    step to the integral of a Gaussian. `sharpness` is the inverse of the filter's width in rows.
     """
 
     def __init__(self, rows: int, sharpness: float) -> None:
@@ -104,24 +106,24 @@ class _Edges:
         self._on[0], self._on[-1] = 1.0, 0.0
 
     def share(self, first: int, last: int) -> Array:
-        """The filtered share of an effect between two edges, (K,)."""
+        # The filtered share of an effect between two edges, (K,).
         return np.asarray(self._on[first] - self._on[last])
 
     def sums(self, X: Array, y: Array) -> _Sums:
-        """Normal equations between any two edges, of columns X (c, K, p) and y (c, K)."""
+        # Normal equations between any two edges, for columns X (c, K, p) and data y (c, K).
         K, p = X.shape[1:]
         squares = np.einsum("ckp,ckq->kpq", X, X).reshape(K, p * p)
         products = np.einsum("ckp,ck->kp", X, y)
         known = (X != 0.0).any(axis=(0, 2)).astype(np.float64)
-        # Before the last edge the share is 1 minus that of the effect after it.
+        # The share before the last edge is 1 minus the share after it.
         begun, ended = self._on**2 @ squares, (1.0 - (1.0 - self._on) ** 2) @ squares
         return _Sums(
             begun.reshape(-1, p, p), ended.reshape(-1, p, p), self._on @ products, self._on @ known
         )
 
     def best(self, scores: Any) -> tuple[int, int, float]:
-        """The edges with the best score, and the score; `scores` takes arrays of edges."""
-        # A temporary effect is not explained by its begin alone, so pairs are tried first.
+        # Returns the best edges and their score; `scores` takes arrays of edges. A temporary effect
+        # is not visible with its begin alone, so a grid of pairs is tried first.
         grid = np.unique(np.linspace(0, self.end, _GRID).astype(int))
         pairs = np.array([(i, j) for i in grid for j in grid if i < j]).T
         found = scores(*pairs)
@@ -142,12 +144,10 @@ class _Edges:
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """What `_Edges.sums` found: (E, p, p), (E, p, p), (E, p) and (E,)."""
-
-    begun: Array
-    ended: Array
-    products: Array
-    known: Array
+    begun: Array  # (E, p, p)
+    ended: Array  # (E, p, p)
+    products: Array  # (E, p)
+    known: Array  # (E,)
 
     def between(self, first: Any, last: Any) -> tuple[Array, Array, Array]:
         return (
@@ -159,35 +159,30 @@ class _Sums:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A kind, with its effects on the residuals of link and motor per unit of each parameter."""
-
     kind: Kind
     part: Part
-    columns: Sequence[tuple[Array, Array]]  # (K, n) each
+    columns: Sequence[tuple[Array, Array]]  # effect on link and motor per parameter, (K, n) each
     priors: Array  # (n, p)
-    delay: float = 0.0  # s, of columns that are about it
-    later: Callable[[float], _Candidate] | None = None  # the same kind with another delay
+    delay: float = 0.0  # s
+    with_delay: Callable[[float], _Candidate] | None = None  # the same kind with another delay
 
 
 def _delayed(
     part: Part, late: Array, sides: tuple[float, float], priors: Array, delay: float
 ) -> _Candidate:
-    """The candidate of a delay (s) of a part.
-
-    `late` is the change of the torque by each of `DELAYS`, (D, K, n); `sides` are its factors in
-    the residuals of link and motor.
-    """
+    # `late` is the change of the torque by each of `DELAYS`, (D, K, n). `sides` are its factors in
+    # the residuals of link and motor.
     delay = float(np.clip(delay, DELAYS[0], DELAYS[-1]))
     k = min(int(np.searchsorted(DELAYS, delay, side="right")) - 1, len(DELAYS) - 2)
     share = (delay - DELAYS[k]) / (DELAYS[k + 1] - DELAYS[k])
     change = late[k] + share * (late[k + 1] - late[k])
     columns = [(sides[0] * change, sides[1] * change)]
-    again = partial(_delayed, part, late, sides, priors)
-    return _Candidate("delay", part, columns, priors, delay, again)
+    with_delay = partial(_delayed, part, late, sides, priors)
+    return _Candidate("delay", part, columns, priors, delay, with_delay)
 
 
 class Search:
-    """Searches for explanations, best first."""
+    """Searches for explanations in the order of their evidence."""
 
     def __init__(
         self,
@@ -198,7 +193,7 @@ class Search:
         self.found = found
         self.n = found.robot.n
         residuals = np.stack([found.link, found.motor])
-        for each in without:  # already explained rows carry no further information
+        for each in without:  # ignore the rows that are already explained
             joint = found.robot.names.index(each.joint)
             rows = found.times > each.begin - 0.15
             if each.end is not None:
@@ -208,9 +203,9 @@ class Search:
         still = np.maximum(_spread(residuals), _FLOOR * found.scale)
         moving = np.hypot(_FLOOR_SHARE * found.torques.model, _FLOOR_TIME * found.torques.rates)
         self.sigma = np.hypot(still[:, None], np.nan_to_num(moving))  # (2, K, n)
-        for each in noisy:  # the effect of noise on residuals is not evidence of anything else
+        for each in noisy:  # noise is not evidence for other faults
             joint, rows = found.robot.names.index(each.joint), found.times >= each.begin
-            if rows.sum() > LEAST_ROWS:
+            if rows.sum() > MIN_ROWS:
                 rough = _spread(residuals[:, rows])[:, joint]
                 self.sigma[:, rows, joint] = np.hypot(self.sigma[:, rows, joint], rough[:, None])
         self.known = np.isfinite(residuals)
@@ -232,49 +227,50 @@ class Search:
         one = np.ones_like(zero)
         has_link = bool(self.known[0].any())
         true, late = found.torques.model, found.torques.late_model
-        for fit in self.fits:  # sensors also measure a payload, say, or at other angles
+        for fit in self.fits:  # sensors also measure a payload, for example
             if fit.common is not None:
-                seen = self.edges.share(*fit.edges)[:, None]
-                extra = seen * np.nan_to_num(fit.common.torques @ fit.parameters)
+                share = self.edges.share(*fit.edges)[:, None]
+                extra = share * np.nan_to_num(fit.common.torques @ fit.parameters)
                 slope = np.gradient(extra, found.step, axis=0)
                 true, late = true + extra, late - DELAYS[:, None, None] * slope
         if not has_link:
             true = found.torques.commanded - found.lag + np.nan_to_num(found.motor)
-        # Joint torque control regulates the measured torque, whatever the sensor's error.
-        seen_by_drive = 0.0 if found.torque_control else 1.0
+        # Joint torque control regulates the measured torque, including the error of the sensor.
+        in_motor = 0.0 if found.torque_control else 1.0
         sensor: Part = "torque sensor" if has_link else "sensor or drive"
         torque = _SHARE * found.scale[:, None]
-        gain, factor = np.full((self.n, 1), _GAIN), np.full((self.n, 1), _LATE)
-        told: list[_Candidate] = []
+        gain, factor = np.full((self.n, 1), _GAIN), np.full((self.n, 1), _DELAY_FACTOR)
+        candidates: list[_Candidate] = []
         if has_link or not found.torque_control:
-            told += [
-                _Candidate("gain", "torque sensor", [(true, -seen_by_drive * true)], gain),
-                _Candidate("bias", sensor, [(one, -seen_by_drive * one)], torque),
+            candidates += [
+                _Candidate("gain", "torque sensor", [(true, -in_motor * true)], gain),
+                _Candidate("bias", sensor, [(one, -in_motor * one)], torque),
             ]
-            told += [
-                _delayed("torque sensor", late, (1.0, -seen_by_drive), factor, delay)
+            candidates += [
+                _delayed("torque sensor", late, (1.0, -in_motor), factor, delay)
                 for delay in _TRIED_DELAYS
             ]
         if self.known[1].any():
             if not found.torque_control:
                 friction = [(zero, found.motion.signs), (zero, found.motion.velocities)]
-                told.append(_Candidate("friction", "joint", friction, torque.repeat(2, axis=1)))
-            told.append(_Candidate("gain", "drive", [(zero, -found.torques.commanded)], gain))
-            told += [
+                priors = torque.repeat(2, axis=1)
+                candidates.append(_Candidate("friction", "joint", friction, priors))
+            commanded = [(zero, -found.torques.commanded)]
+            candidates.append(_Candidate("gain", "drive", commanded, gain))
+            candidates += [
                 _delayed("drive", found.torques.late_commanded, (0.0, -1.0), factor, delay)
                 for delay in _TRIED_DELAYS
             ]
             if has_link:
-                told.append(_Candidate("bias", "drive", [(zero, -one)], torque))
-        return told
+                candidates.append(_Candidate("bias", "drive", [(zero, -one)], torque))
+        return candidates
 
     def _best(self) -> _Fit | None:
-        """The next explanation: of all joints together, or of the joint with the largest gain."""
         fits = self._singles()
         first = max(fits, key=lambda fit: fit.gain, default=None)
         if first is None or not self.known[0].any():
             return first
-        # If a joint has its own fault, common effects are fitted by the others.
+        # If a joint has its own fault, the other joints fit the common effect.
         without = [None, *range(self.n)] if len(fits) >= _MIN_JOINTS else [None]
         alternative = sum(fit.gain for fit in fits)
         totals: list[tuple[float, _Fit]] = []
@@ -289,21 +285,21 @@ class Search:
             ]  # fmt: skip
         if not totals:
             return first
-        most, best = max(totals, key=lambda each: each[0])
-        if most <= alternative:
+        highest, best = max(totals, key=lambda each: each[0])
+        if highest <= alternative:
             return first
         rivals = [total for total, fit in totals if fit.common is not best.common]
-        best.confidence = _odds([most, alternative, *rivals])
+        best.confidence = _odds([highest, alternative, *rivals])
         return best
 
     def _total_with(self, common: _Fit) -> float | None:
-        """The score of a fit of all joints, and of fits of its residuals; None for none."""
+        # The score of a common fit plus those of the fits of its residuals.
         self.fits.append(common)
         self.left -= common.columns @ common.parameters
         others = self._singles()
         self.left += common.columns @ common.parameters
         self.fits.pop()
-        # A joint may be left out for its own fault, not because it does not fit.
+        # A joint may be excluded because of its own fault, but not because it does not fit.
         unfit = [fit for fit in others if fit.kind == "unexplained" and fit.is_on_link
                  and common.used is not None and not common.used[fit.joint]]  # fmt: skip
         return None if unfit else common.gain + sum(fit.gain for fit in others)
@@ -316,11 +312,11 @@ class Search:
     def _best_of(self, joint: int, candidates: Sequence[_Candidate]) -> _Fit | None:
         mine = [fit for fit in self.fits if fit.joint == joint]
         total = float((self.left[:, :, joint] ** 2).sum())
-        most = _evidence(total, 0.0, self.count[joint], self.facts[joint])
-        if len(mine) >= _MAX_PER_JOINT or most < _MIN_SCORE:
+        highest = _evidence(total, 0.0, self.count[joint], self.facts[joint])
+        if len(mine) >= _MAX_PER_JOINT or highest < _MIN_SCORE:
             return None
-        told = {(fit.kind, fit.part) for fit in mine}
-        new = [each for each in candidates if (each.kind, each.part) not in told]
+        fitted = {(fit.kind, fit.part) for fit in mine}
+        new = [each for each in candidates if (each.kind, each.part) not in fitted]
         fits = [self._refined(joint, each) for each in new]
         fits += [self._unknown(joint, side) for side in (0, 1)]
         known = [fit for fit in fits if fit is not None]
@@ -332,15 +328,14 @@ class Search:
         return best
 
     def _refined(self, joint: int, candidate: _Candidate) -> _Fit | None:
-        """The interval in which a kind explains most, and the best delay.
-
-        Effects of delays are not proportional to each other: fast changes distinguish them.
-        """
+        # Refines the delay. Effects of different delays are not proportional to each other.
         fit = self._fitted(joint, candidate)
         for _ in range(_ROUNDS_OF_DELAYS):
-            if fit is None or candidate.later is None or abs(fit.parameters[0] - 1.0) < _EXACT:
+            if fit is None or candidate.with_delay is None:
                 break
-            other = candidate.later(fit.delay * float(fit.parameters[0]))
+            if abs(fit.parameters[0] - 1.0) < _EXACT:
+                break
+            other = candidate.with_delay(fit.delay * float(fit.parameters[0]))
             better = self._fitted(joint, other, fit.edges)
             if better is None or better.gain <= fit.gain:
                 break
@@ -365,7 +360,7 @@ class Search:
             ends = 0.0 + (np.asarray(first) > 0) + (np.asarray(last) < self.edges.end)
             price = (len(priors) + ends) * np.log(facts)
             better = _evidence(total, total - np.clip(gains, 0.0, total), count, facts) - price
-            return np.where(rows >= LEAST_ROWS, better, -np.inf)
+            return np.where(rows >= MIN_ROWS, better, -np.inf)
 
         if edges is None:
             first, last, gain = self.edges.best(scores)
@@ -378,7 +373,7 @@ class Search:
         parameters, errors = _solved(H, g, inverse, total, int(count))
         if candidate.kind == "gain" and abs(parameters[0]) > _MAX_GAIN:
             return None
-        if candidate.delay and not _NEAR[0] < parameters[0] < _NEAR[1]:
+        if candidate.delay and not _DELAY_RANGE[0] < parameters[0] < _DELAY_RANGE[1]:
             return None
         whole = np.zeros((*self.y.shape, len(priors)))
         whole[:, :, joint] = X * self.edges.share(first, last)[:, None]
@@ -386,14 +381,12 @@ class Search:
                     parameters, errors, candidate.delay)  # fmt: skip
 
     def _unknown(self, joint: int, side: int) -> _Fit | None:
-        """An arbitrary torque far above noise on one side of a joint.
-
-        It has as many parameters as there are data, so any simpler explanation is preferred.
-        """
+        # An arbitrary torque far above noise on one side of a joint. It has as many parameters as
+        # data, so any simpler explanation is preferred.
         y = self.left[side, :, joint]
         least = _UNEXPLAINED * self.found.scale[joint] / self.sigma[side, :, joint]
         over = np.flatnonzero(np.abs(y) > np.maximum(least, 6.0))
-        if not len(over) or over[-1] - over[0] < LEAST_ROWS // 2:
+        if not len(over) or over[-1] - over[0] < MIN_ROWS // 2:
             return None
         rows = slice(max(int(over[0]) - 2, 0), min(int(over[-1]) + 3, len(y)))
         total, facts = float((self.left[:, :, joint] ** 2).sum()), self.facts[joint]
@@ -413,7 +406,7 @@ class Search:
             _Common("payload", "flange", FLANGE, found.torques.payload, _PAYLOAD),
             _Common("masses", "links", LINKS, masses, _MASSES, is_constant=True),
         ]
-        # To try all encoders with all times would take long: those that explain most all along.
+        # Trying all encoders is slow, so only those that explain most of the whole run are tried.
         scaled = found.by_angle / self.sigma[0][..., None]
         scaled = np.where(self.known[0][..., None] & np.isfinite(scaled), scaled, 0.0)
         squares = (scaled**2).sum(axis=(0, 1)) + 1.0 / _ENCODER**2
@@ -422,8 +415,8 @@ class Search:
             _Common("encoder", "encoder", names[j], -found.by_angle[:, :, [j]], _ENCODER)
             for j in np.argsort(-gains)[:_MAX_ENCODERS]
         ]
-        told = {(fit.common.kind, fit.common.place) for fit in self.fits if fit.common}
-        return [each for each in commons if (each.kind, each.place) not in told]
+        fitted = {(fit.common.kind, fit.common.place) for fit in self.fits if fit.common}
+        return [each for each in commons if (each.kind, each.place) not in fitted]
 
     def _sums_of(self, common: _Common) -> tuple[Array, list[_Sums]]:
         link = common.torques / self.sigma[0, :, :, None]
@@ -434,7 +427,6 @@ class Search:
     def _of_all_joints(
         self, common: _Common, link: Array, sums: list[_Sums], without: int | None
     ) -> _Fit | None:
-        """What all joints show together, by all of them, or all but one."""
         used = np.arange(self.n) != (-1 if without is None else without)
         inverse = np.diag(1.0 / common.priors**2)
         totals, facts = (self.left**2).sum(axis=(0, 1)), float(self.facts.sum())
@@ -450,7 +442,7 @@ class Search:
             count = np.trace(np.linalg.solve(regular, all_H), axis1=1, axis2=2)
             better = _evidence(totals, totals - np.minimum(cut, totals), self.count, self.facts)
             ends = 0.0 + (np.asarray(first) > 0) + (np.asarray(last) < self.edges.end)
-            enough = np.asarray(last) - np.asarray(first) >= 2 * LEAST_ROWS
+            enough = np.asarray(last) - np.asarray(first) >= 2 * MIN_ROWS
             return np.where(enough, better.sum(axis=1) - (count + ends) * np.log(facts), -np.inf)
 
         if common.is_constant:
@@ -470,27 +462,27 @@ class Search:
         columns[0] = link * self.edges.share(first, last)[:, None, None]
         fit = _Fit(-1, common.kind, common.part, columns, common.priors, (first, last), gain,
                    parameters, errors, used=used, common=common)  # fmt: skip
-        seen = np.ix_(self.edges.share(first, last) > 0.5, used)
-        before = float((self.left[0][seen] ** 2).sum())
-        after = float(((self.left - columns @ parameters)[0][seen] ** 2).sum())
+        active = np.ix_(self.edges.share(first, last) > 0.5, used)
+        before = float((self.left[0][active] ** 2).sum())
+        after = float(((self.left - columns @ parameters)[0][active] ** 2).sum())
         if common.kind == "encoder" and abs(parameters[0]) > _MAX_OFFSET:
             return None
-        is_clear = abs(parameters[0]) > max(_LEAST[common.kind], 3.0 * errors[0])
+        is_clear = abs(parameters[0]) > max(_MIN_SIZE[common.kind], 3.0 * errors[0])
         return fit if is_clear and after < 0.4 * before and self._matters(fit) else None
 
     def _effects(self, fit: _Fit) -> Array:
-        """Of a fit at every joint, root mean square while it acts, of the larger side, (n,)."""
+        # Root mean square effect at each joint while the fault acts, of the larger side, (n,).
         effect = (fit.columns @ fit.parameters) * self.sigma
-        seen = self.edges.share(*fit.edges) > 0.5
-        known = np.maximum(self.known[:, seen].sum(axis=1), 1)
-        return np.asarray(np.sqrt((effect[:, seen] ** 2).sum(axis=1) / known).max(axis=0))
+        active = self.edges.share(*fit.edges) > 0.5
+        known = np.maximum(self.known[:, active].sum(axis=1), 1)
+        return np.asarray(np.sqrt((effect[:, active] ** 2).sum(axis=1) / known).max(axis=0))
 
     def _matters(self, fit: _Fit) -> bool:
         effects = self._effects(fit)
         if fit.joint < 0:
-            return bool((effects > LEAST_EFFECT * self.found.scale).any())
+            return bool((effects > MIN_EFFECT * self.found.scale).any())
         others = [self._effects(each)[fit.joint] for each in self.fits]
-        least = LEAST_EFFECT * self.found.scale[fit.joint]
+        least = MIN_EFFECT * self.found.scale[fit.joint]
         return bool(effects[fit.joint] > max([least, *(_MIN_SHARE * each for each in others)]))
 
     def _refit(self) -> None:
@@ -510,7 +502,7 @@ class Search:
         self.left = self.y.copy()
         for fit in self.fits:
             self.left -= fit.columns @ fit.parameters
-        for fit in self.fits:  # errors are based on the final residuals
+        for fit in self.fits:  # standard errors depend on the final residuals
             used = (np.arange(self.n) == fit.joint) | (fit.joint < 0)
             variance = float((self.left[:, :, used] ** 2).sum()) / int(self.count[used].sum())
             X = fit.columns.reshape(-1, fit.columns.shape[-1])
@@ -520,18 +512,18 @@ class Search:
                 fit.errors = np.asarray(np.sqrt(np.diag(covariance) * scale), np.float64)
 
     def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
-        """All explanations, with those found otherwise; joint by joint, the largest first."""
+        """Returns all explanations and `more`, joint by joint, the largest first."""
         order = {name: k for k, name in enumerate([*self.found.robot.names, FLANGE, LINKS])}
         fits = [fit for fit in self.fits if self._is_large(fit) and not self._is_of_contact(fit)]
         fits.sort(key=lambda fit: -float(self._effects(fit).max()))
-        made = [*more, *(self._explanation(fit) for fit in fits)]
-        made.sort(key=lambda each: each.kind == "noise")  # vibrations cause noise as well
-        return sorted(made, key=lambda each: order[each.joint])
+        found = [*more, *(self._explanation(fit) for fit in fits)]
+        found.sort(key=lambda each: each.kind == "noise")  # last, as vibrations also cause noise
+        return sorted(found, key=lambda each: order[each.joint])
 
     def explains(self, sign: Explanation) -> bool:
-        """Whether another explanation fits better than a drive with a wrong sign.
+        """Whether another explanation is better than a drive with a wrong sign.
 
-        That is so where it fits far better, or acts before or after as well.
+        It must fit far better, or also act before or after the wrong sign.
         """
         found, joint = self.found, self.found.robot.names.index(sign.joint)
         end = np.inf if sign.end is None else sign.end
@@ -539,9 +531,9 @@ class Search:
         known = self.known[1, :, joint]
         rows = known & during
         before, after = ((each[1, rows, joint] ** 2).sum() for each in (self.y, self.left))
-        asked = 2.0 * found.torques.commanded[rows, joint] / self.sigma[1, rows, joint]
-        by_sign = ((self.y[1, rows, joint] - asked) ** 2).sum()
-        # Joint torque control commands no motors.
+        twice = 2.0 * found.torques.commanded[rows, joint] / self.sigma[1, rows, joint]
+        by_sign = ((self.y[1, rows, joint] - twice) ** 2).sum()
+        # With joint torque control, the commanded torque is not that of the motor.
         is_far_better = not found.torque_control and after < _RESIDUAL_RATIO * by_sign
         for fit in self.fits:
             is_sign = fit.kind == "gain" and abs(fit.parameters[0]) > _MIN_SIGN
@@ -550,8 +542,8 @@ class Search:
             acts = known & (self.edges.share(*fit.edges) > 0.5)
             acts &= np.abs(fit.columns[1, :, joint]).sum(axis=-1) > 0.0
             count = int((acts & during).sum())
-            lasts = (acts & ~during).sum() >= max(LEAST_ROWS, count)
-            if not rows.any():  # too near the end for the low-pass filter
+            lasts = (acts & ~during).sum() >= max(MIN_ROWS, count)
+            if not rows.any():  # too close to the end for the low-pass filter
                 if lasts and fit.edges[1] >= self.edges.end:
                     return True
             elif count and after < _RESIDUAL_RATIO * before and (lasts or is_far_better):
@@ -565,7 +557,7 @@ class Search:
         return float(self._effects(fit)[fit.joint]) > _MIN_SHARE * max(effects)
 
     def _is_of_contact(self, fit: _Fit) -> bool:
-        """Whether a sensor appears wrong while other joints are pushed more."""
+        # A sensor appears wrong, but a contact pushes other joints more.
         if fit.kind == "unexplained" or fit.joint < 0 or fit.part != "torque sensor":
             return False
         first, last = fit.edges
@@ -582,13 +574,13 @@ class Search:
     def _explanation(self, fit: _Fit) -> Explanation:
         found, names = self.found, self.found.robot.names
         kind, size, error = fit.kind, float(fit.parameters[0]), float(fit.errors[0])
-        turns = fit.joint < 0 or found.robot.types[fit.joint] == "revolute"
-        unit = "Nm" if turns else "N"
+        is_revolute = fit.joint < 0 or found.robot.types[fit.joint] == "revolute"
+        unit = "Nm" if is_revolute else "N"
         values: dict[str, float] = {}
-        felt = self._effects(fit) > LEAST_EFFECT * found.scale
-        joints = np.array(names)[felt].tolist() if fit.joint < 0 else [names[fit.joint]]
+        affected = self._effects(fit) > MIN_EFFECT * found.scale
+        joints = np.array(names)[affected].tolist() if fit.joint < 0 else [names[fit.joint]]
         if kind == "gain":
-            # With two runs the second may have the wrong sign.
+            # Of two runs, the second may have the wrong sign.
             kind = "sign" if abs(size) > _MIN_SIGN else "gain"
             size, unit = 1.0 + (size if size < _MIN_SIGN else -size), ""
         elif kind == "delay":
@@ -618,7 +610,7 @@ class Search:
 
 
 def _spread(residuals: Array) -> Array:
-    """Standard deviation of row-to-row changes, (2, n), independent of slow changes."""
+    # Robust standard deviation from changes between rows, independent of slow changes, (2, n).
     steps = np.abs(np.diff(residuals, axis=1))
     result = np.zeros((2, residuals.shape[2]))
     for side, joint in np.ndindex(result.shape):
@@ -629,7 +621,7 @@ def _spread(residuals: Array) -> Array:
 
 
 def _evidence(before: Any, after: Any, count: Any, facts: Any) -> Any:
-    """Twice the logarithm of the likelihood ratio of two sums of squares, the noise's as well."""
+    # Twice the logarithm of the likelihood ratio of two sums of squares, both with added noise.
     return facts * (np.log1p(before / count) - np.log1p(np.maximum(after, 0.0) / count))
 
 
@@ -642,6 +634,6 @@ def _solved(H: Array, g: Array, inverse: Array, total: float, count: int) -> tup
 
 
 def _odds(scores: Sequence[float]) -> float:
-    """Probability of the first of several, by their scores."""
-    differences = np.asarray(scores[1:], np.float64) - scores[0]
-    return min(float(1.0 / (1.0 + np.exp(0.5 * np.minimum(differences, 60.0)).sum())), MOST_SURE)
+    # Probability of the first explanation by the scores of all.
+    differences = np.minimum(np.asarray(scores[1:], np.float64) - scores[0], 60.0)
+    return min(float(1.0 / (1.0 + np.exp(0.5 * differences).sum())), MAX_CONFIDENCE)

@@ -2,19 +2,19 @@
 
 Both sides of every joint are linear in the parameters (see `TorqueResiduals`):
 
-    motor side, joint by joint:  commanded - measured = B ddtheta + v dq + f sign(dq) + c
+    motor side, each joint:      commanded - measured = B ddtheta + v dq + f sign(dq) + c
     link side, all together:     measured - model = Y(q, dq, ddq) p + o
 
-with motor inertia B, viscous and Coulomb friction v and f (and c, the asymmetry of friction or the
-drive's own offset), the ten parameters p of a body at the flange, and the sensors' offsets o.
-Joints are weighted by their residuals (Aitken's generalised least squares, as in Gautier). The
-residuals are not white noise, so standard errors are those of Newey and West for autocorrelated
+with the motor inertia B, viscous and Coulomb friction v and f, the asymmetry of friction or offset
+of the drive c, the ten parameters p of a body at the flange, and the offsets o of the sensors.
+Joints are weighted by their residuals (Aitken's generalized least squares, as in Gautier). The
+residuals are not white, so the standard errors are those of Newey and West for autocorrelated
 residuals, of all joints together.
 
-Parameters the motion does not excite are not reported: if the variance of an estimate is more than
-`_MAX_INFLATED` times that of an uncorrelated one, or if too few rows contribute to it.
+A parameter is reported as not identifiable if its variance is more than `_MAX_INFLATION` times that
+of an uncorrelated estimate, or if too few rows contribute to it.
 
-Source: Newey, West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
+Sources: Newey, West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
 consistent covariance matrix, Econometrica 55(3), 1987; Swevers, Verdonck, De Schutter, Dynamic
 model identification for industrial robots, IEEE Control Systems Magazine 27(5), 2007; Belsley, Kuh,
 Welsch, Regression Diagnostics, 1980 (condition number of scaled columns, variance inflation).
@@ -43,25 +43,18 @@ if TYPE_CHECKING:
 
 _MAX_ROWS = 4000
 _MIN_MOVING = 20  # rows in which a joint moves
-_MAX_INFLATED = 3000.0
-# Prior standard deviation of the payload's inertia, kg m2.
-_INERTIA = 0.3
-# Of the torque limit: above the residuals of a perfect run due to friction at low speed and
-# filtering.
+_MAX_INFLATION = 3000.0
+_INERTIA = 0.3  # kg m2, prior standard deviation of the payload's inertia
+# Share of the torque limit, above the residuals of a perfect run, which are due to friction at low
+# speed and filtering.
 _FLOOR = 2e-5
-_UNITS = ("N", "N s/m", "kg"), ("Nm", "Nm s/rad", "kg m2")  # sliding and turning joints
+_UNITS = ("N", "N s/m", "kg"), ("Nm", "Nm s/rad", "kg m2")  # prismatic, revolute
 _MIN_SIGNIFICANCE = 3.0  # standard errors; minimum significance of a payload
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimate with its standard error, or why it is not identifiable.
-
-    Attributes:
-        value: in SI units; None if not identifiable.
-        error: its standard error.
-        reason: why it is not identifiable.
-    """
+    """An estimate in SI units with its standard error, or the reason why it is not identifiable."""
 
     value: float | None
     error: float | None = None
@@ -79,13 +72,12 @@ class JointFigures:
     """The estimates of a joint.
 
     Attributes:
-        joint: its name.
-        coulomb_friction: Nm or N.
-        viscous_friction: Nm s/rad or N s/m.
-        motor_inertia: kg m2 or kg, reflected to the joint.
-        torque_offset: of the torque sensor, Nm or N.
-        condition: condition number of the motor side's columns, each scaled to length 1; infinite
-            if the joint does not move.
+        coulomb_friction: friction torque, Nm or N.
+        viscous_friction: friction coefficient, Nm s/rad or N s/m.
+        motor_inertia: inertia reflected to the joint, kg m2 or kg.
+        torque_offset: offset of the torque sensor, Nm or N.
+        condition: condition number of the normalized columns of the motor side; infinite if the
+            joint does not move.
     """
 
     joint: str
@@ -102,15 +94,15 @@ class Identified:
 
     Attributes:
         run: name of the recording.
-        robot: as declared.
-        joints: base to flange.
-        mass: of the payload, kg.
-        center: of its mass, in the flange's frame, m; not reported without a payload.
-        condition: condition number of the link side's columns, each scaled to length 1.
-        times: (K,), s.
-        motor: commanded minus measured torque, (K, n), Nm or N, and its fit `motor_fit`.
-        link: measured torque minus the model's, (K, n), and its fit `link_fit`.
-        begin: s, of the run, and `end`.
+        joints: estimates from base to flange.
+        mass: mass of the payload, kg.
+        center: center of mass of the payload in the flange frame, m.
+        condition: condition number of the normalized columns of the link side.
+        times: times of the residuals, shape (K,), s.
+        motor: commanded minus measured torque, shape (K, n), Nm or N; `motor_fit` is its fit.
+        link: measured minus model torque, shape (K, n), Nm or N; `link_fit` is its fit.
+        begin: begin of the run, s.
+        end: end of the run, s.
     """
 
     run: str
@@ -129,18 +121,18 @@ class Identified:
 
     @property
     def has_payload(self) -> bool:
-        """Whether a payload is significant."""
+        """Whether the payload is significant."""
         mass = self.mass
         return mass.value is not None and mass.value > _MIN_SIGNIFICANCE * (mass.error or 0.0)
 
 
 def identify(log: RunLog, name: str) -> Identified:
-    """Estimates a robot's friction, payload and torque sensors' offsets.
+    """Estimates friction, payload and torque sensor offsets of a robot.
 
     Raises:
-        UsageError: no such robot, no measured torques, the run is too short, or it hardly moves.
+        UsageError: there is no such robot or measured torque, or the run is too short or static.
     """
-    found = torque_residuals(log, name, most_rows=_MAX_ROWS)
+    found = torque_residuals(log, name, max_rows=_MAX_ROWS)
     n = found.robot.n
     if bool(found.motion.slow.all()):
         reason = f"no joint of '{name}' moves"
@@ -163,16 +155,16 @@ def identify(log: RunLog, name: str) -> Identified:
 def _motor_side(
     found: TorqueResiduals, is_commanded: bool, k: int
 ) -> tuple[list[Estimate], float, Array]:
-    """Coulomb and viscous friction and motor inertia of joint k, condition number and fit (K,)."""
+    # Coulomb and viscous friction and motor inertia of joint k, condition number and fit (K,).
     name, nothing = found.robot.names[k], np.full(len(found.times), np.nan)
     reason = None
     if not is_commanded:
         reason = "the run has no commanded torques"
     elif found.torque_control:
-        reason = "joint torque control makes up for friction"
+        reason = "joint torque control compensates friction"
     rows = np.isfinite(found.motor[:, k])
     if reason is None and rows.sum() < _MIN_MOVING:
-        reason = f"the run moves {name} too little to tell"
+        reason = f"the run moves {name} too little"
     if reason is not None:
         return [Estimate(None, None, reason)] * 3, np.inf, nothing
     columns = [
@@ -188,27 +180,28 @@ def _motor_side(
     left = float(np.mean((y - X @ values)[rows] ** 2))
     covariance = covariance * (1.0 + (_FLOOR * found.scale[k]) ** 2 / max(left, 1e-30))
     condition = _condition(X[rows])
-    estimates = _estimates(values, covariance, inflation,
-                           f"the run moves {name} too little to tell", condition)  # fmt: skip
+    estimates = _estimates(
+        values, covariance, inflation, f"the run moves {name} too little", condition
+    )
     if len(np.unique(np.rint(X[rows, 0]))) < 2:
         estimates[0] = Estimate(None, None, f"the run moves {name} in one direction only")
     if _is_negative(estimates[2]):
         unit = _UNITS[found.robot.types[k] == "revolute"][2]
-        reason = f"{name} would have {estimates[2]} {unit}; is it commanded what its drive does?"
+        reason = f"{name} would have {estimates[2]} {unit}. Check that commands are drive torques."
         estimates[2] = Estimate(None, None, reason)
     fit = np.where(rows, X @ values, np.nan)
     return estimates[:3], condition, fit
 
 
 def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], float, Array]:
-    """Mass and centre of the payload, offsets of the torque sensors, condition number, fit."""
+    # Mass and center of the payload, offsets of the torque sensors, condition number, fit (K, n).
     n, K = found.robot.n, len(found.times)
     if not found.has_model:
         unknown = Estimate(None, None, found.no_model)
         return [unknown] * 4, [unknown] * n, np.inf, np.full((K, n), np.nan)
     known = np.isfinite(found.link)
     if not known.any():
-        unknown = Estimate(None, None, "the run has no torques at links that are free to move")
+        unknown = Estimate(None, None, "the run has no valid link torques")
         return [unknown] * 4, [unknown] * n, np.inf, np.full((K, n), np.nan)
     X = np.concatenate(
         [found.torques.payload, np.broadcast_to(np.eye(n), (K, n, n))], axis=2
@@ -221,57 +214,49 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
         left = np.where(known, y - X @ values, 0.0)
         spread = np.sqrt((left**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
         weights = 1.0 / np.hypot(spread, _FLOOR * found.scale)
-    # Only the part of the scores above the floor is in the residuals.
+    # The weights include the floor, the residuals do not.
     is_known = known.any(axis=0)
     covariance = covariance * float(1.0 / np.mean((weights * spread)[is_known] ** 2))
-    tells = np.r_[0:4, 10 : 10 + n]
-    condition = _condition((X * weights[:, None]).reshape(-1, 10 + n)[:, tells])
-    estimates = _estimates(values, covariance, inflation, "the run moves the flange too little to "
-                           "tell", condition)  # fmt: skip
+    reported = np.r_[0:4, 10 : 10 + n]
+    condition = _condition((X * weights[:, None]).reshape(-1, 10 + n)[:, reported])
+    reason = "the run moves the flange too little"
+    estimates = _estimates(values, covariance, inflation, reason, condition)
     offsets = _estimates(values[10:], covariance[10:, 10:], inflation[10:], "", condition)
     offsets = [
         each if each.value is not None
-        else Estimate(None, None, f"the run moves {joint} too little to tell offset from load")
+        else Estimate(None, None, f"the run moves {joint} too little to separate offset and load")
         for joint, each in zip(found.robot.names, offsets, strict=True)
     ]  # fmt: skip
     mass = estimates[0]
     fit = np.where(known, X @ values, np.nan)
     if _is_negative(mass):
-        reason = f"a payload of {mass} kg would fit best, so another force acts on the robot"
+        reason = f"the best fit is a payload of {mass} kg, so another force acts on the robot"
         unknown = Estimate(None, None, reason)
         return [unknown] * 4, [unknown] * n, condition, fit
     if mass.value is None or mass.error is None or mass.value < _MIN_SIGNIFICANCE * mass.error:
-        reason = mass.reason or "there is no payload beyond doubt"
+        reason = mass.reason or "no significant payload"
         return [mass, *[Estimate(None, None, reason)] * 3], offsets, condition, fit
-    # c = h / m, and its error by the slopes of that.
+    # c = h / m, with error propagation.
     center = values[1:4] / mass.value
     slopes = np.column_stack([-center, np.eye(3)]) / mass.value
     errors = np.sqrt(np.diag(slopes @ covariance[:4, :4] @ slopes.T))
-    told = [
+    centers = [
         Estimate(float(value), float(error)) if each.value is not None else each
         for value, error, each in zip(center, errors, estimates[1:4], strict=True)
     ]
-    return [mass, *told], offsets, condition, fit
+    return [mass, *centers], offsets, condition, fit
 
 
 def _regression(X: Array, y: Array, priors: Array) -> tuple[Array, Array, Array]:
-    """Least squares of several series at the same times.
-
-    Args:
-        X: columns, (K, s, p), zero where unknown.
-        y: (K, s), likewise.
-        priors: (p,), inverse prior variance of each parameter, in units of the residuals'.
-
-    Returns:
-        parameters (p,), their covariance (p, p) by Newey and West, and their variance inflation
-        factors, (p,).
-    """
+    # Least squares of s series at K times, with columns X (K, s, p) and data y (K, s), zero if
+    # unknown, and inverse prior variances (p,). Returns parameters (p,), their covariance (p, p)
+    # after Newey and West, and their variance inflation factors (p,).
     H = np.einsum("ksp,ksq->pq", X, X) + np.diag(priors)
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-13, hermitian=True)
     inflation = np.diag(inverse).copy()
     inverse = inverse / np.outer(scale, scale)
-    # An exactly dependent column becomes zero, and its inflation infinite.
+    # Linearly dependent columns have an infinite inflation.
     resolved = np.diag(inverse @ H)
     inflation[(resolved < 0.999) | (scale < 1e-9)] = np.inf
     values = inverse @ np.einsum("ksp,ks->p", X, y)
@@ -295,7 +280,7 @@ def _estimates(
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     why = f"{reason} (condition number {condition:.0f})"
     return [
-        Estimate(float(value), float(error)) if each < _MAX_INFLATED else Estimate(None, None, why)
+        Estimate(float(value), float(error)) if each < _MAX_INFLATION else Estimate(None, None, why)
         for value, error, each in zip(values, errors, inflation, strict=True)
     ]
 
@@ -305,7 +290,7 @@ def _is_negative(mass: Estimate) -> bool:
 
 
 def _condition(X: Array) -> float:
-    """Condition number of columns scaled to length 1; infinite if one is zero."""
+    # Condition number of columns that are scaled to length 1; infinite if one is zero.
     lengths = np.linalg.norm(X, axis=0)
     if not len(X) or not (lengths > 0).all():
         return np.inf
@@ -313,7 +298,7 @@ def _condition(X: Array) -> float:
 
 
 def figures(found: Identified) -> dict[str, tuple[Estimate, str]]:
-    """All estimates with their units by name, `JOINT.FIGURE` and `payload.FIGURE`."""
+    """Returns all estimates with their units by `JOINT.NAME` and `payload.NAME`."""
     named: dict[str, tuple[Estimate, str]] = {}
     for joint, kind in zip(found.joints, found.robot.types, strict=True):
         force, rate, inertia = _UNITS[kind == "revolute"]
@@ -322,12 +307,12 @@ def figures(found: Identified) -> dict[str, tuple[Estimate, str]]:
         named |= {f"{joint.joint}.{key}": (getattr(joint, key), unit)
                   for key, unit in units.items()}  # fmt: skip
     named["payload.mass"] = found.mass, "kg"
-    centre = dict(zip("xyz", found.center, strict=True))
-    return named | {f"payload.{axis}": (estimate, "m") for axis, estimate in centre.items()}
+    center = dict(zip("xyz", found.center, strict=True))
+    return named | {f"payload.{axis}": (estimate, "m") for axis, estimate in center.items()}
 
 
 def as_json(found: Identified) -> dict[str, Any]:
-    """The estimates as JSON types; unidentifiable ones are None, with the reason."""
+    """Returns the estimates as JSON types."""
     return {
         "run": found.run,
         "robot": found.robot.name,
@@ -343,7 +328,7 @@ def as_json(found: Identified) -> dict[str, Any]:
 
 
 def as_table(found: Identified) -> Table:
-    """A table for the terminal."""
+    """Returns a table for the terminal."""
     from rich import box
     from rich.table import Table
 
@@ -362,30 +347,32 @@ def as_table(found: Identified) -> Table:
 
 
 def remarks(found: Identified) -> list[str]:
-    """The payload, and unidentifiable parameters, a line for each."""
+    """Returns one line about the payload and one for each reason of unidentifiable parameters."""
     if found.has_payload:
         center = ", ".join(map(str, found.center))
-        lines = [f"payload: {found.mass} kg at ({center}) m of the flange"]
+        lines = [f"payload: {found.mass} kg at ({center}) m in the flange frame"]
     elif found.mass.value is not None:
-        lines = [f"payload: none beyond doubt ({found.mass} kg)"]
+        lines = [f"payload: not significant ({found.mass} kg)"]
     else:
-        lines = [f"payload: not told: {found.mass.reason}"]
-    untold: dict[str, list[str]] = {}
+        lines = [f"payload: not identifiable: {found.mass.reason}"]
+    unknown: dict[str, list[str]] = {}
     for each in found.joints:
         for what, estimate in (
             ("friction", each.coulomb_friction), ("friction", each.viscous_friction),
             ("motor inertia", each.motor_inertia), ("torque offset", each.torque_offset),
         ):  # fmt: skip
             if estimate.reason is not None:
-                words = untold.setdefault(estimate.reason, [])
+                words = unknown.setdefault(estimate.reason, [])
                 words += [what] if what not in words else []
-    return lines + [f"not told: {', '.join(words)}: {why}" for why, words in untold.items()]
+    return lines + [
+        f"not identifiable: {', '.join(words)}: {why}" for why, words in unknown.items()
+    ]
 
 
 def as_toml(found: Identified) -> str:
-    """Lines of a robot's file, followed by those of a scenario as comments.
+    """Returns lines for a robot file, followed by lines for a scenario as comments.
 
-    Unidentifiable parameters keep their declared values.
+    Parameters that are not identifiable have their declared values.
     """
     from ...robots.assemble.robot_dynamics import robot_dynamics
 
@@ -404,14 +391,14 @@ def as_toml(found: Identified) -> str:
         ]
         errors = ", ".join("-" if each.error is None else f"{each.error:.1g}" for each in estimates)
         lines += [f"# standard errors {errors}", f"{key} = {_numbers(values)}"]
-        kept = [joint.joint for joint, each in zip(found.joints, estimates, strict=True)
-                if each.value is None]  # fmt: skip
-        if kept:
-            lines.append(f"# not identifiable from the run, unchanged: {', '.join(kept)}")
+        unchanged = [joint.joint for joint, each in zip(found.joints, estimates, strict=True)
+                     if each.value is None]  # fmt: skip
+        if unchanged:
+            lines.append(f"# not identifiable from the run, unchanged: {', '.join(unchanged)}")
     offsets = [each.torque_offset for each in found.joints]
     if any(each.value is not None for each in offsets):
         errors = ", ".join("-" if each.error is None else f"{each.error:.1g}" for each in offsets)
-        lines += ["", "# In a scenario, which has sensors and payloads:",
+        lines += ["", "# For a scenario:",
                   f"# [sensors.{found.robot.name}.torques]", f"# standard errors {errors}",
                   f"# bias = {_numbers([each.value or 0.0 for each in offsets])}"]  # fmt: skip
     if found.has_payload and found.mass.value is not None:
@@ -434,17 +421,12 @@ def _numbers(values: Sequence[float]) -> str:
 
 
 def _brief(estimate: Estimate) -> str:
-    # No sign of zero.
-    return "not told" if estimate.value is None else f"{round(estimate.value, 3) + 0.0:.3f}"
+    # Adding 0 removes the sign of -0.
+    return "unknown" if estimate.value is None else f"{round(estimate.value, 3) + 0.0:.3f}"
 
 
 def plot_identified(found: Identified, path: Path | str) -> None:
-    """Draws measurements and fits: a row for each joint, motor and link side.
-
-    Raises:
-        RenderError: the file cannot be written.
-        UsageError: another suffix than .png (300 dpi), .pdf or .svg.
-    """
+    """Draws measurements and fits of the motor and link side of each joint: .png, .pdf or .svg."""
     path = check_suffix(path)
     from matplotlib.lines import Line2D
 
@@ -469,7 +451,7 @@ def plot_identified(found: Identified, path: Path | str) -> None:
                 figure.line(panel, found.times, values, "run", color=BLUE, linewidth=1.5)
                 figure.line(panel, found.times, fit, "fit", color=ORANGE, linewidth=0.8)
                 if figure.fit(panel, [values, fit], least=MIN_SHARE * limits[k], floor=0.2):
-                    figure.note(panel, f"rms left {rms(values - fit):.2g}")
+                    figure.note(panel, f"residual rms {rms(values - fit):.2g}")
         figure.legend([
             Line2D([], [], color=BLUE, linewidth=1.5, label="run"),
             Line2D([], [], color=ORANGE, linewidth=1.0, label="fit"),

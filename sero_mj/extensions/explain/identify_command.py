@@ -1,4 +1,4 @@
-"""`sero-mj identify`: a robot's friction, payload and torque offsets, from recordings."""
+"""`sero-mj identify`: estimates friction, payload and torque offsets of a robot from recordings."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ if TYPE_CHECKING:
 _HELP = """\
 examples:
   sero-mj identify run.mcap --robot lwr
-  sero-mj identify run.mcap --plot fit.pdf -o found.toml   the fit, and lines of a robot file
-  sero-mj identify runs/*.mcap --table found.csv           how far many recordings agree
+  sero-mj identify run.mcap --plot fit.pdf -o found.toml   the fit, and lines for a robot file
+  sero-mj identify runs/*.mcap --table found.csv           agreement of several recordings
 
-Linear regression on both sides of the torque sensors: friction and motor inertia by commanded less
-measured torque, payload and offsets by measured torque less that of the robot's model, each with
-its standard error. What the motion does not tell is said, and not guessed: all joints should move,
-to and fro, slowly and faster, and the wrist far enough that gravity changes. Of several recordings
-it is said how far they agree (median, extremes, and the median of the standard errors); they are
-examined by all cores, or by workers of a Dask cluster, which are sent the recordings.
+The command estimates friction and motor inertia from commanded minus measured torque, and payload
+and sensor offsets from measured minus model torque, by linear regression with standard errors.
+Parameters that the motion does not excite are reported as not identifiable. All joints should move
+back and forth, at low and high speed, and the wrist far enough to change the direction of gravity.
+Several recordings are summarized by median, extremes and the median of the standard errors. They
+are analyzed in parallel by local processes or by the workers of a Dask cluster.
 """
-GROUP, ORDER = "analyse", 44
-_OF_MANY = ("recordings", "jobs", "engine", "scheduler", "ship", "table")
+GROUP, ORDER = "analyze", 44
+_BATCH_OPTIONS = ("recordings", "jobs", "engine", "scheduler", "ship", "table")
 
 
 class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
     """Estimate friction, payload and torque offsets.
 
     Attributes:
-        recordings: recordings, or tables (.csv).
-        robot: which robot (default: the only one).
-        output: lines of a robot's file.
-        plot: the fit: .png, .pdf or .svg.
-        table: a row for each recording.
-        as_json: print what is found as JSON.
-        quiet: no table.
+        recordings: recordings or tables (.csv).
+        robot: robot to identify (default: the only one).
+        output: write lines for a robot file.
+        plot: draw the fit: .png, .pdf or .svg.
+        table: write one row per recording to a table.
+        as_json: print the estimates as JSON.
+        quiet: print no table.
     """
 
     recordings: Annotated[list[Path], positional("RUN.mcap")]
@@ -58,19 +58,19 @@ class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
 
     @model_validator(mode="after")
     def _check_number(self) -> Self:
-        if self.is_many:
-            self.refuse(("plot", "output"), " is for one recording, without --table")
+        if self.is_batch:
+            self.refuse(("plot", "output"), " needs a single recording without --table")
         return self
 
     @property
-    def is_many(self) -> bool:
-        """Whether there is a row for every recording."""
+    def is_batch(self) -> bool:
+        """Whether the result has one row per recording."""
         return len(self.recordings) > 1 or self.table is not None
 
 
 def run(options: IdentifyOptions) -> int:
-    """Identifies; returns 0."""
-    if options.is_many:
+    """Identifies a robot; returns the exit status."""
+    if options.is_batch:
         return _identify_many(options)
     from ...study.align import choose_robot
     from .identify import as_json, as_table, as_toml, identify, plot_identified, remarks
@@ -95,21 +95,16 @@ def run(options: IdentifyOptions) -> int:
 
 
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """What is found in one of many recordings, by column; see `EachRecording`.
+    """Returns the results of one recording of a batch by column, see `EachRecording`.
 
-    Args:
-        shared: the options, with all recordings.
-        file: the recording.
-
-    Returns:
-        the `robot`; of every `JOINT.FIGURE` and `payload.FIGURE` its value, None where the motion
-        does not tell, and with `.error` its standard error, with `.unit` its unit.
+    The columns are `robot`, and for each parameter `JOINT.NAME` and `payload.NAME` its value (None
+    if not identifiable), and with `.error` and `.unit` its standard error and unit.
     """
     from ...study.align import choose_robot
     from .identify import figures, identify
 
-    given = {key: value for key, value in shared.items() if key not in _OF_MANY}
-    options = IdentifyOptions(**{**given, "recordings": [str(file)]})
+    single = {key: value for key, value in shared.items() if key not in _BATCH_OPTIONS}
+    options = IdentifyOptions(**{**single, "recordings": [str(file)]})
     log = options.read_part(file)
     found = identify(log, choose_robot(log, options.robot))
     row: dict[str, Any] = {"robot": found.robot.name}
@@ -119,23 +114,26 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 
 def _identify_many(options: IdentifyOptions) -> int:
-    from ...cli.each_recording import ask_each, status, tell
+    from ...cli.each_recording import examine_each, report_rows
 
-    recordings, needed = options.recordings, options.files()
-    rows = ask_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
-    failed = tell(rows, options, options.table, lambda: _table_of(rows), quiet=options.quiet)
+    recordings, needed, quiet = options.recordings, options.files(), options.quiet
+    rows = examine_each(options, f"{__name__}:outcomes", recordings, needed, quiet=quiet)
+    status = report_rows(
+        rows, len(recordings), options, options.table, lambda: _table_of(rows), quiet=quiet
+    )
     robots = {row["robot"]: path for path, row in rows if "robot" in row}
-    if len(robots) > 1 and not (options.as_json or options.quiet):
+    if len(robots) > 1 and not (options.as_json or quiet):
         named = ", ".join(f"{name} in {path}" for name, path in robots.items())
-        print(f"sero-mj: these are several robots: {named}", file=sys.stderr)
-    return status(rows, len(recordings), failed)
+        print(f"sero-mj: warning: the recordings have different robots: {named}", file=sys.stderr)
+    return status
 
 
 def _table_of(rows: Rows) -> Table:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for heading in ("", "told by", "median", "lowest", "in", "highest", "in", "its own error"):
+    headings = ("", "recordings", "median", "minimum", "in", "maximum", "in", "standard error")
+    for heading in headings:
         table.add_column(heading, justify="left" if heading in ("", "in") else "right")
     for name in dict.fromkeys(key for _, row in rows for key in row if f"{key}.error" in row):
         known = [(path, row) for path, row in rows if row.get(name) is not None]

@@ -1,24 +1,24 @@
-"""`TorqueResiduals`: the parts of a robot's torques not explained by its motion, on both sides.
+"""`TorqueResiduals`: the parts of a robot's torques that its motion does not explain.
 
-The torque sensor of a joint is between its motor and its links, so with link inertia M, motor
-inertia B (reflected to the joint) and friction tau_f of motor and gear there are two equations:
+The torque sensor of a joint is between its motor and its links. With the link inertia M, the motor
+inertia B (reflected to the joint) and the friction tau_f of motor and gear, the equations are:
 
-    link side:   measured = M(q) ddq + C(q, dq) dq + g(q) + what the model does not know
-    motor side:  commanded - measured = B ddtheta + tau_f + what the drive does not do
+    link side:   measured = M(q) ddq + C(q, dq) dq + g(q) + link residual
+    motor side:  commanded - measured = B ddtheta + tau_f + motor residual
 
-The residuals of both are linear in possible faults: payload, offset and gain of a sensor, friction,
-gain of a drive. All signals pass the same low-pass filter (a Gaussian, without time shift) and are
-decimated accordingly: the estimates of a regression stay the same, and the noise of differentiated
-angles is removed.
+Both residuals are linear in possible faults: payload, offset and gain of a sensor, friction, gain
+of a drive. All signals pass the same low-pass filter (a Gaussian without time shift) and are
+decimated. This does not change the estimates of a regression, and removes the noise of
+differentiated angles.
 
-With joint torque control (see `TorqueLoop`) the commanded torque is not that of the motor: then B
+With joint torque control (see `TorqueLoop`), the commanded torque is not that of the motor. Then, B
 is the apparent motor inertia, friction is compensated, and an error of the torque sensor affects
-the link side only.
+only the link side.
 
-Source: Gautier, Dynamic identification of robots with power model, ICRA 1997 (filtering of torques
-and regressors alike); Khalil and Dombre, Modeling, Identification and Control of Robots, 2002,
-chapter 12; rigid bodies' torques as linear functions of their ten parameters: Atkeson, An,
-Hollerbach, Estimation of inertial parameters of manipulator loads and links, IJRR 5(3), 1986.
+Sources: Gautier, Dynamic identification of robots with power model, ICRA 1997 (filtering of torques
+and regressors). Khalil and Dombre, Modeling, Identification and Control of Robots, 2002, chapter
+12. Atkeson, An, Hollerbach, Estimation of inertial parameters of manipulator loads and links, IJRR
+5(3), 1986 (torques of rigid bodies as linear functions of ten parameters).
 """
 
 from __future__ import annotations
@@ -39,41 +39,41 @@ from ...simulate.runs.run_log import RunLog, compared_signal
 from ...study.align import Pair, at_times
 
 WINDOW = 0.016  # s, standard deviation of the low-pass filter: 10 Hz
-_SUPPORT = 4.0  # of these, half width of the filter kernel
-_ROW_SPACING = 2.0  # of these, between kept rows
-MOST_ROWS = 600  # kept
-_MAX_READ = 120_000  # rows of a run; of longer ones every second, third, ... is used
-_MIN_ROWS = 12  # kept
-_TURNING = 0.999  # mean of the sign of the velocity, below which it reverses
-_SATURATED = 0.95  # of a torque limit, above which a drive may be saturated
-_NOISE_CORRELATION = -0.35  # correlation of second differences, below which they are noise
-_STOP = 0.005  # of a joint's range, within which it is at an end stop
+_SUPPORT = 4.0  # half width of the filter kernel in standard deviations
+_ROW_SPACING = 2.0  # spacing of the residuals in standard deviations
+MAX_ROWS = 600  # of the residuals
+_MAX_READ = 120_000  # rows of a run; longer runs are decimated
+_MIN_ROWS = 12  # of the residuals
+_REVERSING = 0.999  # mean sign of the velocity below which the joint reverses
+_SATURATED = 0.95  # share of the torque limit above which a drive may be saturated
+_NOISE_CORRELATION = -0.35  # correlation of second differences below which they are noise
+_STOP = 0.005  # distance to an end stop as a share of the joint's range
 _MIN_SCALE = 1e-3  # Nm or N, of joints without limit and torque
 _DIFFERENCE_STEP = 1e-4  # s, step of the numerical derivative of the Jacobian
-# Of second differences of angles: their size where an angle jumps, by that of most rows; which rows
-# these are; and what is left of one after the next.
-_JUMP, _MOST, _RETURNS = 20.0, 0.99, 0.2
-_ANGLE_STEP = 1e-4  # rad or m, likewise of torques by angles
+# An angle jumps if a second difference exceeds this multiple of this quantile, and the sum with the
+# next one is below this share.
+_JUMP, _QUANTILE, _RETURN_SHARE = 20.0, 0.99, 0.2
+_ANGLE_STEP = 1e-4  # rad or m, step of the numerical derivative of torques by angles
 
-# s, tried delays of sensors and drives; effects are interpolated in between.
+# Delays of sensors and drives in s; effects of other delays are interpolated.
 DELAYS = 0.002 * np.arange(1, 51)
 PARAMETERS = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
 
 @dataclass(frozen=True, eq=False)
 class Torques:
-    """Low-pass filtered torques of the joints, (K, n), Nm or N.
+    """Low-pass filtered torques of the joints, shape (K, n), Nm or N.
 
     Attributes:
-        model: torques at the links according to the model.
-        rates: rates of the measured or commanded torque, whichever changes faster, Nm/s.
-        requested: torques requested by joint torque control, within the limits of the drives,
+        model: link torques of the model.
+        rates: rates of the measured or commanded torque (the faster one), Nm/s.
+        requested: torques requested by joint torque control within the limits of the drives,
             without friction compensation.
-        delivered: torques of the drives, from measured torque and the motion of the motors.
-        late_model: change of the model's torques by each of `DELAYS`, (D, K, n).
-        late_commanded: change of the commanded torques by each of `DELAYS`, (D, K, n).
-        payload: torques by mass, first moments and inertia (about the flange, in its axes) of a
-            body that is fixed to the flange, (K, n, 10): `PARAMETERS`, SI units.
+        delivered: torques of the drives, from measured torques and the motion of the motors.
+        late_model: change of the model's torques by each of `DELAYS`, shape (D, K, n).
+        late_commanded: change of the commanded torques by each of `DELAYS`, shape (D, K, n).
+        payload: torques per unit of the `PARAMETERS` of a body at the flange (mass, first moments
+            and inertia about the flange frame), shape (K, n, 10).
     """
 
     measured: Array
@@ -89,14 +89,13 @@ class Torques:
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """The low-pass filtered motion of the joints, (K, n), rad or m.
+    """The low-pass filtered motion of the joints, shape (K, n), rad or m.
 
     Attributes:
-        velocities: velocities of the joints.
-        signs: signs of the velocities, between -1 and 1 where joints reverse.
+        signs: signs of the velocities, between -1 and 1 while a joint reverses.
         accelerations: accelerations of the motors.
-        slow: whether joints hardly move.
-        links: angles, velocities and accelerations of the links, (3, K, n).
+        slow: whether a joint hardly moves.
+        links: angles, velocities and accelerations of the links, shape (3, K, n).
     """
 
     velocities: Array
@@ -108,13 +107,13 @@ class JointMotion:
 
 @dataclass(frozen=True, eq=False)
 class SensorNoise:
-    """Noise of the measured torques, and intervals without any change.
+    """Noise of the measured torques, and intervals of constant torque.
 
     Attributes:
-        roughness: standard deviation of equivalent white noise in windows, (W, n), Nm.
-        times: begin of these windows, (W,), s.
+        roughness: standard deviation of equivalent white noise in windows, shape (W, n), Nm.
+        times: begins of these windows, shape (W,), s.
         held: begin (s), end (s) and value of the longest interval with constant measured torque
-            of each joint.
+            for each joint.
     """
 
     roughness: Array
@@ -122,27 +121,27 @@ class SensorNoise:
     held: tuple[tuple[float, float, float], ...]
 
     def later(self, offset: float) -> SensorNoise:
-        """Returns the same, `offset` s later."""
+        """Returns a copy with `offset` seconds added to all times."""
         held = tuple((begin + offset, end + offset, value) for begin, end, value in self.held)
         return SensorNoise(self.roughness, self.times + offset, held)
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueResiduals:
-    """Residuals of a robot's torques, and their possible components; NaN where unknown.
+    """Residuals of a robot's torques and their possible components; NaN if unknown.
 
     Attributes:
-        times: (K,), s, equidistant.
-        link: measured minus the model's torques at the links, (K, n), Nm or N; NaN at joints that
-            are coupled, of whose torques each may be a share.
-        motor: commanded minus measured torque, minus motor inertia and declared friction torques,
-            (K, n); also NaN where the joint is slow or reverses.
-        lag: commanded minus measured torque, uncorrected, (K, n).
+        times: equidistant times, shape (K,), s.
+        link: measured minus model torques, shape (K, n), Nm or N; NaN for coupled joints, whose
+            torques cannot be separated.
+        motor: commanded minus measured torques, minus torques of motor inertia and declared
+            friction, shape (K, n); NaN while a joint is slow or reverses.
+        lag: commanded minus measured torques, shape (K, n).
         width: standard deviation of the low-pass filter, s.
-        scale: (n,), torque limits, or the largest torque without a limit.
-        coulomb: (n,), declared friction, Nm.
-        torque_control: whether joint torque control is on.
-        no_model: reason why `link` is unknown, such as undeclared masses; empty if it is known.
+        scale: torque limits, or the largest torques of joints without a limit, shape (n,).
+        coulomb: declared Coulomb friction, shape (n,), Nm.
+        torque_control: whether joint torque control is active.
+        no_model: reason why `link` is invalid, such as undeclared masses; empty if it is valid.
     """
 
     robot: SerialRobot
@@ -161,20 +160,16 @@ class TorqueResiduals:
 
     @property
     def has_model(self) -> bool:
-        """Whether `link` is valid."""
         return not self.no_model
 
     @cached_property
     def by_angle(self) -> Array:
-        """Change of the model's torque at one joint by the angle of another, (K, n, n).
-
-        In Nm and N by rad and m: what an encoder's offset makes the model err by.
-        """
+        """Derivatives of the model torques by the joint values, shape (K, n, n)."""
         return _torques_by_angle(self.robot, *self.motion.links)
 
     @property
     def step(self) -> float:
-        """Between two rows, s."""
+        """Time between two rows, s."""
         return float(self.times[1] - self.times[0])
 
 
@@ -184,31 +179,32 @@ def torque_residuals(
     *,
     torque_control: bool | None = None,
     times: Array | None = None,
-    most_rows: int = MOST_ROWS,
+    max_rows: int = MAX_ROWS,
     window: float = WINDOW,
 ) -> TorqueResiduals:
-    """Computes the parts of a robot's torques not explained by its motion.
+    """Computes the parts of a robot's torques that its motion does not explain.
 
     Args:
-        log: a run.
-        name: of the robot in it.
-        torque_control: whether joint torque control was on; detected from the smaller residuals
-            when None.
-        times: (K,), s, of the residuals, on the clock of the run; its own when None.
-        most_rows: maximum number kept; longer runs are sampled more coarsely.
+        log: the run.
+        name: name of the robot.
+        torque_control: whether joint torque control was active; None selects the smaller
+            residuals.
+        times: times of the residuals on the clock of the run, shape (K,), s; None for equidistant
+            times.
+        max_rows: maximum number of equidistant times.
         window: standard deviation of the low-pass filter, s.
 
     Raises:
-        UsageError: there is no such robot, or too little or no measured torque.
+        UsageError: there is no such robot, no measured torque, or too little data.
     """
     robot = _checked(log, name)
     rows, step = _even(log, name)
-    # Torques of a row act in the step that leads to it: the state is that of the previous row.
+    # The torques of a row act in the step before it, so the state is that of the previous row.
     q, v = rows["q"][1:-1], np.diff(rows["q"], axis=0)[:-1] / step
     a = np.diff(rows["q"], n=2, axis=0) / step**2
     a[_jumps(a)] = np.nan
     at, measured, commanded = rows["t"][2:, 0], rows["measured"][2:], rows["commanded"][2:]
-    low_pass = _LowPass(at, step, times, most_rows, window)
+    low_pass = _LowPass(at, step, times, max_rows, window)
     if len(low_pass.times) < _MIN_ROWS:
         least = _MIN_ROWS * low_pass.step + 2 * _SUPPORT * low_pass.width
         problem = Problem(
@@ -228,29 +224,29 @@ def torque_residuals(
     signs = low_pass(sign)
     with np.errstate(invalid="ignore"):
         slow = ~(speed > SLOW)
-        turns = slow | ~(np.abs(signs) > _TURNING)
+        reverses = slow | ~(np.abs(signs) > _REVERSING)
     acceleration = low_pass(a)
-    if robot.elastic_joints:  # the motor's, ahead of the link's by the spring's deflection
+    if robot.elastic_joints:  # the motor differs from the link by the deflection of the spring
         acceleration = acceleration + low_pass.second(measured) / dynamics.joint_stiffness
     free = np.where(_at_stops(robot, q), np.nan, measured)
     coupled = {*robot.couplings, *(each.to for each in robot.couplings.values())}
     free[:, [name in coupled for name in robot.names]] = np.nan
-    felt = robot.torque_control.motor_inertias
-    if felt is None:
-        felt = robot.torque_control.inertia_ratio * dynamics.motor_inertias
+    apparent = robot.torque_control.motor_inertias
+    if apparent is None:
+        apparent = robot.torque_control.inertia_ratio * dynamics.motor_inertias
+    apparent = np.broadcast_to(apparent, robot.n)
     lag = commanded - measured
     friction = dynamics.viscous_friction * smooth + dynamics.coulomb_friction * signs
     inertial = dynamics.motor_inertias * acceleration + friction
     plain = low_pass(lag) - inertial
-    felt = np.broadcast_to(felt, robot.n)
-    # A motor without inertia is given what is commanded.
-    ratio = np.divide(dynamics.motor_inertias, felt, out=np.ones(robot.n), where=felt > 0.0)
-    # The loop's request to the drive, which saturates.
-    asked, most = measured + ratio * lag, _scale(robot, np.full_like(measured, np.inf))
-    saturated = np.abs(asked) > _SATURATED * most
-    looped = low_pass(np.where(saturated, np.nan, lag)) - felt * acceleration
+    # A motor without inertia exerts the commanded torque.
+    ratio = np.divide(dynamics.motor_inertias, apparent, out=np.ones(robot.n), where=apparent > 0.0)
+    # Torques that the torque loop requests from the drives, which saturate.
+    requested, limit = measured + ratio * lag, _scale(robot, np.full_like(measured, np.inf))
+    saturated = np.abs(requested) > _SATURATED * limit
+    looped = low_pass(np.where(saturated, np.nan, lag)) - apparent * acceleration
     for each in (plain, looped):
-        each[turns] = np.nan
+        each[reverses] = np.nan
     scale = _scale(robot, measured)
     if torque_control is None:
         torque_control = _is_smaller(looped / scale, plain / scale)
@@ -260,7 +256,7 @@ def torque_residuals(
         commanded=low_pass(commanded),
         model=low_pass(model),
         rates=np.fmax(*(np.abs(low_pass.first(each)) for each in (measured, commanded))),
-        requested=low_pass(np.clip(asked, -most, most)),
+        requested=low_pass(np.clip(requested, -limit, limit)),
         delivered=low_pass(measured) + inertial,
         late_model=np.stack([low_pass(_later(model, step, each)) for each in DELAYS]),
         late_commanded=np.stack([low_pass(_later(commanded, step, each)) for each in DELAYS]),
@@ -286,10 +282,10 @@ def torque_residuals(
 
 
 def pair_with_model(log: RunLog, found: TorqueResiduals) -> Pair:
-    """A robot's run, paired with the torques of its model in the same motion.
+    """Pairs a robot's run with the torques of its model in the same motion, low-pass filtered.
 
-    The model follows the robot's motion, and its torques result from inverse dynamics: driven by
-    the commanded torques it would diverge within a second in any case. Both are low-pass filtered.
+    The torques of the model result from inverse dynamics of the measured motion. A model driven by
+    the commanded torques would diverge within a second.
     """
     name = found.robot.name
     angles = at_times(log.times, log.of(name, "joint_angles"), found.times)
@@ -312,7 +308,7 @@ def _checked(log: RunLog, name: str) -> SerialRobot:
 
 
 def _even(log: RunLog, name: str) -> tuple[dict[str, Array], float]:
-    """Signals at even times, (T, n) each; NaN where there are gaps."""
+    # Signals at equidistant times, (T, n) each, with NaN in gaps.
     times = log.times
     if len(times) < 4 or log.timestep <= 0.0:
         raise UsageError(f"{log.name} has {len(times)} rows of '{name}'; expected a run")
@@ -332,20 +328,14 @@ def _even(log: RunLog, name: str) -> tuple[dict[str, Array], float]:
 
 
 class _LowPass:
-    """A Gaussian low-pass filter with its derivatives, evaluated at few times only.
-
-    Args:
-        at: (T,), s, times of the rows, `step` apart.
-        wanted: (K,), s, evaluation times; at most `most` equidistant ones when None.
-        window: its standard deviation, s, one row at least.
-    """
-
+    # A Gaussian low-pass filter with derivatives, for rows at the times `at` (T,). It is evaluated
+    # at the times `wanted` (K,), or at `max_rows` equidistant times at most.
     def __init__(
-        self, at: Array, step: float, wanted: Array | None, most: int, window: float
+        self, at: Array, step: float, wanted: Array | None, max_rows: int, window: float
     ) -> None:
         self.width = max(window, step)
         reach = int(np.ceil(_SUPPORT * self.width / step))
-        every = max(int(_ROW_SPACING * self.width / step), -(-len(at) // most), 1)
+        every = max(int(_ROW_SPACING * self.width / step), -(-len(at) // max_rows), 1)
         self.step = every * step
         rows = np.arange(reach, len(at) - reach, every)
         if wanted is not None:
@@ -358,13 +348,12 @@ class _LowPass:
         self._kernel = kernel / kernel.sum()
         first = z * kernel
         self._first = first / (first @ (z * self.width))
-        # Second derivative: 0 for a constant, 2 for the square of the time.
+        # Second derivative, normalized to 0 for a constant and 2 for the square of the time.
         second = (z**2 - 1.0) * kernel
         second -= kernel * (second.sum() / kernel.sum())
         self._second = second * 2.0 / (second @ (z * self.width) ** 2)
 
     def __call__(self, values: Array) -> Array:
-        """(T, ...) to (K, ...)."""
         return self._at_rows(values, self._kernel)
 
     def first(self, values: Array) -> Array:
@@ -381,14 +370,14 @@ class _LowPass:
         return result.reshape(len(self._rows), *values.shape[1:])
 
     def fully(self, values: Array) -> Array:
-        """The same at every row, (T, n); the nearest value at both ends."""
+        # The filter at every row, (T, n), with the nearest value beyond both ends.
         padded = np.pad(values, ((self._reach, self._reach), (0, 0)), mode="edge")
         windows = np.lib.stride_tricks.sliding_window_view(padded, len(self._kernel), axis=0)
         return np.asarray(windows @ self._kernel)
 
 
 def _link_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
-    """M(q) a + C(q, v) v + g(q) of the links alone, (T, n), Nm or N."""
+    # M(q) a + C(q, v) v + g(q) of the links alone, (T, n), Nm or N.
     model = RobotModel.of(robot.model_copy(update={"mount": None, "free_base": False}))
     torques, less = np.zeros((len(q), robot.n)), np.zeros(robot.n)
     for k in np.flatnonzero(np.isfinite(q + v + a).all(axis=1)):
@@ -400,20 +389,14 @@ def _link_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
 
 
 def _jumps(a: Array) -> Bools:
-    """Rows in which an angle jumps and keeps its velocity, as no robot moves, (T, n).
-
-    An encoder slips, or is set anew. The second difference is large there, twice, and the other way
-    round: `_JUMP` times that of most rows in which it is not 0, as resolution and noise make it.
-
-    Args:
-        a: second differences of the angles, (T, n).
-    """
+    # Rows with jumps in the second differences `a` (T, n) of angles, as when an encoder slips or is
+    # reset: two large values of opposite sign, because the velocity stays the same.
     moving = np.where(a == 0.0, np.nan, np.abs(a))
     usual = [
-        np.nanquantile(each, _MOST) if np.isfinite(each).any() else np.inf for each in moving.T
+        np.nanquantile(each, _QUANTILE) if np.isfinite(each).any() else np.inf for each in moving.T
     ]
     large = np.abs(a[:-1]) > _JUMP * np.array(usual)
-    back = np.abs(a[:-1] + a[1:]) < _RETURNS * np.abs(a[:-1])
+    back = np.abs(a[:-1] + a[1:]) < _RETURN_SHARE * np.abs(a[:-1])
     found = np.zeros(a.shape, bool)
     found[:-1] |= large & back
     found[1:] |= large & back
@@ -421,7 +404,7 @@ def _jumps(a: Array) -> Bools:
 
 
 def _torques_by_angle(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
-    """The change of `_link_torques` by each angle, by central differences, (K, n, n)."""
+    # Derivatives of `_link_torques` by each angle, by central differences, (K, n, n).
     found = np.empty((len(q), robot.n, robot.n))
     for j, shift in enumerate(_ANGLE_STEP * np.eye(robot.n)):
         more, less = (_link_torques(robot, q + side * shift, v, a) for side in (1.0, -1.0))
@@ -430,12 +413,10 @@ def _torques_by_angle(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array
 
 
 def _payload_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
-    """Torques at the links by the ten parameters of a body at the flange, (T, n, 10).
-
-    Of a body with mass m, first moment h = m c and inertia I about the flange's origin, that moves
-    with angular velocity w and acceleration u, the origin with acceleration s (gravity included),
-    all in the flange's axes: force m s + u x h + w x (w x h), moment h x s + I u + w x (I w).
-    """
+    # Link torques per unit of the ten parameters of a body at the flange, (T, n, 10). For mass m,
+    # first moment h = m c and inertia I about the flange, angular velocity w, angular acceleration
+    # u, and acceleration s of the flange including gravity, all in flange axes:
+    # force m s + u x h + w x (w x h), moment h x s + I u + w x (I w).
     table, base, flange = robot.kinematics, robot.base_frame, robot.T_n_flange
 
     def jacobian(angles: Array) -> Array:
@@ -465,7 +446,7 @@ def _payload_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
 
 
 def _cross(x: Array) -> Array:
-    """The matrices of x cross, (T, 3, 3)."""
+    # Matrices of the cross product with x, (T, 3, 3).
     result = np.zeros((len(x), 3, 3))
     result[:, 0, 1], result[:, 0, 2] = -x[:, 2], x[:, 1]
     result[:, 1, 0], result[:, 1, 2] = x[:, 2], -x[:, 0]
@@ -474,7 +455,7 @@ def _cross(x: Array) -> Array:
 
 
 def _tensor_times(x: Array) -> Array:
-    """I x as a matrix times (Ixx, Iyy, Izz, Ixy, Ixz, Iyz), (T, 3, 6)."""
+    # Matrices that map (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) to I x, (T, 3, 6).
     result = np.zeros((len(x), 3, 6))
     for row, columns in enumerate(((0, 3, 4), (3, 1, 5), (4, 5, 2))):
         for axis, column in enumerate(columns):
@@ -483,17 +464,15 @@ def _tensor_times(x: Array) -> Array:
 
 
 def _roughness(measured: Array, commanded: Array, step: float) -> tuple[Array, Array]:
-    """Roughness of measured torques not caused by commands; windows of about 0.1 s.
-
-    White noise of standard deviation s has second differences of sqrt(6) s; the median of
-    magnitudes is 0.6745 of it, robust to single steps. Neighbours have a correlation of -2/3; far
-    from that, it is an oscillation, not noise.
-    """
+    # Roughness of measured torques that commands do not cause, in windows of about 0.1 s. White
+    # noise with the standard deviation s has second differences of sqrt(6) s. The median of their
+    # magnitudes is 0.6745 times that, and robust to single steps. Successive values have a
+    # correlation of -2/3; otherwise, it is an oscillation, not noise.
     bends = np.diff(measured, n=2, axis=0)
-    asked = np.diff(commanded, n=2, axis=0)
+    caused = np.diff(commanded, n=2, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.nansum(bends * asked, axis=0) / np.nansum(asked * asked, axis=0)
-    bends = bends - np.nan_to_num(np.where(np.isfinite(share), share, 0.0) * asked)
+        share = np.nansum(bends * caused, axis=0) / np.nansum(caused * caused, axis=0)
+    bends = bends - np.nan_to_num(np.where(np.isfinite(share), share, 0.0) * caused)
     size = max(round(0.1 / step), 12)
     count = max(len(bends) // size, 1)
     stretches = bends[: count * size].reshape(count, -1, bends.shape[1])
@@ -506,7 +485,7 @@ def _roughness(measured: Array, commanded: Array, step: float) -> tuple[Array, A
 
 
 def _later(values: Array, step: float, delay: float) -> Array:
-    """The change of values (T, n) by a delay, s."""
+    # The change of values (T, n) by a delay in s.
     rows = delay / step
     whole = int(rows)
     padded = np.concatenate([np.repeat(values[:1], whole + 1, axis=0), values])
@@ -515,7 +494,6 @@ def _later(values: Array, step: float, delay: float) -> Array:
 
 
 def _held(at: Array, measured: Array) -> tuple[float, float, float]:
-    """Begin, end and value of the longest interval with constant torque (T,)."""
     changes = np.flatnonzero(np.concatenate([[True], np.diff(measured) != 0.0, [True]]))
     longest = int(np.argmax(np.diff(changes)))
     begin, end = changes[longest], changes[longest + 1] - 1
@@ -530,7 +508,7 @@ def _scale(robot: SerialRobot, measured: Array) -> Array:
 
 def _why_no_model(robot: SerialRobot, log: RunLog, estimated: Sequence[str]) -> str:
     if "masses" in estimated:
-        return f"the masses of {robot.name} are not declared, but estimated"
+        return f"the masses of {robot.name} are estimated, not declared"
     if robot.mount is not None or robot.free_base:
         return f"the base of {robot.name} moves"
     carried = [

@@ -48,6 +48,7 @@ class FrankaClient(Reachable):
     )
     title: ClassVar[str] = "client of libfranka"
     order: ClassVar[int] = 80
+    protocol_joints: ClassVar[int] = JOINTS
 
     kind: Literal["franka"] = "franka"
     port: int = Field(PORT, ge=0, le=65535)

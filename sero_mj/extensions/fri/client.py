@@ -24,6 +24,7 @@ class FriClient(FriSession):
     logged: ClassVar[tuple[str, ...]] = ("fri_state", "fri_quality", "step_lateness")
     title: ClassVar[str] = "client of FRI"
     order: ClassVar[int] = 75
+    protocol_joints: ClassVar[int] = JOINTS
 
     kind: Literal["fri"] = "fri"
     port: int = Field(fri.PORT, ge=0, le=65535)

@@ -13,7 +13,7 @@ from ...base.errors import UsageError
 from ...base.frames import Array
 from ...cli.export import CAPTURE_OPTIONS, capture_run, report_size
 from ...viewer.player.capture import CapturedRun
-from ...viewer.player.model import field_corners, geom_colours, mesh_corners
+from ...viewer.player.model import field_corners, geom_colors, mesh_corners
 
 if TYPE_CHECKING:
     from ...cli.export import ExportOptions
@@ -68,7 +68,7 @@ def write_glb(captured: CapturedRun, path: Path) -> None:
     except ModuleNotFoundError:
         raise UsageError("glTF needs pygltflib: pip install 'sero-mj[gltf]'") from None
 
-    model, colours = captured.world.model, geom_colours(captured.world.model)
+    model, colours = captured.world.model, geom_colors(captured.world.model)
     gltf = pygltflib.GLTF2(scene=0)
     blob = _Blob(gltf)
     meshes: dict[Any, int] = {}  # by the declaration of a shape

@@ -1,7 +1,6 @@
-"""Simulated robots as `dm_env` and gymnasium environments, for learning.
+"""Simulated robots as `dm_env` and Gymnasium environments, for reinforcement learning.
 
-In: a robot with a task, or a scenario. Out: episodes of control steps, each of several
-steps of the simulation, with a checked action; of one robot, or of many that are stepped together.
-Open first: `make.py`; `environment.py` is the loop, `tasks.py` what tasks do, `actions.py` what an
-agent commands; `many.py` steps many; `gymnasium_env.py`, `gymnasium_vector.py` are for gymnasium.
+In: a robot with a task, or a scenario. Out: episodes of one robot, or of many in parallel.
+Open first: `make.py`. `environment.py` has the loop, `tasks.py` the tasks, `actions.py` the
+actions, and `many.py` steps many environments together.
 """

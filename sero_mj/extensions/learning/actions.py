@@ -1,4 +1,4 @@
-"""What an agent commands, joint torques or target offsets, and the controller that does it."""
+"""Actions of an agent (joint torques or target offsets), and the controller that executes them."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Kind = Literal["torque", "impedance"]
 
 
 class Action(ABC):
-    """What an agent commands a robot.
+    """The kind of commands that an agent sends to a robot.
 
     Attributes:
-        unit: of an action's numbers, for messages.
-        spec: (n,), with their bounds.
-        controller: that carries it out.
+        unit: unit of an action, for messages.
+        spec: shape (n,) and bounds of an action.
+        controller: controller that executes the action.
     """
 
     unit: ClassVar[str]
@@ -35,38 +35,33 @@ class Action(ABC):
 
     @abstractmethod
     def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
-        """Begins an episode.
+        """Begins an episode, in which actions are written to `target`.
 
-        Args:
-            target: of the controller, which is written here from now on. Of m robots (m, n) arrays.
-            angles: (n,), where the robot stands; of several robots (k, n).
-            which: of m robots those k that begin.
+        `angles` (n,) are the joint values of the robot. For m robots, `target` has arrays (m, n),
+        and `angles` (k, n) belongs to those robots that `which` selects.
         """
 
     @abstractmethod
     def take(self, action: Array) -> None:
-        """Begins a control step; the action, (n,) or (m, n), is within its bounds."""
+        """Begins a control step with an action (n,) or (m, n) within the bounds."""
 
-    def advance(self) -> None:  # noqa: B027 - most do nothing
+    def advance(self) -> None:  # noqa: B027 - optional
         """Begins a step of the simulation."""
 
     def observation(self) -> dict[str, Array]:
-        """The state of the action that an agent observes."""
+        """Returns the state of the action that an agent observes."""
         return {}
 
     def observation_spec(self) -> dict[str, specs.Array]:
-        """Shapes and bounds of that."""
+        """Returns shapes and bounds of `observation`."""
         return {}
 
 
 class TorqueAction(Action):
-    """Joint torques on top of gravity compensation, held for a control step.
+    """Joint torques (Nm or N) in addition to gravity compensation, constant for a control step.
 
-    As on the robot: its controller adds gravity to what it is asked for, and the drives cut off
-    what is beyond their limits.
-
-    Attributes:
-        spec: (n,), Nm or N, within the torque limits.
+    As on the real robot, the controller adds gravity torques, and the drives clip the sum to their
+    limits.
 
     Raises:
         DeclarationError: the robot has no torque limits.
@@ -88,32 +83,28 @@ class TorqueAction(Action):
         self.spec = specs.BoundedArray((robot.n,), np.float64, -high, high, name="torques")
 
     def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
-        """Begins an episode without torques."""
         self._target = target
         target.torques[which] = 0.0
 
     def take(self, action: Array) -> None:
-        """Commands these torques."""
         self._target.torques[:] = action
 
 
 class ImpedanceAction(Action):
-    """By how much the target angles of a joint impedance move in a control step.
+    """Offsets (rad or m) of the target of a joint impedance controller.
 
-    They move at constant speed over the step, within the position limits; as labs drive real LWRs,
-    whose springs, dampers and gravity compensation run in the robot's own controller.
+    The target moves by the offset at constant speed during a control step, within the position
+    limits. Labs command real LWRs this way: impedance and gravity compensation run in the robot's
+    own controller. The bounds result from the velocity limits (default: 1 rad/s, 0.25 m/s).
 
     Args:
-        control_timestep: s between two actions.
-        timestep: s between two steps of the simulation.
-        stiffness: Nm/rad, one for all joints or (n,).
-
-    Attributes:
-        spec: (n,), rad or m, within what the velocity limits allow in a control step; robots
-            without are taken to have 1 rad/s and 0.25 m/s.
+        control_timestep: time between two actions, s.
+        timestep: time step of the simulation, s.
+        stiffness: stiffness of all joints or of each joint (n,), Nm/rad.
+        damping: damping ratio of all joints or of each joint (n,).
 
     Raises:
-        DeclarationError: gains that no joint impedance has.
+        DeclarationError: the gains are invalid.
     """
 
     unit = "rad"
@@ -128,7 +119,7 @@ class ImpedanceAction(Action):
     ) -> None:
         self._substeps = max(round(control_timestep / timestep), 1)
         self._duration = self._substeps * timestep
-        most = joint_speeds(robot, "agent") * self._duration
+        bound = joint_speeds(robot, "agent") * self._duration
         limits = robot.position_limits
         far = np.full(robot.n, np.inf)
         self._low: Array = -far if limits is None else limits[:, 0]
@@ -137,10 +128,9 @@ class ImpedanceAction(Action):
         self._goal: Array = np.zeros(robot.n)
         self._left = 0
         self.controller: JointImpedance = JointImpedance(stiffness=stiffness, damping=damping)
-        self.spec = specs.BoundedArray((robot.n,), np.float64, -most, most, name="target_offsets")
+        self.spec = specs.BoundedArray((robot.n,), np.float64, -bound, bound, name="target_offsets")
 
     def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
-        """Begins an episode: the target is where the robot stands."""
         self._target = target
         if self._goal.shape != target.angles.shape:
             self._goal, self._step = np.zeros((2, *target.angles.shape))
@@ -149,7 +139,6 @@ class ImpedanceAction(Action):
         self._left = 0
 
     def take(self, action: Array) -> None:
-        """Begins a control step; the action is within its bounds."""
         target = self._target
         np.clip(target.angles + action, self._low, self._high, self._goal)
         np.subtract(self._goal, target.angles, self._step)
@@ -158,19 +147,17 @@ class ImpedanceAction(Action):
         self._left = self._substeps
 
     def advance(self) -> None:
-        """Begins a step of the simulation."""
         if self._left > 0:
             self._left -= 1
             self._target.angles += self._step
             if self._left == 0:
-                self._target.angles[:] = self._goal  # no error adds up
+                self._target.angles[:] = self._goal  # prevents accumulated rounding errors
 
     def observation(self) -> dict[str, Array]:
-        """The target angles, (n,) or (m, n), without which the next state cannot be predicted."""
+        # Without the target, the next state cannot be predicted.
         return {"commanded_angles": self._goal.copy()}
 
     def observation_spec(self) -> dict[str, specs.Array]:
-        """Shapes and bounds of that."""
         name = "commanded_angles"
         return {
             name: specs.BoundedArray(self.spec.shape, np.float64, self._low, self._high, name=name)
@@ -178,13 +165,10 @@ class ImpedanceAction(Action):
 
 
 class AgentController(Controller):
-    """The controller that carries out an agent's actions.
-
-    Args:
-        timestep: s between two steps of the simulation.
+    """The controller that executes an agent's actions.
 
     Raises:
-        DeclarationError: gains that do not fit the robot.
+        DeclarationError: the gains do not fit the robot.
     """
 
     def __init__(
@@ -194,11 +178,7 @@ class AgentController(Controller):
         self.begin_at(np.asarray(robot.home, np.float64))
 
     def begin_at(self, angles: Array) -> None:
-        """Begins an episode: nothing that was remembered gets into it.
-
-        Args:
-            angles: (n,), where the robot stands, rad or m.
-        """
+        """Resets all state for an episode that begins at these joint values, shape (n,)."""
         self._target = Target(self._robot.n)
         self._inner = make_controller(
             self._action.controller, self.model, self._timestep, self._robot.torque_limits
@@ -210,7 +190,6 @@ class AgentController(Controller):
         self._inner.torques(sensed, self._target, out)
 
     def check(self, angles: Array) -> None:
-        """Refuses gains for which the time step is too long; see `LimitedController.check`."""
         self._inner.check(angles)
 
 
@@ -222,15 +201,11 @@ def checked_action(
     time: float,
     m: int | None = None,
 ) -> Array:
-    """Returns an action as (n,) numbers within the bounds; what is beyond is cut off.
-
-    Args:
-        time: s, for messages.
-        m: number of environments, where it is of many: then (m, n).
+    """Returns an action (n,), clipped to the bounds, or (m, n) for m environments.
 
     Raises:
-        ValueError: it is not n numbers.
-        SimulationError: one of them is NaN or infinite; names the joint.
+        ValueError: the shape is wrong.
+        SimulationError: a number is NaN or infinite.
     """
     shape = spec.shape if m is None else (m, *spec.shape)
     numbers = " x ".join(map(str, shape))

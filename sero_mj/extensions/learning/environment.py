@@ -1,4 +1,4 @@
-"""`Environment`: a scenario in which an agent drives one robot, as a `dm_env.Environment`."""
+"""`Environment`: a scenario in which an agent controls one robot, as a `dm_env.Environment`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from ...base.declaration import Declaration
 from ...base.errors import Problem, SimulationError, UnknownName
 from ...base.frames import Array
 from ...data.drive.mirror import Mirror
-from ...data.receive.structure import Structure
 from ...robots.assemble.robot_dynamics import robot_dynamics
 from ...robots.assemble.world import World
 from ...robots.declared.mounts import base_frames, unmounted
@@ -25,7 +24,6 @@ from ...robots.declared.robot import SerialRobot
 from ...simulate.control.compiler import Compiler
 from ...simulate.control.torque_loop import LoopGains
 from ...simulate.plant import Plant
-from ...simulate.runs.monitor import Finding
 from ...simulate.runs.run_log import event_of
 from ...simulate.runs.run_source import RunSource
 from ...simulate.scenario import Scenario
@@ -46,21 +44,21 @@ from .tasks import AgentRobot, Episode, Task
 if TYPE_CHECKING:
     from ...viewer.window.host import Window
 
-# rad, m: how far springs let joints into their stops, and observations beyond their limits
-BEYOND = {"revolute": 0.2, "prismatic": 0.05}
-_FASTEST_SPRING = 40.0  # rad/s, of a motor on its spring: slow against steps of 1 ms
+# Margin of observed angles beyond the limits in rad and m, because end stops are elastic.
+LIMIT_MARGIN = {"revolute": 0.2, "prismatic": 0.05}
+_MAX_FREQUENCY = 40.0  # rad/s, of a motor with the default stiffness; low for steps of 1 ms
 
 
 class Settings(Declaration):
     """Options of all environments.
 
     Attributes:
-        action: what an agent commands: joint torques, or offsets of an impedance's target.
-        control_timestep: s between two actions.
-        seed: of everything that is random; the same seed gives the same episodes.
-        stiffness: Nm/rad, one for all joints or one each; where actions are target offsets. By
-            default 500, and less where a joint's motor is too light for it.
-        damping: ratio, likewise.
+        action: joint torques, or target offsets of an impedance controller.
+        control_timestep: time between two actions, s.
+        seed: random seed; the same seed gives the same episodes.
+        stiffness: stiffness of the impedance controller for all joints or for each joint, Nm/rad
+            (default: 500, and less for joints with small motors).
+        damping: damping ratio of the impedance controller for all joints or for each joint.
     """
 
     action: Kind = "torque"
@@ -70,13 +68,10 @@ class Settings(Declaration):
     damping: Any = 0.7
 
     def substeps(self, timestep: float) -> int:
-        """Steps of the simulation in a control step.
-
-        Args:
-            timestep: of the simulation, s.
+        """Returns the number of simulation steps in a control step.
 
         Raises:
-            DeclarationError: a control step is no whole number of them.
+            DeclarationError: the control step is not a whole number of simulation steps.
         """
         ratio = self.control_timestep / timestep
         if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
@@ -89,87 +84,62 @@ class Settings(Declaration):
         return round(ratio)
 
     def make_action(self, robot: SerialRobot, timestep: float) -> Action:
-        """What an agent commands a robot, at a timestep of the simulation in s."""
         if self.action == "torque":
             return TorqueAction(robot)
-        stiffness = _usual_stiffness(robot) if self.stiffness is None else self.stiffness
+        stiffness = _default_stiffness(robot) if self.stiffness is None else self.stiffness
         return ImpedanceAction(robot, self.control_timestep, timestep, stiffness, self.damping)
 
 
-def _usual_stiffness(robot: SerialRobot) -> Array:
-    """Returns what every joint can have at 1 kHz, (n,), Nm/rad; 500 for those of an LWR."""
+def _default_stiffness(robot: SerialRobot) -> Array:
     inertia = robot_dynamics(robot).motor_inertias
-    return np.where(inertia > 0, np.minimum(500.0, inertia * _FASTEST_SPRING**2), 500.0)
+    return np.where(inertia > 0, np.minimum(500.0, inertia * _MAX_FREQUENCY**2), 500.0)
 
 
-class _DrivenRun:
-    """The current episode as a run that goes as far as its agent has driven it; for `RunSource`."""
+class _EpisodeRun:
+    """The current episode as a run for `RunSource`. Only the agent advances it."""
 
-    drag_force = live = None  # the agent drives it, nobody else
+    drag_force = live = None
 
     def __init__(self, environment: Environment) -> None:
         self._environment = environment
 
-    def findings(self) -> list[Finding]:
-        return self._environment.simulation.findings()
-
-    @property
-    def about(self) -> str:
-        return self._environment.simulation.about
-
-    @property
-    def structure(self) -> Structure:
-        return self._environment.simulation.structure
-
-    @property
-    def rows(self) -> Array:
-        """(T, width); those behind `step` have only their times."""
-        return self._environment.simulation.rows
-
-    @property
-    def times(self) -> Array:
-        """Of the rows, (T,), s."""
-        return self._environment.simulation.times
-
-    @property
-    def step(self) -> int:
-        return self._environment.simulation.step
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._environment.simulation, name)
 
     def advance(self, to_step: int) -> None:
-        """Does nothing: that is up to the agent."""
+        pass
 
 
 class Environment(dm_env.Environment):  # type: ignore[misc]
-    """Episodes of a scenario in which an agent drives one robot.
+    """Episodes of a scenario in which an agent controls one robot.
 
-    Everything else happens as the scenario declares it. An episode ends with the scenario, with
-    discount 1: it could go on. It ends as well when the motion has become unstable, with reward and
-    discount 0 and the observation before; `error` says where and when. Actions beyond their bounds
-    are cut off, as the robot's drives do it. Number k depends on the seed and on k alone.
+    An episode ends with the scenario (discount 1), or if the simulation becomes unstable (reward
+    and discount 0, with the previous observation; `error` contains the reason). Actions are clipped
+    to their bounds. Episode k depends only on the seed and on k.
 
     Args:
-        scenario: what happens; it is left as it is.
-        robot: name of the one that the agent drives.
-        task: what it is to do.
-        settings: how it is driven; the usual ones when None.
-        random_start: whether episodes begin in random poses, else as the robot is declared.
+        scenario: the scenario, which is not modified.
+        robot: name of the robot that the agent controls.
+        task: the task of the agent.
+        settings: options of the environment; None for the defaults.
+        random_start: whether episodes begin in random poses instead of the declared one.
 
     Attributes:
-        scenario: as given, with the agent in the place of the robot's controller.
-        settings: how it is driven.
-        substeps: steps of the simulation in a control step.
-        simulation: the current episode; `simulation.outcomes()` says what has held.
-        task: the task from episode to episode; `task.target` of `reach`, for instance.
-        seed: of everything that is random; as the settings have it, until another is set.
-        episode: number of the current one, from 0; -1 before the first. Set it to k - 1 and the
-            next episode is number k.
-        error: what ended the last episode, or None.
-        columns: of what is observed of the log, by its name in observations.
-        bounds: low and high, (n,), to which angles are cut off in observations, likewise.
+        scenario: the scenario, with the agent instead of the robot's controller.
+        settings: options of the environment.
+        substeps: number of simulation steps in a control step.
+        simulation: the current episode; `simulation.outcomes()` evaluates expectations.
+        task: the task in the current episode; `reach` has the attribute `task.target`, for example.
+        seed: random seed.
+        episode: number of the current episode from 0; -1 before the first. Set it to k - 1 to
+            continue with episode k.
+        error: the error that ended the last episode, or None.
+        columns: columns of the log by name in observations.
+        bounds: lower and upper bounds (n,) of observed angles by name in observations.
 
     Raises:
-        UnknownName: no such robot.
-        DeclarationError: what does not fit the robot.
+        UnknownName: there is no such robot.
+        DeclarationError: the settings do not fit the robot.
     """
 
     def __init__(
@@ -224,57 +194,55 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
                 if event_of(name, signal) in columns:
                     self.columns[f"{prefix}{signal}"] = columns[event_of(name, signal)]
             if robot.position_limits is not None:
-                slack = np.array([BEYOND[kind] for kind in robot.types])
+                slack = np.array([LIMIT_MARGIN[kind] for kind in robot.types])
                 low, high = robot.plausible_limits.T
                 self.bounds[f"{prefix}joint_angles"] = (low - slack, high + slack)
 
     @property
     def robot(self) -> SerialRobot:
-        """The declaration of the robot that the agent drives."""
+        """The robot that the agent controls."""
         return self._robot.declared
 
     @property
     def plant(self) -> Plant:
-        """The simulated robots: pushes, payloads, sensors.
+        """The simulated robots with pushes, payloads and sensors.
 
-        What is changed there stays over episodes, but where the scenario has disturbances or
-        faults: then every episode has a new one.
+        Changes persist across episodes, except for a scenario with disturbances or faults, which
+        has a new plant in every episode.
         """
         return self._robot.plant
 
     @property
     def world(self) -> World:
-        """What is simulated, with names and ids."""
         return self.plant.world
 
     @property
     def model(self) -> mujoco.MjModel:
-        """MuJoCo's model: what `env.physics.model` is in dm_control."""
+        """The MuJoCo model, like `env.physics.model` in dm_control."""
         return self.plant.model
 
     @property
     def data(self) -> mujoco.MjData:
-        """MuJoCo's state: what `env.physics.data` is in dm_control."""
+        """The MuJoCo data, like `env.physics.data` in dm_control."""
         return self.plant.data
 
     @property
     def action(self) -> Action:
-        """What the agent commands."""
         return self._action
 
     @property
     def base_frame(self) -> Array:
-        """T_world_base of the agent's robot now, (4, 4), m."""
+        """The current T_world_base of the agent's robot."""
         return self._robot.base()
 
     @property
     def is_over(self) -> bool:
-        """Whether no episode goes on: the next step begins one."""
+        """Whether the episode has ended, so that the next step begins another one."""
         return self._is_over
 
     @property
     def control_timestep(self) -> float:
-        """Between two actions, s."""
+        """Time between two actions, s."""
         return self.settings.control_timestep
 
     def reset(self) -> dm_env.TimeStep:
@@ -290,19 +258,16 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return dm_env.restart(self._observation)
 
     def _draw_start(self, rng: np.random.Generator) -> tuple[Array, int]:
-        """Draws how an episode begins: (n,) joint angles, rad or m, and the seed of the noise."""
+        # Joint values (n,), and the seed of the noise.
         start = np.asarray(self.robot.home, np.float64)
         if self._random_start:
             start = self._robot.free_pose(rng)
         return start, int(rng.integers(2**32))
 
     def place(self, seed: int, episode: int) -> Array:
-        """Puts the plant of a robot alone where an episode begins, and begins its task.
+        """Moves the robot to the start of an episode, and begins the task, without a simulation.
 
-        For those who simulate elsewhere: the own episode is over.
-
-        Returns:
-            (n,), the joint angles, rad or m.
+        `ManyEnvironments` uses this and simulates the episode itself. Returns the joint values.
         """
         self._is_over = True
         rng = np.random.default_rng([seed, episode])
@@ -312,12 +277,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return start
 
     def _restart(self, start: Array, seed: int) -> None:
-        """Begins the simulation anew.
-
-        Args:
-            start: (n,), angles of the agent's robot, rad or m.
-        """
-        if self.scenario.disturbances or self.scenario.faults:  # these change the model
+        if self.scenario.disturbances or self.scenario.faults:  # they change the model
             self.simulation = Simulation(self.scenario, seed, self._compiler)
             self._robot.simulation = self.simulation
         if self._random_start or not (self.scenario.disturbances or self.scenario.faults):
@@ -325,17 +285,14 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             angles[self._robot.name] = start
             self.simulation.restart(np.concatenate(list(angles.values())), seed)
         if self._mirror is not None:
-            self._mirror.open()  # discards the state shown
+            self._mirror.open()  # discards the displayed state
 
     def step(self, action: Any) -> dm_env.TimeStep:
-        """Simulates a control step; after the end of an episode the next one begins.
-
-        Args:
-            action: (n,), see `action_spec`.
+        """Simulates a control step, or begins the next episode after the end of one.
 
         Raises:
-            ValueError: it is not n numbers.
-            SimulationError: one is NaN or infinite; names the joint. Nothing has been moved.
+            ValueError: the action does not have the shape (n,).
+            SimulationError: the action has NaN or infinity; nothing is simulated.
         """
         if self._is_over:
             return self.reset()
@@ -347,10 +304,10 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             simulation.advance(simulation.step + self.substeps)
         except SimulationError as error:
             self.error, self._is_over = error, True
-            # Whoever got it before may have changed it.
+            # Copies, because the arrays were already returned once.
             before = {name: value.copy() for name, value in self._observation.items()}
             return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, before)
-        self.plant.rows.physics.look_ahead()  # `data` is as up to date as after MuJoCo's own step
+        self.plant.rows.physics.forward()  # updates `data` as `mj_step` does
         self._is_over = simulation.is_done
         self._observation = self._observe()
         end = dm_env.truncation if self._is_over else dm_env.transition
@@ -364,19 +321,21 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return {**found, **self._action.observation(), **self.task.observation()}
 
     def reward(self) -> float:
-        """0 to 1, for the state now."""
+        """Returns the reward of the current state, 0 to 1."""
         return self.task.reward()
 
     def action_spec(self) -> specs.BoundedArray:
-        """Joint torques, Nm, or offsets of the target, rad, with their bounds."""
+        """Returns the bounds of joint torques (Nm, N) or target offsets (rad, m)."""
         return self._action.spec
 
     def reward_spec(self) -> specs.BoundedArray:
-        """A number from 0 to 1."""
         return specs.BoundedArray((), float, 0.0, 1.0, name="reward")
 
     def observation_spec(self) -> dict[str, specs.Array]:
-        """Names, shapes and bounds; rad, rad/s, Nm, m; of other robots as `ROBOT/joint_angles`."""
+        """Returns names, shapes and bounds of observations in SI units.
+
+        Names of other robots have a prefix, for example `ROBOT/joint_angles`.
+        """
         found: dict[str, specs.Array] = {}
         for name, columns in self.columns.items():
             shape = (columns.stop - columns.start,)
@@ -390,19 +349,13 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
     def render(
         self, height: int = 480, width: int = 640, camera: str | None = None
     ) -> NDArray[np.uint8]:
-        """Renders the state now, as `sero-mj simulate --render` would.
+        """Returns an image of the current state, shape (height, width, 3), uint8.
 
-        Args:
-            height: pixels.
-            width: pixels.
-            camera: `azimuth,elevation,distance` (degrees, degrees, m), or a camera's name.
-
-        Returns:
-            (height, width, 3), 0 to 255.
+        `camera` is `azimuth,elevation,distance` (degrees, degrees, m) or the name of a camera.
 
         Raises:
-            RenderError: no OpenGL, or the size is out of range.
-            UnknownName: no such camera.
+            RenderError: OpenGL is not available, or the size is invalid.
+            UnknownName: there is no such camera.
         """
         if self._renderer is None or self._shape != (height, width, camera):
             self.close()
@@ -410,18 +363,17 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             renderer = HeadlessRenderer(mirror.world, width, height, camera)
             self._renderer = self._open.enter_context(renderer)
             self._shape = (height, width, camera)
-        mirror = self._show_now()
+        mirror = self._show_state()
         return self._renderer.render(mirror.data)
 
     def show(self, camera: str | None = None) -> bool:
-        """Shows the state now in a window, with mouse and keys; at once, without waiting.
+        """Shows the current state in an interactive window without waiting.
 
-        Returns:
-            whether the window is open: its user has not closed it.
+        Returns False after the user has closed the window.
 
         Raises:
-            RenderError: no display, or no OpenGL.
-            UnknownName: no such camera.
+            RenderError: there is no display or no OpenGL.
+            UnknownName: there is no such camera.
         """
         if self._window is None:
             from ...viewer.window.host import Window
@@ -430,19 +382,19 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             mirror = self._open_mirror()
             window = Window(mirror, size=DEFAULT_SIZE, camera=camera)
             self._window = self._open.enter_context(window)
-            window.shows_status = False  # its clock is not the user's
-        self._show_now()
+            window.shows_status = False  # simulated time is not real time
+        self._show_state()
         clock = self._window.clock
         clock.time, clock.is_paused = self.simulation.time, True
         return self._window.is_open and self._window.frame(wait=False)
 
     def _open_mirror(self) -> Mirror:
-        source = RunSource(run=_DrivenRun(self))
+        source = RunSource(run=_EpisodeRun(self))
         scene = with_routes(self.scenario, self.simulation.layout.columns, source)
         self._mirror = self._open.enter_context(Mirror(scene))
         return self._mirror
 
-    def _show_now(self) -> Mirror:
+    def _show_state(self) -> Mirror:
         assert self._mirror is not None
         for target, values in self.task.inputs().items():
             self._mirror.world.set_input(self._mirror.data, target, values)
@@ -450,6 +402,6 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return self._mirror
 
     def close(self) -> None:
-        """Closes the window, and frees what OpenGL has."""
+        """Closes the window and releases OpenGL resources."""
         self._mirror = self._renderer = self._window = None
         self._open.close()

@@ -1,8 +1,7 @@
-"""`GymnasiumEnvironment`: an `Environment` with gymnasium's interface.
+"""`GymnasiumEnvironment`: an `Environment` with the interface of Gymnasium.
 
-Actions are shares of what `Environment.action_spec` allows, -1 to 1. Observations are those of the
-`Environment` within bounds that are finite: ten times what limits of velocity and torque allow, and
-what the robot can reach. What is beyond is cut off.
+Actions are scaled from the bounds of `Environment.action_spec` to -1 to 1. Observations are clipped
+to finite bounds: ten times the limits of velocity and torque, and twice the reach of the robot.
 """
 
 from __future__ import annotations
@@ -27,23 +26,25 @@ from .make import make_environment
 RenderMode = Literal["human", "rgb_array"]
 Observation = dict[str, Array]
 
-_BEYOND = 10.0  # times the limits of velocities and torques, and the ranges of joints
-_USUAL_TORQUE = 1e3  # Nm, N; where a robot has no limits
+_BOUND_FACTOR = 10.0  # ratio of bounds to limits of velocity and torque, and to joint ranges
+_DEFAULT_TORQUE = 1e3  # Nm or N, for robots without torque limits
 
 
 class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
     """Episodes of an `Environment`.
 
-    They are truncated at their end, and terminated when the motion has become unstable, with
-    `info["error"]`. Episode k after `reset(seed=s)` depends on s and k alone.
+    An episode is truncated at its end, and terminated with `info["error"]` if the simulation
+    becomes unstable. Episode k after `reset(seed=s)` depends only on s and k.
 
     Args:
-        render_mode: `rgb_array`, `human` (a window, at real time) or None.
-        width: of pictures, pixels.
-        camera: `azimuth,elevation,distance` (degrees, degrees, m), or a camera's name.
+        environment: the environment.
+        render_mode: `rgb_array`, `human` (a window in real time) or None.
+        width: width of images, pixels.
+        height: height of images, pixels.
+        camera: `azimuth,elevation,distance` (degrees, degrees, m) or the name of a camera.
 
     Raises:
-        DeclarationError: no such render mode.
+        DeclarationError: there is no such render mode.
     """
 
     def __init__(
@@ -68,22 +69,19 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
         self.observation_space = observation_space(self.bounds)
         self.action_space = action_space(environment)
         self._scale: Array = environment.action_spec().maximum
-        self._picture = (height, width, camera)
-        self._is_seeded = False
-        self._shown = 0.0  # when the last picture was shown in the window, s
+        self._image = (height, width, camera)
+        self._shown = 0.0  # time of the last frame in the window, s
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins the next episode.
+        """Begins the next episode, or with a `seed` the first episode of this seed.
 
-        Args:
-            seed: of this and the following ones; else these go on, from a random seed at first
-                where none was among the environment's options.
+        If the options of the environment have no seed either, the first seed is random.
         """
         super().reset(seed=seed)
         if seed is not None:
-            begin_with(self.environment, seed)
+            self.environment.seed, self.environment.episode = seed, -1
         step = self.environment.reset()
         if self.render_mode == "human":
             self._show()
@@ -92,14 +90,11 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Simulates a control step.
-
-        Args:
-            action: (n,), -1 to 1 of what the robot may be asked for; what is beyond is cut off.
+        """Simulates a control step with an action (n,) from -1 to 1.
 
         Raises:
-            SimulationError: it is NaN or infinite; names the joint. Nothing has been moved.
-            gymnasium.error.ResetNeeded: the episode has ended, or none was begun.
+            SimulationError: the action has NaN or infinity; nothing is simulated.
+            gymnasium.error.ResetNeeded: the episode has ended or not begun.
         """
         environment = self.environment
         if environment.is_over:
@@ -116,21 +111,21 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
         return {name: np.clip(value, *self.bounds[name]) for name, value in observation.items()}
 
     def render(self) -> Any:
-        """The state now, (height, width, 3); None where it is in a window, or nowhere."""
+        """Returns an image (height, width, 3), or None if the mode is not `rgb_array`."""
         if self.render_mode != "rgb_array":
             return None
-        height, width, camera = self._picture
+        height, width, camera = self._image
         return self.environment.render(height, width, camera)
 
     def _show(self) -> None:
         left = self._shown + self.environment.control_timestep - time.monotonic()
         if left > 0:
             time.sleep(left)
-        self.environment.show(self._picture[2])
+        self.environment.show(self._image[2])
         self._shown = time.monotonic()
 
     def close(self) -> None:
-        """Closes the window, and frees what pictures take."""
+        """Closes the window and releases OpenGL resources."""
         self.environment.close()
 
 
@@ -143,68 +138,56 @@ def make_gymnasium_environment(
     camera: str | None = None,
     **options: Any,
 ) -> GymnasiumEnvironment:
-    """What `gymnasium.make` calls.
+    """Called by `gymnasium.make`; see `GymnasiumEnvironment` and `make_environment`.
 
-    Args:
-        name: as for `make_environment`, or None with `robot` and `task`, or with `scenario`.
-        render_mode: see `GymnasiumEnvironment`; so are the next three.
-        **options: of `make_environment`.
-
-    Raises:
-        UnknownName: no such robot, task or scenario.
-        DeclarationError: everything that is wrong with the options, or in a file.
+    If `name` is None, `options` contain `robot` and `task`, or `scenario`.
     """
-    name, options = chosen(name, options)
+    name, options = name_and_options(name, options)
     environment = make_environment(name, **options)
     if "seed" not in options:
         environment.seed = int(np.random.SeedSequence().generate_state(1)[0])
     return GymnasiumEnvironment(environment, render_mode, width=width, height=height, camera=camera)
 
 
-def chosen(name: str | None, options: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """The name of an environment, and its options, of what was given to `gymnasium.make`.
+def name_and_options(name: str | None, options: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Returns name and options for `make_environment` from the arguments of `gymnasium.make`.
 
     Raises:
-        DeclarationError: it says neither a robot nor a scenario.
+        DeclarationError: there is neither a robot nor a scenario.
     """
     if name is not None:
         return name, options
     options = dict(options)
     if "task" in options:
         task, robot = options.pop("task"), options.pop("robot", None)
-        if isinstance(robot, Mapping):  # with fields over those of the robot's file
+        if isinstance(robot, Mapping):  # with fields that override the robot file
             fields = dict(robot)
             robot = fields.pop("model", None)
             options["robot"] = fields
         if robot is None:
-            message = 'is required; expected the name, folder or file of one: robot="panda"'
+            message = 'is required; expected a name, folder or file such as robot="panda"'
             raise Problem("robot", message).error()
         return f"{robot}/{task}", options
     if "scenario" not in options:
-        message = 'is required; expected a name or a file: scenario="my.toml"'
+        message = 'is required; expected a name or a file such as scenario="my.toml"'
         raise Problem("scenario", message).error()
     return str(options.pop("scenario")), options
 
 
-def begin_with(environment: Environment, seed: int) -> None:
-    """Lets the next episode be the first one of a seed."""
-    environment.seed, environment.episode = seed, -1
-
-
 def action_space(environment: Environment) -> spaces.Box:
-    """Shares of what a robot may be asked for, (n,)."""
+    """Returns the space of scaled actions, -1 to 1."""
     return spaces.Box(-1.0, 1.0, environment.action_spec().shape, np.float32)
 
 
 def observation_space(bounds: Mapping[str, tuple[Array, Array]]) -> spaces.Dict:
-    """What is within bounds."""
+    """Returns the space of observations with these bounds."""
     return spaces.Dict(
         {name: spaces.Box(low, high, dtype=np.float64) for name, (low, high) in bounds.items()}
     )
 
 
 def observation_bounds(environment: Environment) -> dict[str, tuple[Array, Array]]:
-    """Finite bounds of every observation, low and high, by its name."""
+    """Returns finite lower and upper bounds of all observations by name."""
     found = {}
     for name, spec in environment.observation_spec().items():
         other, slash, signal = name.rpartition("/")
@@ -217,18 +200,18 @@ def observation_bounds(environment: Environment) -> dict[str, tuple[Array, Array
 
 def _bounds(robot: SerialRobot, signal: str, spec: specs.Array) -> tuple[Array, Array]:
     if signal.endswith("velocities"):
-        most = _BEYOND * joint_speeds(robot, "agent")
+        bound = _BOUND_FACTOR * joint_speeds(robot, "agent")
     elif signal.endswith("torques"):
-        usual = np.full(robot.n, _USUAL_TORQUE)
-        most = _BEYOND * (usual if robot.torque_limits is None else robot.torque_limits)
+        default = np.full(robot.n, _DEFAULT_TORQUE)
+        bound = _BOUND_FACTOR * (default if robot.torque_limits is None else robot.torque_limits)
     elif signal.endswith("angles"):
-        most = _BEYOND * np.abs(robot.display_ranges).max(axis=1)
+        bound = _BOUND_FACTOR * np.abs(robot.display_ranges).max(axis=1)
     else:  # a position
         table = robot.kinematics
         strokes = np.abs(robot.display_ranges).max(axis=1)[~table.revolute]
         lengths = [table.step_lengths().sum(), strokes.sum()]
         reach = float(sum(lengths) + np.abs(robot.T_n_flange[:3, 3]).sum())
-        most = np.full(spec.shape, 2.0 * reach + np.abs(robot.base_frame[:3, 3]).max())
+        bound = np.full(spec.shape, 2.0 * reach + np.abs(robot.base_frame[:3, 3]).max())
     low = np.broadcast_to(getattr(spec, "minimum", -np.inf), spec.shape)
     high = np.broadcast_to(getattr(spec, "maximum", np.inf), spec.shape)
-    return np.where(np.isfinite(low), low, -most), np.where(np.isfinite(high), high, most)
+    return np.where(np.isfinite(low), low, -bound), np.where(np.isfinite(high), high, bound)

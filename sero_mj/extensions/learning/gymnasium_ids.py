@@ -1,7 +1,7 @@
-"""The environments under their names for `gymnasium.make`.
+"""Registers the environments for `gymnasium.make`.
 
-Gymnasium (1.4) looks for no packages by itself. So they are registered as soon as both it and
-sero_mj have been imported, in either order; see `base.when_imported`.
+Gymnasium (1.4) does not search for packages. Therefore, the environments are registered as soon as
+both Gymnasium and sero_mj are imported, in any order; see `base.when_imported`.
 """
 
 from __future__ import annotations
@@ -9,21 +9,18 @@ from __future__ import annotations
 from ...base.paths import list_models, list_scenarios
 
 NAMESPACE = "sero_mj"
-TASKS = ("reach", "hold")  # those of `make.TASKS`, which takes MuJoCo to import
+TASKS = ("reach", "hold")  # the keys of `make.TASKS`, without importing MuJoCo
 _ONE = "sero_mj.extensions.learning.gymnasium_env:make_gymnasium_environment"
 _MANY = "sero_mj.extensions.learning.gymnasium_vector:make_gymnasium_vector"
 
 
 def register_environments() -> None:
-    """Registers all environments with gymnasium.
+    """Registers all environments that are not yet registered with Gymnasium.
 
-    `sero_mj/ROBOT-TASK-v0` for shipped robots (`sero_mj/lwr-reach-v0`), `sero_mj/TASK-v0` for any
-    robot (`robot="panda"`, a folder or a file), `sero_mj/SCENARIO-v0` for shipped scenarios, and
-    `sero_mj/scenario-v0` for any (`scenario="my.toml"`). What is registered already stays. Robots
-    with a task are stepped together in `gymnasium.make_vec`, scenarios one by one.
-
-    Raises:
-        ImportError: gymnasium is not installed.
+    The names are `sero_mj/ROBOT-TASK-v0` for shipped robots (`sero_mj/lwr-reach-v0`),
+    `sero_mj/TASK-v0` for any robot (`robot="panda"`, a folder or a file), `sero_mj/SCENARIO-v0` for
+    shipped scenarios, and `sero_mj/scenario-v0` for any scenario (`scenario="my.toml"`).
+    `gymnasium.make_vec` steps robots with a task together, and scenarios one by one.
     """
     from gymnasium.envs.registration import register, registry
 

@@ -1,4 +1,4 @@
-"""`GymnasiumVector`: environments of a robot with a task, stepped together, for gymnasium."""
+"""`GymnasiumVector`: many environments of a robot with a task, stepped together, for Gymnasium."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gymnasium.vector.utils import batch_space
 
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools
-from ...study.workers import available_cpus
+from ...study.engine import available_cpus
 from .gymnasium_env import (
     Observation,
     action_space,
-    chosen,
+    name_and_options,
     observation_bounds,
     observation_space,
 )
@@ -25,16 +25,14 @@ from .many import ManyEnvironments
 
 
 class GymnasiumVector(VectorEnv[Any, Any, Any]):
-    """Environments that are stepped together; each is as `GymnasiumEnvironment` has it.
+    """Environments that are stepped together; each one behaves like a `GymnasiumEnvironment`.
 
-    Where an episode is over, the next step begins another one, whatever the action
+    If an episode has ended, the next step ignores the action and begins another episode
     (`AutoresetMode.NEXT_STEP`).
 
     Args:
-        is_seeded: whether the first `reset` is to begin with the seeds that they have.
-
-    Attributes:
-        many: as given.
+        many: the environments.
+        is_seeded: whether the first `reset` uses the seeds of `many`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -60,11 +58,10 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins the next episode of all.
+        """Begins the next episode of all environments, or the first episode of new seeds.
 
-        Args:
-            seed: of the first environment, the others have those after it; or one for each. None
-                goes on with the next episodes, at first of random seeds.
+        `seed` is the seed of the first environment, which is incremented for the others, or a
+        sequence of all seeds. Without a seed, the first seeds are random.
         """
         is_first = bool(self.many.episodes[0] < 0) and not self._is_seeded
         seeds: Any = None
@@ -79,45 +76,41 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
             raise Problem(
                 "seed", found=seeds.size, expected=f"one number, or {self.num_envs}"
             ).error()
-        seen = self.many.reset(seeds)
-        return self._within(seen), self._episodes(np.ones(self.num_envs, bool))
+        observed = self.many.reset(seeds)
+        return self._within(observed), self._episodes(np.ones(self.num_envs, bool))
 
     def step(self, actions: Any) -> tuple[Observation, Array, Bools, Bools, dict[str, Any]]:
-        """Simulates a control step of all.
-
-        Args:
-            actions: (num_envs, n), -1 to 1 of what the robots may be asked for; what is beyond is
-                cut off.
+        """Simulates a control step with actions (num_envs, n) from -1 to 1.
 
         Raises:
-            ValueError: it is not num_envs times n numbers.
-            SimulationError: one is NaN or infinite; names the joint. Nothing has been moved.
-            gymnasium.error.ResetNeeded: no episode was begun.
+            ValueError: the actions have a wrong shape.
+            SimulationError: an action is NaN or infinite; nothing is simulated.
+            gymnasium.error.ResetNeeded: no episode has begun.
         """
         many = self.many
         if many.episodes[0] < 0:
             raise gymnasium.error.ResetNeeded("found no episode; expected reset() before step()")
         wanted = np.asarray(actions, np.float64)
-        if wanted.shape == self.action_space.shape:  # else `step` reports it
+        if wanted.shape == self.action_space.shape:  # `step` reports a wrong shape
             wanted = wanted * self._scale
         begun = many.is_over.copy()
-        seen, rewards, terminated, truncated = many.step(wanted)
+        observed, rewards, terminated, truncated = many.step(wanted)
         infos = self._episodes(begun) if begun.any() else {}
         if terminated.any():
             infos["error"] = np.full(self.num_envs, None)
             infos["error"][terminated] = "the motion has become unstable"
             infos["_error"] = terminated.copy()
-        return self._within(seen), rewards, terminated, truncated, infos
+        return self._within(observed), rewards, terminated, truncated, infos
 
     def begin_next(self) -> Observation:
-        """Begins the next episodes where one is over, at once; returns what all observe."""
+        """Begins the next episodes of ended ones; returns the observations of all environments."""
         return self._within(self.many.begin_next())
 
     def _episodes(self, which: Bools) -> dict[str, Any]:
         return {"episode": np.where(which, self.many.episodes, 0), "_episode": which.copy()}
 
-    def _within(self, seen: Observation) -> Observation:
-        return {name: np.clip(seen[name], *bounds) for name, bounds in self._bounds.items()}
+    def _within(self, observed: Observation) -> Observation:
+        return {name: np.clip(observed[name], *bounds) for name, bounds in self._bounds.items()}
 
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the threads."""
@@ -132,17 +125,12 @@ def make_gymnasium_vector(
     render_mode: str | None = None,
     **options: Any,
 ) -> GymnasiumVector:
-    """What `gymnasium.make_vec` calls for robots with a task.
+    """Called by `gymnasium.make_vec` for robots with a task; see `make_environment`.
 
-    Args:
-        threads: on how many cores; all when None.
-        render_mode: None: these draw nothing.
-        **options: of `make_environment`.
+    `threads` is the number of threads (default: one per core). `render_mode` must be None.
 
     Raises:
-        UnknownName: no such robot or task.
-        DeclarationError: everything that is wrong with the options, or in a file; or environments
-            of this kind can only be stepped one by one.
+        DeclarationError: an option is wrong, or these environments can only be stepped one by one.
     """
     problems = [
         Problem(key, found=value, expected="1 or more")
@@ -155,7 +143,7 @@ def make_gymnasium_vector(
         )
     if problems:
         raise DeclarationError(problems)
-    name, options = chosen(name, options)
+    name, options = name_and_options(name, options)
     environment = make_environment(name, **options)
     many = ManyEnvironments(environment, num_envs, threads or available_cpus())
     return GymnasiumVector(many, is_seeded="seed" in options)

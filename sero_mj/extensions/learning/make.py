@@ -1,4 +1,4 @@
-"""`make_environment`: environments by their names, and their options."""
+"""`make_environment`: creates environments by name and options."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def described_environments() -> tuple[str, list[str]]:
         for robot in list_models()
         for name, task in TASKS.items()
     ]
-    last = "and every scenario, with an agent in the place of its controller"
+    last = "every scenario, with an agent instead of the controller"
     return "environments, for sero_mj.make_environment (dm_env)", [*lines, last]
 
 
@@ -40,8 +40,8 @@ class ScenarioSettings(Settings):
     """Options of the environment of a scenario.
 
     Attributes:
-        robot: whose controller the agent takes the place of; the first one when None.
-        overrides: dotted key to its value, over the scenario's file: `{"run.duration": 2.0}`.
+        robot: robot that the agent controls; None for the first one.
+        overrides: values by dotted key that override the file: `{"run.duration": 2.0}`.
     """
 
     robot: str | None = None
@@ -52,11 +52,11 @@ class RobotSettings(Settings):
     """Options of the environment of a robot with a task.
 
     Attributes:
-        time_limit: s, of an episode.
-        timestep: s between two steps of the simulation.
-        sensors: what they add to the truth, as in a scenario's `[sensors.NAME]`.
-        start: `random`, `home` (as the robot is declared), or joint angles, rad or m.
-        robot: fields over those of the robot's file: `{"show_billboards": True}`.
+        time_limit: duration of an episode, s.
+        timestep: time step of the simulation, s.
+        sensors: sensor errors, as in `[sensors.NAME]` of a scenario.
+        start: `random`, `home` (the declared joint values), or joint values, rad or m.
+        robot: fields that override the robot file: `{"show_billboards": True}`.
     """
 
     time_limit: float = Field(5.0, gt=0, le=1e4)
@@ -66,18 +66,14 @@ class RobotSettings(Settings):
     robot: Mapping[str, Any] = Field(default_factory=dict)
 
     def make_scenario(self, robot: SerialRobot, task: Task) -> Scenario:
-        """A scenario of a robot alone; it stands at its start, or within its limits.
-
-        Args:
-            robot: its declaration: `show_arrows` and the like are what pictures show.
-            task: whose goal and arrows are in the pictures as well.
+        """Returns a scenario with only this robot, whose scene shows the goal of the task.
 
         Raises:
-            DeclarationError: the start, sensors or times do not fit.
+            DeclarationError: the start, sensors or times do not fit the robot.
         """
         steps = max(round(self.time_limit / self.control_timestep), 1)
         name = robot.name
-        # Pictures show true values, not measured ones.
+        # Images show true values, not measured ones.
         actual = {"joint_angles": "actual_angles", "torques": "actual_torques"}
         scene = Scene(
             robots=[robot.model_copy(update={"joint_angles": self._home(robot)})],
@@ -95,7 +91,7 @@ class RobotSettings(Settings):
             duration=steps * self.control_timestep,
             timestep=self.timestep,
             show_targets=False,
-            runaway_speed=0.0,  # agents that still learn fling robots about
+            runaway_speed=0.0,  # high speeds are normal while an agent learns
             name=name,
         )
 
@@ -118,7 +114,7 @@ class RobotSettings(Settings):
                 low, high = limits[joint]
                 raise Problem(
                     "start",
-                    f"joint {robot.names[joint]} is to be at",
+                    f"joint {robot.names[joint]} starts at",
                     found=angles[joint],
                     expected=f"{low:.4g} to {high:.4g}",
                 ).error()
@@ -126,26 +122,22 @@ class RobotSettings(Settings):
 
 
 def list_environments() -> list[str]:
-    """Names of the environments of shipped robots and scenarios."""
+    """Returns the names of the environments of shipped robots and scenarios."""
     return [f"{robot}/{task}" for robot in list_models() for task in TASKS] + list_scenarios()
 
 
 def make_environment(name: str, **options: Any) -> Environment:
-    """Makes a `dm_env.Environment`.
+    """Creates a `dm_env.Environment`. Close it after rendering.
 
     Args:
-        name: `ROBOT/TASK`, e.g. `lwr/reach`: a shipped robot, or the folder or file of one, with
-            the task `reach` or `hold`; or a scenario, shipped or a TOML file.
-        **options: of `RobotSettings` (`action`, `time_limit`, `control_timestep`, `timestep`,
-            `seed`, `sensors`, `start`, `robot`, `stiffness`, `damping`) and of the task (`Reach`,
-            `Hold`); of a scenario those of `ScenarioSettings`.
-
-    Returns:
-        the environment; `close` it when it has been rendered.
+        name: `ROBOT/TASK`, for example `lwr/reach`, with the name, folder or file of a robot and
+            the task `reach` or `hold`; or the name or TOML file of a scenario.
+        **options: fields of `RobotSettings` and of the task (`Reach`, `Hold`), or of
+            `ScenarioSettings`.
 
     Raises:
-        UnknownName: no such robot, task or scenario.
-        DeclarationError: everything that is wrong with the options, or in a file.
+        UnknownName: there is no such robot, task or scenario.
+        DeclarationError: the options or a file have errors; contains all of them.
     """
     if name.endswith(".toml") or name in list_scenarios():
         chosen = ScenarioSettings(**_known(options, ScenarioSettings))
@@ -158,7 +150,7 @@ def make_environment(name: str, **options: Any) -> Environment:
     if kind not in TASKS:
         raise UnknownName(f"task of {model}", kind, TASKS)
     known = _known(options, RobotSettings, TASKS[kind])
-    own = {key: value for key, value in known.items() if key in TASKS[kind].model_fields}
+    own = {key: value for key, value in known.items() if key in _fields(TASKS[kind])}
     settings = RobotSettings(**{key: value for key, value in known.items() if key not in own})
     robot = SerialRobot.from_model(model, **{"show_arrows": True, **settings.robot})
     task = TASKS[kind](**own)
@@ -168,8 +160,12 @@ def make_environment(name: str, **options: Any) -> Environment:
     )  # fmt: skip
 
 
+def _fields(kind: type[Declaration]) -> list[str]:
+    return [*kind.model_fields, *kind.renamed]
+
+
 def _known(options: dict[str, Any], *kinds: type[Declaration]) -> dict[str, Any]:
-    fields = [field for kind in kinds for field in kind.model_fields]
+    fields = [field for kind in kinds for field in _fields(kind)]
     problems = [
         Problem(key, "unknown option", available=fields) for key in options if key not in fields
     ]

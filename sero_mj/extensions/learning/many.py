@@ -1,9 +1,8 @@
-"""`ManyEnvironments`: m environments of a robot with a task, which are stepped together.
+"""`ManyEnvironments`: m environments of a robot with a task, stepped together.
 
-Every thread simulates a lane of robots: MuJoCo steps all of a lane in one call, and its controllers
-are computed for all at once. (Threads that shared out every single step would wait for each other a
-thousand times a second of simulation.) What is seen and earned is that of m environments of their
-own, to rounding.
+Each thread simulates a lane of robots: MuJoCo steps all robots of a lane in one call, and their
+controllers are computed together. Threads synchronize once per control step. Observations and
+rewards are those of m separate environments, to rounding.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ from ...base.frames import Array, Bools
 from ...robots.declared.mounts import base_frames, unmounted
 from ...simulate.control.make_controller import LimitedController, make_controller
 from ...simulate.control.robot_models import RobotModels
-from ...simulate.control.torque_loop import HangingLinks
+from ...simulate.control.torque_loop import StaticDeflection
 from ...simulate.drives import Drives
-from ...simulate.event_schedule import DueActions, FaultSchedule
+from ...simulate.event_schedule import FaultSchedule, TimedActions
 from ...simulate.plant import PlantRows
 from ...simulate.robot_control import RobotControl
 from ...simulate.runs.run_log import MEASURED
@@ -31,25 +30,23 @@ from .tasks import ManyEpisodes, ManyStates
 
 
 class ManyEnvironments:
-    """m environments of a robot alone with a task, which are stepped together.
+    """m environments of a single robot with a task, stepped together.
 
     Args:
-        environment: one of them; it begins the episodes of all, and is not to be used otherwise.
-        m: how many.
-        threads: that simulate; each has a lane of its own.
+        environment: environment that initializes the episodes of all; do not use it otherwise.
+        m: number of environments.
+        threads: number of threads.
 
     Attributes:
-        environment: as given.
-        m: as given.
-        lanes: the robots, thread by thread.
-        seeds: (m,), of everything that is random; at first the environment's and those after it.
-        episodes: (m,), number of the current episode of each, from 0; -1 before the first. Episode
-            k of a seed is that of `Environment`.
-        is_over: (m,), whether no episode goes on: the next step begins one.
-        task: what is done.
+        lanes: the robots of each thread.
+        seeds: random seeds, shape (m,); by default, the seed of `environment` and those after it.
+        episodes: number of the current episodes from 0, shape (m,); -1 before the first. Episode k
+            of a seed is the same as in `Environment`.
+        is_over: whether the episode has ended, so that the next step begins another one, (m,).
+        task: the task of all environments.
 
     Raises:
-        DeclarationError: environments of this kind can only be stepped one by one.
+        DeclarationError: these environments can only be stepped one by one.
     """
 
     def __init__(self, environment: Environment, m: int, threads: int = 1) -> None:
@@ -66,7 +63,7 @@ class ManyEnvironments:
         self.lanes = [Lane(environment, slice(a, b), self.task) for a, b in pairwise(ends)]
         others = len(self.lanes) - 1
         self._pool = ThreadPoolExecutor(others) if others else None
-        self._seen: dict[str, Array] = {}
+        self._observed: dict[str, Array] = {}
 
     def close(self) -> None:
         """Ends the threads."""
@@ -74,10 +71,9 @@ class ManyEnvironments:
             self._pool.shutdown()
 
     def reset(self, seeds: Any | None = None) -> dict[str, Array]:
-        """Begins the next episode of every environment, or the first of new seeds, (m,).
+        """Begins the next episode of all environments, or the first episode of new seeds (m,).
 
-        Returns:
-            what is observed by name, (m, ...), in arrays of its own.
+        Returns copies of the observations by name, shape (m, ...).
         """
         if seeds is not None:
             self.seeds, self.episodes = np.array(seeds), np.full(self.m, -1)
@@ -85,17 +81,12 @@ class ManyEnvironments:
         return self.begin_next()
 
     def begin_next(self) -> dict[str, Array]:
-        """Begins the next episode where one is over.
-
-        Returns:
-            as of `reset`, of all.
-        """
+        """Begins the next episode of environments whose episode has ended; returns as `reset`."""
         self._begin(self.is_over.copy())
-        self._seen = self._observe(self._states_now())
-        return {name: value.copy() for name, value in self._seen.items()}
+        self._observed = self._observe(self._states())
+        return {name: value.copy() for name, value in self._observed.items()}
 
     def _begin(self, which: Bools) -> None:
-        """Begins the next episode of some of the environments, (m,)."""
         self.episodes[which] += 1
         for lane in self.lanes:
             for k in np.flatnonzero(which[lane.rows]).tolist():
@@ -108,48 +99,42 @@ class ManyEnvironments:
         self.is_over[which] = False
 
     def step(self, actions: Any) -> tuple[dict[str, Array], Array, Bools, Bools]:
-        """Simulates a control step; where an episode is over the next one begins instead.
+        """Simulates a control step with actions (m, n), or begins the next episode of ended ones.
 
-        Args:
-            actions: (m, n), see `Environment.action_spec`.
-
-        Returns:
-            observations by name, (m, ...), rewards, and where the motion has become unstable, and
-            where the episode has come to its end, (m,) each: arrays of its own.
+        Returns copies: observations by name (m, ...), and (m,) each of rewards, whether the motion
+        has become unstable, and whether the episode has reached its end.
 
         Raises:
-            ValueError: it is not m times n numbers.
-            SimulationError: one is NaN or infinite; names the joint. Nothing has been moved.
+            ValueError: the actions have a wrong shape.
+            SimulationError: an action is NaN or infinite; nothing is simulated.
         """
-        environment, goes_on = self.environment, ~self.is_over
+        environment, running = self.environment, ~self.is_over
         spec, unit, time = environment.action_spec(), environment.action.unit, self._time
         checked = checked_action(actions, spec, environment.robot, unit, float(time[0]), self.m)
         rewards: Array = np.zeros(self.m)
         unstable: Bools = np.zeros(self.m, bool)
-        if goes_on.any():
-            unstable = self._simulate(checked, goes_on, self.task.forces(time))
-            self._left -= goes_on
-        if not goes_on.all():
-            self._begin(~goes_on)
-        now = self._states_now()
-        earns = goes_on & ~unstable
-        rewards[earns] = self.task.rewards(now)[earns]
-        seen = self._observe(now)
+        if running.any():
+            unstable = self._simulate(checked, running, self.task.forces(time))
+            self._left -= running
+        if not running.all():
+            self._begin(~running)
+        states = self._states()
+        stable = running & ~unstable
+        rewards[stable] = self.task.rewards(states)[stable]
+        observed = self._observe(states)
         if unstable.any():
-            for name, value in seen.items():
-                value[unstable] = self._seen[name][unstable]
-        at_end = earns & (self._left == 0)
+            for name, value in observed.items():
+                value[unstable] = self._observed[name][unstable]
+        at_end = stable & (self._left == 0)
         self.is_over = unstable | at_end
-        self._seen = seen
-        return {name: value.copy() for name, value in seen.items()}, rewards, unstable, at_end
+        self._observed = observed
+        return {name: value.copy() for name, value in observed.items()}, rewards, unstable, at_end
 
     @property
     def _time(self) -> Array:
-        """Since the start of the episode, (m,), s."""
         return np.concatenate([lane.plant.physics.bind("time") for lane in self.lanes])
 
     def _simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
-        """Simulates a control step of some environments; returns where it has become unstable."""
         first, *others = self.lanes
 
         def simulate(lane: Lane) -> Bools:
@@ -160,7 +145,7 @@ class ManyEnvironments:
         waited = [self._pool.submit(simulate, lane) for lane in others]
         return np.concatenate([simulate(first), *(each.result() for each in waited)])
 
-    def _states_now(self) -> ManyStates:
+    def _states(self) -> ManyStates:
         angles, measured = (
             np.concatenate([getattr(lane.plant, key)[:, 0] for lane in self.lanes])
             for key in ("actual", "measured")
@@ -170,11 +155,9 @@ class ManyEnvironments:
         return ManyStates(angles, measured, self._flanges_at)
 
     def _flanges_at(self, angles: Array) -> Array:
-        """T_world_flange of joint angles (m, n), (m, 4, 4), m."""
         return np.asarray(self._base @ self._robot.fwd_kin_base_to_flange(angles))
 
-    def _observe(self, now: ManyStates) -> dict[str, Array]:
-        """What is seen now, (m, ...), in arrays of its own."""
+    def _observe(self, states: ManyStates) -> dict[str, Array]:
         environment = self.environment
         measured = np.concatenate([lane.plant.measured for lane in self.lanes])
         found = {name: measured[:, MEASURED.index(name)] for name in environment.columns}
@@ -183,17 +166,11 @@ class ManyEnvironments:
         commanded = [lane.action.observation() for lane in self.lanes]
         for name in commanded[0]:
             found[name] = np.concatenate([each[name] for each in commanded])
-        return {**found, **self.task.observations(now)}
+        return {**found, **self.task.observations(states)}
 
 
 class Lane:
-    """The robots that one thread simulates.
-
-    Attributes:
-        rows: as given.
-        plant: the robots, with their sensors.
-        action: what agents command.
-    """
+    """The robots that one thread simulates; `rows` are their environments."""
 
     def __init__(self, environment: Environment, rows: slice, task: ManyEpisodes) -> None:
         m, n = rows.stop - rows.start, environment.robot.n
@@ -206,9 +183,9 @@ class Lane:
         self._drives = None
         if environment.simulation.drives is not None:
             self._drives = Drives(plant, environment.simulation.robots, scenario.run)
-        self._gains: Array = np.ones((m, n))  # of faulty drives
+        self._gains: Array = np.ones((m, n))  # of the drives; faults change them
         self._drive: Array = np.zeros((m, 2, n))
-        self._faults = [DueActions(scenario.run.timestep) for _ in range(m)]
+        self._faults = [TimedActions(scenario.run.timestep) for _ in range(m)]
         self._k = np.zeros(m, np.intp)  # steps since the beginning of the episode
         self.action = environment.settings.make_action(environment.robot, scenario.run.timestep)
         robot, drives, simulation = environment.robot, self._drives, environment.simulation
@@ -222,7 +199,7 @@ class Lane:
         self._control.use(LimitedController.joined([one] * m, 1, models))
         if plant.joints.elastic and drives is not None and drives.loop is not None:
             stiffness, home = drives.gains[robot.name].stiffness, np.tile(robot.home, (m, 1))
-            self._control.hanging = HangingLinks(stiffness, None, models, home)
+            self._control.deflection = StaticDeflection(stiffness, None, models, home)
         if self._has_pushes:
             self._find_flange()
 
@@ -236,37 +213,34 @@ class Lane:
         self._pushes: Array = physics.bind("xfrc_applied")
 
     def place(self, k: int) -> None:
-        """Puts robot k where that of the environment is."""
+        """Moves robot k to the state of the environment's robot."""
         seed, angles = self._environment.plant.sensors.seed, self._environment.plant.actual[0]
         plant = self.plant.row(k)
         plant.sensors.seed = seed
         self.plant.reset(k, angles)
         self._k[k], self._gains[k] = 0, 1.0
-        self._faults[k] = due = DueActions(self._environment.scenario.run.timestep)
+        self._faults[k] = due = TimedActions(self._environment.scenario.run.timestep)
         FaultSchedule(self._environment.scenario, plant, due, self._gains[k])
 
     def begin(self, which: Bools) -> None:
-        """Begins an episode of some of the robots, which have been placed, (m,)."""
+        """Begins an episode of some of the robots (m,), after `place`."""
         if not which.any():
             return
         if self._drives is not None:
             self._drives.reset(which)
         self.action.begin(self._control.target, self.plant.actual[which, 0], which)
         self._control.controller.controller.begin(which)
-        if self._control.hanging is not None:
+        if self._control.deflection is not None:
             home = np.asarray(self._environment.robot.home)
-            self._control.hanging.begin(which, home, self.plant.motor_angles)
+            self._control.deflection.begin(which, home, self.plant.motor_angles)
 
     def simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
-        """Simulates a control step of some of the robots.
+        """Simulates a control step of some of the robots, and returns which are unstable, (m,).
 
         Args:
-            actions: (m, n), within their bounds.
-            which: (m,), of which robots.
-            forces: (m, 3), that push the flanges meanwhile, N, in the world's axes.
-
-        Returns:
-            where the motion has become unstable, (m,).
+            actions: actions within the bounds, shape (m, n).
+            which: selected robots, shape (m,).
+            forces: external forces at the flanges in world axes, shape (m, 3), N.
         """
         plant, control, action = self.plant, self._control, self.action
         move = plant.step if self._drives is None else self._drives.step
@@ -279,7 +253,7 @@ class Lane:
         is_plain &= not self._environment.scenario.faults
         for k in range(substeps):
             self._begin_faults(which)
-            # Drives, late sensors and faults ask for the torques of every step.
+            # Drives, sensors with delay and faults need the torques of every step.
             plant.joints.reads_torques = k == substeps - 1 or not is_plain
             action.advance()
             control.command(k, k * plant.timestep)
@@ -296,15 +270,12 @@ class Lane:
         self._k += which
 
     def _begin_pushes(self, forces: Array) -> None:
-        """Lets forces at the flanges, (m, 3), act in the next control step.
-
-        All robots are pushed at the same point all the time, so that one sum does for all of them;
-        pushes of single rows (`Plant.push`) would take as long as the rest of a step.
-        """
+        # Applies all forces in one operation, because `Plant.push` for single robots would take as
+        # long as the rest of a step.
         self._pushes[:, self._body, :3] = forces
         x, y, z = forces.T
         zero = np.zeros(len(forces))
-        # arm x force is this matrix times the arm.
+        # The torque arm x force is this matrix times the arm.
         rows = [[zero, z, -y], [-z, zero, x], [y, -x, zero]]
         self._turning = np.moveaxis(np.array(rows), 2, 0).copy()
 
@@ -314,17 +285,16 @@ class Lane:
 
 
 def _task_of_many(environment: Environment, m: int) -> ManyEpisodes:
-    """The task of m robots; raises DeclarationError where they can only be taken one by one."""
     simulation, scenario = environment.simulation, environment.scenario
     task = environment.task.make_many(m)
     found = expected = None
     if len(simulation.robots) > 1 or simulation.whole_body is not None:
-        found, expected = "robots that carry others, or whose base moves", "one robot"
+        found, expected = "several robots or a moving base", "one robot with a fixed base"
     elif scenario.disturbances or task is None:
         found, expected = "a scenario", "a robot with a task"
     elif scenario.run.runaway_speed:
-        found, expected = "run.runaway_speed", "0, for none"
+        found, expected = "run.runaway_speed", "0"
     if found is not None or task is None:
-        advice = "such environments are stepped one by one: vectorization_mode='sync'"
-        raise Problem("num_envs", f"found {found}", expected=f"{expected}; {advice}").error()
+        advice = "Use vectorization_mode='sync' to step these environments one by one."
+        raise Problem("num_envs", f"found {found}", expected=f"{expected}. {advice}").error()
     return task

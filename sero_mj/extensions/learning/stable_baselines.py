@@ -1,7 +1,6 @@
 """`StableBaselinesVector`: environments that are stepped together, for Stable-Baselines3.
 
-Import it from here, with Stable-Baselines3 installed (`pip install stable-baselines3`); nothing
-else needs that.
+This module requires Stable-Baselines3 (`pip install stable-baselines3`).
 """
 
 from __future__ import annotations
@@ -21,13 +20,10 @@ _Some = None | int | Iterable[int]
 
 
 class StableBaselinesVector(VecEnv):  # type: ignore[misc]
-    """Environments of `gymnasium.make_vec` as Stable-Baselines3 takes them.
+    """Environments of `gymnasium.make_vec("sero_mj/...", num_envs=...)` for Stable-Baselines3.
 
-    Where an episode is over, the next one begins in the same step; what was seen last is the
-    `terminal_observation` of its information. Returns of episodes are told by SB3's `VecMonitor`.
-
-    Args:
-        vector: what `gymnasium.make_vec("sero_mj/...", num_envs=...)` has made.
+    When an episode ends, the next one begins in the same step, and the last observation is the
+    `terminal_observation` in the info. `VecMonitor` reports the returns of episodes.
     """
 
     def __init__(self, vector: GymnasiumVector) -> None:
@@ -38,62 +34,58 @@ class StableBaselinesVector(VecEnv):  # type: ignore[misc]
         )
 
     def reset(self) -> Observation:
-        """Begins the next episode of all, or the first ones of what `seed` was told."""
+        """Begins the next episodes, or the first episodes of the seeds set by `seed`."""
         seeds = None if None in self._seeds else list(self._seeds)
-        seen, _ = self.vector.reset(seed=seeds)
+        observed, _ = self.vector.reset(seed=seeds)
         self._reset_seeds()
         self._reset_options()
-        return seen
+        return observed
 
     def step_async(self, actions: Any) -> None:
-        """Keeps actions, (num_envs, n), for `step_wait`."""
+        """Stores actions for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, Array, Bools, list[dict[str, Any]]]:
-        """Simulates a control step of all; see `GymnasiumVector.step`.
-
-        Returns:
-            observations, rewards (num_envs,), where an episode is over, and information on each.
-        """
-        seen, rewards, terminated, truncated, told = self.vector.step(self._actions)
+        """Simulates a control step; returns observations, rewards, ended episodes and infos."""
+        observed, rewards, terminated, truncated, info = self.vector.step(self._actions)
         over = terminated | truncated
         infos: list[dict[str, Any]] = [{"TimeLimit.truncated": bool(cut)} for cut in truncated]
-        last = seen
+        last = observed
         if over.any():
-            seen = self.vector.begin_next()
+            observed = self.vector.begin_next()
         for k in np.flatnonzero(over).tolist():
             infos[k]["terminal_observation"] = {name: value[k] for name, value in last.items()}
             if terminated[k]:
-                infos[k]["error"] = told["error"][k]
-        return seen, rewards.astype(np.float32), over, infos
+                infos[k]["error"] = info["error"][k]
+        return observed, rewards.astype(np.float32), over, infos
 
     def close(self) -> None:
         """Ends the threads."""
         self.vector.close()
 
     def get_attr(self, attr_name: str, indices: _Some = None) -> list[Any]:
-        """What all have in common, once for each."""
+        """Returns the common attribute once for each environment."""
         return [getattr(self.vector, attr_name)] * len(self._chosen(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: _Some = None) -> None:
-        """Sets it for all; raises ValueError where it is to be for some only."""
+        """Sets an attribute of all environments; raises ValueError for a part of them."""
         if len(self._chosen(indices)) != self.num_envs:
             raise Problem(
-                "indices", f"found {indices}", expected=f"None: all have one {attr_name}"
+                "indices", f"found {indices}", expected=f"None, because {attr_name} is shared"
             ).error()
         setattr(self.vector, attr_name, value)
 
     def env_method(
         self, method_name: str, *arguments: Any, indices: _Some = None, **options: Any
     ) -> list[Any]:
-        """Raises AttributeError: there are no objects of which each is one environment."""
+        """Raises AttributeError, because there are no objects for single environments."""
         raise AttributeError(
-            f"{method_name}: environments that are stepped together have no methods of their own; "
-            "expected a vector of single ones (vectorization_mode='sync')"
+            f"{method_name}: environments that are stepped together have no separate methods. Use "
+            "vectorization_mode='sync' instead."
         )
 
     def env_is_wrapped(self, wrapper_class: type, indices: _Some = None) -> list[bool]:
-        """False for each: nothing is around a single one."""
+        """Returns False for each environment, because single ones have no wrappers."""
         return [False] * len(self._chosen(indices))
 
     def _chosen(self, indices: _Some) -> Sequence[int]:

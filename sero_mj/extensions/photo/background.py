@@ -33,7 +33,7 @@ class Photos(Background):
         assert isinstance(options, RenderOptions)
         assert options.camera_file is not None
         if is_photo(over):
-            if options.is_film:
+            if options.is_video:
                 expected = "expected an image such as .png, because --over is a photo"
                 raise UsageError(f"-o {options.output}: {expected}")
             options.refuse(
@@ -50,7 +50,7 @@ class Photos(Background):
             offset = offset_of_video(
                 scene, over, options.camera_file, options.offset, options.quiet
             )
-        if not options.is_film:
+        if not options.is_video:
             return render_image_over(
                 scene, options.output, options, over=over, camera_file=options.camera_file,
                 at=options.at, offset=offset,

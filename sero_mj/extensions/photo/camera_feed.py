@@ -65,7 +65,7 @@ class CameraFeed:
         try:
             with self._changed:
                 self._changed.wait_for(
-                    lambda: self._pixels is not None or self._failed, _FIRST_TIMEOUT
+                    lambda: self._pixels is not None or bool(self._error), _FIRST_TIMEOUT
                 )
                 first = self._pixels
             if first is None:
@@ -75,10 +75,6 @@ class CameraFeed:
         except BaseException:
             self.close()
             raise
-
-    @property
-    def _failed(self) -> bool:
-        return bool(self._error)
 
     def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
         """Returns the number of the newest image, from 1, and its pixels (height, width, 3)."""

@@ -333,7 +333,7 @@ def _as_toml(camera: PhotoCamera) -> str:
         f"camera_matrix = [\n{rows},\n]\n"
         f'distortion_model = "{camera.model}"\n'
         f"distortion_coefficients = {_list(camera.distortion)}\n"
-        f"# In the world: x to the right of the picture, y down, z forward; m, and w, x, y, z.\n"
+        f"# In the world: x to the right of the image, y down, z forward; m, and w, x, y, z.\n"
         f"frame = {{ xyz = {xyz}, quat = {quat} }}\n"
     )
 
@@ -348,6 +348,6 @@ def _as_yaml(camera: PhotoCamera) -> str:
         f"distortion_model: {camera.model}\n"
         f"distortion_coefficients:\n  rows: 1\n  cols: {count}\n"
         f"  data: {_list(camera.distortion)}\n"
-        f"# In the world: x to the right of the picture, y down, z forward; m, and w, x, y, z.\n"
+        f"# In the world: x to the right of the image, y down, z forward; m, and w, x, y, z.\n"
         f"frame:\n  xyz: {xyz}\n  quat: {quat}\n"
     )

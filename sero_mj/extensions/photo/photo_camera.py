@@ -101,7 +101,7 @@ class PhotoCamera:
             return self._to_pixels(rays)
         # Outside of the image, the polynomials may return to pixels inside.
         radius = np.linalg.norm(rays, axis=-1, keepdims=True)
-        beyond = np.maximum(radius / self._largest_radius, 1.0)
+        beyond = np.maximum(radius / self._limits[1], 1.0)
         flat = np.ascontiguousarray((rays / beyond).reshape(-1, 2))
         if not len(flat):
             return np.zeros(rays.shape)
@@ -117,7 +117,7 @@ class PhotoCamera:
         if not self.is_distorted:
             K = self.matrix
             return np.asarray((pixels - K[:2, 2]) / (K[0, 0], K[1, 1]))
-        return self._found_rays(pixels, self._fold)
+        return self._found_rays(pixels, self._limits[0])
 
     def _found_rays(self, pixels: Array, fold: float) -> Array:
         flat = np.reshape(pixels, (-1, 2)).astype(float)
@@ -130,14 +130,6 @@ class PhotoCamera:
         is_found &= np.linalg.norm(rays, axis=1) < fold
         rays[~is_found] = np.nan
         return rays.reshape(pixels.shape)
-
-    @property
-    def _fold(self) -> float:
-        return self._limits[0]
-
-    @property
-    def _largest_radius(self) -> float:
-        return self._limits[1]
 
     @cached_property
     def _limits(self) -> tuple[float, float]:

@@ -55,6 +55,7 @@ class PhotoViewport(Viewport):
             rect.bottom + (rect.height - size[1]) // 2,
             *size,
         )
+        self.width = size[0]
         painter = self._painter
         if painter is None or (painter.camera.width, painter.camera.height) != size:
             # The undistorted image has to fit into the window's buffer.

@@ -81,7 +81,7 @@ class PointWindow:
                 board.press(event.key)
             return
         found = self._mouse.take(event)
-        if isinstance(found, Clicked) and not found.centre:
+        if isinstance(found, Clicked) and not found.center:
             board.click(found.x, height - 1 - found.y)
         elif isinstance(found, Moved):
             self._drawn = None

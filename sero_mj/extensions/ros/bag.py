@@ -1,6 +1,6 @@
-"""`Bag`: a recording of ROS as if it were one of ours; rosbag2 (MCAP, SQLite) and ROS 1 bags.
+"""`Bag`: recordings of ROS, which are rosbag2 (MCAP, SQLite) and ROS 1 bags.
 
-The messages of several topics become the packets of one source, as when they are received.
+The messages of several topics are joined to the packets of one source, as when they are received.
 """
 
 from __future__ import annotations
@@ -30,35 +30,34 @@ from .dds import Ros2
 from .described_scene import DESCRIPTION, described_scene, scenes_of_bag, shipped_robots_of
 from .joined_packets import FRAMES, TF, JoinedPackets
 from .json_mcap import JsonMcap, has_json
-from .mended_mcap import MendedMcap
-from .mended_sqlite import log_of, with_log
 from .messages import JOINT_STATE, ODOMETRY, TEXT, MalformedMessage, type_store
-from .ros_source import MOST_KEPT, TYPES, RosSource, is_tf
+from .repaired_bags import RepairedMcap, log_of, with_log
+from .ros_source import MAX_KEPT_BYTES, TYPES, RosSource, is_tf
 
-_ENDINGS = (".bag", ".active", ".db3")  # a bag of ROS 1 is .bag.active until it is closed
+_ENDINGS = (".bag", ".active", ".db3")  # a bag of ROS 1 is named .bag.active until it is closed
 _METADATA = "metadata.yaml"  # in the folder of a rosbag2
 _FILES = ", ".join(f"NAME{ending}" for ending in BAG_ENDINGS)
 _SQLITE, _SQLITE_HEAD = b"SQLite format 3\0", 100  # bytes
 _ROS1 = b"#ROSBAG V2.0"
-_BEFORE = 0.5  # s before a time in which what was true at that time is looked for
-_EVERY_DEVICE = 2.0  # s in which every device should have published
-_LONGER = 8.0  # times as long, as long as nothing is found
+_LOOKBACK = 0.5  # s before a time in which the values at that time are searched
+_DEVICE_PERIOD = 2.0  # s in which every device should have published
+_LOOKBACK_FACTOR = 8.0  # by which the search is extended until something is found
 _FIELDS = frozenset(RosSource.model_fields) - {"name", "structure", "only_latest_packet"}
 _NEXT = 1e-9  # s, the resolution of times
-_MANY = 10  # topics in a message
-_NAMED = 3  # joints of a topic in a message
-_FIRST_TRANSFORMS = 200  # messages, in which all publishers should have sent one
+_MAX_LISTED = 10  # topics in an error message
+_MAX_JOINTS = 3  # joints of a topic in an error message
+_FIRST_TRANSFORMS = 200  # messages in which all publishers should have sent a transform
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a file or folder is a recording of ROS, by its name; MCAP may be one as well."""
+    """Whether a file or folder is a recording of ROS, by its name (MCAP files may be one, too)."""
     return path.suffix.lower() in _ENDINGS or (path / _METADATA).is_file()
 
 
 def open_bag(
     path: Path,
     topics: Mapping[str, Source] | None = None,
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> PacketFile | None:
     """Opens a recording of ROS; see `data.record.formats.open_recording`."""
     chosen = {name: each for name, each in (topics or {}).items() if isinstance(each, RosSource)}
@@ -66,19 +65,21 @@ def open_bag(
         files = bag_files_in(path)
         if not files:
             raise RecordingError(path, _why_no_bag(path))
-        return Bag(path, chosen, tell) if len(files) > 1 else open_recording(files[0], topics, tell)
+        if len(files) == 1:
+            return open_recording(files[0], topics, report)
+        return Bag(path, chosen, report)
     if is_bag(path) or mcap_header(path)[0] == "ros2":
-        return Bag(path, chosen, tell)
-    return Bag(path, chosen, tell, is_json=True) if has_json(path) else None
+        return Bag(path, chosen, report)
+    return Bag(path, chosen, report, is_json=True) if has_json(path) else None
 
 
 def _why_no_bag(folder: Path) -> str:
     found = sorted(each for each in folder.iterdir() if each.suffix.lower() in BAG_ENDINGS)
     if not found:
-        return f"is a folder without {_METADATA} and without recordings, {_FILES}"
-    names = ", ".join(each.name for each in found[:_MANY])
+        return f"is a folder without {_METADATA} and without recordings ({_FILES})"
+    names = ", ".join(each.name for each in found[:_MAX_LISTED])
     return (
-        f"is a folder without {_METADATA}, and its files do not belong together; open one of them, "
+        f"is a folder without {_METADATA}, and its files do not belong together. Open one of them: "
         f"{names}"
     )
 
@@ -87,7 +88,7 @@ def _reader_of_ros(path: Path) -> Any:
     try:
         from rosbags.highlevel import AnyReader
     except ImportError as error:
-        reason = f"is a recording of ROS, which rosbags reads ({error}): "
+        reason = f"is a recording of ROS, which requires rosbags ({error}): "
         raise RecordingError(path, f"{reason}pip install 'sero-mj[ros2]'") from error
     return AnyReader
 
@@ -102,7 +103,7 @@ def _lacks_its_end(file: Path) -> bool:
 
 
 def _why_unreadable(path: Path, error: Exception) -> str:
-    said = f"cannot be read: {error or type(error).__name__}"
+    reason = f"cannot be read: {error or type(error).__name__}"
     with suppress(OSError):
         file = (bag_file_in(path) if path.is_dir() else path) or path
         with open_file(file) as opened:
@@ -113,30 +114,29 @@ def _why_unreadable(path: Path, error: Exception) -> str:
         if file.suffix.lower() == ".db3" and begin.startswith(_SQLITE):
             page, pages = int.from_bytes(begin[16:18]), int.from_bytes(begin[28:32])
             whole = (page if page > 1 else 1 << 16) * pages
-            hint = "what is left may be saved with .recover of sqlite3"
+            hint = ".recover of sqlite3 may restore the rest"
             if size < whole:
                 missing = f"{whole - size} of {whole} bytes are missing"
-                return f"is cut off ({NOT_CLOSED}): {missing}; {hint}"
-            return f"{said}; {hint}" if "malformed" in said else said
-        is_open = file.suffix.lower() == ".active" or "not indexed" in said
+                return f"is truncated ({NOT_CLOSED}): {missing}; {hint}"
+            return f"{reason}; {hint}" if "malformed" in reason else reason
+        is_open = file.suffix.lower() == ".active" or "not indexed" in reason
         if begin.startswith(_ROS1) and is_open:
-            hint = f"`rosbag reindex {file}`, of ROS 1, writes it"
+            hint = f"create it with `rosbag reindex {file}` of ROS 1"
             return f"was not closed ({NOT_CLOSED}), so it has no index; {hint}"
-        if begin.startswith(_ROS1) and "damaged" in said:
-            hint = "rosbag reindex, of ROS 1, may save what is left"
-            return f"is cut off or damaged ({NOT_CLOSED}), so its index cannot be read; {hint}"
-    return said
+        if begin.startswith(_ROS1) and "damaged" in reason:
+            hint = "`rosbag reindex` of ROS 1 may restore the rest"
+            return f"is truncated or damaged ({NOT_CLOSED}), so its index cannot be read; {hint}"
+    return reason
 
 
 class Bag(PacketFile):
-    """A recording of ROS. Times are s since its first message, of any topic.
+    """A recording of ROS. Times are in seconds since its first message of any topic.
 
     Args:
         path: the file, or the folder of a rosbag2.
-        topics: the name of a source to the topics that make its packets; those that the bag does
-            not have are left out. When None, each topic with the states of joints is a source of
-            its name (`/arm/joint_states` is `arm_joint_states`), of the joints that its first
-            message names.
+        topics: source name to the topics that make its packets; topics that the bag does not have
+            are ignored. By default, each topic of joint states is a source
+            (`/arm/joint_states` is `arm_joint_states`) of the joints in its first messages.
 
     Raises:
         RecordingError: it cannot be read, has no joint states, or a package is missing.
@@ -146,25 +146,25 @@ class Bag(PacketFile):
     """
 
     names_joints: ClassVar[bool] = True
-    _why_unreadable: ClassVar[str] = "no message has the joints that are wanted"
+    _why_unreadable: ClassVar[str] = "no message has the required joints"
 
     def __init__(
         self,
         path: Path,
         topics: Mapping[str, RosSource] | None = None,
-        tell: Callable[[str], None] = lambda _: None,
+        report: Callable[[str], None] = lambda _: None,
         *,
         is_json: bool = False,
     ) -> None:
-        self.path, self._tell, self._is_json = path, tell, is_json
+        self.path, self._report, self._is_json = path, report, is_json
         self.about, self.lost, self.faults = {}, {}, []
         self.nameless: list[str] = []
-        self._left_out: set[str] = set()  # reasons in `faults`
+        self._skip_reasons: set[str] = set()  # of skipped messages, in `faults`
         self._reader: Any = None
         try:
             if is_json:
                 self._reader = JsonMcap(path)
-                self.faults = self._reader.faults  # more are found when messages are read
+                self.faults = self._reader.faults  # grows while messages are read
             else:
                 self._open(_reader_of_ros(path))
             self._read_all_but_messages(topics)
@@ -183,9 +183,7 @@ class Bag(PacketFile):
         if file is not None and (log := log_of(file)) is not None:
             self._reader = reader([with_log(file, log)], default_typestore=type_store())
             self._reader.open()
-            self._tell_cut(
-                f"was not closed ({NOT_CLOSED}), so what is in {log.name} is read as well"
-            )
+            self._report_cut(f"was not closed ({NOT_CLOSED}); messages in {log.name} are included")
             return
         try:
             self._reader = reader([self.path], default_typestore=type_store())
@@ -193,22 +191,22 @@ class Bag(PacketFile):
         except Exception:
             if file is None or not _lacks_its_end(file):
                 raise
-            mended = MendedMcap(file)
-            *others, cut = mended.faults
-            if not mended.has_topics:
-                reason = f"{cut}; nothing before that can be read"
+            repaired = RepairedMcap(file)
+            *others, cut = repaired.faults
+            if not repaired.has_topics:
+                reason = f"{cut}; no message before that can be read"
                 raise RecordingError(self.path, reason) from None
-            self._reader = reader([mended], default_typestore=type_store())
+            self._reader = reader([repaired], default_typestore=type_store())
             self._reader.open()
             self.faults += others
-            self._tell_cut(cut)
+            self._report_cut(cut)
 
     def _open_parts(self, reader: Any, files: list[Path]) -> None:
-        parts: list[Path | MendedMcap] = []
+        parts: list[Path | RepairedMcap] = []
         cut = ""
         for file in files:
-            part = MendedMcap(file) if _lacks_its_end(file) else file
-            if isinstance(part, MendedMcap):
+            part = RepairedMcap(file) if _lacks_its_end(file) else file
+            if isinstance(part, RepairedMcap):
                 *others, cut = (f"{file.name}: {fault}" for fault in part.faults)
                 self.faults += others
             if isinstance(part, Path) or part.has_topics:
@@ -216,13 +214,13 @@ class Bag(PacketFile):
         self._reader = reader(parts, default_typestore=type_store())
         self._reader.open()
         if cut:
-            self._tell_cut(cut)
+            self._report_cut(cut)
 
-    def _tell_cut(self, fault: str) -> None:
+    def _report_cut(self, fault: str) -> None:
         count = self._reader.message_count
         seconds = max(self._reader.duration, 0) * 1e-9 if count else 0.0
         messages = f"{count} message{'' if count == 1 else 's'}"
-        self.faults.append(f"{fault}; it has {messages}, of {seconds:.1f} s")
+        self.faults.append(f"{fault}; {messages} of {seconds:.1f} s can be read")
 
     def _read_all_but_messages(self, topics: Mapping[str, RosSource] | None) -> None:
         reader = self._reader
@@ -240,7 +238,7 @@ class Bag(PacketFile):
         found: dict[str, RosSource] = {}
         for name, declared in topics.items():
             source = declared
-            wanted = [topic for topic, tells in source.topics if tells != FRAMES]
+            wanted = [topic for topic, content in source.topics if content != FRAMES]
             if not there.intersection(wanted or [topic for topic, _ in source.topics]):
                 if len(self._states) != 1 or not source.is_default("joint_states"):
                     continue
@@ -252,18 +250,19 @@ class Bag(PacketFile):
 
     def _joints_of(self, topic: str) -> list[str]:
         names: dict[str, None] = {}
-        doubtful: dict[str, None] = {}
+        ambiguous: dict[str, None] = {}
         end = math.inf
         for time, connection, raw in self._raw([topic]):
             if time > end:
                 break
             with suppress(MalformedMessage):
                 found = list(getattr(self._decoded(connection, raw), "name", []))
-                is_clear = len(set(found)) == len(found)
-                (names if is_clear else doubtful).update(dict.fromkeys(found))
+                is_unique = len(set(found)) == len(found)
+                (names if is_unique else ambiguous).update(dict.fromkeys(found))
             if names:
-                end = min(end, time + _EVERY_DEVICE)
-        return list(names or doubtful)
+                end = min(end, time + _DEVICE_PERIOD)
+        # Messages that name a joint twice count only if there are no others.
+        return list(names or ambiguous)
 
     def _named_by_topic(self) -> dict[str, RosSource]:
         odometry = list(
@@ -278,7 +277,7 @@ class Bag(PacketFile):
             return {name: Ros2(name=name, joint_states="", odometry=base)}
         if not self._states:
             kinds = {each.topic: each.msgtype for each in self._reader.connections}
-            listed = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(kinds)[:_MANY])
+            listed = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(kinds)[:_MAX_LISTED])
             expected = f"one of {JOINT_STATE} or {ODOMETRY}, or /tf"
             problem = Problem("", f"has the topics {listed}", expected=expected)
             raise RecordingError(self.path, problem)
@@ -287,7 +286,7 @@ class Bag(PacketFile):
             name, names = topic.strip("/").replace("/", "_"), self._joints_of(topic)
             if names:
                 source = Ros2(name=name, joint_states=topic, joints=names, odometry=base)
-                source.set_joints([RoutedJoint(joint, math.nan) for joint in names])  # of no robot
+                source.set_joints([RoutedJoint(joint, math.nan) for joint in names])
                 found[name] = source
             else:
                 self.nameless.append(topic)
@@ -314,37 +313,37 @@ class Bag(PacketFile):
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
         source = self._source(name)
-        joined, tells = source.joined(self._tell), dict(source.topics)
+        joined, contents = source.joined(self._report), dict(source.topics)
         if math.isfinite(start) and start > 0.0:
-            self._take_still(joined, source, start)
-        for time, connection, raw in self._raw(list(tells), start - _BEFORE, stop):
-            packet = self._joined_with(joined, tells[connection.topic], connection, raw, time)
+            self._take_static_transforms(joined, source, start)
+        for time, connection, raw in self._raw(list(contents), start - _LOOKBACK, stop):
+            packet = self._join(joined, contents[connection.topic], connection, raw, time)
             if packet is not None and time >= start:
                 yield time, packet
 
     def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
         self._source(name)
         end = (self._reader.end_time - self._begin) * 1e-9
-        t, back = min(t, end), _BEFORE
+        t, back = min(t, end), _LOOKBACK
         while True:
             newest = deque(self.packets(name, t - back, t + _NEXT), maxlen=1)
             if newest or t - back < 0.0:
                 return newest[0] if newest else None
-            back *= _LONGER
+            back *= _LOOKBACK_FACTOR
 
     def why_no_source(self) -> str:
         if not self.nameless:
             return super().why_no_source()
         return (
-            f"the messages of {', '.join(self.nameless)} do not name their joints; with a scene of "
-            "one robot that has as many (--replay, --scene), they are taken in its order"
+            f"the messages of {', '.join(self.nameless)} do not name their joints. If the scene "
+            "(--replay, --scene) has one robot with as many joints, its joint order is used"
         )
 
     def about_sources(self) -> str:
         found = []
         for name, source in self.sources.items():
             topic = self._topics[name].topics[0][0]
-            joints = first_of(source.declared.get("joints") or ["unknown"], _NAMED)
+            joints = first_of(source.declared.get("joints") or ["unknown"], _MAX_JOINTS)
             found.append(f"{name} (topic {topic}, {source.count} messages, joints {joints})")
         return "; ".join(found)
 
@@ -361,9 +360,9 @@ class Bag(PacketFile):
         raise RecordingError(self.path, f"{topics[0]} has no message")
 
     def parent_frames(self) -> dict[str, tuple[str, bool]]:
-        """The parent of every frame of the first transforms, and whether it is moved (`/tf`).
+        """Parent frame of every frame in the first transforms, and whether it moves (`/tf`).
 
-        Names are the last parts, without a prefix.
+        Prefixes of frame names are removed.
         """
         found = {}
         for topic in ("/tf_static", "/tf"):
@@ -388,7 +387,7 @@ class Bag(PacketFile):
         return led_by(scene, self, self.nameless, self._read_parent_frames, source)
 
     def _read_parent_frames(self) -> dict[str, tuple[str, bool]]:
-        with Bag(self.path, is_json=self._is_json) as opened:  # this one may be closed
+        with Bag(self.path, is_json=self._is_json) as opened:  # `self` may be closed
             return opened.parent_frames()
 
     def scenes(
@@ -432,7 +431,7 @@ class Bag(PacketFile):
             for connection, when, raw in self._reader.messages(chosen, first, end):
                 yield (when - self._begin) * 1e-9, connection, raw
         except Exception as error:  # as in the constructor
-            if (fault := f"it ends early: {error or type(error).__name__}") not in self.faults:
+            if (fault := f"ends early: {error or type(error).__name__}") not in self.faults:
                 self.faults.append(fault)
 
     def _nanoseconds(self, seconds: float) -> int:
@@ -450,25 +449,27 @@ class Bag(PacketFile):
         try:
             return self._reader.deserialize(raw, connection.msgtype)
         except Exception as error:  # as in the constructor
-            raise MalformedMessage(f"no {connection.msgtype}: {error}") from error
+            raise MalformedMessage(f"not a {connection.msgtype}: {error}") from error
 
-    def _take_still(self, joined: JoinedPackets, source: RosSource, until: float) -> None:
+    def _take_static_transforms(
+        self, joined: JoinedPackets, source: RosSource, until: float
+    ) -> None:
         if source.reads_transforms:
             for time, connection, raw in self._raw(["/tf_static"], stop=until):
-                self._joined_with(joined, FRAMES, connection, raw, time)
+                self._join(joined, FRAMES, connection, raw, time)
 
-    def _joined_with(
-        self, joined: JoinedPackets, tells: str, connection: Any, raw: bytes, time: float
+    def _join(
+        self, joined: JoinedPackets, content: str, connection: Any, raw: bytes, time: float
     ) -> bytes | None:
         try:
-            if connection.msgtype != TYPES[tells]:
+            if connection.msgtype != TYPES[content]:
                 raise MalformedMessage(f"{connection.topic} is of type {connection.msgtype}")
             arrival = self._begin * 1e-9 + time
-            return joined.take(tells, self._decoded(connection, raw), arrival)
+            return joined.take(content, self._decoded(connection, raw), arrival)
         except MalformedMessage as error:
             self.malformed = str(error)
-            reason = f"a message of {connection.topic} is left out: {error}"
-            if reason not in self.faults and len(self._left_out) < _MANY:
-                self._left_out.add(reason)
+            reason = f"a message of {connection.topic} was skipped: {error}"
+            if reason not in self.faults and len(self._skip_reasons) < _MAX_LISTED:
+                self._skip_reasons.add(reason)
                 self.faults.append(reason)
-            return joined.layout.never(raw[:MOST_KEPT])
+            return joined.layout.never(raw[:MAX_KEPT_BYTES])

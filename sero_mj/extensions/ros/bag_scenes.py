@@ -1,4 +1,4 @@
-"""Scenes whose robot a recording of ROS leads."""
+"""Scenes whose robot is moved by a recording of ROS."""
 
 from __future__ import annotations
 
@@ -26,15 +26,12 @@ def led_by(
     parent_frames: Callable[[], Mapping[str, tuple[str, bool]]],
     source: str | None,
 ) -> Scene:
-    """Returns a scene whose only robot is led by a recording; see `PacketFile.lead`.
-
-    Of several sources, the one with the robot's joints leads it.
+    """Returns a copy of a scene with one robot, which the recording moves; see `PacketFile.lead`.
 
     Args:
-        scene: is not changed.
         nameless: see `Bag`.
         parent_frames: see `Bag.parent_frames`.
-        source: of the recording, that leads the robot; found by joint names when None.
+        source: source that moves the robot (default: the one with the robot's joint names).
     """
     if scene.sources or len(scene.robots) != 1:
         return scene
@@ -101,7 +98,7 @@ def _first_pose(scene: Scene, source: str) -> dict[str, Any]:
     pose: dict[str, Any] = {"joint_angles": robot.home}
     with suppress(SeroError):
         replay = wired_source(scene, source, scene.sources[source])
-        replay.debug_level = 0  # what is wrong is told where it is played
+        replay.debug_level = 0  # problems are reported during playback
         with replay:
             packet = replay.latest()
         values = {} if packet is None else packet.values
@@ -114,7 +111,7 @@ def _first_pose(scene: Scene, source: str) -> dict[str, Any]:
 
 
 def source_routes(robot: str, source: str, declared: Mapping[str, Any]) -> dict[str, str]:
-    """The routes from a source of ROS to a robot. `declared`: its table."""
+    """Returns the routes from a source of ROS, declared by a table, to a robot."""
     states = declared.get("joint_states", "joint_states")
     events = ["joint_angles"] if states else []
     if states and not is_tf(states):

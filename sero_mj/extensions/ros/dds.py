@@ -1,7 +1,7 @@
-"""`Ros2`: topics of ROS 2 over DDS, by Cyclone DDS; no ROS is needed.
+"""`Ros2`: topics of ROS 2 over DDS with Cyclone DDS; no ROS is needed.
 
-ROS 2 names a topic `/x` in DDS `rt/x`, and a type `pkg/msg/T` `pkg::msg::dds_::T_`. Publishers may
-use any DDS: Fast DDS, which is ROS 2's usual one, and Cyclone DDS were tried.
+In DDS, ROS 2 names a topic `/x` `rt/x`, and a type `pkg/msg/T` `pkg::msg::dds_::T_`. Tested with
+publishers that use Fast DDS, the default of ROS 2, and Cyclone DDS.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from pydantic import AfterValidator, Field, PrivateAttr
 from ...base.errors import Problem, SourceError
 from ...data.receive.connecting import is_address
 from . import messages
-from .ros_source import TYPES, Listener, RosSource, ros_type, wrong_with
+from .ros_source import TYPES, Listener, RosSource, ros_type, topic_problem
 
 LOCALHOST, SUBNET = "localhost", "subnet"
-MOST_DOMAIN = 232
+MAX_DOMAIN = 232
 _AT_ONCE = 256  # messages that are taken together
-_MOST_PUBLISHERS = 10_000
+_MAX_PUBLISHERS = 10_000
 _ASKS_EVERY = 2  # s between questions who is there
-_LOOKS = 1.0  # s between looks at the publishers, as long as nothing comes
+_CHECK_INTERVAL = 1.0  # s between looks at the publishers, as long as nothing comes
 _BASE_TYPES = {"bool": "bool", "octet": "uint8", "byte": "uint8", "char": "uint8"}
 
 
 class Ros2(RosSource):
-    """Reads topics of ROS 2, and publishes nothing.
+    """Reads topics of ROS 2 and publishes nothing.
 
     Attributes:
-        host: where publishers are: `localhost`, this machine alone; `subnet`, found by multicast as
-            ROS 2 does; or a machine's address.
-        domain: ROS_DOMAIN_ID of the publishers; None for that of the environment, else 0.
-        reliability: `best_effort` reads whatever is published; `reliable` has messages sent again,
-            and gets nothing from publishers that are not.
+        host: where the publishers are: `localhost` for this machine, `subnet` to find them by
+            multicast as ROS 2 does, or the address of a machine.
+        domain: ROS_DOMAIN_ID of the publishers (default: that of the environment, or 0).
+        reliability: `best_effort` reads from all publishers; `reliable` requests lost messages
+            again, and receives nothing from best-effort publishers.
     """
 
     host: Annotated[
         str, AfterValidator(is_address("localhost, subnet, or an address such as 192.168.0.3"))
     ] = LOCALHOST
-    domain: int | None = Field(None, ge=0, le=MOST_DOMAIN)
+    domain: int | None = Field(None, ge=0, le=MAX_DOMAIN)
     reliability: Literal["best_effort", "reliable"] = "best_effort"
 
     @property
@@ -75,32 +75,32 @@ class Readers:
         self._source, self._listener = source, listener
         self.participant = Participant(source.host, source.domain, source.name)
         self._readers = [
-            (tells, self.participant.reader(topic, TYPES[tells], source.reliability))
-            for topic, tells in source.topics
+            (content, self.participant.reader(topic, TYPES[content], source.reliability))
+            for topic, content in source.topics
         ]
 
     def receive(self, _: socket.socket) -> None:
         """Passes messages on; see `Source.start_receiving`."""
-        due = clock.monotonic() + _LOOKS
+        due = clock.monotonic() + _CHECK_INTERVAL
         while not self._source.closing.is_set():
-            self.participant.wait(_LOOKS)
+            self.participant.wait(_CHECK_INTERVAL)
             if self._source.closing.is_set():
                 break
             self._read()
             if clock.monotonic() > due:
-                self._look()
-                due = clock.monotonic() + _LOOKS
+                self._check_publishers()
+                due = clock.monotonic() + _CHECK_INTERVAL
 
     def _read(self) -> None:
         received = [
-            (tells, raw, publisher)
-            for tells, reader in self._readers
+            (content, raw, publisher)
+            for content, reader in self._readers
             for raw, publisher in reader.take()
         ]
         if received:
-            self._listener.hear(received)
+            self._listener.take(received)
 
-    def _look(self) -> None:
+    def _check_publishers(self) -> None:
         source = self._source
         if source.receiving:
             source.note_trouble("")
@@ -109,16 +109,16 @@ class Readers:
         if not published:
             trouble = f"nobody publishes in domain {self.participant.domain}"
             if source.host == LOCALHOST:
-                trouble += " of this machine; host = 'subnet' looks on the network"
+                trouble += " of this machine; set host = 'subnet' to search the network"
             source.note_trouble(trouble)
             return
         wrong: list[str] = []
-        for topic, tells in source.topics:
-            wrong += self._wrong_with(topic, TYPES[tells], published)
+        for topic, content in source.topics:
+            wrong += self._topic_problem(topic, TYPES[content], published)
         source.note_trouble("; ".join(wrong) or "its publisher is silent")
 
-    def _wrong_with(self, topic: str, kind: str, published: list[Publication]) -> list[str]:
-        wrong = wrong_with(topic, kind, ((each.topic, each.kind) for each in published))
+    def _topic_problem(self, topic: str, kind: str, published: list[Publication]) -> list[str]:
+        wrong = topic_problem(topic, kind, ((each.topic, each.kind) for each in published))
         if wrong:
             return [wrong]
         mine = [each for each in published if each.topic == topic]
@@ -274,7 +274,7 @@ class Participant:
                 is_reliable=isinstance(sample.qos[reliability], reliability.Reliable),
                 is_kept=sample.qos[durability] == durability.TransientLocal,
             )
-            for sample in self._publications.read(_MOST_PUBLISHERS)
+            for sample in self._publications.read(_MAX_PUBLISHERS)
             if sample.sample_info.valid_data
             and sample.sample_info.instance_state == core.InstanceState.Alive
             and (sample.topic_name or "").startswith("rt/")
@@ -303,7 +303,7 @@ class _Raw:
 
 
 def domain_number(domain: int | None) -> int:
-    """The number of a domain: as given, else of the environment, else 0."""
+    """Returns the number of a domain (default: that of the environment, or 0)."""
     if domain is not None:
         return domain
     with suppress(ValueError):
@@ -350,7 +350,7 @@ def _configuration(host: str) -> str:
         f"</Compatibility><General><AllowMulticast>{multicast}</AllowMulticast></General>"
         f"<Discovery>{peers}<ParticipantIndex>auto</ParticipantIndex>"
         "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
-        # Fast DDS tells of itself by multicast alone: who comes late, or again, is asked for.
+        # Fast DDS content of itself by multicast alone: who comes late, or again, is asked for.
         f"<SPDPInterval>{_ASKS_EVERY}s</SPDPInterval>"
         "<InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay></Discovery></Domain></CycloneDDS>"
     )

@@ -1,4 +1,4 @@
-"""Scenes of robots that ROS describes: by a topic, or in a recording."""
+"""Scenes of robots that ROS describes, in a topic or in a recording."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from ...data.record.recording import PacketFile
 from .bag_scenes import source_routes
 from .network import SCHEME, Address, Found, find_robot, robots_with
 
-DESCRIPTION = "robot.urdf"  # an attachment: what the topic robot_description says
-_PATIENCE = 5.0  # s for a network to tell of its robot
+DESCRIPTION = "robot.urdf"  # an attachment: the message of the topic robot_description
+_PATIENCE = 5.0  # s to wait for a robot in a network
 _SOURCE = "ros"
-_SHOWN = 40  # characters of what is no description
+_SHOWN = 40  # characters of an invalid description in an error
 
 
 def scene_of_network(text: str) -> Path:
-    """Writes a scene of the robot that a network of ROS 2 tells of; returns its file.
+    """Writes a scene of the robot in a ROS 2 network, and returns its file.
 
     Args:
-        text: where it is, `ros2://...`, see `Address`.
+        text: address of the network, `ros2://...`, see `Address`.
 
     Raises:
         SourceError: a package is missing, or the domain cannot be joined.
-        UsageError: there is no robot, or it is not known which.
+        UsageError: there is no robot, or it is ambiguous.
     """
     address = Address.parse(text)
     found = find_robot(address, _PATIENCE)
@@ -46,25 +46,26 @@ def _robot(address: Address, found: Found) -> str:
         if not _is_xml(found.urdf):
             begin = shown(found.urdf[:_SHOWN])
             url = f"{SCHEME}{address.host}?robot=NAME"
-            hint = f"{url} says which robot it is"
-            raise UsageError(f"the robot_description is no URDF: it begins with {begin}; {hint}")
+            raise UsageError(
+                f"the robot_description is not URDF: it begins with {begin}. Name the robot: {url}"
+            )
         return found.urdf
     if len(found.robots) == 1:
         return found.robots[0]
     url = f"{SCHEME}{address.host}?robot=NAME"
     if found.robots:
-        known = f"the joints of {found.joint_states} are those of {', '.join(found.robots)}"
+        reason = f"{', '.join(found.robots)} have the joints of {found.joint_states}"
     else:
-        known = f"nobody publishes a robot_description for {found.joint_states}"
-    raise UsageError(f"{known}; say which robot it is: {url}")
+        reason = f"no robot_description is published for {found.joint_states}"
+    raise UsageError(f"{reason}. Name the robot: {url}")
 
 
 def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path:
-    """Writes a scene of one robot, in a folder that ends with this process; returns its file.
+    """Writes a scene of one robot to a temporary folder, and returns its file.
 
     Args:
-        robot: its description (URDF), or the name of a model.
-        source: the table of what moves it; None for nothing.
+        robot: URDF of the robot, or the name of a model.
+        source: table of the source that moves it, if any.
     """
     folder, model = paths.make_temporary_folder(), robot
     if _is_xml(robot):
@@ -88,16 +89,16 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
 def scenes_of_bag(
     bag: PacketFile, choose: str, source: str | None = None, wanted: Collection[str] = ()
 ) -> Iterator[str]:
-    """Yields scenes of the robot that a recording of ROS is of: described in it, else shipped.
+    """Yields scenes of the robot in a recording of ROS, described there or shipped.
 
     Args:
-        source: of the recording, that moves the robot; any when None.
-        wanted: names of robots of which it is one; any when empty.
+        source: the source that must have the robot's joints (default: any).
+        wanted: names of the allowed robots; empty for any.
 
     Raises:
-        RecordingError: it has no source.
-        UsageError: it has no such source, or it describes no robot, and several shipped ones have
-            its joints.
+        RecordingError: the recording has no source.
+        UsageError: the recording has no such source, or it does not describe its robot, and several
+            shipped robots have its joints.
     """
     if source is not None:
         bag.choose_source(source)
@@ -113,8 +114,9 @@ def scenes_of_bag(
     elif len(found) == 1:
         yield from found
     elif found and not is_described:
-        fits = f"its joints are those of {', '.join(found)}, and it does not describe its robot"
-        raise UsageError(f"{bag.path}: {fits}; choose one: {choose.replace('NAME', found[0])}")
+        names = ", ".join(found)
+        reason = f"does not describe its robot, and {names} have its joints"
+        raise UsageError(f"{bag.path} {reason}. Choose one: {choose.replace('NAME', found[0])}")
 
 
 def shipped_robots_of(bag: PacketFile, source: str | None = None) -> list[str]:

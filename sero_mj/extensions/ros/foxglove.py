@@ -1,9 +1,9 @@
-"""`Foxglove`: topics of ROS 2 by the websocket of foxglove_bridge, one TCP port; no DDS is needed.
+"""`Foxglove`: topics of ROS 2 from the WebSocket of foxglove_bridge; no DDS is needed.
 
-A server tells in JSON which topics it has; to a client that subscribes it sends their messages: an
-opcode of 1 byte, the subscription's number (uint32), a time of 8 bytes, and the message in CDR; all
-little-endian. Nothing but subscriptions is ever sent. The protocol is that of Foxglove's SDK, v1,
-and the one before it, which has the same messages.
+A server lists its topics in JSON, and sends the messages of subscribed topics: an opcode of 1 byte,
+the subscription id (uint32), a time of 8 bytes, and the message in CDR, all little-endian. The
+client sends only subscriptions. The protocol is v1 of Foxglove's SDK, and its predecessor, which
+has the same messages.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pydantic import BaseModel, Field
 from ...data.receive import connecting
 from ...data.receive.connecting import Address
 from ...data.receive.receiving_thread import Closing, Disconnected
-from .ros_source import MOST_KEPT, TYPES, Listener, RosSource, ros_type, wrong_with
+from .ros_source import MAX_KEPT_BYTES, TYPES, Listener, RosSource, ros_type, topic_problem
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -31,24 +31,23 @@ SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 ENCODING = "cdr"
 _DATA = 1  # the opcode of messages of topics; others are not asked for
 _HEAD = struct.Struct("<BIQ")
-_MOST_BYTES = 1 << 26  # of what comes at once; a list of topics has all of their definitions
-_LOOKS = 1.0  # s between looks at the topics, as long as nothing comes
-_FAREWELL = 0.2  # s for the peer's part in ending a connection
+_MAX_BYTES = 1 << 26  # of what comes at once; a list of topics has all of their definitions
+_CHECK_INTERVAL = 1.0  # s between looks at the topics, as long as nothing comes
+_CLOSE_TIMEOUT = 0.2  # s for the peer's part in ending a connection
 _WARNING = 1  # the lowest level of what a server says that is told
-_MOST_SAID, _MOST_SHOWN = 200, 80  # characters of what it says, and of what is not understood
-_MOST_TOPICS = 100_000
+_MAX_SAID, _MAX_SHOWN = 200, 80  # characters of what it says, and of what is not understood
+_MAX_TOPICS = 100_000
 
 
 class Foxglove(RosSource):
-    """Reads topics from a server for Foxglove, such as `foxglove_bridge`, and publishes nothing.
+    """Reads topics from a Foxglove server, such as `foxglove_bridge`, and publishes nothing.
 
-    It connects, and connects again when the connection is lost; topics may come later.
+    It reconnects when the connection is lost. Topics may appear later.
 
     Attributes:
         host: address of the server.
-        port: its port.
-        tls: whether the connection is encrypted (`wss://`), with a certificate that this machine
-            trusts.
+        port: port of the server.
+        tls: whether the connection is encrypted (`wss://`), with a trusted certificate.
     """
 
     name: str = "foxglove"
@@ -102,19 +101,19 @@ class Client:
     def __init__(self, source: Foxglove, listener: Listener) -> None:
         self._source, self._listener = source, listener
         self._channels: dict[int, _Channel] = {}
-        self._subscribed: dict[int, tuple[int, str]] = {}  # number to channel, and what it tells
-        self._comes_again = False  # nothing has come since it connected, but before
+        self._subscribed: dict[int, tuple[int, str]] = {}  # number to channel, and what it content
+        self._is_reconnecting = False  # nothing has come since it connected, but before
         self._number = 0  # of the last subscription
-        self._lever: socket.socket | None = None  # ends the connection, whoever waits for it
+        self._socket: socket.socket | None = None  # ends the connection, whoever waits for it
         self._connection: ClientConnection | None = None
 
     def interrupt(self) -> None:
         """Ends the connection; after `closing` of the source is set."""
         if (connection := self._connection) is not None:
             connection.close()
-        if (lever := self._lever) is not None:
+        if (duplicate := self._socket) is not None:
             with suppress(OSError):  # for all who use it
-                lever.shutdown(socket.SHUT_RDWR)
+                duplicate.shutdown(socket.SHUT_RDWR)
 
     def receive(self, wake: socket.socket) -> None:
         """Connects and receives once; see `Source.start_receiving`."""
@@ -128,7 +127,7 @@ class Client:
         try:
             self._connect(wake)
         except ConnectionClosed as error:
-            said = "" if error.rcvd is None else error.rcvd.reason[:_MOST_SAID]
+            said = "" if error.rcvd is None else error.rcvd.reason[:_MAX_SAID]
             reason = "it closed the connection" + (f": {said}" if said else "")
         except (InvalidMessage, EOFError):
             reason = "no server for Foxglove: its answer is no HTTP"
@@ -137,7 +136,7 @@ class Client:
         except OSError as error:
             reason = f"{error.strerror or error}"
         except (WebSocketException, ValueError) as error:  # the latter of redirections
-            reason = f"no server for Foxglove: {str(error)[:_MOST_SAID]}"
+            reason = f"no server for Foxglove: {str(error)[:_MAX_SAID]}"
         raise Disconnected(f"{url}: {reason}")
 
     def _connect(self, wake: socket.socket) -> None:
@@ -148,8 +147,8 @@ class Client:
         source = self._source
         sock = connecting.connect(source.host, source.port, wake)
         sock.setblocking(True)
-        with sock.dup() as lever:
-            self._lever = lever
+        with sock.dup() as duplicate:
+            self._socket = duplicate
             try:
                 if source.closing.is_set():
                     sock.close()
@@ -163,8 +162,8 @@ class Client:
                     subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
                     compression=None,
                     open_timeout=connecting.PATIENCE,
-                    close_timeout=_FAREWELL,
-                    max_size=_MOST_BYTES,
+                    close_timeout=_CLOSE_TIMEOUT,
+                    max_size=_MAX_BYTES,
                     **options,
                 ) as connection:
                     if connection.subprotocol is None:
@@ -173,13 +172,13 @@ class Client:
                     if not source.closing.is_set():
                         self._converse(connection)
             finally:
-                self._connection = self._lever = None
+                self._connection = self._socket = None
                 sock.close()
 
     def _converse(self, connection: ClientConnection) -> None:
         self._channels, self._subscribed, self._number = {}, {}, 0
-        self._comes_again = self._source.receive_trigger > 0
-        due = clock.monotonic() + _LOOKS
+        self._is_reconnecting = self._source.receive_trigger > 0
+        due = clock.monotonic() + _CHECK_INTERVAL
         while True:
             try:
                 received = connection.recv(timeout=max(due - clock.monotonic(), 0.0))
@@ -189,33 +188,33 @@ class Client:
                 if isinstance(received, bytes):
                     self._take(received)
                 else:
-                    self._hear(received, connection)
+                    self._on_text(received, connection)
             if clock.monotonic() >= due:
-                self._look()
-                due = clock.monotonic() + _LOOKS
+                self._check_publishers()
+                due = clock.monotonic() + _CHECK_INTERVAL
 
     def _take(self, received: bytes) -> None:
-        self._acknowledge()
+        self._acknowledge_now()
         if received and received[0] != _DATA:
             return
         if len(received) < _HEAD.size:
             layout = self._source.layout
             layout.fault = f"{len(received)} bytes that are no message: they end in its head"
-            self._source.accept([layout.never(received[:MOST_KEPT])])
+            self._source.accept([layout.never(received[:MAX_KEPT_BYTES])])
             return
         _, number, _ = _HEAD.unpack_from(received)
         if number in self._subscribed:  # else it was on its way when its topic was withdrawn
-            _, tells = self._subscribed[number]
-            if self._comes_again:
-                self._comes_again = False
+            _, content = self._subscribed[number]
+            if self._is_reconnecting:
+                self._is_reconnecting = False
                 self._source.intake.restart()
-            self._listener.hear([(tells, received[_HEAD.size :], b"")])
+            self._listener.take([(content, received[_HEAD.size :], b"")])
 
-    def _acknowledge(self) -> None:
-        if (lever := self._lever) is not None and hasattr(socket, "TCP_QUICKACK"):
-            lever.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+    def _acknowledge_now(self) -> None:
+        if (duplicate := self._socket) is not None and hasattr(socket, "TCP_QUICKACK"):
+            duplicate.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
 
-    def _hear(self, text: str, connection: ClientConnection) -> None:
+    def _on_text(self, text: str, connection: ClientConnection) -> None:
         try:
             operation = json.loads(text).get("op")
             if operation == "advertise":
@@ -225,23 +224,25 @@ class Client:
             elif operation == "status":
                 said = _Said.model_validate_json(text)
                 if said.level >= _WARNING:
-                    self._source.log_once(f"the server says: {said.message[:_MOST_SAID]}")
+                    self._source.log_once(f"the server says: {said.message[:_MAX_SAID]}")
         except (ValueError, AttributeError, RecursionError):
-            self._source.log_once(f"{self._source.url} tells what is not understood: {text[:80]!r}")
+            self._source.log_once(
+                f"{self._source.url} content what is not understood: {text[:80]!r}"
+            )
 
     def _advertise(self, channels: list[_Channel], connection: ClientConnection) -> None:
         self._source.note_trouble("")
         wanted = []
         for channel in channels:
-            if len(self._channels) >= _MOST_TOPICS:
+            if len(self._channels) >= _MAX_TOPICS:
                 break
             known = {each for each, _ in self._subscribed.values()}
             self._channels[channel.id] = channel
-            for topic, tells in self._source.topics:
-                fits = (channel.topic, channel.kind) == (topic, TYPES[tells])
+            for topic, content in self._source.topics:
+                fits = (channel.topic, channel.kind) == (topic, TYPES[content])
                 if fits and channel.encoding == ENCODING and channel.id not in known:
                     self._number += 1
-                    self._subscribed[self._number] = channel.id, tells
+                    self._subscribed[self._number] = channel.id, content
                     wanted.append({"id": self._number, "channelId": channel.id})
         if wanted:
             connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
@@ -250,24 +251,26 @@ class Client:
         for channel in channels:
             self._channels.pop(channel, None)
         self._subscribed = {
-            number: (channel, tells)
-            for number, (channel, tells) in self._subscribed.items()
+            number: (channel, content)
+            for number, (channel, content) in self._subscribed.items()
             if channel not in channels
         }
 
-    def _look(self) -> None:
+    def _check_publishers(self) -> None:
         if self._source.receiving:
             self._source.note_trouble("")
             return
-        wrong = [self._wrong_with(topic, TYPES[tells]) for topic, tells in self._source.topics]
+        wrong = [
+            self._topic_problem(topic, TYPES[content]) for topic, content in self._source.topics
+        ]
         if not self._channels:
             self._source.note_trouble(f"{self._source.url} has no topics")
         else:
             self._source.note_trouble("; ".join(filter(None, wrong)) or "its publisher is silent")
 
-    def _wrong_with(self, topic: str, kind: str) -> str:
+    def _topic_problem(self, topic: str, kind: str) -> str:
         channels = self._channels.values()
-        if wrong := wrong_with(topic, kind, ((each.topic, each.kind) for each in channels)):
+        if wrong := topic_problem(topic, kind, ((each.topic, each.kind) for each in channels)):
             return wrong
         encodings = {each.encoding for each in channels if (each.topic, each.kind) == (topic, kind)}
         if encodings and ENCODING not in encodings:

@@ -23,7 +23,7 @@ from .messages import MalformedMessage
 JOINT_STATES, FORCES, COMMANDS, FRAMES = "joint states", "wrench", "commands", "transforms"
 ODOMETRY, POSE = "odometry", "pose"
 TF = "tf"  # in the place of a topic: what it would tell is solved from transforms
-_MANY = 8  # names in a message
+_MAX_LISTED = 8  # names in a message
 _PATIENCE = 2.0  # s in which every publisher of joints should have sent a message
 _FAR_TOO_MUCH = 3.0  # times the largest torque
 _UNIT_TOLERANCE = 1e-2  # of a quaternion's length
@@ -57,7 +57,7 @@ class JoinedPackets:
         joints_by: str = "",
         links: RoutedLinks | None = None,
         torque_constants: float | Sequence[float] | Array = 1.0,
-        tell: Callable[[str], None] = lambda _: None,
+        report: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._joints = list(joints)
         self._wanted = [names.get(joint.name, joint.name) for joint in joints]
@@ -65,7 +65,7 @@ class JoinedPackets:
         self._odometry, self._joints_by = odometry, joints_by
         self._factors = np.broadcast_to(np.asarray(torque_constants, float), len(joints))
         self._limits = np.array([joint.torque_limit for joint in joints])
-        self._tell = tell
+        self._report = report
         count = len(joints)
         parts = {"stamp:1d": 1}
         if count:
@@ -104,7 +104,7 @@ class JoinedPackets:
         self._first = count  # the first joint that any message had so far
         self._first_body = np.inf  # the same of bodies and transforms
         self._awaited = set(self._wanted)  # joints without values so far
-        self._told_at = np.inf  # time, s, at which they are told
+        self._report_due = np.inf  # time, s, at which they are told
         self._found: list[str] | None = None  # names in the last message
         self._mine = self._theirs = np.arange(0)
         self._has_doubts = False  # whether efforts are torques
@@ -114,11 +114,11 @@ class JoinedPackets:
         if links is None or len(links.joints) != len(self._joints or links.joints):
             return None
         if wanted and not links.poses:
-            self._tell(
+            self._report(
                 "the robot does not say where the links of its original file are, so transforms "
                 "do not move it; a robot from URDF or MJCF does (link_frames)"
             )
-        return LinkTransforms(links, self._tell)
+        return LinkTransforms(links, self._report)
 
     @cached_property
     def layout(self) -> MessageLayout:
@@ -128,7 +128,7 @@ class JoinedPackets:
         """Takes a message; returns the packet that it makes, or None; raises MalformedMessage.
 
         Args:
-            topic: what it tells: `JOINT_STATES` and so on.
+            topic: what it content: `JOINT_STATES` and so on.
             message: as `messages.decode` returns it.
             arrival: s since the epoch, in the place of stamps that are not set.
         """
@@ -136,7 +136,7 @@ class JoinedPackets:
         makes = topic == self.leads
         if topic == JOINT_STATES:
             makes = self._take_joints(values, message)
-            self._tell_awaited(arrival)
+            self._report_missing_joints(arrival)
         elif topic == COMMANDS:
             self._take_commands(values, message)
         elif topic == FORCES:
@@ -164,8 +164,8 @@ class JoinedPackets:
             self._match(message.name, len(message.position))
         if not len(self._mine):
             return False
-        given = (message.position, message.velocity, message.effort)
-        for event, numbers in zip(JOINT_EVENTS, given, strict=False):
+        values_in_message = (message.position, message.velocity, message.effort)
+        for event, numbers in zip(JOINT_EVENTS, values_in_message, strict=False):
             into = values[self._places[event]]
             if len(numbers) not in (0, count or len(self._joints)):
                 raise MalformedMessage(
@@ -193,7 +193,7 @@ class JoinedPackets:
             self._theirs = self._mine
             if count:
                 said = "taken in the robot's order" if matches else "not used"
-                self._tell(f"messages of {count} joints without names are {said}")
+                self._report(f"messages of {count} joints without names are {said}")
             return
         prefix = prefix_before(self._wanted, names)
         places = {name: k for k, name in enumerate(names)}
@@ -206,23 +206,23 @@ class JoinedPackets:
         self._mine = np.array([joint for joint, _ in pairs], np.intp)
         self._theirs = np.array([place for _, place in pairs], np.intp)
         if prefix:
-            self._tell(f"joints are named with {prefix!r} before the robot's names")
+            self._report(f"joints are named with {prefix!r} before the robot's names")
         others = [name for k, name in enumerate(names) if k not in self._theirs]
         if not pairs:
-            self._tell(
+            self._report(
                 f"messages of the joints {_listed(names)} have none of {_listed(self._wanted)}; "
                 "joints = [...] says how they are named"
             )
         elif others:
-            self._tell(f"the robot has no {_listed(others)}: not used")
+            self._report(f"the robot has no {_listed(others)}: not used")
 
-    def _tell_awaited(self, arrival: float) -> None:
+    def _report_missing_joints(self, arrival: float) -> None:
         if not self._awaited or len(self._awaited) == len(self._wanted):
             return
-        self._told_at = min(self._told_at, arrival + _PATIENCE)
-        if arrival >= self._told_at:
+        self._report_due = min(self._report_due, arrival + _PATIENCE)
+        if arrival >= self._report_due:
             missing = [name for name in self._wanted if name in self._awaited]
-            self._tell(
+            self._report(
                 f"no values of {_listed(missing)} in {_PATIENCE:g} s; they stay as declared until "
                 "messages have them"
             )
@@ -235,7 +235,7 @@ class JoinedPackets:
             wrong = np.abs(torques) > _FAR_TOO_MUCH * self._limits
         if wrong.any():
             self._has_doubts, k = True, int(np.argmax(wrong))
-            self._tell(
+            self._report(
                 f"the effort of {self._wanted[k]} is {torques[k]:.4g}, where the robot's limit is "
                 f"{self._limits[k]:g} Nm; is it in other units? effort_unit and torque_constants "
                 "convert it"
@@ -248,8 +248,8 @@ class JoinedPackets:
         values[self._places["commanded_torques"]] = message.data
 
     def _take_pose(self, values: Array, message: Any, topic: str) -> None:
-        given = message.pose.pose if topic == ODOMETRY else message.pose
-        moved, turned = given.position, given.orientation
+        geometry = message.pose.pose if topic == ODOMETRY else message.pose
+        moved, turned = geometry.position, geometry.orientation
         pose = _pose((moved.x, moved.y, moved.z), (turned.w, turned.x, turned.y, turned.z))
         if pose is None:
             raise MalformedMessage(f"the orientation of the {topic} is no unit quaternion")
@@ -330,5 +330,5 @@ def _pose(position: Sequence[float], quaternion: Sequence[float]) -> Array | Non
 
 
 def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _MANY} more" if len(names) > _MANY else ""
-    return ", ".join(names[:_MANY]) + more
+    more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+    return ", ".join(names[:_MAX_LISTED]) + more

@@ -13,7 +13,7 @@ from ...base.frames import Array
 from .messages import MalformedMessage
 
 _ORDERS = ("positions", "velocities", "accelerations")
-_MOST_POINTS = 100_000
+_MAX_POINTS = 100_000
 
 
 class JointTrajectory:
@@ -35,8 +35,8 @@ class JointTrajectory:
     def __init__(self, message: Any, names: list[str], now: float, entry: Array) -> None:
         order = _order(message.joint_names, names)
         points = message.points
-        if not 1 <= len(points) <= _MOST_POINTS:
-            raise _malformed("points", found=len(points), expected=f"1 to {_MOST_POINTS}")
+        if not 1 <= len(points) <= _MAX_POINTS:
+            raise _malformed("points", found=len(points), expected=f"1 to {_MAX_POINTS}")
         stamp = _seconds(message.header.stamp)
         after = np.array([_seconds(point.time_from_start) for point in points])
         if not (np.diff(after, prepend=-1e-9) > 0.0).all():

@@ -1,7 +1,7 @@
-"""`JsonMcap`: messages in JSON of an MCAP file, read as `rosbags` reads those of ROS.
+"""`JsonMcap`: JSON messages of an MCAP file, with the interface of rosbags.
 
-What the messages are is found by their contents: states of joints in one of the forms of
-`ros.json_messages`, whatever their schema is called.
+Messages are recognized by their content as joint states in a format of `json_messages`, regardless
+of the name of their schema.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ _LATEST_NS = 2**64
 
 @dataclass(frozen=True)
 class JsonTopic:
-    """A channel of messages in JSON.
+    """A channel of JSON messages.
 
     Attributes:
-        msgtype: the type of ROS that its messages are, or what they are instead.
+        msgtype: ROS type of its messages, or a description of other messages.
         msgcount: number of its messages.
     """
 
@@ -56,15 +56,15 @@ class JsonTopic:
 
 
 class JsonMcap:
-    """Reads the messages; has what `Bag` needs of `rosbags.highlevel.AnyReader`.
+    """Reads the messages, with the part of `rosbags.highlevel.AnyReader` that `Bag` uses.
 
     Attributes:
         start_time: log time of the first message, ns since the epoch.
         end_time: log time after the last message, ns since the epoch.
 
     Raises:
-        OSError: it cannot be read.
-        RecordingError: it has no messages in JSON.
+        OSError: the file cannot be read.
+        RecordingError: the file has no JSON messages.
     """
 
     def __init__(self, path: Path) -> None:
@@ -92,11 +92,11 @@ class JsonMcap:
                     messages += len(self._in_chunk(chunk, number))
                 found.append(JsonTopic(number, channel.topic, kind, messages))
         if not found:
-            raise RecordingError(self.path, "has no messages in JSON")
+            raise RecordingError(self.path, "has no JSON messages")
         return found
 
     def close(self) -> None:
-        """Closes the file; harmless when it is not open."""
+        """Closes the file; does nothing if it is closed."""
         if self.stack is not None:
             self.stack.close()
         self.stack = None
@@ -104,14 +104,12 @@ class JsonMcap:
     def messages(
         self, connections: Sequence[JsonTopic], start: int | None, stop: int | None
     ) -> Iterator[tuple[JsonTopic, int, bytes]]:
-        """Yields topic, log time, ns since the epoch, and data of messages in order of time.
+        """Yields topic, log time (ns since the epoch) and data of messages, ordered by time.
 
-        Args:
-            start: first time, ns since the epoch; None for the beginning.
-            stop: end time, exclusive, likewise; None for the end.
+        `start` is inclusive and `stop` exclusive, in ns since the epoch; None for no limit.
         """
         first, end = start or 0, _LATEST_NS if stop is None else stop
-        # Chunks overlap: messages wait until no later chunk can have earlier ones.
+        # Chunks overlap: messages are held back until no later chunk can have earlier ones.
         waiting: list[tuple[int, int, JsonTopic, bytes]] = []
         number = count()
         for chunk in sorted(self._index.chunks, key=lambda chunk: chunk.first):
@@ -174,7 +172,7 @@ def _kind_of(raw: bytes, topic: str) -> str:
 
 
 def has_json(path: Path) -> bool:
-    """Whether a file is MCAP with messages in JSON."""
+    """Whether a file is MCAP with JSON messages."""
     with suppress(OSError, RecordingError, *BROKEN), open_file(path) as file:
         channels = _index_of(file).channels.values()
         return any(channel.message_encoding == _JSON for channel in channels)

@@ -1,6 +1,7 @@
-"""States of joints in JSON, as hands, arms and their bridges publish them.
+"""Joint states in JSON, as published by robot hands, arms and their bridges.
 
-Two forms are known. That of `sensor_msgs/JointState`, also in the envelope of rosbridge (`msg`):
+Two formats are supported. That of `sensor_msgs/JointState`, also in the envelope of rosbridge
+(`msg`):
 
     {"header": {"stamp": {"sec": 1, "nanosec": 0}}, "name": ["j1", "j2"],
      "position": [0.1, 0.2], "velocity": [], "effort": [1.5, -0.3]}
@@ -23,38 +24,35 @@ import numpy as np
 
 from ...base.errors import printable
 from ...base.frames import Array
-from .messages import MOST_BYTES, MalformedMessage
+from .messages import MAX_BYTES, MalformedMessage
 
 _NUMBERS = ("position", "velocity", "effort")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs")
-_SHOWN, _SHOWN_BYTES = 40, 8  # characters, or bytes, of a message in an error
+_SHOWN, _SHOWN_BYTES = 40, 8  # characters or bytes of a message in an error
 
 
 def joint_state_of(raw: bytes) -> Any:
-    """Decodes a message to the attributes of `sensor_msgs/JointState`; raises MalformedMessage.
+    """Decodes UTF-8 JSON to the attributes of `sensor_msgs/JointState`; raises MalformedMessage.
 
     A value that is missing or null is NaN. A quantity that no joint has is empty.
-
-    Args:
-        raw: JSON in UTF-8.
     """
-    if len(raw) > MOST_BYTES:
-        raise MalformedMessage(f"found {len(raw)} bytes; expected at most {MOST_BYTES}")
+    if len(raw) > MAX_BYTES:
+        raise MalformedMessage(f"found {len(raw)} bytes; expected at most {MAX_BYTES}")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         begin = raw[:_SHOWN_BYTES].hex(" ")
-        reason = f"byte {error.start} is not of UTF-8; it begins with the bytes {begin}"
-        raise MalformedMessage(f"no JSON: {reason}") from None
+        reason = f"byte {error.start} is not UTF-8; it begins with the bytes {begin}"
+        raise MalformedMessage(f"not JSON: {reason}") from None
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
         begin = printable(text[:_SHOWN])
-        raise MalformedMessage(f"no JSON: {error}; it begins with {begin}") from None
+        raise MalformedMessage(f"not JSON: {error}; it begins with {begin}") from None
     if isinstance(found, Mapping) and isinstance(found.get("msg"), Mapping):
         found = found["msg"]
     if not isinstance(found, Mapping):
-        raise MalformedMessage(f"found a {type(found).__name__}; expected an object in JSON")
+        raise MalformedMessage(f"found a {type(found).__name__}; expected a JSON object")
     joints = found.get("joints")
     if isinstance(joints, list) and all(isinstance(each, Mapping) for each in joints):
         names: Any = [each.get("name") for each in joints]
@@ -74,20 +72,20 @@ def joint_state_of(raw: bytes) -> Any:
         names = found.get("name", [])
         numbers = {key: _numbers(key, found.get(key)) for key in _NUMBERS}
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise MalformedMessage("its names of joints are not a list of texts")
+        raise MalformedMessage("joint names are not a list of strings")
     return SimpleNamespace(header=SimpleNamespace(stamp=_stamp(stamp)), name=names, **numbers)
 
 
 def message_of(
     names: Sequence[str], stamp: float, angles: Array, velocities: Array, efforts: Array
 ) -> bytes:
-    """Encodes the state of joints, as `sensor_msgs/JointState`.
+    """Encodes a `sensor_msgs/JointState`.
 
     Args:
-        stamp: s; 0 where it is unknown.
-        angles: (n,), rad or m. What is NaN is null, and a quantity that no joint has is empty.
-        velocities: (n,), rad/s or m/s.
-        efforts: (n,), in the unit of the receiver.
+        stamp: time stamp, s; 0 if it is unknown.
+        angles: shape (n,), rad or m. NaN becomes null; a quantity that no joint has is empty.
+        velocities: shape (n,), rad/s or m/s.
+        efforts: shape (n,), in the unit of the receiver.
     """
     seconds = math.floor(stamp)
     message: dict[str, Any] = {
@@ -107,7 +105,7 @@ def _numbers(key: str, values: Any) -> Array:
             raise TypeError
         return np.array([math.nan if x is None else x for x in values], dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise MalformedMessage(f"{key} is no list of numbers") from None
+        raise MalformedMessage(f"{key} is not a list of numbers") from None
 
 
 def _stamp(found: Any) -> Any:
@@ -116,5 +114,5 @@ def _stamp(found: Any) -> Any:
         nanoseconds = next((found[key] for key in _NANOSECONDS if key in found), 0)
         parts = [found.get("sec", found.get("secs", 0)), nanoseconds]
     if not all(isinstance(part, int | float) and math.isfinite(part) for part in parts):
-        raise MalformedMessage("its time stamp is not in whole seconds and nanoseconds")
+        raise MalformedMessage("the time stamp is not in integer seconds and nanoseconds")
     return SimpleNamespace(sec=parts[0], nanosec=parts[1])

@@ -1,4 +1,4 @@
-"""`JsonUdp`: states of joints in JSON, a message in each UDP packet."""
+"""`JsonUdp`: joint states in JSON, one message per UDP packet."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from .dds import Ros2
 from .joined_packets import JOINT_STATES, JoinedPackets
 from .json_messages import joint_state_of, message_of
 from .messages import MalformedMessage
-from .ros_source import MOST_KEPT, Listener, RosSource
+from .ros_source import MAX_KEPT_BYTES, Listener, RosSource
 
 
 class JsonUdp(UdpReceiver, RosSource):
-    """Receives states of joints in JSON, in the forms of `json_messages`, by UDP.
+    """Receives joint states in the formats of `json_messages` over UDP.
 
-    The joints are matched by their names, as of sources of ROS. Several devices may send to one
-    port, each for some of the joints.
+    Joints are matched by name, as in sources of ROS. Several devices can send to one port, each for
+    some of the joints.
     """
 
     name: str = "json"
@@ -40,7 +40,7 @@ class JsonUdp(UdpReceiver, RosSource):
     joint_states: ClassVar[str] = "joint_states"  # type: ignore[misc]
 
     _fixed_by: ClassVar[str] = "JSON"
-    _structure_is: ClassVar[str] = "made of what the messages tell"
+    _structure_is: ClassVar[str] = "derived from the messages"
     _most_bytes: ClassVar[int] = 1 << 16  # of a UDP packet
     _joined: JoinedPackets | None = PrivateAttr(None)
 
@@ -49,9 +49,8 @@ class JsonUdp(UdpReceiver, RosSource):
         return f"JSON, {super().about}"
 
     def open(self) -> None:
-        """Binds the socket and starts the thread; raises SourceError."""
         if not self.joint_names:
-            problem = Problem("joints", "no route says which", expected="the names of joints")
+            problem = Problem("joints", "no route leads to a robot", expected="the joint names")
             raise SourceError(self.name, problem)
         self._joined = self.joined()
         super().open()
@@ -69,7 +68,7 @@ class JsonUdp(UdpReceiver, RosSource):
         constants = 1.0 if self.torque_constants is None else self.torque_constants
         efforts = values["torques"] / (self.torque_sign * np.asarray(constants, float))
         velocities = values["joint_velocities"]
-        if not velocities.any():  # nothing leads to them
+        if not velocities.any():  # no route leads to velocities
             velocities = np.full(len(velocities), np.nan)
         stamp = float(values["stamp"][0])
         return message_of(self.joint_names, stamp, values["joint_angles"], velocities, efforts)
@@ -87,7 +86,7 @@ class JsonUdp(UdpReceiver, RosSource):
                 packet = self._joined.take(JOINT_STATES, joint_state_of(raw), clock.time())
             except MalformedMessage as error:
                 self.layout.fault = str(error)
-                packet = self.layout.never(raw[:MOST_KEPT])
+                packet = self.layout.never(raw[:MAX_KEPT_BYTES])
             if packet is not None:
                 packets.append(packet)
                 kept.append(k)

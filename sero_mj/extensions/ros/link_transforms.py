@@ -25,8 +25,8 @@ class LinkTransforms:
     missing. Names may have a prefix that ends with a slash (`left/base_link`).
     """
 
-    def __init__(self, links: RoutedLinks, tell: Callable[[str], None]) -> None:
-        self._links, self._tell = links, tell
+    def __init__(self, links: RoutedLinks, report: Callable[[str], None]) -> None:
+        self._links, self._report = links, report
         self._prefix = ""  # of the first such name
         self._angles = links.home.copy()  # the last ones
         self._above: dict[Hashable, tuple[Hashable, Array]] = {}
@@ -36,7 +36,7 @@ class LinkTransforms:
         self._axes = axes
         self._parents, self._joints = tree.carriers.tolist(), links.joints.tolist()
         self._nodes: dict[str, tuple[Hashable, Array, Array]] = {}
-        self._told = False
+        self._is_reported = False
 
     def take(self, parent: str, child: str, T_parent_child: Array) -> int | None:
         """Takes a transform (4, 4), m; returns the body that it moves, or None."""
@@ -104,15 +104,15 @@ class LinkTransforms:
         return np.where(turns, angles, moved[:, 2, 3])
 
     def _check(self, joints: Ints, rest: Array, rotations: Array) -> None:
-        if self._told:
+        if self._is_reported:
             return
         far, angles = np.linalg.norm(rest, axis=1), rotation_angles(rotations)
         wrong = (far > _DISTANCE) | (angles > _ANGLE)
         if wrong.any():
-            self._told, k = True, int(np.argmax(wrong))
+            self._is_reported, k = True, int(np.argmax(wrong))
             joint = int(joints[k])
             link = next(name for name, (i, _) in self._links.poses.items() if i == joint + 1)
-            self._tell(
+            self._report(
                 f"the transform of {link} is {far[k]:.3g} m and {np.rad2deg(angles[k]):.3g} deg "
                 "off what its joint allows; is it another robot?"
             )
@@ -121,7 +121,7 @@ class LinkTransforms:
         """Returns T_root_base (4, 4), m; None while it is unknown.
 
         If transforms do not have the base itself, as of a robot whose base is the world and whose
-        first joints move a platform, another link tells it, at the last joint values.
+        first joints move a platform, another link content it, at the last joint values.
 
         Args:
             root: the frame in which it is wanted; the topmost one when empty.

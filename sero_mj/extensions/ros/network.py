@@ -1,4 +1,4 @@
-"""What a network of ROS 2 has to show: its topics, and the robot that it describes."""
+"""Topics of a ROS 2 network, and the robot that it describes."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from ...base import paths
 from ...base.errors import Problem, UsageError
 from ...data.record.csv_files import prefix_before
 from . import messages
-from .dds import LOCALHOST, MOST_DOMAIN, Participant, Publication, Reader, Ros2
+from .dds import LOCALHOST, MAX_DOMAIN, Participant, Publication, Reader, Ros2
 from .messages import JOINT_STATE, TEXT, MalformedMessage
 
 SCHEME = "ros2://"
 _DESCRIPTION = "/robot_description"
-_MOST_DESCRIPTION = 64 << 20  # bytes
+_MAX_DESCRIPTION = 64 << 20  # bytes
 _LISTS = ("joints", "frames", "torque_constants")  # fields of a source with several values
 _SIGNS = ("1", "-1")
 _BETWEEN = 0.05  # s between looks at the publishers
-_MANY = 20  # topics in a message
+_MAX_LISTED = 20  # topics in a message
 # Of these no rate is measured, since it would take the network to do so.
 _LARGE = ("Image", "CompressedImage", "PointCloud", "PointCloud2", "OccupancyGrid")
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where a robot is: `ros2://HOST:DOMAIN/NAMESPACE?FIELD=VALUE`, all of it optional.
+    """Address of a robot, `ros2://HOST:DOMAIN/NAMESPACE?FIELD=VALUE`; all parts are optional.
 
     Attributes:
         host: see `Ros2.host`.
         domain: see `Ros2.domain`.
-        namespace: of its topics; empty for none.
-        robot: the model that shows it; empty for what its description says.
-        fields: of the source by name, `joint_states` say; those with several values have commas.
+        namespace: namespace of its topics.
+        robot: model that shows the robot (default: the description in the network).
+        fields: fields of the source, such as `joint_states`; lists are separated by commas.
     """
 
     host: str = LOCALHOST
@@ -57,8 +57,8 @@ class Address:
             query = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=False))
         except ValueError as error:
             raise UsageError(Problem("", f"{text}: {error}", expected=expected)) from None
-        if domain is not None and domain > MOST_DOMAIN:
-            problem = Problem("", f"{text}: domain", found=domain, expected=f"0 to {MOST_DOMAIN}")
+        if domain is not None and domain > MAX_DOMAIN:
+            problem = Problem("", f"{text}: domain", found=domain, expected=f"0 to {MAX_DOMAIN}")
             raise UsageError(problem)
         robot = query.pop("robot", "")
         known = [key for key, each in Ros2.model_fields.items() if isinstance(each.default, str)]
@@ -92,13 +92,12 @@ class Address:
 
 @dataclass
 class Topic:
-    """A topic that somebody publishes.
+    """A published topic.
 
     Attributes:
-        name: with a `/` before it.
-        publishers: number of them.
-        rate: messages per second; None where it was not measured.
-        joints: names in its messages, of `sensor_msgs/JointState`.
+        publishers: number of publishers.
+        rate: messages per second; None if it was not measured.
+        joints: joint names in its messages of type `sensor_msgs/JointState`.
     """
 
     name: str
@@ -114,12 +113,7 @@ class Topic:
 
 
 def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
-    """Listens for some time, and returns all topics by name; raises SourceError.
-
-    Args:
-        host: see `Ros2.host`.
-        domain: see `Ros2.domain`.
-    """
+    """Listens for some seconds, and returns all topics by name; raises SourceError."""
     participant = Participant(host, domain, "ros2")
     try:
         times: dict[str, list[float]] = defaultdict(list)
@@ -163,11 +157,11 @@ def _is_light(kind: str) -> bool:
 
 @dataclass(frozen=True)
 class Found:
-    """A robot that a network has.
+    """A robot in a network.
 
     Attributes:
-        urdf: its description; empty where there is none.
-        joint_states: topic of its joints; empty for none.
+        urdf: its description, if any.
+        joint_states: topic of its joint states, if any.
     """
 
     urdf: str
@@ -176,23 +170,19 @@ class Found:
 
 
 def find_robot(address: Address, seconds: float) -> Found:
-    """Waits until a network tells of a robot; raises SourceError or UsageError.
-
-    Args:
-        seconds: to wait at most.
-    """
+    """Waits up to some seconds for a robot in a network; raises SourceError or UsageError."""
     participant = Participant(address.host, address.domain, "ros2")
     try:
-        heard = _Heard(participant, address)
+        search = _RobotSearch(participant, address)
         end = clock.monotonic() + seconds
-        while (now := clock.monotonic()) < end and not heard.is_enough:
-            heard.look(min(_BETWEEN, end - now))
-        return heard.robot(seconds)
+        while (now := clock.monotonic()) < end and not search.is_enough:
+            search.look(min(_BETWEEN, end - now))
+        return search.robot(seconds)
     finally:
         participant.close()
 
 
-class _Heard:
+class _RobotSearch:
     def __init__(self, participant: Participant, address: Address) -> None:
         self._participant, self._address = participant, address
         self._before = f"/{address.namespace}" if address.namespace else ""
@@ -206,7 +196,7 @@ class _Heard:
 
     def look(self, seconds: float) -> None:
         for each in self._participant.published():
-            if each.topic not in self._readers and self._tells_of_robot(each):
+            if each.topic not in self._readers and self._is_relevant(each):
                 is_kept = each.kind == TEXT and each.is_kept
                 reader = self._participant.reader(each.topic, each.kind, is_kept=is_kept)
                 self._readers[each.topic] = each.kind, reader
@@ -214,13 +204,13 @@ class _Heard:
         for topic, (kind, reader) in self._readers.items():
             for raw, _ in reader.take():
                 with suppress(MalformedMessage):
-                    message = messages.decode(raw, kind, _MOST_DESCRIPTION)
+                    message = messages.decode(raw, kind, _MAX_DESCRIPTION)
                     if kind == TEXT:
                         self._described[topic] = message.data
                     else:
                         self._joints[topic] = list(message.name)
 
-    def _tells_of_robot(self, each: Publication) -> bool:
+    def _is_relevant(self, each: Publication) -> bool:
         if not each.topic.startswith(f"{self._before}/"):
             return False
         is_description = each.kind == TEXT and each.topic.endswith(_DESCRIPTION)
@@ -248,7 +238,7 @@ class _Heard:
     def _why_none(self, seconds: float) -> str:
         topics = sorted({each.topic for each in self._participant.published()})
         if topics:
-            listed = ", ".join(topics[:_MANY])
+            listed = ", ".join(topics[:_MAX_LISTED])
             place = f" in {self._before}" if self._before else ""
             return f"has no robot_description and no joint states{place}; its topics: {listed}"
         why = f"has no publisher, within {seconds:g} s"
@@ -258,9 +248,10 @@ class _Heard:
 
 
 def robots_with(joints: Sequence[str]) -> list[str]:
-    """Returns the shipped robots whose joints have these names, or these behind one prefix.
+    """Returns the shipped robots with these joint names, possibly with one common prefix.
 
-    Of several, those with the most joints: an arm alone is not meant where its hand is there too.
+    Only robots with the maximum number of joints are returned: an arm is not returned if the same
+    arm with a hand fits, too.
     """
     found = {}
     for robot in paths.list_models():

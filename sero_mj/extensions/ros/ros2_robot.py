@@ -26,10 +26,10 @@ from ...simulate.external_control.exchange import Answer, modulus_of
 from ...simulate.external_control.program import Program
 from ...simulate.external_control.program_controller import Answering, Link, ProgramController
 from . import messages
-from .dds import LOCALHOST, MOST_DOMAIN, Participant, domain_number
+from .dds import LOCALHOST, MAX_DOMAIN, Participant, domain_number
 from .joint_trajectory import JointTrajectory
 from .messages import MalformedMessage
-from .ros_source import wrong_with
+from .ros_source import topic_problem
 
 log = logging.getLogger(__name__)
 
@@ -70,7 +70,7 @@ class Ros2Node(Answering):
 
     kind: Literal["ros2"] = "ros2"
     host: str = LOCALHOST
-    domain: int | None = Field(None, ge=0, le=MOST_DOMAIN)
+    domain: int | None = Field(None, ge=0, le=MAX_DOMAIN)
     namespace: str = ""
     joint_states: str = "joint_states"
     commands: str = ""
@@ -87,7 +87,7 @@ class Ros2Node(Answering):
         return self
 
     @property
-    def _peer(self) -> str:
+    def peer(self) -> str:
         domain = "" if self.domain is None else f" {self.domain}"
         return f"the nodes of ROS 2 domain{domain}"
 
@@ -219,7 +219,7 @@ class RosLink(Link):
     def _why_nothing_comes(self) -> str:
         assert self._participant is not None
         published = [(each.topic, each.kind) for each in self._participant.published()]
-        wrong = wrong_with(self.name, self.commands, published)
+        wrong = topic_problem(self.name, self.commands, published)
         return f": {wrong}" if wrong else ""
 
     def _take_any(self, take: Callable[[int], object]) -> bool:

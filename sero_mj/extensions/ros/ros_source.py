@@ -1,4 +1,4 @@
-"""`RosSource`: the common base of sources whose packets are joined from messages of ROS."""
+"""`RosSource`: base of sources whose packets are joined from messages of ROS."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .joined_packets import (
 )
 from .messages import MalformedMessage
 
-# What a topic tells, and the type of its messages.
+# What a topic content, and the type of its messages.
 TYPES = {
     JOINT_STATES: messages.JOINT_STATE,
     FORCES: messages.WRENCH,
@@ -40,37 +40,37 @@ TYPES = {
     ODOMETRY: messages.ODOMETRY,
     POSE: messages.POSE,
 }
-MOST_KEPT = 2048  # bytes of a malformed message
-_MOST_NAMED = 5  # topics in a text
+MAX_KEPT_BYTES = 2048  # bytes of a malformed message
+_MAX_NAMED = 5  # topics in a text
 
 
 class RosSource(Source):
-    """Packets from topics of ROS 2; also the base of sources by other ways.
+    """Packets joined from topics of ROS 2.
 
-    Events are `stamp` and, for the n joints, `joint_angles`, `joint_velocities` and `torques`, each
-    NaN where no message tells it (angles: as the robot declares them); where they are asked for,
-    `commanded_torques`, `force` and `moment`, `base_frame` with `base_velocity` and
-    `base_angular_velocity` in the frame of the base, `pose`, and `tf_NAME` of each frame.
+    Events are `stamp` and, for n joints, `joint_angles`, `joint_velocities` and `torques`. Values
+    that no message contains are NaN, except for angles, which stay as the robot declares them. If
+    the corresponding fields are set, there are also `commanded_torques`, `force` and `moment`,
+    `base_frame` with `base_velocity` and `base_angular_velocity` in the base frame, `pose`, and
+    `tf_NAME` of each frame.
 
     Attributes:
-        joint_states: topic of `sensor_msgs/JointState`, or `tf` for angles that are solved from the
-            transforms of the robot's links; empty for none.
-        joints: names of the joints in messages: a list in the robot's order, or a table from the
-            robot's names to those that differ. Without it they have the robot's names, or these
-            with one prefix.
+        joint_states: topic of `sensor_msgs/JointState`, or `tf` to solve angles from the transforms
+            of the robot's links; empty for none.
+        joints: joint names in messages: a list in the robot's order, or a table from the robot's
+            names to different ones (default: the robot's names, possibly with one common prefix).
         commands: topic of `std_msgs/Float64MultiArray` with commanded torques; empty for none.
         wrench: topic of `geometry_msgs/WrenchStamped`; empty for none.
-        odometry: topic of `nav_msgs/Odometry` with the pose of the robot's base, or `tf` for that
-            pose from transforms; empty for none.
+        odometry: topic of `nav_msgs/Odometry` with the pose of the robot's base, or `tf` to use
+            transforms; empty for none.
         pose: topic of `geometry_msgs/PoseStamped`; empty for none.
         frames: names of frames of `tf` and `tf_static` to receive.
-        root: the frame in which these and a base from `tf` are wanted; for the base the topmost one
-            when empty.
-        namespace: stands before topics that do not begin with `/`.
-        effort_unit: of efforts: `Nm`, or `A` with `torque_constants`.
+        root: reference frame of `frames` and of a base from `tf`; if it is empty, the base is
+            relative to the root of the transform tree.
+        namespace: prefix of topics that do not begin with `/`.
+        effort_unit: unit of efforts: `Nm`, or `A` with `torque_constants`.
         torque_constants: torque per ampere, Nm/A, one for all joints or one for each.
-        torque_sign: factor of efforts, 1 or -1, for drivers that publish the torque of the load on
-            the drive (default: 1, efforts are taken as published).
+        torque_sign: factor of efforts, 1 or -1 for drivers that publish the torque of the load on
+            the drive (default: 1).
     """
 
     name: str = "ros"
@@ -90,7 +90,7 @@ class RosSource(Source):
     time: str = "stamp"
 
     _fixed_by: ClassVar[str] = "ROS"
-    _structure_is: ClassVar[str] = "made of what the topics tell"
+    _structure_is: ClassVar[str] = "derived from the topics"
     # As long as the routes are unknown, whatever a driver does not publish may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(
         frozenset(
@@ -163,7 +163,7 @@ class RosSource(Source):
         names = self.joints if isinstance(self.joints, dict) else {}
         return [names.get(joint.name, joint.name) for joint in self._led]
 
-    def joined(self, tell: Callable[[str], None] | None = None) -> JoinedPackets:
+    def joined(self, report: Callable[[str], None] | None = None) -> JoinedPackets:
         """Returns what joins messages from now on.
 
         Args:
@@ -188,7 +188,7 @@ class RosSource(Source):
             joints_by=TF if is_tf(self.joint_states) else "",
             links=self._links,
             torque_constants=self.torque_sign * np.asarray(constants, float),
-            tell=self.log_once if tell is None else tell,
+            report=self.log_once if report is None else report,
         )
 
     @cached_property
@@ -206,7 +206,7 @@ class RosSource(Source):
 
     @property
     def topics(self) -> list[tuple[str, str]]:
-        """What is read: topics by their full names, and what each tells."""
+        """What is read: topics by their full names, and what each content."""
         declared = {
             JOINT_STATES: self.joint_states,
             ODOMETRY: self.odometry,
@@ -215,8 +215,8 @@ class RosSource(Source):
             COMMANDS: self.commands,
         }
         found = [
-            (self._full(topic), tells)
-            for tells, topic in declared.items()
+            (self._full(topic), content)
+            for content, topic in declared.items()
             if topic and not is_tf(topic)
         ]
         if self.reads_transforms:
@@ -256,7 +256,7 @@ class RosSource(Source):
         """Starts to receive; publishers need not be there; raises SourceError."""
         self.close()
         if self.joint_states and not self.joint_names:
-            problem = Problem("joints", "no route says which", expected="the names of joints")
+            problem = Problem("joints", "no route leads to a robot", expected="the joint names")
             raise SourceError(self.name, problem)
         self.reset()
         messages.type_store()
@@ -280,21 +280,21 @@ class Listener:
         self._source = source
         self._joined = source.joined()
 
-    def hear(self, received: Sequence[tuple[str, bytes, bytes]]) -> None:
+    def take(self, received: Sequence[tuple[str, bytes, bytes]]) -> None:
         """Takes messages that have come together.
 
         Args:
-            received: what each tells, its bytes in CDR, and its publisher's number, if known.
+            received: what each content, its bytes in CDR, and its publisher's number, if known.
         """
         source, now = self._source, clock.time()
         packets: list[bytes] = []
         senders: list[bytes] = []
-        for tells, raw, sender in received:
+        for content, raw, sender in received:
             try:
-                packet = self._joined.take(tells, messages.decode(raw, TYPES[tells]), now)
+                packet = self._joined.take(content, messages.decode(raw, TYPES[content]), now)
             except MalformedMessage as error:
                 source.layout.fault = str(error)
-                packet = source.layout.never(raw[:MOST_KEPT])
+                packet = source.layout.never(raw[:MAX_KEPT_BYTES])
             if packet is not None:
                 packets.append(packet)
                 senders.append(sender)
@@ -303,7 +303,7 @@ class Listener:
             source.accept(packets, senders=rows.reshape(len(packets), 8))
 
 
-def wrong_with(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> str:
+def topic_problem(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> str:
     """What is wrong with a topic, in words; empty when nothing is.
 
     Args:
@@ -315,7 +315,7 @@ def wrong_with(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> s
         if topic in ("/tf", "/tf_static"):  # of which one may be missing
             return ""
         fitting = sorted({each for each, other in published if other == kind})
-        instead = f"; of its type are {', '.join(fitting[:_MOST_NAMED])}" if fitting else ""
+        instead = f"; of its type are {', '.join(fitting[:_MAX_NAMED])}" if fitting else ""
         return f"nobody publishes {topic}{instead}"
     return "" if kind in kinds else f"{topic} is of type {kinds[0]}; expected {kind}"
 

@@ -1,4 +1,4 @@
-"""ROS 2 networks for commands of the core: their robots, and their topics."""
+"""ROS 2 networks for core commands: their robots and topics."""
 
 from __future__ import annotations
 
@@ -15,13 +15,11 @@ __all__ = ["print_topics", "scene_of_network"]
 def print_topics(text: str, duration: float, *, as_json: bool) -> int:
     """Prints the topics, their rates, and the robots that they could move.
 
+    Returns exit status 1 if nothing is published.
+
     Args:
         text: address of the network, `ros2://HOST:DOMAIN`.
-        duration: how long to listen, s.
-        as_json: whether to print JSON.
-
-    Returns:
-        exit status: 0, or 1 if nothing is published.
+        duration: time to listen, s.
     """
     address = Address.parse(text)
     topics = list_topics(address.host, address.domain, duration)
@@ -30,8 +28,8 @@ def print_topics(text: str, duration: float, *, as_json: bool) -> int:
         return 0 if topics else 1
     if not topics:
         where = f"domain {domain_number(address.domain)} of {address.host}"
-        hint = f"; {SCHEME}subnet looks on the network" if address.host == LOCALHOST else ""
-        print(f"nobody publishes in {where}, within {duration:g} s{hint}")
+        hint = f"; use {SCHEME}subnet to search the network" if address.host == LOCALHOST else ""
+        print(f"no publisher found in {where} within {duration:g} s{hint}")
         return 1
     from rich.table import Table
 

@@ -22,35 +22,34 @@ from ...base.errors import SourceError
 from ...data.receive import receiving_thread
 from ...data.receive.connecting import Address, addresses
 from ...data.receive.receiving_thread import Closing, Disconnected
-from .dds import MOST_DOMAIN, domain_number
-from .ros_source import TYPES, Listener, RosSource, ros_type, wrong_with
+from .dds import MAX_DOMAIN, domain_number
+from .ros_source import TYPES, Listener, RosSource, ros_type, topic_problem
 
 PORT = 7447
 KEPT = "/tf_static"  # its publishers keep the last messages, for who comes later
 _PATIENCE = 0.8  # s for a router's answer, and so for the end of an attempt to connect
-_LOOKS = 1.0  # s between looks at the publishers, as long as nothing comes
-_MOST_WAITING = 10_000  # messages
+_CHECK_INTERVAL = 1.0  # s between looks at the publishers, as long as nothing comes
+_MAX_WAITING = 10_000  # messages
 _GID = b"source_gid"  # comes before a publisher's number, of 16 random bytes
 _TOKEN = "@ros2_lv/{}/**"
 _TOKEN_PARTS = 13
 
 
 class Zenoh(RosSource):
-    """Reads topics of ROS 2 from a router of zenoh, and publishes nothing.
+    """Reads topics of ROS 2 from a zenoh router and publishes nothing.
 
-    It connects as a client, and again when the connection is lost; nobody is searched for in the
-    network, and nobody can connect to it.
+    It connects as a client, without discovery, and reconnects when the connection is lost.
 
     Attributes:
         host: address of the router, or of a peer that listens.
-        port: its port.
-        domain: ROS_DOMAIN_ID of the publishers; None for that of the environment, else 0.
+        port: port of the router.
+        domain: ROS_DOMAIN_ID of the publishers (default: that of the environment, or 0).
     """
 
     name: str = "zenoh"
     host: Address
     port: int = Field(PORT, ge=1, le=65535)
-    domain: int | None = Field(None, ge=0, le=MOST_DOMAIN)
+    domain: int | None = Field(None, ge=0, le=MAX_DOMAIN)
 
     @property
     def place_of_router(self) -> str:
@@ -70,7 +69,7 @@ class Zenoh(RosSource):
 
 
 class _Message(NamedTuple):
-    tells: str
+    content: str
     raw: bytes
     publisher: bytes
 
@@ -100,13 +99,13 @@ class Session:
         # zenoh has one error for everything that may be wrong with a router.
         except (zenoh.ZError, OSError) as error:
             trouble = f"no router of zenoh at {source.place_of_router}"
-            raise Disconnected(trouble, _first(error)) from error
+            raise Disconnected(trouble, _without_location(error)) from error
         try:
             subscribers = [self._read(session, *each) for each in source.topics]
             self._receive(session)
             del subscribers  # which would otherwise end before
         except zenoh.ZError as error:  # such as of a topic that no key can have
-            raise Disconnected(f"zenoh refuses: {_first(error)}") from error
+            raise Disconnected(f"zenoh refuses: {_without_location(error)}") from error
         finally:
             with suppress(zenoh.ZError):
                 session.close()
@@ -144,15 +143,15 @@ class Session:
             configuration.insert_json5(key, json.dumps(value))
         return configuration
 
-    def _read(self, session: Any, topic: str, tells: str) -> Any:
+    def _read(self, session: Any, topic: str, content: str) -> Any:
         zenoh = _zenoh(self._source.name)
 
         def take(sample: Any) -> None:
-            if sample.kind == zenoh.SampleKind.PUT and self._waiting.qsize() < _MOST_WAITING:
+            if sample.kind == zenoh.SampleKind.PUT and self._waiting.qsize() < _MAX_WAITING:
                 publisher = _publisher(sample.attachment)
-                self._waiting.put(_Message(tells, sample.payload.to_bytes(), publisher))
+                self._waiting.put(_Message(content, sample.payload.to_bytes(), publisher))
 
-        package, _, name = TYPES[tells].rpartition("/")
+        package, _, name = TYPES[content].rpartition("/")
         kind = f"{package.replace('/', '::')}::dds_::{name}_"
         key = f"{self._domain}{topic}/{kind}/**"
         if topic != KEPT:
@@ -163,22 +162,22 @@ class Session:
         return ext.declare_advanced_subscriber(session, key, take, history=history)
 
     def _receive(self, session: Any) -> None:
-        due = clock.monotonic() + _LOOKS
+        due = clock.monotonic() + _CHECK_INTERVAL
         while not self._source.closing.is_set():
             received: list[_Message] = []
             try:
-                received += filter(None, [self._waiting.get(timeout=_LOOKS)])
-                while len(received) < _MOST_WAITING:
+                received += filter(None, [self._waiting.get(timeout=_CHECK_INTERVAL)])
+                while len(received) < _MAX_WAITING:
                     received += filter(None, [self._waiting.get_nowait()])
             except Empty:
                 pass
             if received and not self._source.closing.is_set():
-                self._listener.hear(received)
+                self._listener.take(received)
             if clock.monotonic() > due:
-                self._look(session)
-                due = clock.monotonic() + _LOOKS
+                self._check_publishers(session)
+                due = clock.monotonic() + _CHECK_INTERVAL
 
-    def _look(self, session: Any) -> None:
+    def _check_publishers(self, session: Any) -> None:
         source = self._source
         if source.receiving:
             source.note_trouble("")
@@ -189,7 +188,9 @@ class Session:
             source.log_once(f"{trouble}; trying again")
             return
         published = self._published(session)
-        wrong = [wrong_with(topic, TYPES[tells], published) for topic, tells in source.topics]
+        wrong = [
+            topic_problem(topic, TYPES[content], published) for topic, content in source.topics
+        ]
         if not published:
             source.note_trouble(f"nobody publishes in domain {self._domain}")
         else:
@@ -223,5 +224,5 @@ def _publisher(attachment: Any) -> bytes:
     return bytes(attached[-8:]) if _GID in attached else b""
 
 
-def _first(error: Exception) -> str:
+def _without_location(error: Exception) -> str:
     return str(error).partition(" at /")[0].strip()

@@ -85,6 +85,7 @@ class RtdeClient(Reachable):
     logged: ClassVar[tuple[str, ...]] = ("rtde_state", "command_age", "step_lateness")
     title: ClassVar[str] = "client of RTDE"
     order: ClassVar[int] = 77
+    protocol_joints: ClassVar[int] = JOINTS
 
     kind: Literal["rtde"] = "rtde"
     port: int = Field(RTDE_PORT, ge=0, le=65535)

@@ -1,8 +1,8 @@
-"""`Cluster`: tasks, variants of a sweep say, on the workers of a Dask cluster.
+"""`Cluster`: runs tasks on the workers of a Dask cluster.
 
-Every worker is given two batches at a time, and the next as one is ready, by this program rather
-than by the scheduler. So a worker that joins late is used, little waits at the scheduler, and it is
-known what a worker was doing when it died.
+This program, not the scheduler, assigns batches to workers: two at a time, and the next one as soon
+as one is done. Workers that join late are therefore used, few tasks wait at the scheduler, and the
+tasks of a worker that dies are known.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...base.errors import ClusterError, Problem, UsageError, about_fault
-from ...study.engine import Result, Task, Work
-from ...study.shipped_files import files_in
+from ...study.engine import Result, Task, Work, files_in
 from .scenario_inputs import digest_of_models, is_installed, pack
 
 if TYPE_CHECKING:
@@ -27,11 +26,11 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-PATIENCE = 10.0  # s until a scheduler is told to be missing
-ELSEWHERE = 2  # how often a task whose worker died is done again
-_EACH = 2  # batches that a worker has: one that it runs and one that follows at once
-_LOOK = 1.0  # s between looks for new workers and dead ones
-_ANSWER = 30.0  # s in which a worker hands over results
+PATIENCE = 10.0  # s, timeout of the connection to a scheduler
+ELSEWHERE = 2  # maximum number of repetitions of a task whose worker died
+_EACH = 2  # batches per worker: one that runs, and the next one
+_LOOK = 1.0  # s between checks for new and dead workers
+_ANSWER = 30.0  # s, timeout for the transfer of results
 _NEEDED = "pip install 'sero-mj[dask]'"
 _QUEUES = {
     "slurm": "SLURMCluster",
@@ -42,17 +41,18 @@ _QUEUES = {
 
 
 class Cluster:
-    """An `Engine` of Dask workers, which need share no disk with this machine.
+    """An `Engine` of Dask workers, which need no shared disk.
 
     Args:
-        scheduler: an address `tcp://HOST:PORT`, a scheduler's file `.json`, or a file `.toml` with
-            a table of `dask-jobqueue`: `[slurm]`, `[pbs]`, `[lsf]` or `[sge]`.
+        scheduler: an address `tcp://HOST:PORT`, a scheduler file `.json`, or a file `.toml` with a
+            table for `dask-jobqueue`: `[slurm]`, `[pbs]`, `[lsf]` or `[sge]`.
+        shipped: additional files and folders to send to the workers.
 
     Attributes:
-        workers: how many are used at the moment.
+        workers: current number of workers.
 
     Raises:
-        UsageError: Dask is not installed, or `scheduler` is none of these.
+        UsageError: Dask is not installed, or `scheduler` is invalid.
     """
 
     def __init__(
@@ -63,9 +63,9 @@ class Cluster:
         try:
             import distributed  # noqa: F401
         except ImportError as error:
-            raise UsageError(f"--engine dask needs Dask ({error}): {_NEEDED}") from None
+            raise UsageError(f"--engine dask requires Dask ({error}): {_NEEDED}") from None
         if not scheduler.endswith((".json", ".toml")) and "://" not in scheduler:
-            expected = "tcp://HOST:PORT, a scheduler's file .json, or a file .toml with [slurm]"
+            expected = "tcp://HOST:PORT, a scheduler file .json, or a file .toml with [slurm]"
             raise UsageError(Problem("--scheduler", found=scheduler, expected=expected))
         if "://" not in scheduler and not Path(scheduler).is_file():
             raise UsageError(Problem("--scheduler", "no file", found=scheduler))
@@ -74,10 +74,10 @@ class Cluster:
         self._shipped = [file for path in shipped for file in files_in(path)]
 
     def run(self, work: Work) -> Generator[Result]:
-        """Yields results as they come.
+        """Yields results in the order of their completion.
 
         Raises:
-            ClusterError: the scheduler cannot be reached or is gone, or workers differ.
+            ClusterError: the scheduler is not available, or workers have other versions.
         """
         with _quiet(), self._client() as client:
             from .cluster_worker import JobFiles
@@ -110,10 +110,10 @@ class Cluster:
         try:
             client = Client(**given, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError) as error:
-            reason = f"no scheduler answers within {PATIENCE:.0f} s"
+            reason = f"no scheduler answered within {PATIENCE:.0f} s"
             if isinstance(error, ValueError):
                 reason = str(error)
-            expected = "that of a running `dask scheduler`, which prints it"
+            expected = "the address that `dask scheduler` prints"
             raise ClusterError(self._scheduler, Problem("", reason, expected=expected)) from None
         with _closed(client):
             yield client
@@ -123,16 +123,16 @@ class _Run:
     """One work on the workers of a client.
 
     Args:
-        address: the scheduler's, for errors.
+        address: address of the scheduler, for errors.
     """
 
     def __init__(self, client: Any, address: str, work: Work, files: JobFiles) -> None:
         self._client, self._address, self._work, self._files = client, address, work, files
         self._todo: deque[Task] = deque(work.tasks)
-        self._alone: deque[Task] = deque()  # one of them may have killed a worker
+        self._alone: deque[Task] = deque()  # tasks of killed workers, which are run one by one
         self._deaths: Counter[int] = Counter()
         self._batches: dict[str, tuple[str, Sequence[Task], Any]] = {}  # by the future's key
-        self._of: dict[str, deque[str]] = {}  # worker to keys, that which it runs first
+        self._of: dict[str, deque[str]] = {}  # worker to keys, the running one first
         self._refused: set[str] = set()
         self._done: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._count, self._has_warned = 0, False
@@ -148,7 +148,7 @@ class _Run:
             self._client.register_plugin(self._files)
         self._look()
         if not self._of:
-            log.warning("%s has no workers yet: waiting for them", self._address)
+            log.warning("%s has no workers yet; waiting", self._address)
         while self._todo or self._alone or self._batches:
             self._hand_out()
             try:
@@ -165,7 +165,6 @@ class _Run:
 
     @contextmanager
     def _scheduler(self) -> Iterator[None]:
-        """Where the scheduler is asked something; raises ClusterError if it is gone."""
         try:
             yield
         except (OSError, TimeoutError) as error:
@@ -174,10 +173,10 @@ class _Run:
             raise self._gone()
 
     def _gone(self) -> ClusterError:
-        return ClusterError(self._address, "the scheduler is gone; what has come is kept")
+        return ClusterError(self._address, "the scheduler is gone; results so far are saved")
 
     def _look(self) -> list[Result]:
-        """Takes in workers that are new; runs elsewhere what those had that are gone."""
+        """Adds new workers, and reassigns the tasks of workers that are gone."""
         with self._scheduler():
             threads: dict[str, int] = self._client.nthreads()
         new = [each for each in threads if each not in self._of and each not in self._refused]
@@ -186,7 +185,6 @@ class _Run:
         return [row for worker in set(self._of) - set(threads) for row in self._lost(worker)]
 
     def _check(self, new: list[str], threads: Mapping[str, int]) -> None:
-        """Takes in workers where results will be the same; raises ClusterError if none is left."""
         from .cluster_worker import differences_on_worker
 
         try:
@@ -194,11 +192,11 @@ class _Run:
                 differences_on_worker, self._files.name, workers=new, on_error="return"
             )
         except OSError:
-            return  # one of them is gone: the others are asked again
+            return  # a worker is gone; the others are checked again
         differing = {}
         for worker, found in told.items():
             if isinstance(found, KeyError | OSError):
-                continue  # it has just joined, or gone: it is asked again
+                continue  # the worker has just joined or left; it is checked again
             if found:
                 is_error = isinstance(found, Exception)
                 lines = [about_fault(found, Cluster)] if is_error else found
@@ -209,7 +207,7 @@ class _Run:
         if wide and not self._has_warned:
             self._has_warned = True
             log.warning(
-                "worker %s has %d threads, and runs one batch at a time; more run by: "
+                "worker %s has %d threads, but runs one batch at a time; for more, start: "
                 "dask worker --nworkers %d --nthreads 1", wide[0], *2 * [threads[wide[0]]],
             )  # fmt: skip
         self._refused |= set(differing)
@@ -223,7 +221,7 @@ class _Run:
 
         job = self._work.job
 
-        for has in range(_EACH):  # first to those that have nothing
+        for has in range(_EACH):  # idle workers first
             for worker, keys in self._of.items():
                 if len(keys) > has:
                     continue
@@ -245,14 +243,14 @@ class _Run:
     def _next(self) -> list[Task]:
         if not self._todo:
             return [self._alone.popleft()] if self._alone else []
-        size = self._work.size(len(self._todo), self.workers)
+        size = self._work.batch_size(len(self._todo), self.workers)
         return [self._todo.popleft() for _ in range(size)]
 
     def _take(self, key: str) -> list[Result]:
-        if key not in self._batches:  # it was given up
+        if key not in self._batches:  # the batch was reassigned
             return []
         worker, batch, future = self._batches[key]
-        if future.status in ("cancelled", "lost"):  # not by us: the scheduler is gone, or a worker
+        if future.status in ("cancelled", "lost"):  # the scheduler or the worker is gone
             with self._scheduler():
                 return self._lost(worker)
         try:
@@ -262,14 +260,17 @@ class _Run:
                 return self._lost(worker)
             with self._scheduler():
                 pass
-            text = f"worker {worker} cannot do tasks: {type(error).__name__}: {error}"
+            text = f"worker {worker} cannot run tasks: {type(error).__name__}: {error}"
             raise ClusterError(self._address, text) from error
         del self._batches[key]
         self._of[worker].remove(key)
         return list(zip((number for number, _ in batch), results, strict=True))
 
     def _lost(self, worker: str) -> list[Result]:
-        """Has the tasks of a dead worker done elsewhere; returns those that are given up."""
+        """Reassigns the tasks of a dead worker.
+
+        Returns the results of those that failed too often.
+        """
         keys = self._of.pop(worker)
         given_up: list[Result] = []
         waiting: list[Task] = []
@@ -310,7 +311,7 @@ def _closed(client: Any) -> Iterator[Any]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    import distributed  # noqa: F401  # which gives its loggers levels of their own
+    import distributed  # noqa: F401  # sets the levels of its loggers
 
     known = [name for name in logging.root.manager.loggerDict if name.startswith("distributed.")]
     names = ("distributed", "tornado", "asyncio", *known)
@@ -318,7 +319,7 @@ def _quiet() -> Iterator[None]:
     levels = [each.level for each in logs]
     for each in logs:
         each.setLevel(logging.CRITICAL + 1)
-    yield  # after an error, tasks that are given up would still log theirs
+    yield  # not in `finally`: after an error, cancelled tasks would log theirs
     for each, level in zip(logs, levels, strict=True):
         each.setLevel(level)
 
@@ -328,7 +329,7 @@ def _job_queue(file: Path) -> Iterator[Any]:
     try:
         import dask_jobqueue
     except ImportError as error:
-        raise UsageError(f"{file} needs dask-jobqueue ({error}): {_NEEDED}") from None
+        raise UsageError(f"{file} requires dask-jobqueue ({error}): {_NEEDED}") from None
     try:
         tables = tomllib.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -342,9 +343,9 @@ def _job_queue(file: Path) -> Iterator[Any]:
     try:
         made = getattr(dask_jobqueue, _QUEUES[kinds[0]])(**settings)
     except (TypeError, ValueError) as error:
-        first = str(error).partition(". ")[0]  # the rest tells of its insides
-        expected = f"what dask_jobqueue.{_QUEUES[kinds[0]]} takes, and jobs"
-        problem = Problem(kinds[0], f"cannot be taken: {first}", str(file), expected=expected)
+        first = str(error).partition(". ")[0]  # the rest describes internals
+        expected = f"arguments of dask_jobqueue.{_QUEUES[kinds[0]]}, and jobs"
+        problem = Problem(kinds[0], f"invalid settings: {first}", str(file), expected=expected)
         raise UsageError(problem) from None
     with made as cluster:
         cluster.scale(jobs=jobs)

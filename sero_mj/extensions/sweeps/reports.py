@@ -1,4 +1,4 @@
-"""What the table of a sweep comes to, in the terminal and as JSON."""
+"""Summaries of a sweep for the terminal and as JSON."""
 
 from __future__ import annotations
 
@@ -13,36 +13,34 @@ from .mutations import Judged, Mutations, judge
 from .sweep import Sweep
 from .sweep_results import Rows, summarise_sweep
 
-_MOST = 3  # expectations that are named for one mutation
-_WIDTH = 100  # of them, or of an error
-_ERRORS = 5
+_MAX_NAMES = 3  # maximum number of shown expectations per mutation
+_WIDTH = 100  # characters, of expectations or of an error
+_ERRORS = 5  # maximum number of shown errors
 
 
 class Report(Protocol):
-    """What came of the variants that are known.
+    """A summary of the completed variants.
 
     Attributes:
-        is_good: whether all is as it should be.
+        is_good: whether all variants passed, or all mutations were detected.
     """
 
     is_good: bool
 
-    def tell(self) -> None:
-        """Prints it."""
+    def tell(self) -> None: ...
 
-    def as_json(self) -> dict[str, Any]:
-        """The same, as JSON types."""
+    def as_json(self) -> dict[str, Any]: ...
 
 
 def report_of(sweep: Sweep, rows: Rows) -> Report:
-    """Returns what came of a sweep."""
+    """Returns the summary of a sweep."""
     if isinstance(sweep.design, Mutations):
         return _OfMutations(sweep.design, rows)
     return _OfSamples(sweep, rows)
 
 
 class _OfSamples:
-    """Where outcomes are lowest and highest, and how many variants held."""
+    """Lowest and highest outcomes, and the number of variants that passed."""
 
     def __init__(self, sweep: Sweep, rows: Rows) -> None:
         self._sweep = sweep
@@ -71,7 +69,9 @@ class _OfSamples:
         if len(summary.errors) > _ERRORS:
             print(f"  stopped ... {len(summary.errors) - _ERRORS} more")
         failed = summary.count - summary.held - len(summary.errors)
-        print(f"{summary.held} held, {failed} did not, {len(summary.errors)} stopped with an error")
+        print(
+            f"{summary.held} passed, {failed} failed, {len(summary.errors)} stopped with an error"
+        )
 
     def _values(self, number: int) -> str:
         if number < 0:
@@ -106,12 +106,12 @@ class _OfSamples:
 
 
 class _OfMutations:
-    """Which mutations are noticed, and by what; those that are not come last."""
+    """Detected and undetected mutations."""
 
     def __init__(self, design: Mutations, rows: Rows) -> None:
         without = rows.get(0, {})
         found = {design.name(number): judge(row, without) for number, row in sorted(rows.items())}
-        # What fails of the scenario as it is.
+        # Expectations that fail without a mutation.
         self._failing = found.pop("").noticed_by if without else []
         self._found: Mapping[str, Judged] = found
         self._unnoticed = [name for name, judged in found.items() if not judged.noticed_by]
@@ -123,16 +123,16 @@ class _OfMutations:
 
         shown = Table(box=None, pad_edge=False)
         shown.add_column("mutation")
-        shown.add_column("noticed by")
+        shown.add_column("detected by")
         for name, judged in sorted(self._found.items(), key=lambda each: not each[1].noticed_by):
             nothing = Text.assemble(("nothing", "bold"), _moved(judged))
             shown.add_row(name, _named(judged.noticed_by) or nothing)
         print_table(shown)
         if self._failing:
             failing = ", ".join(self._failing)
-            print(f"without any mutation these fail already: {failing}")
+            print(f"these expectations fail without a mutation: {failing}")
         noticed = len(self._found) - len(self._unnoticed)
-        print(f"{noticed} noticed, {len(self._unnoticed)} not")
+        print(f"{noticed} detected, {len(self._unnoticed)} not detected")
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -144,8 +144,9 @@ class _OfMutations:
 
 
 def _named(noticed_by: list[str]) -> str:
-    more = f" and {len(noticed_by) - _MOST} more" if len(noticed_by) > _MOST else ""
-    return shorten(", ".join(noticed_by[:_MOST]), _WIDTH, placeholder=" ...") + more
+    count = len(noticed_by) - _MAX_NAMES
+    more = f" and {count} more" if count > 0 else ""
+    return shorten(", ".join(noticed_by[:_MAX_NAMES]), _WIDTH, placeholder=" ...") + more
 
 
 def _moved(judged: Judged) -> str:

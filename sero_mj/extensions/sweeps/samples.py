@@ -1,4 +1,4 @@
-"""Values that keys of a scenario take in the variants of a sweep: ranges and lists, and samples."""
+"""Ranges and lists of values for the variants of a sweep, and samples of them."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ import numpy as np
 from ...base.errors import DeclarationError, Problem, UsageError
 from ...base.frames import Array
 
-MAX_VARIANTS = 200_000  # their values and results are kept in memory, not their logs
-_TRIED = 20  # variants that are read in advance: if none is valid, a key is wrong
+MAX_VARIANTS = 200_000  # values and results are stored in memory
+_TRIED = 20  # number of variants that are checked in advance
 _SCALES = ("log", "int")
-_WHOLE = ("run.seed",)  # keys that take whole numbers only
+_WHOLE = ("run.seed",)  # keys of integers
 _EXAMPLE = "expected KEY=LOW:HIGH, log:LOW:HIGH, int:LOW:HIGH or a list A,B,C"
 
 
 @dataclass(frozen=True)
 class Vary:
-    """A key and its values: a range, or a list.
+    """A key with a range or a list of values.
 
     Attributes:
-        key: as `read_scenario(overrides=...)` takes it: `controllers.lwr.stiffness`.
-        text: as it was given: `100:2000`.
-        low: where the range begins.
-        high: where it ends.
-        scale: `linear`, `log` (evenly over the orders of magnitude) or `int` (whole numbers, both
-            ends included).
-        values: the list; empty where it is a range.
+        key: dotted key as in `read_scenario(overrides=...)`: `controllers.lwr.stiffness`.
+        text: the text of the values: `100:2000`.
+        low: lower end of the range.
+        high: upper end of the range.
+        scale: `linear`, `log`, or `int` (integers, including both ends).
+        values: the list; empty for a range.
     """
 
     key: str
@@ -45,11 +44,7 @@ class Vary:
 
     @classmethod
     def parse(cls, option: str) -> Vary:
-        """Reads `KEY=VALUES`.
-
-        Raises:
-            UsageError: it is neither a range nor a list.
-        """
+        """Parses `KEY=VALUES`. Raises UsageError if it is neither a range nor a list."""
         key, equals, text = (part.strip() for part in option.partition("="))
         if not equals or not text or "." not in key:
             example = "e.g. controllers.lwr.stiffness=100:2000"
@@ -69,7 +64,7 @@ class Vary:
         except ValueError:
             raise UsageError(f"--vary {option}: found '{ends}'; {_EXAMPLE}") from None
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            message = f"found {low:g} to {high:g}; expected two numbers, the lower one first"
+            message = f"found {low:g} to {high:g}; expected two numbers in ascending order"
             raise UsageError(f"--vary {option}: {message}")
         if scale == "log" and low <= 0:
             raise UsageError(f"--vary {option}: found log from {low:g}; expected more than 0")
@@ -79,22 +74,17 @@ class Vary:
 
     @property
     def is_range(self) -> bool:
-        """Whether it is a range."""
         return not self.values
 
     @property
     def count(self) -> float:
-        """How many values there are; infinite for a range of other than whole numbers."""
+        """Number of values; infinite for a range of real numbers."""
         if self.scale == "int":
             return self.high - self.low + 1
         return math.inf if self.is_range else len(self.values)
 
     def at(self, shares: Array) -> list[Any]:
-        """The values so far along the range or the list.
-
-        Args:
-            shares: (m,), from 0 to below 1.
-        """
+        """Returns the values at relative positions, shape (m,), in [0, 1)."""
         if not self.is_range:
             return [self.values[int(share * len(self.values))] for share in shares]
         if self.scale == "int":
@@ -103,7 +93,7 @@ class Vary:
         return [self._between(float(share)) for share in shares]
 
     def grid(self, count: int) -> list[Any]:
-        """Equidistant values over the range; of a list all of them."""
+        """Returns `count` equidistant values of a range, or all values of a list."""
         if not self.is_range:
             return list(self.values)
         shares = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
@@ -120,10 +110,10 @@ class Vary:
 
 
 def latin_hypercube(varied: Sequence[Vary], samples: int, seed: int) -> list[dict[str, Any]]:
-    """Samples in which every key takes values from all parts of its range alike.
+    """Returns samples that cover the range of each key evenly.
 
-    The range of a key is cut into as many parts as there are samples; each part has one sample,
-    somewhere in it, and the orders of the keys are shuffled against each other.
+    The range of each key is divided into as many intervals as there are samples. Each interval
+    contains one sample at a random position; the orders of the keys are shuffled independently.
 
     Source: McKay, Beckman, Conover 1979, A Comparison of Three Methods for Selecting Values of
     Input Variables in the Analysis of Output from a Computer Code, Technometrics 21.
@@ -137,16 +127,16 @@ def latin_hypercube(varied: Sequence[Vary], samples: int, seed: int) -> list[dic
 
 
 def full_grid(varied: Sequence[Vary], count: int) -> list[dict[str, Any]]:
-    """All combinations of the keys' values; `count` in each range.
+    """Returns all combinations of the keys' values, with `count` values per range.
 
     Raises:
-        UsageError: that are more than `MAX_VARIANTS`.
+        UsageError: there are more than `MAX_VARIANTS`.
     """
     columns = [vary.grid(count) for vary in varied]
     many = math.prod(map(len, columns))
     if many > MAX_VARIANTS:
         sizes = " x ".join(str(len(column)) for column in columns)
-        expected = f"up to {MAX_VARIANTS}: fewer --samples, or no --grid"
+        expected = f"at most {MAX_VARIANTS}; reduce --samples, or omit --grid"
         problem = Problem(
             "--grid", f"found {sizes} =", found=many, of="variants", expected=expected
         )
@@ -176,14 +166,13 @@ def _number_or_word(text: str) -> Any:
 
 @dataclass(frozen=True)
 class Samples:
-    """Variants in which keys take values of their ranges and lists; a `Design` of a sweep.
+    """Variants with values from ranges and lists; a `Design` of a sweep.
 
     Args:
-        count: how many variants at most; of a grid, how many values of every range.
-        is_grid: whether all values are combined with all others; else a Latin hypercube, in which
-            no variant is twice. Where that many samples have room for all, as with short lists,
-            it is the same.
-        seed: of the samples; the noise is that of the scenario in every variant.
+        count: maximum number of variants; for a grid, number of values per range.
+        is_grid: whether to combine all values; otherwise a Latin hypercube without repetitions. If
+            there are at most `count` combinations, all of them are used.
+        seed: seed of the samples. The sensor noise has the seed of the scenario in all variants.
 
     Raises:
         UsageError: a key is varied twice.
@@ -203,26 +192,23 @@ class Samples:
 
     @property
     def columns(self) -> list[str]:
-        """The keys."""
         return [vary.key for vary in self.varied]
 
     @cached_property
     def variants(self) -> list[dict[str, Any]]:
-        """The values of every variant, by key."""
         if self.is_grid:
             return full_grid(self.varied, self.count)
         counts = [vary.count for vary in self.varied]
-        if math.prod(counts) <= self.count:  # all that there are, without repeating any
+        if math.prod(counts) <= self.count:
             return full_grid(self.varied, self.count)
         drawn = latin_hypercube(self.varied, self.count, self.seed)
         return list({repr(values): values for values in drawn}.values())
 
     def cells(self, number: int) -> dict[str, Any]:
-        """The values."""
         return self.variants[number]
 
     def choices(self) -> list[dict[str, Any]]:
-        """Values that are no numbers: one may be the name of a file."""
+        """Returns values other than numbers, which may be file names."""
         return [
             {vary.key: value}
             for vary in self.varied
@@ -231,12 +217,11 @@ class Samples:
         ]
 
     def settings(self) -> dict[str, Any]:
-        """Ranges and lists as they were given, and what is drawn of them."""
         varied = {vary.key: vary.text for vary in self.varied}
         return {"vary": varied, "samples": self.count, "grid": self.is_grid, "seed": self.seed}
 
     def check(self, read: Callable[[Mapping[str, Any]], object], fixed: Mapping[str, Any]) -> None:
-        """Checks that no key is set besides, and that some variant can be read."""
+        """Checks that no varied key is fixed, and that at least one variant is valid."""
         for key in self.columns:
             if key in fixed:
                 expected = "one of --vary and --set"

@@ -1,10 +1,9 @@
-"""The files that a scenario reads, and their way to a machine that does not share a disk.
+"""Finds the files that a scenario reads, and packs them for machines without a shared disk.
 
-Which they are is seen, not guessed: a process of its own reads the scenario and makes its
-simulation, and the names of all files that Python opens meanwhile are noted. They are packed with
-their folders and unpacked below another root, so that names from one file to another stay right;
-names that begin at the root of the file system are rewritten. What is installed (Python, packages,
-shipped robots) is not packed: it has to be the same there.
+Another process reads the scenario and makes its simulation, while all opened files are recorded.
+The files are packed with their folders and unpacked below another root, so relative names stay
+valid; absolute names in texts are rewritten. Installed files (Python, packages, shipped robots) are
+not packed; they must be the same on the other machine.
 """
 
 from __future__ import annotations
@@ -25,12 +24,12 @@ from typing import Any
 
 from ...base import paths
 from ...base.errors import Problem, SeroError, UsageError
-from ...study.shipped_files import below
+from ...study.engine import below
 
 _TEXTS = (".toml", ".xml", ".urdf", ".mjcf", ".xacro", ".sdf", ".x3d", ".dae", ".obj", ".mtl")
 _QUOTED = re.compile(r"""(["'])(/[^"'\n]+)\1""")
 _REFERRED = re.compile(rb"""\b(?:file\w*|url)\s*=\s*["']([^"'\n]+)["']""")
-_MOST_BYTES = 1_000_000_000
+_MAX_BYTES = 1_000_000_000
 _OWN = Path(__file__).resolve().parents[2]
 _NO_CODE = re.compile(r"(models|scenes|viewer/player/js)/")
 _WRITES = os.O_WRONLY | os.O_RDWR
@@ -40,35 +39,35 @@ _SYSTEM = ("/proc", "/sys", "/dev", "/etc", "/run", "/bin", "/lib", "/lib64", "/
 def files_read(
     file: Path, fixed: Mapping[str, Any], choices: Iterable[Mapping[str, Any]] = ()
 ) -> list[Path]:
-    """Returns the absolute paths of the files that are read for variants of a scenario.
+    """Returns the absolute paths of all files that variants of a scenario read.
 
-    Those that programs of controllers open by themselves are not known; the programs are.
+    Files that controller programs open themselves are not included, but the programs are.
 
     Args:
-        file: the scenario's.
-        fixed: dotted keys that are set in all variants.
-        choices: further keys to their values, of which a variant may have one: files, say.
+        fixed: values by dotted key for all variants.
+        choices: additional values by key of some variants, which may be file names.
     """
-    asked = json.dumps([str(file), dict(fixed), [dict(each) for each in choices]], default=str)
+    request = json.dumps([str(file), dict(fixed), [dict(each) for each in choices]], default=str)
     environment = {**os.environ, "MUJOCO_GL": "disable"}
     done = subprocess.run(
         [sys.executable, "-m", __name__],
-        input=asked, capture_output=True, text=True, env=environment, check=False,
+        input=request, capture_output=True, text=True, env=environment, check=False,
     )  # fmt: skip
     if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["nothing"])[-1]
-        raise UsageError(Problem("", f"its files cannot be found: {last}", str(file)))
+        last = (done.stderr.strip().splitlines() or ["no output"])[-1]
+        raise UsageError(Problem("", f"its input files cannot be found: {last}", str(file)))
     found = [Path(line) for line in json.loads(done.stdout.splitlines()[-1])]
     return list(dict.fromkeys([file.absolute(), *found]))
 
 
 def pack(files: Sequence[Path]) -> bytes:
-    """Returns an archive of files, with their folders; raises UsageError above 1 GB."""
+    """Returns an archive of files with their folders. Raises UsageError above 1 GB."""
     size = sum(file.stat().st_size for file in files)
-    if size > _MOST_BYTES:
+    if size > _MAX_BYTES:
         largest = max(files, key=lambda file: file.stat().st_size)
-        message = f"files of {size / 1e6:.0f} MB would be sent to a worker, {largest} among them"
-        raise UsageError(Problem("--scheduler", message, expected=f"{_MOST_BYTES / 1e6:.0f} MB"))
+        message = f"files for a worker have {size / 1e6:.0f} MB; the largest is {largest}"
+        expected = f"at most {_MAX_BYTES / 1e6:.0f} MB"
+        raise UsageError(Problem("--scheduler", message, expected=expected))
     archive = io.BytesIO()
     with tarfile.open(fileobj=archive, mode="w:gz", compresslevel=1, dereference=True) as tar:
         for file in files:
@@ -77,10 +76,7 @@ def pack(files: Sequence[Path]) -> bytes:
 
 
 def unpack(archive: bytes, root: Path) -> list[Path]:
-    """Writes the files of an archive below a root, and returns them.
-
-    Absolute names in texts lead there.
-    """
+    """Extracts an archive below a root, rewrites absolute names in texts, and returns the files."""
     with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
         tar.extractall(root, filter="data")
         files = [root / name for name in tar.getnames()]
@@ -95,7 +91,7 @@ def unpack(archive: bytes, root: Path) -> list[Path]:
 
 
 def digest_of_models(files: Iterable[Path]) -> dict[str, str]:
-    """The shipped files among these, by their names below the folder of models, to SHA-256."""
+    """Returns the SHA-256 of the shipped files among these, by name in the folder of models."""
     shipped = paths.models_dir().resolve()
     found = {}
     for file in files:
@@ -107,10 +103,10 @@ def digest_of_models(files: Iterable[Path]) -> dict[str, str]:
 
 @cache
 def digest_of_code() -> str:
-    """SHA-256 of the Python files of sero-mj."""
+    """Returns the SHA-256 of the Python files of sero-mj."""
     digest = hashlib.sha256()
     names = (file.relative_to(_OWN).as_posix() for file in _OWN.rglob("*.py"))
-    # A wheel has scenes inside, and the page's sources not.
+    # A wheel contains the scenes, but not the sources of the page.
     for name in sorted(name for name in names if not _NO_CODE.match(name)):
         digest.update(name.encode())
         digest.update((_OWN / name).read_bytes())
@@ -118,10 +114,10 @@ def digest_of_code() -> str:
 
 
 def is_installed(file: Path) -> bool:
-    """Whether a file is of the system, Python, a package, or shipped with sero-mj."""
+    """Whether a file belongs to the system, Python or a package, or is shipped with sero-mj."""
     scenes = paths.scenes_dir().resolve()
     if file.is_relative_to(scenes):
-        return False  # a scenario is read from there by its path
+        return False  # scenarios are read by their paths
     return any(file.is_relative_to(folder) for folder in _installed())
 
 
@@ -132,7 +128,10 @@ def _installed() -> tuple[Path, ...]:
 
 
 def _note_files(file: str, fixed: dict[str, Any], choices: list[dict[str, Any]]) -> set[Path]:
-    """Reads and makes variants of a scenario; returns what was opened, shipped robots too."""
+    """Reads and makes variants of a scenario.
+
+    Returns all opened files, including shipped robots.
+    """
     noted: set[str] = set()
 
     def note(event: str, arguments: tuple[Any, ...]) -> None:
@@ -158,8 +157,8 @@ def _note_files(file: str, fixed: dict[str, Any], choices: list[dict[str, Any]])
             known |= {*files_of(scenario), *(mesh for _, mesh in scenario.scene.meshes())}
             Simulation(scenario)
         except SeroError:
-            continue  # an error of its row
-    # MuJoCo opens what XML includes.
+            continue  # becomes the error of the variant
+    # MuJoCo opens files that XML files include.
     todo = [*known, *map(Path, sorted(noted))]
     found: set[Path] = set()
     while todo:
@@ -180,5 +179,4 @@ def _note_files(file: str, fixed: dict[str, Any], choices: list[dict[str, Any]])
 
 
 if __name__ == "__main__":
-    _asked = json.load(sys.stdin)
-    print(json.dumps([str(each) for each in sorted(_note_files(*_asked))]))
+    print(json.dumps([str(each) for each in sorted(_note_files(*json.load(sys.stdin)))]))

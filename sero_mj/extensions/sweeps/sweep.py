@@ -1,4 +1,4 @@
-"""`Sweep`: many variants of a scenario, which a `Design` chooses."""
+"""`Sweep`: runs the variants of a scenario that a `Design` selects."""
 
 from __future__ import annotations
 
@@ -16,54 +16,49 @@ from ... import __version__
 from ...simulate.log_output import files_of
 from ...simulate.scenario import Scenario
 from ...simulate.scenario_file import read_scenario
-from ...study.engine import Engine, Result, Work
-from ...study.workers import Processes
+from ...study.engine import Engine, Processes, Result, Work
 from .variant import outcome_columns, runs_alone
 from .variants import Variants
 
-# Variants that are run together, and steps and joints of theirs: 250 MB of logs.
+# Maximum batch: variants, and variants times steps times joints (250 MB of logs).
 _BATCH, _BATCH_STEPS = 64, 2_500_000
 
 
 class Design(Protocol):
-    """Which variants there are: `samples.Samples` of ranges, or `mutations.Mutations`."""
+    """A set of variants: `samples.Samples` or `mutations.Mutations`."""
 
     @property
     def columns(self) -> list[str]:
-        """Those of the table that tell variants apart."""
+        """Columns of the table that identify variants."""
 
     @property
     def variants(self) -> list[dict[str, Any]]:
-        """What each sets, by dotted key."""
+        """Values by dotted key, one mapping per variant."""
 
     def cells(self, number: int) -> dict[str, Any]:
-        """What a variant has in these columns."""
+        """Returns the cells of a variant in `columns`."""
 
     def choices(self) -> list[dict[str, Any]]:
-        """What some variant sets that may name a file."""
+        """Returns values of variants that may name files."""
 
     def settings(self) -> dict[str, Any]:
-        """Everything that the variants depend on."""
+        """Returns all settings that the variants depend on."""
 
     def check(self, read: Callable[[Mapping[str, Any]], object], fixed: Mapping[str, Any]) -> None:
-        """Raises SeroError where variants cannot be.
-
-        Args:
-            fixed: dotted keys that are set in all variants.
-        """
+        """Raises SeroError if variants are invalid; `fixed` has the values of all variants."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Variants of a scenario to be run.
+    """Variants of a scenario.
 
     Args:
-        file: the scenario's.
-        fixed: dotted keys that are set in all of them.
+        file: the scenario file.
+        fixed: values by dotted key for all variants.
 
     Raises:
-        UsageError: the design sets a key that is fixed.
-        DeclarationError: the scenario cannot be read, or no variant of it.
+        UsageError: the design sets a fixed key.
+        DeclarationError: the scenario is invalid, or none of its variants is valid.
     """
 
     file: Path
@@ -71,12 +66,12 @@ class Sweep:
     fixed: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        assert self.base.run.steps > 0  # it can be read by itself
+        assert self.base.run.steps > 0  # the scenario is valid
         self.design.check(self._read, self.fixed)
 
     @cached_property
     def base(self) -> Scenario:
-        """The scenario as it is without what variants set."""
+        """The scenario without the values of variants."""
         return self._read({})
 
     def _read(self, values: Mapping[str, Any]) -> Scenario:
@@ -84,17 +79,16 @@ class Sweep:
 
     @property
     def variants(self) -> list[dict[str, Any]]:
-        """What each variant sets, by dotted key."""
         return self.design.variants
 
     @cached_property
     def columns(self) -> list[str]:
-        """The columns of results: number, what tells variants apart, outcomes."""
+        """Columns of the results: number, identification of the variant, and outcomes."""
         return ["variant", *self.design.columns, *outcome_columns(self.base)]
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Everything that its results depend on, as JSON types."""
+        """All settings that the results depend on, as JSON types."""
         files = {
             file.name if file == self.file else f"{file.parent.name}/{file.name}": hashlib.sha256(
                 file.read_bytes()
@@ -112,26 +106,26 @@ class Sweep:
         return {key: _plain(value) for key, value in settings.items()}
 
     def shard(self, number: int = 1, of: int = 1) -> range:
-        """The numbers of the variants of one of several shards, counted from 1."""
+        """Returns the numbers of the variants in a shard, which is counted from 1."""
         return range(number - 1, len(self.variants), of)
 
     def run(
         self, engine: Engine | None = None, numbers: Collection[int] | None = None
     ) -> Generator[Result]:
-        """Runs variants; yields number and result as they are ready.
+        """Runs variants; yields numbers and results in the order of their completion.
 
         Args:
-            engine: where; None is in this process, `Processes(4)` in four of their own.
-            numbers: of the variants; None for all.
+            engine: for example `Processes(4)`; None for this process.
+            numbers: numbers of the variants; None for all.
         """
         wanted = range(len(self.variants)) if numbers is None else numbers
         todo = [(number, self.variants[number]) for number in wanted]
         run, joints = self.base.run, sum(robot.n for robot in self.base.scene.robots.values())
-        most = int(np.clip(_BATCH_STEPS // ((run.steps + 1) * joints), 1, _BATCH))
+        batch = int(np.clip(_BATCH_STEPS // ((run.steps + 1) * joints), 1, _BATCH))
         if runs_alone(self.base):
-            most = 1  # so that each result comes as soon as it is ready
+            batch = 1
         job = Variants(self.file, self.fixed, self.design.choices())
-        yield from (engine or Processes()).run(Work(job, todo, most))
+        yield from (engine or Processes()).run(Work(job, todo, batch))
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""`sero-mj sweep`: a scenario many times, with something else each time, and what came of it."""
+"""`sero-mj sweep`: runs variants of a scenario, and compares their outcomes."""
 
 from __future__ import annotations
 
@@ -34,16 +34,15 @@ examples:
   sero-mj sweep my.toml --vary run.elastic=true,false --vary run.seed=0:9 --grid -o sweep.csv
   sero-mj sweep my.toml --mutations faults.toml -o noticed.csv
 
-KEY is anything that `simulate --set` takes. VALUES is a range LOW:HIGH, evenly in orders of
-magnitude with log:LOW:HIGH, whole numbers with int:LOW:HIGH, or a list A,B,C. Samples are a Latin
-hypercube, none of them twice, or with --grid all values with all others, as are lists with fewer
-combinations than --samples. A variant that is unstable or cannot be built is a row with its
-error. FILE.toml of --mutations has a table for everything that may be wrong, ["half as stiff"] say,
-with keys and values: "controllers.lwr.stiffness" = 400. Rows are written as they come: what was
-interrupted goes on with --resume. On several machines each runs a shard of the variants, into a
-table of its own; --merge joins these. Workers of a Dask cluster take variants with --engine dask;
-it needs `pip install 'sero-mj[dask]'`. Exits with 1 when not every variant held, or not every
-mutation was noticed.
+KEY is any key of `simulate --set`. VALUES is a range LOW:HIGH, a logarithmic range log:LOW:HIGH, a
+range of integers int:LOW:HIGH, or a list A,B,C. Samples are a Latin hypercube without repetitions.
+With --grid, or if there are fewer combinations than --samples, all combinations are run. If a
+variant is invalid or unstable, its row contains the error. The FILE.toml of --mutations has one
+table per mutation, for example ["half as stiff"] with "controllers.lwr.stiffness" = 400. Rows are
+written immediately; --resume continues an interrupted sweep. To use several machines, run a --shard
+on each of them, and join the tables with --merge, or use a Dask cluster with --engine dask, which
+requires `pip install 'sero-mj[dask]'`. The exit status is 1 if a variant failed, or if a mutation
+was not detected.
 """
 GROUP, ORDER = "simulate", 32
 
@@ -53,7 +52,7 @@ def _shard(value: Any) -> Any:
         return value
     number, _, of = value.partition("/")
     if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
-        raise ValueError(f"found '{value}'; expected I/N, the Ith of N, from 1/N to N/N")
+        raise ValueError(f"found '{value}'; expected I/N, from 1/N to N/N")
     return int(number), int(of)
 
 
@@ -61,26 +60,26 @@ Shard = Annotated[tuple[int, int], BeforeValidator(_shard)]
 
 
 class SweepOptions(EngineOptions, JsonOptions):
-    """Run variants of a scenario side by side, and compare them.
+    """Run variants of a scenario in parallel, and compare their outcomes.
 
     Attributes:
-        scenario: a file, or a shipped scenario's name.
-        vary: what differs; may be repeated.
-        mutations: what may be wrong, one thing in each variant: does an expectation notice it?
-        samples: how many variants; with --grid how many values of every range.
-        grid: all values with all others.
-        seed: of the samples.
-        settings: set anything in all variants: run.duration=2; may be repeated.
-        out: a row for each variant.
-        plot: outcomes over the values.
-        shard: run only every Nth variant, from the Ith on.
-        merge: run nothing, and join tables of shards: a file, or a pattern 'part.*.csv'; may be
-            repeated.
-        print_sbatch: print a job of SLURM that runs N shards, and run nothing.
-        resume: go on with an OUT.csv that is there.
-        overwrite: write over it.
+        scenario: scenario file, or name of a shipped scenario.
+        vary: key and values of a variable; may be repeated.
+        mutations: file of mutations, of which each should be detected by an expectation.
+        samples: number of variants; with --grid, number of values per range (default: 20).
+        grid: combine all values with each other.
+        seed: seed of the samples.
+        settings: set a value in all variants, for example run.duration=2; may be repeated.
+        out: table with one row per variant.
+        plot: plot of outcomes over values.
+        shard: run only every Nth variant, starting from the Ith.
+        merge: join the tables of shards instead of running: a file, or a pattern 'part.*.csv'; may
+            be repeated.
+        print_sbatch: print a SLURM job that runs N shards, instead of running.
+        resume: continue an existing OUT.csv.
+        overwrite: replace an existing OUT.csv.
         as_json: print the result as JSON.
-        quiet: no progress bar, no notes, no table.
+        quiet: hide the progress bar, notes and table.
     """
 
     scenario: Annotated[str, positional("SCENARIO")]
@@ -102,17 +101,17 @@ class SweepOptions(EngineOptions, JsonOptions):
     @model_validator(mode="after")
     def _check_design(self) -> Self:
         if not self.vary and self.mutations is None:
-            raise ValueError("--vary: expected what differs, KEY=VALUES, or --mutations FILE.toml")
+            raise ValueError("--vary: expected KEY=VALUES, or --mutations FILE.toml")
         if self.vary and self.mutations is not None:
             raise ValueError("--vary and --mutations: expected one of them")
         if self.mutations is not None and self.plot is not None:
-            raise ValueError("--plot: expected --vary; mutations have no axes")
+            raise ValueError("--plot: requires --vary; mutations have no axes")
         return self
 
     @model_validator(mode="after")
     def _check_resume(self) -> Self:
         if self.resume and self.out is None:
-            raise ValueError("--resume: expected the file to go on with, -o OUT.csv")
+            raise ValueError("--resume: expected the file to continue, -o OUT.csv")
         if self.resume and self.overwrite:
             raise ValueError("--resume and --overwrite: expected one of them")
         if self.shard is not None and self.merge:
@@ -123,7 +122,6 @@ class SweepOptions(EngineOptions, JsonOptions):
         return self
 
     def design(self) -> Design:
-        """Returns which variants there are."""
         if self.mutations is not None:
             from .mutations import Mutations
 
@@ -135,7 +133,10 @@ class SweepOptions(EngineOptions, JsonOptions):
 
 
 def run(options: SweepOptions) -> int:
-    """Runs; returns 0, or 1 when not every variant held or not every mutation was noticed."""
+    """Runs a sweep.
+
+    Returns 0 if all variants passed or all mutations were detected, otherwise 1.
+    """
     from ...base.paths import find_scenario
     from .reports import report_of
     from .sweep import Sweep
@@ -172,15 +173,15 @@ def run(options: SweepOptions) -> int:
     if options.as_json:
         print_json({"scenario": sweep.base.name, "took": seconds, **report.as_json()})
     elif not options.quiet:
-        rate = f"{new} in {seconds:.1f} s, {new / seconds:.1f} per second" if new else "all there"
-        known = f"; {before} were there" if before and new else ""
+        rate = f"{new} in {seconds:.1f} s, {new / seconds:.1f} per second" if new else "no new ones"
+        known = f"; {before} from before" if before and new else ""
         print(f"{sweep.base.name}: {len(table.rows)} variants ({rate}{known})")
         report.tell()
     if not is_whole:
         again = " --resume" if options.out else ""
         left = sum(number not in table.rows for number in wanted)
-        hint = f"; the same with{again} goes on" if again else ""
-        print(f"sero-mj: stopped with {left} variants to go{hint}", file=sys.stderr)
+        hint = f"; repeat the command with{again} to continue" if again else ""
+        print(f"sero-mj: stopped; {left} variants are left{hint}", file=sys.stderr)
         return 130
     return 0 if report.is_good else 1
 
@@ -227,7 +228,7 @@ srun {same} \\
 def _run_variants(
     sweep: Sweep, table: SweepTable, todo: list[int], engine: Engine, *, quiet: bool
 ) -> bool:
-    """Runs what is left to do; returns whether all was done."""
+    """Runs the remaining variants; returns False if interrupted."""
     from contextlib import closing
 
     before, failed, begin = len(table.rows), 0, time.perf_counter()

@@ -1,4 +1,4 @@
-"""Results of a sweep: `SweepTable`, a CSV file that is whole after every row; summary, picture."""
+"""Results of a sweep: `SweepTable`, a CSV file that is valid after every row; summary and plot."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from .samples import Samples, Vary
 from .sweep import Sweep
 from .variant import UNITS
 
-_MAX_ROWS, _MAX_COLUMNS = 8, 5  # of the picture
+_MAX_ROWS, _MAX_COLUMNS = 8, 5  # of the plot
 _LABEL_WIDTH = 22  # characters
 _HELD, _FAILED = "#2a7f62", "#c8553d"
 _BOUND: dict[str, Any] = {"color": "#777777", "lw": 0.9, "ls": "--"}
-# By the last name of a key, where that has one unit only.
+# Units by the last name of a key, if unique.
 _UNITS_OF_KEYS = {
     **dict.fromkeys(("begin", "end", "duration", "timestep", "delay", "after", "before"), "s"),
     "mass": "kg",
@@ -35,24 +35,23 @@ _UNITS_OF_KEYS = {
 
 
 class SweepTable:
-    """Keeps the results of all variants, in memory and, row by row, in a file.
+    """Stores the results of all variants in memory and, row by row, in a file.
 
-    Beside OUT.csv stands OUT.csv.json with what it depends on. Rows are written as they come; when
-    all are there they are put in order, so that the file is the same however many ran at once.
-    Use it as a context manager.
+    OUT.csv.json contains the settings of the sweep. Rows are written immediately. When all variants
+    are done, the rows are sorted, so the file does not depend on the number of processes. Use it as
+    a context manager.
 
     Args:
-        path: where to; None keeps them in memory only.
-        resume: go on with a file that is there.
-        overwrite: write over it.
+        path: output file; None for memory only.
+        resume: continue an existing file.
+        overwrite: replace an existing file.
 
     Attributes:
-        rows: variant number to its row, by column; numbers, truths, texts, None for unknown.
+        rows: variant number to cells by column; None for unknown values.
 
     Raises:
-        UsageError: a file is there and it is neither to be gone on with nor written over, or it
-            belongs to another sweep: says what differs.
-        CsvError: it cannot be written, or is no table of a sweep.
+        UsageError: the file exists without `resume` or `overwrite`, or belongs to another sweep.
+        CsvError: the file cannot be written, or is not a table of a sweep.
     """
 
     def __init__(
@@ -75,9 +74,8 @@ class SweepTable:
                 self._check_settings(path, f"--resume {path}", "--overwrite")
                 self._read(path)
             elif path.exists() and not overwrite:
-                expected = "--resume to go on with it, or --overwrite"
-                there = Problem("", "is there already", str(path), expected=expected)
-                raise UsageError(there)
+                expected = "--resume to continue it, or --overwrite"
+                raise UsageError(Problem("", "exists already", str(path), expected=expected))
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 about.write_text(json.dumps(sweep.settings, indent=2) + "\n", encoding="utf-8")
@@ -87,12 +85,11 @@ class SweepTable:
             raise CsvError(path, f"cannot be written: {error.strerror}") from error
 
     def _check_settings(self, path: Path, option: str, expected: str | None = None) -> None:
-        """Raises UsageError where a table is not of this sweep."""
         about = path.with_name(f"{path.name}.json")
         try:
             found = json.loads(about.read_text(encoding="utf-8"))
         except (OSError, ValueError):
-            message = f"cannot be gone on with: {about.name} with its settings is missing"
+            message = f"cannot be continued: {about.name} with its settings is missing"
             raise UsageError(Problem("", message, str(path), expected=expected)) from None
         wanted = json.loads(json.dumps(self._sweep.settings))
         differences = _differences(found, wanted)
@@ -107,17 +104,17 @@ class SweepTable:
         if len(whole) < len(contents):
             with open(path, "r+b") as file:
                 file.truncate(len(whole))
-        if not whole:  # it was killed before the first line
+        if not whole:  # the sweep was killed before the first line
             path.write_text(_line(self._columns), encoding="utf-8")
             return
         self.rows |= self._rows_of(path, whole)
 
     def take(self, part: Path) -> None:
-        """Adds the rows of another table of this sweep, of a shard say.
+        """Adds the rows of another table of this sweep, for example of a shard.
 
         Raises:
-            UsageError: it belongs to another sweep, or has another result of the same variant.
-            CsvError: it cannot be read, or is no table of a sweep.
+            UsageError: it belongs to another sweep, or has a different result for a known variant.
+            CsvError: it cannot be read, or is not a table of a sweep.
         """
         try:
             contents = part.read_bytes()
@@ -128,7 +125,7 @@ class SweepTable:
             if number not in self.rows:
                 self.add(number, row)
             elif _cells(row, self._columns) != _cells(self.rows[number], self._columns):
-                message = f"has another result of variant {number} than a table before it"
+                message = f"has a different result for variant {number} than an earlier table"
                 raise UsageError(Problem(f"--merge {part}", message))
 
     def _rows_of(self, path: Path, whole: bytes) -> dict[int, dict[str, Any]]:
@@ -155,11 +152,7 @@ class SweepTable:
         return rows
 
     def add(self, number: int, result: Mapping[str, Any]) -> None:
-        """Adds the results of a variant.
-
-        Raises:
-            CsvError: the disk is full, say; what was written before stays.
-        """
+        """Adds the results of a variant. Raises CsvError if the disk is full."""
         row = {"variant": number, **self._sweep.design.cells(number), **result}
         self.rows[number] = {column: row.get(column) for column in self._columns}
         if self._file is None:
@@ -172,15 +165,15 @@ class SweepTable:
             raise CsvError(self._path, f"cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
-        """Sorts the rows when all variants are done."""
+        """Sorts the rows if all variants are done."""
         if self._file is None or self._path is None:
             return
         self._file.close()
         self._file = None
         if len(self.rows) < len(self._sweep.variants):
             return
-        # Where it fails, the rows are there in another order.
-        with csv_table(self._path, "cannot be put in order") as table:
+        # If this fails, the rows stay in another order.
+        with csv_table(self._path, "cannot be sorted") as table:
             table.writerow(self._columns)
             for number in sorted(self.rows):
                 table.writerow(_cells(self.rows[number], self._columns))
@@ -245,11 +238,10 @@ class Outcomes:
     """One outcome over all variants.
 
     Attributes:
-        name: of the expectation, or `ROBOT.peak_torque_error` and the like.
-        held: in how many variants it held; None where nothing is expected.
-        known: in how many variants there is a value.
+        name: name of the expectation, or for example `ROBOT.peak_torque_error`.
+        held: number of variants that passed; None without an expectation.
+        known: number of variants with a value.
         lowest: value and number of the variant.
-        median: of the values.
         highest: value and number of the variant.
     """
 
@@ -266,10 +258,9 @@ class SweepSummary:
     """The summary of a sweep.
 
     Attributes:
-        count: of variants that are known.
-        held: in how many all held.
-        errors: number to error of those that were stopped or could not begin.
-        outcomes: one after the other.
+        count: number of completed variants.
+        held: number of variants that passed.
+        errors: errors by number of the variant.
     """
 
     count: int
@@ -279,7 +270,7 @@ class SweepSummary:
 
 
 def value_columns(columns: list[str]) -> dict[str, str]:
-    """Name of every outcome that has numbers, to its column."""
+    """Returns the column of every numeric outcome, by name."""
     found = {}
     for column in columns[columns.index("held") + 3 :]:
         if column.startswith("expect."):
@@ -291,11 +282,7 @@ def value_columns(columns: list[str]) -> dict[str, str]:
 
 
 def summarise_sweep(rows: Rows, columns: list[str]) -> SweepSummary:
-    """Sums up the rows of a table.
-
-    Args:
-        rows: by number of the variant.
-    """
+    """Returns a summary of rows, by number of the variant."""
     outcomes = []
     for name, column in value_columns(columns).items():
         values = [
@@ -315,30 +302,28 @@ def summarise_sweep(rows: Rows, columns: list[str]) -> SweepSummary:
 
 
 def is_known(row: Mapping[str, Any], column: str) -> bool:
-    """Whether a row has a finite number there."""
+    """Whether a row has a finite value in a column."""
     value = row.get(column)
     return isinstance(value, int | float) and math.isfinite(value)
 
 
 def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) -> None:
-    """Draws points, green where what is expected held, red where not.
+    """Plots outcomes over values: green points passed, red points failed.
 
-    Crosses at the lower edge are variants without a value: they could not begin, or nothing was
-    found. Numbers of robots are green where all of the variant held. Bounds that are expected are
-    dashed lines, and a legend says all of that. Up to eight outcomes over up to five keys, those of
-    expectations first.
+    Crosses at the lower edge are variants without a value. Values of robots are green if all
+    expectations of the variant passed. Dashed lines are expected bounds. At most eight outcomes
+    over five keys are plotted, expectations first.
 
     Args:
-        sweep: of samples, which have axes.
-        rows: of its table, by number.
-        path: a picture's, .png, .pdf or .svg.
+        sweep: a sweep of samples.
+        path: output file, .png, .pdf or .svg.
 
     Raises:
-        RenderError: it cannot be written.
-        UsageError: it has another suffix, or matplotlib is not installed.
+        RenderError: the file cannot be written.
+        UsageError: another suffix, or matplotlib is not installed.
     """
     check_suffix(path)
-    from matplotlib.figure import Figure  # no window, no state: it may run beside others
+    from matplotlib.figure import Figure  # without pyplot: no window, no global state
 
     names = value_columns(sweep.columns)
     expected = [name for name in names if names[name].startswith("expect.")]
@@ -364,7 +349,7 @@ def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) 
     figure.legend(handles=_legend(sweep, shown, rows), loc="outside lower center", ncols=4,
                   fontsize=8, frameon=False)  # fmt: skip
     held = sum(row["held"] is True for row in rows.values())
-    figure.suptitle(f"{sweep.base.name}: {held} of {len(rows)} held", fontsize=11)
+    figure.suptitle(f"{sweep.base.name}: {held} of {len(rows)} passed", fontsize=11)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=130)
@@ -380,7 +365,6 @@ def _draw(axis: Any, vary: Vary, rows: Mapping[int, Mapping[str, Any]], column: 
     held = np.array([row[own] is True for row in known], bool)
     for chosen, colour in ((held, _HELD), (~held, _FAILED)):
         axis.scatter(places[chosen], heights[chosen], s=14, c=colour, alpha=0.8)
-    # Where there is no value, a cross at the lower edge says so.
     lost = _places(vary, [row for row in rows.values() if not is_known(row, column)])
     low = np.full(len(lost), 0.03)
     axis.scatter(lost, low, s=18, c=_FAILED, marker="x", transform=axis.get_xaxis_transform())
@@ -410,8 +394,8 @@ def _legend(sweep: Sweep, shown: list[str], rows: Mapping[int, Mapping[str, Any]
     fails = any(row["held"] is not True for row in rows.values())
     has_bounds = any(sweep.base.expect.get(name) is not None for name in shown)
     point = {"linestyle": "", "markersize": 5}
-    entries = [(True, {"marker": "o", "color": _HELD, "label": "held", **point}),
-               (fails, {"marker": "o", "color": _FAILED, "label": "did not hold", **point}),
+    entries = [(True, {"marker": "o", "color": _HELD, "label": "passed", **point}),
+               (fails, {"marker": "o", "color": _FAILED, "label": "failed", **point}),
                (lacks, {"marker": "x", "color": _FAILED, "label": "no value", **point}),
                (has_bounds, {**_BOUND, "label": "expected bound"})]  # fmt: skip
     return [Line2D([], [], **look) for is_there, look in entries if is_there]

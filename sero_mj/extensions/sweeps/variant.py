@@ -20,17 +20,17 @@ from ...simulate.scenario import Scenario
 from ...simulate.scenario_file import read_scenario
 from ...simulate.simulation import Simulation
 
-# Of every robot, all in Nm except the share: of its worst joint, over the whole run.
+# Values of every robot: of its worst joint, over the whole run.
 PER_ROBOT = ("peak_torque_error", "rms_torque_error", "peak_torque_share", "findings")
 UNITS = {"peak_torque_error": "Nm", "rms_torque_error": "Nm", "peak_torque_share": "of the limit"}
 
 
 def outcome_columns(scenario: Scenario) -> list[str]:
-    """The columns of a variant's results.
+    """Returns the result columns of a variant.
 
-    `held`: whether all that is expected did and nothing stopped the run. `error`: what stopped it.
-    `ended`: s of simulated time. For every expectation whether it held and the value found;
-    for every robot `PER_ROBOT`.
+    `held`: whether all expectations passed without an error. `error`: the error that stopped the
+    run. `ended`: simulated time in seconds. For every expectation, whether it passed and the found
+    value. For every robot, `PER_ROBOT`.
     """
     columns = ["held", "error", "ended"]
     for name in scenario.expect:
@@ -41,20 +41,19 @@ def outcome_columns(scenario: Scenario) -> list[str]:
 
 
 def runs_alone(scenario: Scenario) -> bool:
-    """Whether a scenario has controllers outside of this process, programs say.
+    """Whether a scenario has external controllers, such as programs.
 
-    Runs in a batch all advance together, so their programs would all run at the same time.
+    In a batch, their programs would all run at the same time.
     """
     controllers = (as_controller(scenario.controller_of(name)) for name in scenario.scene.robots)
     return not all(each.may_be_asked for each in controllers)
 
 
 class VariantRunner:
-    """Runs variants of one scenario, those together that differ in numbers only; keeps no logs.
+    """Runs variants of one scenario, together if they differ only in numbers.
 
     Args:
-        file: the scenario's.
-        fixed: dotted keys set in all of them.
+        fixed: values by dotted key for all variants.
     """
 
     def __init__(self, file: Path, fixed: Mapping[str, Any]) -> None:
@@ -62,10 +61,7 @@ class VariantRunner:
         self._compiler = Compiler()
 
     def run(self, variants: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Runs the variants with these values, and returns what is known of each.
-
-        Nothing that goes wrong in one is raised: it is the variant's `error`.
-        """
+        """Runs variants with these values; returns their outcomes. An error becomes `error`."""
         found = [{"held": False, "error": "", "ended": 0.0} for _ in variants]
         batches: dict[object, list[tuple[Scenario, dict[str, Any]]]] = {}
         for values, result in zip(variants, found, strict=True):
@@ -86,7 +82,7 @@ class VariantRunner:
             if runs:
                 runs[0].advance(runs[0].steps)
         except Exception as error:
-            if len(batch) > 1:  # whose it is shows where each is alone
+            if len(batch) > 1:  # find the variant with the error
                 for each in batch:
                     self._run_batch([each])
                 return
@@ -95,7 +91,7 @@ class VariantRunner:
             return
         finally:
             for run in runs:
-                run.close()  # also one that has ended early
+                run.close()  # also if the run has stopped early
         for (scenario, result), one in zip(batch, made, strict=True):
             with _error_in(result):
                 if isinstance(one, DeclarationError):
@@ -108,13 +104,13 @@ def _error_in(found: dict[str, Any]) -> Iterator[None]:
     try:
         yield
     except DeclarationError as error:
-        # The file is the same in all of them, and so is where it stands.
+        # Without file and line, which are the same in all variants.
         found["error"] = "; ".join(
             ": ".join(filter(None, (problem.key, problem.message))) for problem in error.problems
         )
     except SeroError as error:
         found["error"] = str(error)
-    except Exception as error:  # a fault in this program shall not end ten thousand runs
+    except Exception as error:  # a bug must not end the other runs
         found["error"] = f"{type(error).__name__}: {error}"
     found["error"] = " ".join(found["error"].split())  # a row is one line
 

@@ -1,6 +1,6 @@
-"""`Variants`: what the tasks of a sweep do.
+"""`Variants`: the job of a sweep.
 
-This file imports little: every new process reads it.
+This file imports little, because every new process imports it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from ...study.engine import KILLED, Runner
 
 @dataclass(frozen=True)
 class Variants:
-    """A `Job`: a scenario is run with other values in every task.
+    """A `Job` in which every task runs a scenario with other values.
 
     Attributes:
-        file: the scenario's.
-        fixed: dotted keys that are set in all of them.
-        choices: keys and values of tasks that may name files of their own.
+        file: the scenario file.
+        fixed: values by dotted key for all variants.
+        choices: keys and values of tasks that may name additional files.
     """
 
     file: Path
@@ -28,33 +28,28 @@ class Variants:
     choices: Sequence[Mapping[str, Any]] = ()
 
     def runner(self) -> Runner:
-        """Simulates variants together where they differ in numbers only."""
         from .variant import VariantRunner
 
         return VariantRunner(self.file, self.fixed)
 
     def check(self) -> None:
-        """Reads the scenario."""
         from ...simulate.scenario_file import read_scenario
 
         read_scenario(self.file, self.fixed)
 
     def files(self) -> list[Path]:
-        """What is opened where the scenario, with any of the choices, is read and simulated."""
         from .scenario_inputs import files_read
 
         return files_read(self.file, self.fixed, self.choices)
 
     def files_of(self, values: Mapping[str, Any]) -> list[Path]:
-        """None besides those of the choices."""
+        """Returns no files, because those of `choices` are already in `files`."""
         return []
 
     def below(self, root: Path) -> Variants:
-        """With the names of files in what is set as well."""
-        from ...study.shipped_files import below
+        from ...study.engine import below
 
         return replace(self, file=Path(f"{root}{self.file}"), fixed=below(root, self.fixed))
 
     def killed(self) -> dict[str, Any]:
-        """Nothing held, at no time."""
         return {"held": False, "error": KILLED, "ended": 0.0}

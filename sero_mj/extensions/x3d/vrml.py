@@ -29,7 +29,6 @@ from .vrml_nodes import (
     Proto,
     RouteStatement,
     first,
-    is_text,
     read_field,
 )
 
@@ -319,7 +318,7 @@ class _VrmlParser:
         name = self._name("the name of an EXTERNPROTO")
         fields = self._interface(has_values=False)
         value = self._value(f"EXTERNPROTO {name}")
-        urls = () if value is None else tuple(each for each in value.items if is_text(each))
+        urls = () if value is None else tuple(each for each in value.items if isinstance(each, str))
         if not urls:
             self._unexpected(f'the URL of EXTERNPROTO {name}, such as "PROTO_{name}.wrl"')
         if name is not None:

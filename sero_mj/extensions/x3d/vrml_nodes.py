@@ -178,11 +178,6 @@ def first(value: FieldValue) -> Any:
     return value.items[0] if len(value.items) else None
 
 
-def is_text(item: Any) -> bool:
-    """Whether an item of a value is a string."""
-    return isinstance(item, str)
-
-
 def read_field(value: FieldValue, kind: str) -> Any:
     """Converts a value to a type, such as `SFFloat` or `MFVec3f`.
 
@@ -254,29 +249,6 @@ def _shown(items: Sequence[Any] | Array) -> str:
         else:
             words.append(f"{item:g}" if isinstance(item, float) else f'"{item[:40]}"')
     return " ".join(words) + (" ..." if len(items) > 4 else "") or "nothing"
-
-
-def walk(nodes: Sequence[Node], most: int = 200_000) -> Iterator[Node]:
-    """Yields every node once, before its children; without the bodies of PROTOs.
-
-    Args:
-        most: maximum number of nodes.
-    """
-    todo, seen = list(reversed(nodes)), set[int]()
-    while todo and len(seen) < most:
-        node = todo.pop()
-        if id(node) in seen:
-            continue
-        seen.add(id(node))
-        yield node
-        inner = [
-            item
-            for value in node.fields.values()
-            if not isinstance(value.items, np.ndarray)
-            for item in value.items
-            if isinstance(item, Node)
-        ]
-        todo += reversed(inner)
 
 
 def get(node: Node, name: str, kind: str, default: Any, problems: Problems) -> Any:

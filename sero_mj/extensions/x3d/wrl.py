@@ -16,7 +16,7 @@ from ...base.errors import DeclarationError, Problem, mismatch
 from ...base.frames import Array
 from ...base.paths import scene_endings
 from .vrml import read_document
-from .vrml_nodes import Node, Problems, get, instance, is_text, read_field
+from .vrml_nodes import Node, Problems, get, instance, read_field
 from .wrl_geometry import GEOMETRIES, Triangles
 
 log = logging.getLogger(__name__)
@@ -138,7 +138,7 @@ def visit(
         elif node.kind == "Inline" and len(inlined) < _MAX_INLINES:
             file = None
             with here.collect(f"{node.label}.url", node.line):
-                file = inlined_file(node, seen.path)
+                file = _inlined_file(node, seen.path)
             if file is None:
                 found.append(seen)
             elif file not in files:
@@ -164,7 +164,7 @@ def _children(node: Node, problems: Problems) -> list[Node]:
     return children[:1] if node.kind == "LOD" else children
 
 
-def inlined_file(node: Node, path: Path) -> Path | None:
+def _inlined_file(node: Node, path: Path) -> Path | None:
     """Returns the first existing file of an Inline in the folder of `path`."""
     value = node.value("url")
     for url in [] if value is None else read_field(value, "MFString"):
@@ -180,7 +180,7 @@ def kind_of(node: Node) -> str:
     value = node.value("url")
     if node.kind != "Inline" or value is None:
         return node.kind
-    return f"Inline of {', '.join(repr(url) for url in value.items if is_text(url))}"
+    return f"Inline of {', '.join(repr(url) for url in value.items if isinstance(url, str))}"
 
 
 def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:

@@ -55,7 +55,7 @@ PerJoint = Annotated[Array, BeforeValidator(_one_or_more)]
 MaybePerJoint = Annotated[Array | None, BeforeValidator(_one_or_more)]
 Ratio = Annotated[PerJoint, within(0.0, 2.0, "(a ratio; 1 is critical damping)")]
 DEFAULT_RATIO: Array = np.array([0.7])
-# Of the stiffness of elastic joints: what a spring before them may have. `HangingLinks` is a
+# Of the stiffness of elastic joints: what a spring before them may have. `StaticDeflection` is a
 # contraction by this factor in every step.
 SOFTEST = 0.8
 
@@ -335,6 +335,7 @@ class ControllerDeclaration(Declaration, ABC):
         torque_rate_limits: (n,), Nm/s or N/s; None for none.
         needs_target: whether it holds a pose, so that a robot without a target stays where it is.
         needs_pose: whether it follows the flange's pose, and not only joint angles.
+        protocol_joints: number of joints that its protocol is for; None for any number.
         may_be_asked: whether it may be asked for torques of states that are not those of a run, as
             is done to find its gains.
         logged: names of numbers of its own that the log keeps; what it makes has them as `logged`,
@@ -347,6 +348,7 @@ class ControllerDeclaration(Declaration, ABC):
 
     needs_target: ClassVar[bool] = True
     needs_pose: ClassVar[bool] = False
+    protocol_joints: ClassVar[int | None] = None
     may_be_asked: ClassVar[bool] = True
     logged: ClassVar[tuple[str, ...]] = ()
     title: ClassVar[str] = ""

@@ -297,8 +297,8 @@ class JointImpedanceController(Controller):
     included, every `damping_every`, and held: any positive semidefinite D takes energy.
 
     Where joints are elastic, q and dq are the motors', and the links hang below their targets by
-    what gravity bends; behind a torque loop q is where the links come to rest (`HangingLinks`), so
-    that K is what one feels at the links.
+    what gravity bends; behind a torque loop q is where the links come to rest
+    (`StaticDeflection`), so that K is what one feels at the links.
 
     Args:
         stiffness: the diagonal of K, (n,) or (m, n), Nm/rad.

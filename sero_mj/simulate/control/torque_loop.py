@@ -192,7 +192,7 @@ class TorqueLoop:
         out[...] = motors
 
 
-class HangingLinks:
+class StaticDeflection:
     """Where the links of elastic joints come to rest, with nothing from outside but what holds.
 
     With q^ such that K (theta - q^) = l(q^), where l are the torques that the controller commands

@@ -1,5 +1,7 @@
-"""Controllers that are programs of users, in other languages or processes.
+"""Controllers in other languages or processes.
 
-In: what sensors measure, at every step. Out: torques, from a library, or from a program over UDP.
-Open first: `exchange.py` for what is sent and what comes back, `program.py` for the program.
+In: sensor readings in every step. Out: torques, from a library, or from a program over UDP or
+shared memory.
+Open first: `exchange.py` (packets), `program_controller.py` (the controller), `program.py` (the
+process).
 """

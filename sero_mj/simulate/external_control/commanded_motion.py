@@ -1,7 +1,7 @@
-"""`CommandedMotion`: the angles that a robot is commanded to by single angles, speeds or goals.
+"""`CommandedMotion`: a robot's commanded angles from servo commands, speeds or goals.
 
-As on a robot's own controller, a command is refused where it is beyond a limit, and the commanded
-angles never move faster than the joints may.
+As in a real robot controller, commands beyond a limit are refused, and commanded angles never move
+faster than the velocity limits.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ import numpy as np
 from ...base.frames import Array
 
 HOLDS, SERVOS, SPEEDS, MOVES, TORQUES = "holds", "servos", "speeds", "moves", "torques"
-# s: single angles may be as far from the last ones as a joint comes in the time between them, and
-# no farther than it comes in this time.
-_LEAP = 0.1
-_SMOOTHED = 0.02  # s, time constant of velocities of single angles, which come irregularly
+# Maximum time in seconds for which joints may move at full speed between two single angles.
+_MAX_INTERVAL = 0.1
+_SMOOTHED = 0.02  # s, time constant for velocities of single angles, which arrive irregularly
 _STILL = 1e-9  # rad/s
 
 
 class CommandedMotion:
-    """Where the robot is commanded to, step by step.
+    """Computes the commanded angles step by step.
 
     Args:
-        position_limits: (n, 2), rad.
-        velocity_limits: (n,), rad/s.
+        position_limits: shape (n, 2), rad.
+        velocity_limits: shape (n,), rad/s.
 
     Attributes:
-        mode: what it does: `HOLDS`, follows single angles (`SERVOS`) or speeds (`SPEEDS`), `MOVES`
-            to a goal, or lets `TORQUES` act, by which it is carried along.
-        angles: (n,), rad, commanded.
-        velocities: (n,), rad/s, of these; of single angles smoothed.
-        accelerations: (n,), rad/s^2, of motion that it has planned itself; zero while it servos.
-        torques: (n,), Nm, that act on top of gravity's.
+        mode: `HOLDS`, `SERVOS` (follows single angles), `SPEEDS` (follows speeds), `MOVES` (moves
+            to a goal), or `TORQUES` (torques act, and the angles follow the robot).
+        angles: commanded angles, shape (n,), rad.
+        velocities: their velocities, shape (n,), rad/s, smoothed for single angles.
+        accelerations: planned accelerations, shape (n,), rad/s^2; zero while following single
+            angles.
+        torques: torques in addition to gravity, shape (n,), Nm.
     """
 
     def __init__(
@@ -47,45 +47,48 @@ class CommandedMotion:
         self._fastest = np.asarray(velocity_limits)
         self._goal: Array = np.zeros(n)
         self._begin: Array = np.zeros(n)
-        self._taken = -np.inf  # s, when the last single angles were
-        self._ends = False  # whether none are to come
-        self._rates: Array = np.zeros(n)  # rad/s, by which they are gone to
+        self._taken = -np.inf  # time of the last single angles, s
+        self._ends = False  # whether no more single angles will follow
+        self._rates: Array = np.zeros(n)  # rad/s, speeds toward single angles
         self._speeds: Array = np.zeros(n)
         self._acceleration = 0.0
-        self._path = 0.0, 0.0, 0.0  # of a move: begin, s; time of acceleration, s; duration, s
+        self._path = 0.0, 0.0, 0.0  # start, acceleration time and duration of a move, s
 
     def hold(self, angles: Array | None = None) -> None:
-        """Holds the robot where it is commanded to, or at angles, (n,), rad."""
+        """Holds the commanded angles, or other `angles`, shape (n,), rad."""
         self.mode, self._ends = HOLDS, False
         if angles is not None:
             self.angles[:] = angles
         self.velocities[:] = self.accelerations[:] = self.torques[:] = 0.0
 
     def servo(self, angles: Array, time: float, cycle: float) -> str:
-        """Takes single angles, (n,), rad; returns why not, or nothing.
+        """Sets single angles, shape (n,), rad; returns the reason if refused, or an empty text.
 
         Args:
-            time: s.
-            cycle: s between two of them, at least.
+            time: in seconds.
+            cycle: minimum time between two commands, s.
         """
         if wrong := self._beyond(angles):
             return wrong
         is_first = self.mode != SERVOS
-        passed = min(max(time - self._taken, cycle), _LEAP)
+        passed = min(max(time - self._taken, cycle), _MAX_INTERVAL)
         before = self.angles if is_first else self._goal
-        speeds = np.abs(angles - before) / (_LEAP if is_first else passed)
+        speeds = np.abs(angles - before) / (_MAX_INTERVAL if is_first else passed)
         if wrong := self._too_fast(speeds):
             return wrong
         if is_first:
             self.hold()
         self.mode, self._taken, self._ends = SERVOS, time, False
         self._goal[:] = angles
-        # The way is spread over the time until the next ones.
+        # The way is spread over the expected time until the next command.
         self._rates[:] = np.minimum(np.abs(angles - self.angles) / passed, self._fastest)
         return ""
 
     def speed(self, speeds: Array, acceleration: float) -> str:
-        """Takes speeds, (n,), rad/s, to be reached by an acceleration, rad/s^2; likewise."""
+        """Sets speeds, shape (n,), rad/s, reached by an acceleration in rad/s^2.
+
+        Returns as `servo`.
+        """
         if wrong := self._too_fast(np.abs(speeds)) or _not_positive("acceleration", acceleration):
             return wrong
         if self.mode != SPEEDS:
@@ -95,9 +98,12 @@ class CommandedMotion:
         return ""
 
     def move(self, angles: Array, speed: float, acceleration: float, time: float) -> str:
-        """Moves to angles, (n,), rad, the joint with the longest way by a speed, rad/s; likewise.
+        """Moves to angles, shape (n,), rad; returns as `servo`.
 
-        The speed rises and falls by an acceleration, rad/s^2; `time` is that of now, s.
+        Args:
+            speed: speed of the joint with the longest way, rad/s.
+            acceleration: of the same joint, rad/s^2.
+            time: current time, s.
         """
         way = float(np.abs(angles - self.angles).max())
         if (
@@ -115,7 +121,10 @@ class CommandedMotion:
         return ""
 
     def stop(self, deceleration: float) -> None:
-        """Comes to rest by a deceleration, rad/s^2, and holds; of single angles, at the last."""
+        """Stops by a deceleration in rad/s^2 and holds.
+
+        Single angles are followed to the last one.
+        """
         if self.mode == SERVOS:
             self._ends = True
             return
@@ -127,24 +136,24 @@ class CommandedMotion:
         self._acceleration = deceleration if deceleration > 0.0 else np.inf
 
     def act(self, torques: Array) -> None:
-        """Lets torques act, (n,), Nm."""
+        """Applies torques, shape (n,), Nm."""
         self.hold()
         self.mode = TORQUES
         self.torques[:] = torques
 
     def step(self, time: float, duration: float) -> None:
-        """Goes on to a time, s, by a step of a duration, s."""
+        """Continues to a time in seconds by a step of some duration."""
         if self.mode == SERVOS:
-            most = self._rates * duration
-            change = np.clip(self._goal - self.angles, -most, most)
+            limit = self._rates * duration
+            change = np.clip(self._goal - self.angles, -limit, limit)
             self.angles += change
             share = min(duration / _SMOOTHED, 1.0)
             self.velocities += share * (change / duration - self.velocities)
             if self._ends and np.abs(self._goal - self.angles).max() < _STILL:
                 self.hold()
         elif self.mode == SPEEDS:
-            most_change = self._acceleration * duration
-            change = np.clip(self._speeds - self.velocities, -most_change, most_change)
+            max_change = self._acceleration * duration
+            change = np.clip(self._speeds - self.velocities, -max_change, max_change)
             before = self.angles.copy()
             self.velocities += change
             self.angles += self.velocities * duration
@@ -180,13 +189,13 @@ class CommandedMotion:
 
 
 def _not_positive(what: str, value: float) -> str:
-    return "" if value > 0.0 else f"{what}: found {value:g}; expected a positive one"
+    return "" if value > 0.0 else f"{what}: found {value:g}; expected a positive value"
 
 
 def _trapezoid(t: float, rising: float, whole: float) -> tuple[float, float, float]:
     if t >= whole or rising <= 0.0:
         return 1.0, 0.0, 0.0
-    top = 1.0 / (whole - rising)  # the area below the speed is 1
+    top = 1.0 / (whole - rising)  # the integral of the speed is 1
     slope = top / rising
     if t < rising:
         return slope * t * t / 2.0, slope * t, slope

@@ -1,7 +1,7 @@
-"""What a simulated robot sends to a program at every step, and what it takes from its answer.
+"""Packets that a simulated robot exchanges with a program in every step.
 
-Both are packets in the language of structures (STRUCTURE.md), kept in memory and filled by views:
-encoding one anew would take longer than the step.
+Both packets use the structure language (STRUCTURE.md). They are stored in memory and written by
+views, because encoding them in every step would take longer than the step.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..control.controller import Sensed, Target
 from ..control.robot_model import RobotModel
 
 FIRST = 1  # flag of the first state of a run
-# What a state can have besides `step` and `flags`: numbers of n joints, and where they come from.
+# Events of a state with n values, and their source.
 _OF_JOINTS: Mapping[str, Callable[[Sensed, Target], Array]] = {
     "angles": lambda sensed, _: sensed.angles,
     "velocities": lambda sensed, _: sensed.velocities,
@@ -30,33 +30,36 @@ _OF_JOINTS: Mapping[str, Callable[[Sensed, Target], Array]] = {
     "target_accelerations": lambda _, target: target.accelerations,
 }
 VALUES = (*_OF_JOINTS, "gravity")
-# What the robot's model tells of the motors' angles and velocities.
+# Events that the robot's model computes from the motors' angles and velocities.
 _OF_MODEL: Mapping[str, Callable[[RobotModel], Array]] = {
     "gravity": lambda model: model.gravity(),
     "coriolis": lambda model: model.coriolis(),
     "mass_matrix": lambda model: model.mass().ravel(),
 }
 _OTHERS = {"step": 1, "flags": 1, "time": 1, "target_pose": 16}
-# What a command can have.
+# Events of a command.
 _ANSWERED = ("step", "torques", "joint_angles", "stiffness", "damping", "feed_forward")
 
 
 def default_state(n: int) -> str:
-    """The structure of a state where none is declared."""
+    """Returns the default structure of a state."""
     joints = ("angles", "velocities", "torques", "target_angles", "target_velocities", "gravity")
     return f"< step:1I flags:1I time:1d {' '.join(f'{name}:{n}d' for name in joints)}"
 
 
 def default_answer(n: int) -> str:
-    """The structure of a command where none is declared."""
+    """Returns the default structure of a command."""
     return f"< step:1I 4x torques:{n}d"
 
 
 def structure_of(key: str, text: str, sizes: Mapping[str, int]) -> Structure:
-    """Reads a structure, and checks its events.
+    """Parses a structure, and checks its events.
+
+    Args:
+        sizes: event to number of values.
 
     Raises:
-        DeclarationError: it cannot be read, or has other events or sizes.
+        DeclarationError: it is invalid, or has other events or sizes.
     """
     try:
         structure = Structure(text)
@@ -73,12 +76,12 @@ def structure_of(key: str, text: str, sizes: Mapping[str, int]) -> Structure:
 
 
 def modulus_of(counter: Any) -> int:
-    """At which number a counter, (1,), begins at 0 again; None never does."""
+    """Returns the modulus at which a counter, shape (1,), wraps; None for a counter never wraps."""
     if counter is None:
         return 1 << 64
     kind: np.dtype[Any] = counter.dtype
     if kind.kind == "f":
-        return 2 << int(np.finfo(kind).nmant)  # from there on not every number is exact
+        return 2 << int(np.finfo(kind).nmant)  # larger integers are not exact
     return 1 + int(np.iinfo(kind).max)
 
 
@@ -89,12 +92,11 @@ class State:
         text: its structure; empty for `default_state`.
 
     Attributes:
-        structure: as declared.
-        packet: the bytes of the packet, always the same ones.
-        modulus: see `modulus_of`.
+        packet: the bytes of the packet; always the same object.
+        modulus: modulus at which the step counter wraps.
 
     Raises:
-        DeclarationError: the structure has what no robot has.
+        DeclarationError: the structure has unknown events.
     """
 
     def __init__(self, text: str, model: RobotModel) -> None:
@@ -119,11 +121,7 @@ class State:
                           if name in _OF_MODEL]  # fmt: skip
 
     def fill(self, step: int, sensed: Sensed, target: Target) -> None:
-        """Writes the state of a step.
-
-        Args:
-            step: counted from 1.
-        """
+        """Writes the state of a step, which is counted from 1."""
         if self._bound is None or self._bound[0] is not sensed or self._bound[1] is not target:
             self._bound = sensed, target
             self._pairs = [
@@ -140,7 +138,7 @@ class State:
         if self._time is not None:
             self._time[0] = sensed.time
         if self._pose is not None:
-            self._pose[:] = target.pose.T.ravel()  # column by column, as structures have it
+            self._pose[:] = target.pose.T.ravel()  # matrices in structures are column-major
         if self._modelled:
             self._model.update(sensed.motor_angles, sensed.motor_velocities)
             for view, of_model in self._modelled:
@@ -149,25 +147,24 @@ class State:
 
 
 class Answer:
-    """The packet with a program's command, and the torques that it asks for.
+    """The packet with a program's command, and the torques that follow from it.
 
-    Either it has `torques`, or `joint_angles` for springs and dampers of the simulated robot:
-    tau = K (q_d - q) - D dq + g(q) + tau_0, with K = `stiffness`, D = `damping` and
-    tau_0 = `feed_forward`, each as commanded or else as declared.
+    A command has either `torques`, or `joint_angles` for springs and dampers of the simulated
+    robot: tau = K (q_d - q) - D dq + g(q) + tau_0, with K = `stiffness`, D = `damping` and tau_0 =
+    `feed_forward`, each as commanded or declared.
 
     Args:
         text: its structure; empty for `default_answer`.
-        stiffness: (n,), Nm/rad, where commands have none.
-        damping: (n,), Nm s/rad, likewise.
+        stiffness: declared K, shape (n,), Nm/rad.
+        damping: declared D, shape (n,), Nm s/rad.
 
     Attributes:
-        structure: as declared.
-        incoming: the bytes that answers are received into, one more than an answer has.
+        incoming: receive buffer, one byte longer than an answer.
         packet: the bytes of the answer in use.
-        modulus: see `modulus_of`.
+        modulus: modulus at which the step counter wraps.
 
     Raises:
-        DeclarationError: the structure has neither, or both, or something else.
+        DeclarationError: the structure has neither torques nor angles, or both, or unknown events.
     """
 
     def __init__(
@@ -183,7 +180,7 @@ class Answer:
             raise problem.error()
         springs = [name for name in ("stiffness", "damping") if name in events]
         if "torques" in events and springs:
-            problem = Problem("answer", f"{springs[0]} is there", expected="joint_angles with it")
+            problem = Problem("answer", f"{springs[0]} requires joint_angles")
             raise problem.error()
         declared = {"stiffness": stiffness, "damping": damping}
         if "joint_angles" in events:
@@ -205,38 +202,38 @@ class Answer:
 
     @property
     def angles(self) -> Array | None:
-        """The angles that it asks for, (n,), rad or m; None where it asks for torques."""
+        """Commanded angles, shape (n,), rad or m; None for commanded torques."""
         return self._angles
 
     @property
     def has_step(self) -> bool:
-        """Whether it says which state it answers."""
+        """Whether an answer has the number of its state."""
         return self._step is not None
 
     @property
     def step(self) -> float:
-        """Which state the incoming one answers, as a counter that begins at 0 again."""
+        """Number of the state that the incoming answer belongs to, modulo `modulus`."""
         return 0.0 if self._step is None else float(self._step[0])
 
     @property
     def is_finite(self) -> bool:
-        """Whether all numbers of the incoming one are."""
+        """Whether all values of the incoming answer are finite."""
         return all(np.isfinite(view).all() for view in self._numbers)
 
     @property
     def wrong_checksum(self) -> str:
-        """What is wrong with the checksum of the incoming one; empty if it is right."""
+        """Description of a wrong checksum of the incoming answer; empty if it is right."""
         if not self.structure.checksums:
             return ""
         row = np.frombuffer(self.incoming, np.uint8)[None, :-1]
         return self.structure.describe_wrong_checksum(row)
 
     def use(self) -> None:
-        """Puts the incoming one into use."""
+        """Uses the incoming answer from now on."""
         self.packet[:] = self.incoming[:-1]
 
     def write(self, sensed: Sensed, out: Array) -> None:
-        """Writes the torques that it asks for now, (n,)."""
+        """Writes the current torques, shape (n,)."""
         if self._torques is not None:
             out[:] = self._torques
         else:

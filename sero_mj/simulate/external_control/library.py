@@ -1,4 +1,4 @@
-"""`kind = "library"`: a function of a shared library, in C or whatever compiles to its calls."""
+"""`kind = "library"`: a function of a shared library in C, or with C calling conventions."""
 
 from __future__ import annotations
 
@@ -30,24 +30,23 @@ from .library_host import ARRAYS, RobotStruct
 from .program import SharedCore
 
 HEADER = Path(__file__).with_name("sero_mj_controller.h")
-_GUARD = b"\xa5" * 64  # behind the torques, where a library for more joints writes
-# Of ELF files.
+_GUARD = b"\xa5" * 64  # after the torques, where a library for more joints would write
 _MACHINES = {3: "x86", 8: "mips", 40: "arm", 62: "x86-64", 183: "aarch64", 243: "riscv"}
-_SLICE = 20  # ms, in which an interrupt and the end of the process are seen
-_CLOSED = 0.5  # s that the process may take to end once its pipe is closed
+_SLICE = 20  # ms between checks for interrupts and for the end of the process
+_CLOSED = 0.5  # s, maximum time of the process to end after its pipe is closed
 
 
 class Library(ControllerDeclaration):
     """A function of a shared library, `void control(struct sero_mj_robot *robot)`.
 
     Attributes:
-        file: the library, controller.so say; relative to the scenario's folder.
-        function: its name.
-        gravity: whether the torques that hold the robot are computed for it.
-        isolated: whether the library is loaded and called in a process of its own only, so that
-            its crash, exit or hang is an error of the run; it takes a few microseconds a step more.
-        patience: s that a call may take in a process of its own.
-        first_patience: s that this process may take to start and to load the library.
+        file: the library, for example controller.so; relative to the scenario's folder.
+        function: name of the function.
+        gravity: whether to compute the gravity torques for it.
+        isolated: whether to load and call the library in its own process, so that a crash, exit or
+            hang becomes an error of the run; each step takes a few microseconds more.
+        patience: maximum time of a call in its own process, s.
+        first_patience: maximum time to start the process and load the library, s.
     """
 
     may_be_asked: ClassVar[bool] = False
@@ -64,7 +63,6 @@ class Library(ControllerDeclaration):
 
     @classmethod
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
-        """None: there is no library."""
         return None
 
     def actions(self, key: str = "") -> list[RequestedAction]:
@@ -75,7 +73,6 @@ class Library(ControllerDeclaration):
             raise Problem("file", f"no file {self.file}").error()
 
     def make(self, model: RobotModel, timestep: float) -> LibraryController | IsolatedLibrary:
-        """The controller; raises DeclarationError where the library cannot be loaded."""
         self.check_files()
         if self.isolated:
             return IsolatedLibrary(self, model, timestep)
@@ -83,7 +80,6 @@ class Library(ControllerDeclaration):
 
 
 def _function_of(file: Path, name: str) -> Any:
-    """A function of a library; raises DeclarationError."""
     try:
         return library_host.load(str(file.absolute()), name)
     except OSError as error:
@@ -94,8 +90,8 @@ def _function_of(file: Path, name: str) -> Any:
 
 def _not_loaded(file: Path, reason: str) -> DeclarationError:
     found, own = _machine(file), _machine(Path(sys.executable))
-    if found and own and found != own:  # of which the system says that there is no such file
-        expected = f"one for {own}"
+    if found and own and found != own:  # for which the system reports a missing file
+        expected = f"a library for {own}"
         return Problem("file", f"{file} is a library for {found}", expected=expected).error()
     return Problem("file", f"{file} cannot be loaded: {reason}").error()
 
@@ -109,12 +105,12 @@ def _no_function(file: Path, name: str) -> DeclarationError:
 
 
 def _writes_too_much(name: str, model: RobotModel, time: float) -> SimulationError:
-    what = f"{name} writes torques of more joints than there are; expected {model.n}"
+    what = f"{name} has written torques of more than {model.n} joints"
     return SimulationError(time, model.name, what)
 
 
 def _machine(file: Path) -> str:
-    """For which machine an ELF file is; empty where it is none."""
+    """Returns the machine of an ELF file; empty for other files."""
     with file.open("rb") as opened:
         head = opened.read(20)
     if len(head) < 20 or head[:4] != b"\x7fELF":
@@ -125,26 +121,22 @@ def _machine(file: Path) -> str:
 
 
 class LibraryController(Controller):
-    """Calls a function of a library in every step.
-
-    Args:
-        timestep: s between two steps.
-    """
+    """Calls a function of a library in every step."""
 
     def __init__(self, declared: Library, model: RobotModel, timestep: float) -> None:
         function = _function_of(declared.file, declared.function)
         self._model, self._has_gravity = model, declared.gravity
         self._struct = RobotStruct(n=model.n, is_first=1, timestep=timestep)
-        self._bound: tuple[Any, ...] = ()
+        self._bound: tuple[Any, Any] = (None, None)
         self._gravity: Array = np.zeros(model.n)
         self._memory = bytearray(8 * model.n) + bytearray(_GUARD)
         self._written: Array = np.frombuffer(self._memory, np.float64, model.n)
         self._name = f"{declared.file}: {declared.function}"
         address = ctypes.c_void_p(ctypes.addressof(self._struct))
-        # A crash ends this process. The interpreter then prints the file and line of each call that
-        # is under way, so that this one bears the name of the library.
+        # If the library crashes, the interpreter prints the file names of active calls. The
+        # compiled function therefore has the name of the library as its file name.
         if not faulthandler.is_enabled() and sys.__stderr__ is not None:
-            with suppress(OSError, ValueError):  # it is closed, or no file
+            with suppress(OSError, ValueError):  # stderr is closed, or not a file
                 faulthandler.enable(sys.__stderr__)
         scope: dict[str, Any] = {"call": function, "robot": address}
         file = f"library {declared.file.absolute()}"
@@ -153,18 +145,15 @@ class LibraryController(Controller):
         self._call = scope["control"]
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,).
+        """Writes the torques of this step, shape (n,).
 
         Raises:
-            SimulationError: the library has written those of more joints.
+            SimulationError: the library has written torques of more joints.
         """
         struct = self._struct
-        bound = (sensed, target)
-        if len(self._bound) != 2 or any(
-            a is not b for a, b in zip(bound, self._bound, strict=True)
-        ):
+        if self._bound[0] is not sensed or self._bound[1] is not target:
             self._bind(sensed, target)
-            self._bound = bound
+            self._bound = sensed, target
         if self._has_gravity:
             self._model.update(sensed.motor_angles, sensed.motor_velocities)
             self._gravity[:] = self._model.gravity()
@@ -191,21 +180,18 @@ class LibraryController(Controller):
             setattr(self._struct, name, None if array is None else array.ctypes.data)
 
     def __getstate__(self) -> Any:
-        raise TypeError("a loaded library is of this process")
+        raise TypeError("a loaded library cannot be pickled")
 
 
 class IsolatedLibrary(Controller):
-    """Calls a function of a library in a process of its own.
+    """Calls a function of a library in its own process.
 
-    State and torques are in memory that both have; pipes carry whose turn it is, and tell of the
-    end. This process never loads the library.
-
-    Args:
-        timestep: s between two steps.
+    State and torques are in shared memory. Pipes synchronize the processes. This process never
+    loads the library.
 
     Raises:
-        DeclarationError: the library cannot be loaded, has no such function, ends the process that
-            loads it, or does not come back.
+        DeclarationError: the library cannot be loaded, has no such function, or ends or blocks the
+            process that loads it.
     """
 
     def __init__(self, declared: Library, model: RobotModel, timestep: float) -> None:
@@ -221,7 +207,7 @@ class IsolatedLibrary(Controller):
         elif answer == library_host.NO_FUNCTION:
             error = _no_function(declared.file, declared.function)
         elif answer is None:
-            what = f"{declared.file} is not loaded within {declared.first_patience:g} s"
+            what = f"{declared.file} was not loaded within {declared.first_patience:g} s"
             error = Problem("file", what).error()
         else:
             what = f"{declared.file} has ended the process that loads it: {self._how_it_ended()}"
@@ -230,10 +216,10 @@ class IsolatedLibrary(Controller):
         raise error
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,).
+        """Writes the torques of this step, shape (n,).
 
         Raises:
-            SimulationError: the library has crashed, does not come back, or has written torques of
+            SimulationError: the library has crashed, does not return, or has written torques of
                 more joints.
         """
         values = self._values
@@ -250,17 +236,16 @@ class IsolatedLibrary(Controller):
             answer = self._answer(self._declared.patience)
         if answer is None:
             patience = self._declared.patience
-            raise self._error(sensed, f"{self._name} does not come back within {patience:g} s")
+            raise self._error(sensed, f"{self._name} did not return within {patience:g} s")
         if answer != library_host.DONE:
             raise self._error(sensed, f"{self._name} has ended its process: {self._how_it_ended()}")
         if self._memory[-len(_GUARD) :] != _GUARD:
             self.close()
             raise _writes_too_much(self._name, self._model, sensed.time)
         out[:] = values[7]
-        self._core.come()  # not before it has begun threads, if it does
+        self._core.come()  # after the first call, which may have started threads
 
     def close(self) -> None:
-        """Ends the process; harmless when it has ended."""
         self._end()
 
     def _start(self, timestep: float) -> None:
@@ -293,18 +278,18 @@ class IsolatedLibrary(Controller):
             )
         finally:
             os.close(theirs_in)
-            os.close(theirs_out)  # else its end would not be seen
+            os.close(theirs_out)  # otherwise the end of the process would not be detected
         self._core = SharedCore(child.process.pid)
         self._poll = select.poll()
         self._poll.register(self._from, select.POLLIN)
         self._end = weakref.finalize(self, _end, child, (self._to, self._from))
 
     def _answer(self, patience: float) -> bytes | None:
-        """Waits for a byte; returns None if it does not come in time, and no byte at an end."""
+        """Waits for a byte; returns None after a timeout, and b"" if the process has ended."""
         waited = 0.0
         while not self._poll.poll(_SLICE):
             waited += _SLICE / 1e3
-            # What it has started may keep the pipe open.
+            # Child processes of the process may hold the pipe open.
             if self._child.status and not self._poll.poll(0):
                 return b""
             if waited > patience:
@@ -316,15 +301,15 @@ class IsolatedLibrary(Controller):
             self._child.process.wait(_CLOSED)
         how = self._child.status or "it has closed its pipes"
         lines = self._child.lines()
-        said = [line for line in lines if line.startswith("Fatal Python error")] or lines
-        return how + (f"; {said[-1]}" if said else "")
+        shown = [line for line in lines if line.startswith("Fatal Python error")] or lines
+        return how + (f"; {shown[-1]}" if shown else "")
 
     def _error(self, sensed: Sensed, what: str) -> SimulationError:
         self.close()
         return SimulationError(sensed.time, self._model.name, what)
 
     def __getstate__(self) -> Any:
-        raise TypeError("a library in a process of its own is of this process")
+        raise TypeError("an isolated library cannot be pickled")
 
 
 def _end(child: ChildProcess, pipes: tuple[int, int]) -> None:

@@ -1,13 +1,13 @@
-"""Loads a library and calls its function; also the process of a library of its own.
+"""Loads a library and calls its function; also runs as the process of an isolated library.
 
-As a process it has nothing of sero-mj but this file, so that it starts at once. It answers with one
-byte: `READY` once the library is loaded, then `DONE` for each call.
+The process imports only this file, so it starts quickly. It answers with one byte: `READY` once the
+library is loaded, then `DONE` after each call.
 """
 
 import ctypes
 from typing import Any
 
-# Numbers of n joints that a library gets and writes, in the order of the structure.
+# Arrays of n values in the order of the structure.
 ARRAYS = (
     "angles",
     "velocities",
@@ -20,7 +20,7 @@ ARRAYS = (
 )
 HEAD = 8  # bytes before the arrays in shared memory: the time
 READY, DONE = b"r", b"1"
-NOT_LOADED, NO_FUNCTION = b"l", b"f"  # a library that cannot be loaded; its reason is in stderr
+NOT_LOADED, NO_FUNCTION = b"l", b"f"  # the reason is printed to stderr
 
 
 class RobotStruct(ctypes.Structure):
@@ -36,11 +36,11 @@ class RobotStruct(ctypes.Structure):
 
 
 def load(file: str, name: str) -> Any:
-    """A function of a library, to be called with the address of a structure.
+    """Returns a function of a library, which takes the address of a structure.
 
     Raises:
-        OSError: it cannot be loaded.
-        AttributeError: it has no such function.
+        OSError: the library cannot be loaded.
+        AttributeError: there is no such function.
     """
     function = getattr(ctypes.CDLL(file), name)
     function.restype = None
@@ -49,11 +49,11 @@ def load(file: str, name: str) -> Any:
 
 
 def main(file: str, name: str, path: str, *numbers: str) -> None:
-    """Calls the function once for each byte that comes, until no more do.
+    """Calls the function once for each received byte.
 
     Args:
-        *numbers: the ends of pipes to read and to write, the number of joints, the time step, and
-            whether there is gravity.
+        *numbers: pipe ends to read and to write, number of joints, time step, and whether gravity
+            is passed.
     """
     import faulthandler
     import mmap

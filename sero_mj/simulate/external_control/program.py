@@ -1,4 +1,4 @@
-"""`Program`: a program of the user's, which is started with a run and ends with it."""
+"""`Program`: a user's program, which starts and ends with a run."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from typing import Any
 from ...base.child_process import ChildProcess
 from ...base.errors import Problem
 
-PORT = "{port}"  # in a command: what is put there
+PORT = "{port}"  # placeholder in a command
 _LINES, _CHARACTERS = 5, 4000  # of its output, in errors
-# Of the C library on Linux; None elsewhere.
+# Function of the C library on Linux; None elsewhere.
 _current_core: Any = getattr(
     ctypes.CDLL(None) if os.name == "posix" else None, "sched_getcpu", None
 )
-_random = random.Random()  # of its own: a seed of the user's neither sets nor is changed by ports
+_random = random.Random()  # independent of the user's seed
 
 
 class Program:
-    """A running program of the user's, which ends together with all that it has started.
+    """A running program of the user, which is ended together with all of its child processes.
 
     Attributes:
-        name: of its file.
+        name: file name.
 
     Raises:
-        DeclarationError: it cannot be started.
+        DeclarationError: the program cannot be started.
     """
 
     def __init__(
@@ -62,37 +62,37 @@ class Program:
 
     @property
     def has_ended(self) -> bool:
-        """Whether it has ended by itself."""
+        """Whether the program has exited."""
         return self._child.process.poll() is not None
 
     @property
     def has_failed(self) -> bool:
-        """Whether it has ended by itself, and not with exit status 0."""
+        """Whether the program has exited with a status other than 0."""
         return bool(self._child.process.poll())
 
     def why(self) -> str:
-        """How it has ended, and its last lines."""
+        """Returns its exit status and its last lines of output."""
         status = self._child.status
         if not status:
-            how = "goes on"
+            how = "is still running"
         elif status.startswith("exit"):
             how = f"has ended with {status}"
         else:
             how = f"was ended by {status}"
-        said = " | ".join(self._child.lines()[-_LINES:])[-_CHARACTERS:]
-        return f"{self.name} {how}" + (f"; its last lines: {said}" if said else "")
+        output = " | ".join(self._child.lines()[-_LINES:])[-_CHARACTERS:]
+        return f"{self.name} {how}" + (f"; its last output: {output}" if output else "")
 
     def end(self) -> None:
-        """Ends it; harmless when it has ended."""
+        """Ends the program, if it is running."""
         self._child.end()
 
 
 class SharedCore:
-    """Has a process run on the core of the thread that waits for it.
+    """Moves a process to the core of the thread that waits for it.
 
-    Of two in lockstep only one runs at a time, and to wake another core takes long: a round trip
-    over a pipe took 50 us on a virtual machine of two cores, and 5 us on one of them. Only the main
-    thread of the process is moved, and those that it starts later.
+    In lockstep only one of the two runs at a time, and waking another core is slow: a round trip
+    over a pipe takes 50 us on two cores of a virtual machine, and 5 us on one core. Only the main
+    thread is moved, and threads that it starts afterwards.
     """
 
     def __init__(self, process: int) -> None:
@@ -100,21 +100,21 @@ class SharedCore:
         self._can = _current_core is not None and hasattr(os, "sched_setaffinity")
 
     def come(self) -> None:
-        """Moves the process to the core of the calling thread, unless it is there."""
+        """Moves the process to the core of the calling thread."""
         if not self._can or (core := _current_core()) == self._core:
             return
         try:
             os.sched_setaffinity(self._process, {core})
-        except OSError:  # it has ended, or is not to be moved
+        except OSError:  # the process has ended, or must not be moved
             self._can = False
         self._core = core
 
 
 def held_port() -> socket.socket:
-    """A TCP socket at the number of a UDP port that nobody has.
+    """Returns a TCP socket that reserves the number of a free UDP port.
 
-    While it is open, no other run on this machine gives the number to its program, which may take
-    a while to bind it. The system hands out other numbers, from 32768 on.
+    While it is open, no other run on this machine uses the number. Ports are below 32768, where the
+    system does not assign any.
     """
     while True:
         held = socket.socket()
@@ -130,7 +130,7 @@ def held_port() -> socket.socket:
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is a file of any name, also of one that no file can have."""
+    """Whether a path is a file. Returns False for paths that are invalid or cannot be read."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # too long, with NUL, or in a folder that cannot be read
@@ -138,10 +138,10 @@ def is_file(path: Path) -> bool:
 
 
 def find_program(command: Sequence[str], folder: Path) -> str:
-    """The path of a program.
+    """Returns the path of a program.
 
     Raises:
-        DeclarationError: there is none, or it cannot be executed.
+        DeclarationError: the program does not exist, or cannot be executed.
     """
     name = command[0]
     beside = folder / name
@@ -150,8 +150,8 @@ def find_program(command: Sequence[str], folder: Path) -> str:
     except (OSError, ValueError):  # too long for a name, or with NUL
         found = None
     if found is None and os.sep in name and is_file(beside):
-        raise Problem("command", f"{beside} cannot be executed").error()
+        raise Problem("command", f"{beside} is not executable").error()
     if found is None:
-        where = f"no file {beside}" if os.sep in name else f"no program {name} in the PATH"
+        where = f"no file {beside}" if os.sep in name else f"no program {name} in PATH"
         raise Problem("command", where).error()
     return found

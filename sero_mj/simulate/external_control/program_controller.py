@@ -1,4 +1,4 @@
-"""`kind = "udp"`: a program gets the robot's state in a datagram, and answers with what to do."""
+"""`kind = "udp"`: a program receives the robot's state by UDP, and answers with a command."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from .program import PORT, Program, find_program, held_port, is_file
 log = logging.getLogger(__name__)
 
 DONT_WAIT = getattr(socket, "MSG_DONTWAIT", 0)
-_SLICE = 0.02  # s, in which an interrupt and the end of the program are seen
-_BEHIND = 10  # steps, by which a program that keeps up may be
-_OLD = 0.02  # s, age of a command that is told
-RECEIVE_BUFFER = 1 << 20  # bytes, so that a flood of strays does not push the answer out
+_SLICE = 0.02  # s between checks for interrupts and for the end of the program
+_BEHIND = 10  # maximum number of steps that a program in time may be behind
+_OLD = 0.02  # s, age of a command that is reported
+RECEIVE_BUFFER = 1 << 20  # bytes, so that unexpected packets do not displace the answer
 
 
 def _as_word(value: Any) -> Any:
@@ -44,22 +44,22 @@ Word = Annotated[str, BeforeValidator(_as_word)]
 
 
 class Reachable(ControllerDeclaration):
-    """Base of controllers that are programs reached by UDP.
+    """Base of controllers that are programs with a network address.
 
     Attributes:
         host: address of the program.
-        port: its port; 0 with `command`: a free one.
-        command: starts the program, ["./controller", "--port", "{port}"] say, and it ends with the
-            run; none where it runs already. Numbers may be in it, as in a shell.
-        folder: where it is started; relative to the scenario's folder, which is the default.
-        clock: `lockstep`: the simulation waits for the answer to each state; `real_time`: a state
-            is sent at its time, and the newest answer until the next one is due holds, as on a
-            robot.
-        same_core: in lockstep, whether the main thread of a program that was started runs on the
-            core of the simulation once it has answered, which then need not wake another one;
-            false for programs that start threads later to compute beside each other.
-        patience: s to wait for an answer in lockstep; in real time, age at which a command is old.
-        first_patience: s to wait for the first answer.
+        port: port of the program; 0 selects a free port for `command`.
+        command: command that starts the program for a run, for example ["./controller", "--port",
+            "{port}"]; empty if the program is already running. Words may be numbers.
+        folder: working directory of the program, relative to the scenario's folder (the default).
+        clock: `lockstep`: the simulation waits for the answer to each state. `real_time`: states
+            are sent on time, and the latest answer is used until the next step, as on a robot.
+        same_core: whether a started program runs in lockstep on the same core as the simulation,
+            after its first answer, which avoids waking another core; set it to false for programs
+            that later start threads for parallel computations.
+        patience: maximum time to wait for an answer in lockstep, and maximum age of a command in
+            real time, s.
+        first_patience: maximum time to wait for the first answer, s.
     """
 
     may_be_asked: ClassVar[bool] = False
@@ -77,32 +77,32 @@ class Reachable(ControllerDeclaration):
     def _is_reachable(self) -> Self:
         names_port = any(PORT in part for part in self.command)
         if self.port == 0 and not names_port:
-            expected = f"its number, or a command with {PORT}"
+            expected = f"a port number, or a command with {PORT}"
             raise Problem("port", "is required", expected=expected).error()
         return self
 
     @classmethod
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
-        """None: there is no program."""
         return None
+
+    @property
+    def peer(self) -> str:
+        """Name of the program in the action that the user is asked to allow."""
+        return f"{self.host}:{self.port}"
 
     def actions(self, key: str = "") -> list[RequestedAction]:
         if not self.command:
-            return [RequestedAction(key, f"exchange packets with {self._peer}")]
+            return [RequestedAction(key, f"exchange packets with {self.peer}")]
         beside = [self.folder / word for word in self.command]
         files = tuple(path.absolute() for path in beside if is_file(path))
         name, *words = self.command
-        if os.sep in name:  # where it is, which may be far from the file that was opened
+        if os.sep in name:  # show the absolute path, which may be outside of the scenario's folder
             name = str(beside[0].absolute())
         return [RequestedAction(key, f"run the program {shlex.join([name, *words])}", files)]
 
     @property
     def is_in_real_time(self) -> bool:
         return self.clock == "real_time"
-
-    @property
-    def _peer(self) -> str:
-        return f"{self.host}:{self.port}"
 
     def check_files(self) -> None:
         if self.command:
@@ -118,18 +118,18 @@ class Reachable(ControllerDeclaration):
 
 
 class Link:
-    """A socket to a program, which is started where that is declared.
+    """A socket to a program, which is started if a command is declared.
 
     Attributes:
-        buffer: what came last.
-        answered: number of the step whose answer was applied last; 0 for none.
+        buffer: the last received bytes.
+        answered: number of the last answered step; 0 for none.
         is_silent: whether an answer is missing.
-        why_silent: what is known of the cause, to be put behind a sentence; empty for nothing.
-        why_wrong: likewise of an answer of a wrong size, where that is not how to say it.
+        why_silent: known reason of a missing answer, to be appended to a sentence.
+        why_wrong: reason of an answer with a wrong size, if the size itself is not the reason.
     """
 
-    def __init__(self, declared: Reachable, robot: str, most: int) -> None:
-        self.buffer = bytearray(most + 1)
+    def __init__(self, declared: Reachable, robot: str, max_size: int) -> None:
+        self.buffer = bytearray(max_size + 1)
         self.answered, self.is_silent, self.why_silent, self.why_wrong = 0, False, "", ""
         self._declared, self._robot = declared, robot
         declared.check_files()
@@ -137,31 +137,30 @@ class Link:
         self._socket: socket.socket | None = None
         self._held: socket.socket | None = None  # see `held_port`
         self._port = declared.port
-        # On the clock's time: when a run in real time began, and until when to wait at first.
+        # Monotonic times of the start of the run, and of the end of waiting for the first answer.
         self._began = self._given_up = 0.0
-        self._late = 0.0  # s, how much this step is
+        self._late = 0.0  # s, delay of this step
 
     @property
     def name(self) -> str:
-        """Of the program, for messages."""
+        """Name of the program in messages."""
         declared = self._declared
         words = [Path(part).name for part in declared.command if "{" not in part]
         return " ".join(words[:2]) or f"{declared.host}:{declared.port}"
 
     @property
     def is_open(self) -> bool:
-        """Whether it is."""
         return self._socket is not None
 
     def open(self, time: float) -> None:
-        """Starts the program, if it is to be, and opens the socket.
+        """Starts the program, if a command is declared, and opens the socket.
 
         Args:
-            time: s since the start.
+            time: simulated time, s.
 
         Raises:
             DeclarationError: the program cannot be started.
-            SimulationError: there is no such address.
+            SimulationError: the address is invalid.
         """
         declared = self._declared
         self._port = declared.port
@@ -182,7 +181,7 @@ class Link:
             raise self.error(time, what) from error
         if declared.clock == "real_time":
             opened.setblocking(False)
-        elif os.name == "posix":  # `settimeout` would poll before each of them
+        elif os.name == "posix":  # `settimeout` would poll before each call
             wait = struct.pack("ll", 0, round(_SLICE * 1e6))
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, wait)
         else:
@@ -192,11 +191,10 @@ class Link:
 
     @property
     def is_given_up(self) -> bool:
-        """Whether there was no first answer for as long as is declared."""
+        """Whether there was no first answer within `first_patience`."""
         return not self.answered and clock.monotonic() > self._given_up
 
     def close(self) -> None:
-        """Ends the program; harmless when it has ended."""
         if self._socket is not None:
             self._socket.close()
         self._socket = None
@@ -215,12 +213,12 @@ class Link:
         take: Callable[[int], bool],
         patience: float | None = None,
     ) -> bool:
-        """Sends a state in lockstep, and waits for its answer; whether it came.
+        """Sends a state in lockstep, and waits for the answer; returns whether it was received.
 
         Args:
-            time: s since the start.
-            take: gets the bytes of an answer, which is in `buffer`; whether it was the one.
-            patience: s to wait once somebody listens; as declared when None.
+            time: simulated time, s.
+            take: called with the size of an answer in `buffer`; returns whether it is valid.
+            patience: maximum time to wait once the program listens, s; None for the declared one.
 
         Raises:
             SimulationError: the program has ended.
@@ -242,7 +240,7 @@ class Link:
                     return True
             except (BlockingIOError, TimeoutError):
                 pass
-            except ConnectionError:  # nobody listens there yet, so that it has not arrived
+            except ConnectionError:  # no program listens yet, so the packet was not delivered
                 self._is_refused()
                 is_sent = bool(self.answered)
                 clock.sleep(_SLICE if is_sent else 0.0)
@@ -254,7 +252,7 @@ class Link:
 
     def _patience(self, patience: float | None) -> float:
         if self.is_silent:
-            return _SLICE  # it is not waited for at every step again
+            return _SLICE  # do not wait in every step
         if patience is not None:
             return patience
         return self._declared.patience if self.answered else self._declared.first_patience
@@ -264,7 +262,7 @@ class Link:
             self._program.come_beside()
 
     def send(self, packet: bytes | bytearray) -> bool:
-        """Sends a packet; whether somebody may have got it."""
+        """Sends a packet; returns False if it was not delivered."""
         assert self._socket is not None
         try:
             self._socket.send(packet)
@@ -276,10 +274,10 @@ class Link:
         return True
 
     def _is_refused(self) -> None:
-        self.why_silent = f": nobody listens at {self._declared.host}:{self._port}"
+        self.why_silent = f": no program listens at {self._declared.host}:{self._port}"
 
     def drain(self) -> int:
-        """Discards what came before; returns how many packets."""
+        """Discards all received packets; returns their number."""
         assert self._socket is not None
         count = 0
         try:
@@ -292,7 +290,7 @@ class Link:
     # ---- real time
 
     def wait_until(self, time: float) -> float:
-        """Waits until it is a time, s since the start; returns how late it is, s."""
+        """Waits until a simulated time; returns the delay in seconds."""
         due = self._began + time
         while (left := due - clock.monotonic()) > 0.0:
             clock.sleep(left)
@@ -300,7 +298,7 @@ class Link:
         return -left
 
     def receive(self, take: Callable[[int], object]) -> None:
-        """Passes on the sizes of all packets that have come, which are in `buffer`."""
+        """Calls `take` with the size of each received packet, which is in `buffer`."""
         assert self._socket is not None
         while True:
             try:
@@ -311,7 +309,7 @@ class Link:
             take(size)
 
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
-        """Likewise until it is a time, s since the start, or a step has been answered."""
+        """Receives packets until a simulated time, or until a step is answered."""
         assert self._socket is not None
         due = self._due(time, step)
         while self.answered != step and (left := due - clock.monotonic()) > 0.0:
@@ -319,10 +317,9 @@ class Link:
             self.receive(take)
 
     def _due(self, time: float, step: int) -> float:
-        """Until when a step may be answered, on the clock's time.
+        """Returns the time until which a step may be answered.
 
-        Where steps are late, all those of a picture of a viewer say, a program that keeps up has as
-        long as for those in time.
+        If steps start late, a program that follows every step gets its full time.
         """
         keeps_up = step - self.answered <= _BEHIND
         return self._began + time + (self._late if keeps_up else 0.0)
@@ -330,7 +327,7 @@ class Link:
     def wait_for_first(
         self, packet: bytes | bytearray, time: float, take: Callable[[int], object]
     ) -> None:
-        """Sends a packet until the program answers, and lets time begin then."""
+        """Sends a packet repeatedly until the program answers, and starts the clock then."""
         deadline = clock.monotonic() + self._declared.first_patience
         while not self.answered and clock.monotonic() < deadline:
             clock.sleep(_SLICE / 10)
@@ -340,25 +337,25 @@ class Link:
                 self.send(packet)
         self._began = clock.monotonic() - time
 
-    # ---- the program's end
+    # ---- errors
 
     def check(self, time: float) -> None:
-        """Raises SimulationError where the program has ended; `time` is s since the start."""
+        """Raises SimulationError if the program has ended."""
         if self._program is not None and self._program.has_ended:
             raise self.error(time, self._program.why())
 
     def error(self, time: float, what: str) -> SimulationError:
-        """What ends the run at a time, s; the program is ended."""
+        """Closes the link; returns the error that ends the run."""
         self.close()
         return SimulationError(time, self._robot, what)
 
 
 class Answering(Reachable):
-    """Base of those that answer each state with a command.
+    """Base of controllers that answer each state with a command.
 
     Attributes:
-        on_silence: `stop`: the run ends; `hold`: the last command goes on;
-            `gravity_compensation`: gravity alone, until there are answers again.
+        on_silence: reaction to a missing answer: `stop` ends the run, `hold` repeats the last
+            command, and `gravity_compensation` only compensates gravity until the next answer.
     """
 
     logged: ClassVar[tuple[str, ...]] = ("command_age", "step_lateness")
@@ -367,31 +364,29 @@ class Answering(Reachable):
 
 
 class Filled(Protocol):
-    """What is sent, written anew for each step; see `State`."""
+    """A packet that is updated in each step; see `State`."""
 
     modulus: int
 
     @property
-    def packet(self) -> bytes | bytearray:
-        """The bytes of it."""
+    def packet(self) -> bytes | bytearray: ...
 
-    def fill(self, step: int, sensed: Sensed, target: Target) -> None:
-        """Writes the state of a step."""
+    def fill(self, step: int, sensed: Sensed, target: Target) -> None: ...
 
 
 class PacketProgram(Answering):
-    """Base of programs that get a packet for each state, and answer with one.
+    """Base of programs that receive a packet for each state, and answer with a packet.
 
     Attributes:
-        state: structure of the packet that it gets: any of step, flags (1 in the first), time,
-            angles, velocities, torques, motor_angles, motor_velocities, gravity, coriolis,
-            mass_matrix, target_angles, target_velocities, target_accelerations, target_pose.
-            Default: step:1I flags:1I time:1d
-            angles velocities torques target_angles target_velocities gravity, each of n:d.
-        answer: structure of its answer: step (of the state that it answers) and either torques, or
-            joint_angles with stiffness, damping; feed_forward. Default: step:1I 4x torques:nd.
-        stiffness: Nm/rad per joint, where answers with joint_angles have none.
-        damping: Nm s/rad per joint, likewise.
+        state: structure of the state: any of step, flags (1 in the first state), time, angles,
+            velocities, torques, motor_angles, motor_velocities, gravity, coriolis, mass_matrix,
+            target_angles, target_velocities, target_accelerations, target_pose. Default: step:1I
+            flags:1I time:1d angles velocities torques target_angles target_velocities gravity, each
+            of n:d.
+        answer: structure of the answer: step (of its state), and either torques, or joint_angles
+            with stiffness, damping; feed_forward. Default: step:1I 4x torques:nd.
+        stiffness: stiffness per joint for answers with joint_angles but without stiffness, Nm/rad.
+        damping: damping per joint for answers with joint_angles but without damping, Nm s/rad.
     """
 
     state: str = ""
@@ -408,7 +403,7 @@ class PacketProgram(Answering):
 
 
 class UdpProgram(PacketProgram):
-    """A program of the user's, over UDP."""
+    """A user's program that exchanges data by UDP."""
 
     title: ClassVar[str] = "program over UDP"
     order: ClassVar[int] = 70
@@ -416,21 +411,19 @@ class UdpProgram(PacketProgram):
     kind: Literal["udp"] = "udp"
 
     def make(self, model: RobotModel, timestep: float) -> ProgramController:
-        """The controller; the program is started with its first step."""
         return ProgramController(self, *self._packets(model), model, timestep)
 
 
 class ProgramController(Controller):
-    """Sends states to a program, and commands what it answers.
+    """Sends states to a program, and applies its commands.
 
     Args:
-        timestep: s between two steps.
-        link: by which they go; a socket when None.
+        link: connection; None for a socket.
 
     Attributes:
-        logged: (2,), s: the age of the command in use, and how late this step began.
-        wrong: answers that were not applied, of a wrong size, to another step, or not finite.
-        silent: steps without an answer.
+        logged: age of the current command and delay of the current step, shape (2,), s.
+        wrong: number of ignored answers (wrong size, wrong step, or not finite).
+        silent: number of steps without an answer.
     """
 
     def __init__(
@@ -443,19 +436,19 @@ class ProgramController(Controller):
         link: Link | None = None,
     ) -> None:
         self._declared, self._state, self._answer = declared, state, answer
-        self._modulus = min(state.modulus, answer.modulus)  # small counters begin at 0 again
+        self._modulus = min(state.modulus, answer.modulus)
         self._model, self._timestep = model, timestep
         self._link = link or Link(declared, model.name, answer.structure.size)
         self._link.buffer = answer.incoming
         self.logged: Array = np.zeros(2)
         self.wrong = self.silent = self._step = 0
-        self._why_wrong = ""  # the last answer that was not applied
+        self._why_wrong = ""  # of the last ignored answer
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,).
+        """Writes the torques of this step, shape (n,).
 
         Raises:
-            SimulationError: there is no answer, and that ends the run.
+            SimulationError: the answer is missing, and `on_silence` is `stop`.
         """
         link = self._link
         self._step += 1
@@ -467,7 +460,7 @@ class ProgramController(Controller):
                 log.warning("%s answers again at %.3f s", link.name, sensed.time)
                 link.is_silent = False
         else:
-            self._bear_silence(sensed.time)
+            self._handle_missing_answer(sensed.time)
         self.logged[0] = (self._step - link.answered) * self._timestep
         if link.is_silent and self._declared.on_silence == "gravity_compensation":
             self._model.update(sensed.motor_angles, sensed.motor_velocities)
@@ -477,27 +470,30 @@ class ProgramController(Controller):
 
     @property
     def commanded_angles(self) -> Array | None:
-        """What the program's springs draw to, (n,), rad or m; None where it commands torques."""
+        """Equilibrium angles of commanded springs, (n,), rad or m; None for torque commands."""
         return self._answer.angles
 
     def close(self) -> None:
-        """Ends the program, and tells what was wrong; harmless when it has ended."""
+        """Ends the program, and reports ignored and missing answers."""
         self._link.close()
         if self.wrong or self.silent:
             log.warning(
-                "%s: %d answers were not applied%s, %d steps had none",
+                "%s: %d answers were ignored%s, %d steps had no answer",
                 self._link.name, self.wrong, self._why_wrong, self.silent,
             )  # fmt: skip
         if self.logged[0] > _OLD:
-            log.warning("%s: no command for %.3f s at the end", self._link.name, self.logged[0])
+            log.warning("%s: no command in the last %.3f s", self._link.name, self.logged[0])
         self.wrong = self.silent = 0
         self.logged[0] = 0.0
 
     def _is_fresh(self, time: float) -> bool:
-        """Sends the state, and takes its answer; whether there is one that is not too old."""
+        """Sends the state and receives the answer.
+
+        Returns whether the latest one is recent enough.
+        """
         link, packet = self._link, self._state.packet
         if self._declared.clock == "lockstep":
-            if not self._answer.has_step:  # what came before could be taken for the answer
+            if not self._answer.has_step:  # earlier packets could be mistaken for the answer
                 self.wrong += link.drain()
             return link.ask(packet, self._step, time, self._take)
         self.logged[1] = link.wait_until(time)
@@ -518,7 +514,7 @@ class ProgramController(Controller):
         answer = self._answer
         if size != answer.structure.size:
             self.wrong += 1
-            # The buffer holds one byte more than an answer has.
+            # The buffer is one byte larger than an answer.
             found = f"{size}" if size <= answer.structure.size else "more"
             why = self._link.why_wrong or f"found {found} bytes; expected {answer.structure.size}"
             self._why_wrong = f" ({why})"
@@ -526,9 +522,9 @@ class ProgramController(Controller):
         if wrong := answer.wrong_checksum:
             self._why_wrong = f" ({wrong})"
         elif answer.has_step and (step - answer.step) % self._modulus:
-            self._why_wrong = f" (to another step than {step})"
+            self._why_wrong = f" (expected step {step})"
         elif not answer.is_finite:
-            self._why_wrong = f" (to step {step}: not finite)"
+            self._why_wrong = f" (step {step}: not finite)"
         else:
             answer.use()
             return True
@@ -538,26 +534,26 @@ class ProgramController(Controller):
     def _follow(self, size: int) -> None:
         step = self._step_in_buffer(size)
         if step <= self._link.answered:
-            if step != 1:  # the first state is sent until it is answered
+            if step != 1:  # the first state is sent repeatedly
                 self.wrong += 1
-                self._why_wrong = self._why_wrong or " (none newer than the last)"
+                self._why_wrong = self._why_wrong or " (not newer than the previous one)"
         elif self._take_answer(size, step):
             self._link.answered = step
 
     def _step_in_buffer(self, size: int) -> int:
-        """Which step an answer is to; without a number that of the newest state."""
+        """Returns the step of the received answer; without a number, the latest step."""
         answer = self._answer
         if size != answer.structure.size or not answer.has_step:
             return self._step
         behind = (self._step - answer.step) % self._modulus
         return self._step - int(behind) if np.isfinite(behind) else 0
 
-    def _bear_silence(self, time: float) -> None:
+    def _handle_missing_answer(self, time: float) -> None:
         self.silent += 1
         declared, link = self._declared, self._link
         link.check(time)
         patience = declared.patience if link.answered else declared.first_patience
-        what = f"no answer of {link.name} to step {self._step} within {patience:g} s"
+        what = f"no answer from {link.name} to step {self._step} within {patience:g} s"
         what += link.why_silent
         if declared.on_silence == "stop" or not (
             link.answered or declared.on_silence == "gravity_compensation"
@@ -568,4 +564,4 @@ class ProgramController(Controller):
         link.is_silent = True
 
     def __getstate__(self) -> Any:
-        raise TypeError("a controller that talks to a program is of this process")
+        raise TypeError("a controller that is connected to a program cannot be pickled")

@@ -1,7 +1,7 @@
-"""`kind = "shm"`: a program gets the robot's state in shared memory, and writes what to do there.
+"""`kind = "shm"`: a program reads the robot's state from shared memory, and writes its command.
 
-Two named pipes carry whose turn it is, a byte for each step. They also tell that the program has
-ended, and neither side has to look again and again.
+Two named pipes synchronize the two sides with one byte per step, so neither has to poll the memory.
+They also reveal when the program ends.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from ..control.robot_model import RobotModel
 from .program import Program
 from .program_controller import Answering, Link, PacketProgram, ProgramController
 
-# In a command: the file in memory, the pipe to be read from, and the one to be written to.
+# Placeholders in a command: the memory file, the pipe to read from, and the pipe to write to.
 MEMORY, TURN, DONE = "{memory}", "{turn}", "{done}"
-ALIGNMENT = 64  # bytes: the answer begins at the next multiple behind the state
-_SLICE = 20  # ms, in which an interrupt and the end of the program are seen
+ALIGNMENT = 64  # bytes: the answer begins at the next multiple after the state
+_SLICE = 20  # ms between checks for interrupts and for the end of the program
 
 
 class SharedMemoryProgram(PacketProgram):
-    """A program of the user's, over shared memory.
+    """A user's program that exchanges data over shared memory.
 
-    The state is at the beginning of the file `{memory}`, the answer behind it, at the next multiple
-    of 64 bytes. The program reads a byte from the pipe `{turn}`, reads the state, writes the
-    answer, and writes a byte to the pipe `{done}`. If its answer is late, the state stays as it is
-    until then, and the program gets the current one afterwards.
+    The state is at the beginning of the file `{memory}`, and the answer follows at the next
+    multiple of 64 bytes. The program reads a byte from the pipe `{turn}`, reads the state, writes
+    the answer, and writes a byte to the pipe `{done}`. If the answer is late, the state stays
+    unchanged until then. Afterwards the program gets the current state.
 
     Attributes:
         command: starts the program, with {memory}, {turn} and {done} in it.
@@ -56,47 +56,44 @@ class SharedMemoryProgram(PacketProgram):
             raise Problem("command", found=self.command, expected=expected).error()
         for key, value in (("port", 0), ("clock", "lockstep"), ("host", "127.0.0.1")):
             if getattr(self, key) != value:
-                raise Problem(key, "is for programs over UDP; leave it out").error()
+                raise Problem(key, "is only for programs over UDP; remove it").error()
         if not hasattr(os, "mkfifo"):
-            raise Problem("kind", "needs named pipes, which this system lacks").error()
+            raise Problem("kind", "requires named pipes, which this system does not have").error()
         return self
 
     def make(self, model: RobotModel, timestep: float) -> ProgramController:
-        """The controller; the program is started with its first step."""
         state, answer = self._packets(model)
         link = MemoryLink(self, model.name, state.structure.size, answer.structure.size)
         return ProgramController(self, state, answer, model, timestep, link)
 
 
 class MemoryLink(Link):
-    """Shared memory with a program, which is started."""
+    """Shared memory with a program that is started by the run."""
 
-    def __init__(self, declared: Answering, robot: str, size: int, most: int) -> None:
-        super().__init__(declared, robot, most)
-        self._size, self._most = size, most
+    def __init__(self, declared: Answering, robot: str, size: int, answer_size: int) -> None:
+        super().__init__(declared, robot, answer_size)
+        self._size, self._answer_size = size, answer_size
         self._at = -(-size // ALIGNMENT) * ALIGNMENT
         self._memory: mmap.mmap | None = None
         self._end: weakref.finalize[Any, Any] | None = None
-        self._is_owed = False  # whether the program has its turn, and has not answered
+        self._is_owed = False  # whether an answer of the program is pending
 
     @property
     def is_open(self) -> bool:
-        """Whether it is."""
         return self._memory is not None
 
     def open(self, time: float) -> None:
-        """Makes memory and pipes, and starts the program; raises DeclarationError."""
         shared = Path("/dev/shm")
         parent = shared if shared.is_dir() else Path(tempfile.gettempdir())
         folder = Path(tempfile.mkdtemp(prefix="sero-mj-", dir=parent))
         names = {MEMORY: folder / "memory", TURN: folder / "turn", DONE: folder / "done"}
         with names[MEMORY].open("wb+") as file:
-            file.truncate(self._at + self._most)
-            self._memory = mmap.mmap(file.fileno(), self._at + self._most)
+            file.truncate(self._at + self._answer_size)
+            self._memory = mmap.mmap(file.fileno(), self._at + self._answer_size)
         pipes = []
         for name in (TURN, DONE):
             os.mkfifo(names[name], 0o600)
-            # Opened for both directions, a pipe waits for nobody.
+            # A pipe that is opened in both directions does not wait for the other side.
             pipes.append(os.open(names[name], os.O_RDWR | os.O_NONBLOCK))
         self._turn, self._done = pipes
         self._poll = select.poll()
@@ -113,7 +110,6 @@ class MemoryLink(Link):
         self._given_up = clock.monotonic() + self._declared.first_patience
 
     def close(self) -> None:
-        """Ends the program, and removes memory and pipes; harmless when that is done."""
         super().close()
         self._memory = None
         if self._end is not None:
@@ -127,10 +123,9 @@ class MemoryLink(Link):
         take: Callable[[int], bool],
         patience: float | None = None,
     ) -> bool:
-        """Writes a state, and waits for the answer; see `Link.ask`."""
         assert self._memory is not None
         self._share_core()
-        is_late = self._is_owed  # the program still has the turn of an earlier step
+        is_late = self._is_owed  # the program is still computing an earlier step
         if not is_late:
             self._give_turn(packet)
         deadline = clock.monotonic() + self._patience(patience)
@@ -144,10 +139,10 @@ class MemoryLink(Link):
             self._is_owed = False
             if not is_late:
                 break
-            is_late = False  # that was the answer to the earlier step: now it gets this one
+            is_late = False  # this was the answer to the earlier step
             self._give_turn(packet)
-        self.buffer[: self._most] = self._memory[self._at :]
-        if not take(self._most):
+        self.buffer[: self._answer_size] = self._memory[self._at :]
+        if not take(self._answer_size):
             return False
         self.answered = step
         return True
@@ -159,8 +154,7 @@ class MemoryLink(Link):
         self._is_owed = True
 
     def drain(self) -> int:
-        """Nothing can come before its turn."""
-        return 0
+        return 0  # answers only follow states
 
 
 def _end(memory: mmap.mmap, pipes: list[int], folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Measures of a run over time: errors, speeds, torques, forces, and poses of free bodies."""
+"""Measures of a run over time: errors, velocities, torques, forces, and poses of free bodies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ...base.frames import Array
 from ...robots.declared.mounts import base_frames, carriers
 from .run_log import RunLog, event_of
 
-STEP_LATENESS = "step_lateness"  # a signal that controllers in real time log
+STEP_LATENESS = "step_lateness"  # log signal: delay at the beginning of a step, s
 
 
 def _actual_signal(log: RunLog, robot: str, signal: str) -> str:
@@ -19,7 +19,6 @@ def _actual_signal(log: RunLog, robot: str, signal: str) -> str:
 
 
 def _actual(log: RunLog, robot: str, signal: str) -> Array:
-    """`angles` or `velocities` as they truly were, where that is known; else as measured."""
     return log.of(robot, _actual_signal(log, robot, signal))
 
 
@@ -32,9 +31,9 @@ def _velocity_error(log: RunLog, robot: str) -> Array:
 
 
 def _flange(log: RunLog, robot: str, signal: str | None = None) -> Array:
-    """T_world_flange, (T, 4, 4), at the angles of a signal, else at the actual ones.
+    """Returns T_world_flange, (T, 4, 4), at the angles of a signal; None for the actual angles.
 
-    What carries the robot is where it was.
+    Robots that carry this one are in their actual poses.
     """
     signal = signal or _actual_signal(log, robot, "angles")
     if (robot, signal) not in log.derived:
@@ -98,7 +97,7 @@ def _drift(log: RunLog, robot: str) -> Array:
 
 
 def _free_pose(log: RunLog, name: str) -> Array:
-    """T_world_base of a robot whose base is free, or T_world_object of a free object, (T, 4, 4)."""
+    """Returns T_world_base of a free base, or T_world_object of a free object, (T, 4, 4)."""
     return log.signals[event_of(name, "base_frame" if name in log.robots else "frame")]
 
 
@@ -112,13 +111,12 @@ def _displacement(log: RunLog, name: str) -> Array:
 
 
 def _step_lateness(log: RunLog, name: str) -> Array:
-    """How late each step began, (T, 1), s; zeros of a robot that is not controlled in real time."""
-    event = event_of(name, STEP_LATENESS)
+    event = event_of(name, STEP_LATENESS)  # only logged in real time
     return log.signals[event] if event in log.signals else np.zeros((len(log.times), 1))
 
 
 def _real_time_factor(log: RunLog, name: str) -> Array:
-    """The simulated time up to each row, divided by the time that it took; 1 at first."""
+    """Returns simulated time divided by elapsed time up to each row; 1 in the first row."""
     late, times = _step_lateness(log, name), log.times[:, None]
     return np.asarray(np.divide(times, times + late, out=np.ones_like(times), where=times > 0.0))
 
@@ -128,7 +126,7 @@ def _tilt(log: RunLog, name: str) -> Array:
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(up, up[0]), axis=1), up @ up[0])[:, None])
 
 
-# Name in files to unit, and the numbers (T, n) per joint or (T, 1) of a robot, or of an object.
+# Name to unit and function, which returns (T, n) for joints, or (T, 1) for a robot or object.
 MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
     "position_error": ("rad", _position_error),
     "velocity_error": ("rad/s", _velocity_error),
@@ -154,19 +152,19 @@ MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
     "step_lateness": ("s", _step_lateness),
     "real_time_factor": ("s/s", _real_time_factor),
 }
-# Those with a number for every joint; others have one for each robot, or object.
+# Measures with a value per joint; others have one value per robot or object.
 PER_JOINT = (
     "position_error", "velocity_error", "velocity", "angle", "drift", "torque", "commanded_torque",
     "torque_error", "torque_share", "external_torque", "saturated",
 )  # fmt: skip
-# Those with a sign; others are sizes.
+# Measures that can be negative.
 SIGNED = (
     *(name for name in PER_JOINT if name != "saturated"), "height", "flange_x", "flange_y",
     "flange_z",
 )  # fmt: skip
 # Measures of free bodies: a base, or an object.
 OF_FREE = ("height", "displacement", "tilt")
-# Those that ask for a target.
+# Measures that require a target.
 NEED_TARGET = ("position_error", "velocity_error", "flange_error", "orientation_error")
-# Those that need a controller in real time, which logs how late each step began.
+# Measures that require a controller in real time.
 NEED_REAL_TIME = ("step_lateness", "real_time_factor")

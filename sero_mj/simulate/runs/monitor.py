@@ -25,20 +25,22 @@ _UNITS = {
     "torque_error": "Nm", "external_torque": "Nm", "position_error": "rad",
     "frozen_torque": "s", "saturated": "", "velocity_limit": "rad/s", "position_limit": "rad",
 }  # fmt: skip
-_CLOSE = 1e-3  # rad or m, from a stop
+_CLOSE = 1e-3  # rad or m, distance from a position limit
 
 
 class Monitor(Declaration):
-    """Thresholds of faults; each has to be exceeded for `hold`.
+    """Thresholds of a fault detector. A fault is reported once a threshold is exceeded for `hold`.
 
     Attributes:
-        torque_error: |commanded - measured| torque, as a share of the joint's torque limit. It
-            includes the torque that accelerates the motors' inertia.
-        external_torque: what the momentum observer takes for torque from outside, likewise.
-        position_error: |target - measured| angle, rad or m; None does not look.
-        frozen_after: s for which a torque sensor may read the very same while it should not.
-        frozen_change: by how much the commanded torque changes meanwhile, share of the limit.
-        hold: s.
+        torque_error: |commanded - measured| torque as a share of the torque limit. It includes the
+            torque that accelerates the motor inertia.
+        external_torque: external torque estimated by the momentum observer, as a share of the
+            torque limit.
+        position_error: |target - measured| angle, rad or m; None disables the check.
+        frozen_after: time in seconds for which a torque sensor may read a constant value while the
+            commanded torque changes.
+        frozen_change: minimum change of the commanded torque in this time, as a share of the limit.
+        hold: minimum duration of a violation, s.
     """
 
     torque_error: float = Field(0.15, gt=0)
@@ -49,7 +51,7 @@ class Monitor(Declaration):
     hold: float = Field(0.02, ge=0)
 
     def find(self, log: RunLog) -> list[Finding]:
-        """Everything that was found, in the order in which it was noticed."""
+        """Returns all detected faults in the order of detection."""
         found: list[Finding] = []
         for robot in log.robots:
             for kind, values, limits in self._looks(log, robot):
@@ -59,7 +61,7 @@ class Monitor(Declaration):
         return sorted(found, key=lambda finding: finding.time)
 
     def _looks(self, log: RunLog, robot: str) -> Iterator[tuple[str, Array, Array]]:
-        """Kind, values (T, n), and limits (n,) or (T, n) that they must not be above."""
+        """Yields kind, values (T, n) and their upper bounds, (n,) or (T, n)."""
         declared, limits = log.robots[robot], log.torque_limits(robot)
         if log.has(robot, "commanded_torques"):
             error = np.abs(log.torque_error(robot))
@@ -86,7 +88,7 @@ class Monitor(Declaration):
             yield "position_limit", beyond, np.full(declared.n, -_CLOSE)
 
     def _frozen(self, log: RunLog, robot: str, limits: Array) -> tuple[Array, Array]:
-        """For how long (s) every sensor has read the same where the command has changed, else 0."""
+        """Returns for how long each sensor is constant while the command changed, (T, n), s."""
         torques, commanded = log.of(robot, "torques"), log.of(robot, "commanded_torques")
         same = np.zeros(torques.shape, bool)
         same[1:] = torques[1:] == torques[:-1]
@@ -102,16 +104,13 @@ class Monitor(Declaration):
 
 @dataclass(frozen=True)
 class Finding:
-    """A fault that the monitor has found.
+    """A detected fault.
 
     Attributes:
-        time: when it was noticed, s.
-        robot: whose.
-        joint: which one.
+        time: time of detection, s.
         kind: one of `KINDS`.
-        value: what was found.
-        limit: what would have been right.
-        unit: of both; empty for none.
+        value: the value above the limit.
+        unit: unit of value and limit; empty for none.
     """
 
     time: float
@@ -154,7 +153,7 @@ def _onsets(
 
 
 def _since(flags: Bools) -> Ints:
-    """The number of consecutive true rows up to each row, (T, n)."""
+    """Returns the number of consecutive true rows up to each row, (T, n)."""
     rows = np.arange(1, len(flags) + 1)[:, None]
     last = np.maximum.accumulate(np.where(flags, 0, rows), axis=0)
     return np.asarray(np.where(flags, rows - last, 0))

@@ -1,4 +1,4 @@
-"""Signals over time of recorded packets: as they were sent, and of robots by a scene's routes."""
+"""Signals over time of recorded packets: events of a source, and inputs of routed robots."""
 
 from __future__ import annotations
 
@@ -30,27 +30,28 @@ from .run_log import event_of
 # Inputs of a robot that are signals of a run.
 _SIGNALS = ("joint_angles", "torques", "commanded_torques")
 _TARGET = "target_angles"  # of a double
-_AT_ONCE = 8192  # packets
-# Packets over which a typical period is found; its share by which those of a bunch are apart, most
-# bunches per packet, and the longest period in a bunch, by the typical one, before it is a pause.
-_TYPICAL, _LEAST_TYPICAL = 64, 8
-_AT_ONCE_SHARE, _MOST_BUNCHES, _LONGEST = 0.25, 0.6, 2.0
+_CHUNK = 8192  # packets that are decoded together
+# Maximum and minimum number of packets for the typical period.
+_TYPICAL, _MIN_TYPICAL = 64, 8
+# Relative to the typical period: time between packets of a burst, and the longest burst (a longer
+# one follows a pause). If there are more bursts per packet than _MAX_BURSTS, there are none.
+_BURST, _MAX_BURSTS, _LONGEST = 0.25, 0.6, 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Numbers over time.
+    """Events over time.
 
     Attributes:
-        times: (T,), s, rising.
-        events: event to its numbers, (T, count), flat behind the first axis.
+        times: shape (T,), s, increasing.
+        events: event to values, shape (T, count).
     """
 
     times: Array
     events: dict[str, Array]
 
     def held_at(self, event: str, times: Array) -> Array:
-        """An event's newest numbers at other times, (T', count); NaN before the first."""
+        """Returns an event's latest values at other times, (T', count); NaN before the first."""
         at = np.searchsorted(self.times, times, side="right") - 1
         values = self.events[event][np.maximum(at, 0)].copy()
         values[at < 0] = np.nan
@@ -58,18 +59,18 @@ class Series:
 
 
 def read_events(recording: PacketFile, receiver: Source, name: str) -> Series:
-    """Decodes a source's packets; malformed ones are left out, as they were when they came.
+    """Decodes a source's packets and skips malformed ones.
 
-    Where packets carry the time at which they were sent, and it only rises, that is their time,
-    moved so that the first has the time of its arrival; else it is the time of their arrival, of
-    bunches spread evenly, see `spread_bunches`.
+    If packets have increasing times of sending, these are used, shifted so that the first one is
+    its time of arrival. Otherwise the times of arrival are used, with bursts spread evenly, see
+    `spread_bunches`.
 
     Args:
-        receiver: that knows how to decode it; NaN is allowed in what it was told.
+        receiver: decodes the packets; NaN is allowed as in its declaration.
 
     Raises:
         RecordingError: the file cannot be read.
-        UnknownName: no such source was recorded.
+        UnknownName: there is no such source.
     """
     parts = list(_decoded(recording, receiver, name))
     if not parts:
@@ -83,49 +84,46 @@ def read_events(recording: PacketFile, receiver: Source, name: str) -> Series:
 
 
 def series_of(receiver: Source, events: Mapping[str, Array], arrivals: Array) -> Series:
-    """Good packets of a source over time, see `read_events`.
+    """Returns valid packets of a source over time, see `read_events`.
 
     Args:
-        receiver: that knows which event is the time at which packets were sent.
-        events: event to its numbers, (T, count), T >= 1.
-        arrivals: (T,), s.
+        receiver: its `time` is the event with the time of sending.
+        events: event to values, shape (T, count), T >= 1.
+        arrivals: shape (T,), s.
     """
     times = spread_bunches(arrivals)
     if receiver.time:
         sent = events[receiver.time][:, 0] * receiver.time_scale
         if np.isfinite(sent).all() and (np.diff(sent) > 0).all():
             times = sent - sent[0] + arrivals[0]
-    # Of packets with one arrival, the last was shown.
+    # Of packets with the same time, only the last one was shown.
     later = np.minimum.accumulate(times[::-1])[::-1]
     keep = np.append(times[:-1] < later[1:], True)
     return Series(times[keep], {event: values[keep] for event, values in events.items()})
 
 
 def spread_bunches(arrivals: Array) -> Array:
-    """Times at which packets that came in bunches may have been sent: evenly between two bunches.
+    """Estimates the times of sending of packets that arrived in bursts, shape (T,), s.
 
-    What buffers or a slow network hold back comes all at once, and differences between such rows
-    mean nothing. The last of a bunch was sent when it came, as far as is known, the first just
-    after the bunch before.
+    Buffers or a slow network deliver packets in bursts, and differences between such rows are
+    meaningless. The last packet of a burst gets its time of arrival; the others are spread evenly
+    after the previous burst. Packets without bursts keep their times.
 
     Args:
-        arrivals: (T,), s, never decreasing.
-
-    Returns:
-        (T,), s; arrivals as they are where they do not come in bunches.
+        arrivals: shape (T,), s, not decreasing.
     """
     size = min(_TYPICAL, len(arrivals) - 1)
-    if size < _LEAST_TYPICAL:
+    if size < _MIN_TYPICAL:
         return arrivals
-    period = float(np.median(arrivals[size:] - arrivals[:-size])) / size  # whatever the pauses
-    begins = np.append(True, np.diff(arrivals) >= _AT_ONCE_SHARE * period)
-    if begins.mean() > _MOST_BUNCHES:
+    period = float(np.median(arrivals[size:] - arrivals[:-size])) / size  # robust to pauses
+    begins = np.append(True, np.diff(arrivals) >= _BURST * period)
+    if begins.mean() > _MAX_BURSTS:
         return arrivals
     firsts = np.flatnonzero(begins)
     counts = np.diff(np.append(firsts, len(arrivals)))
     ends = arrivals[firsts + counts - 1]
     usual, spans = counts * period, np.diff(ends, prepend=-np.inf)
-    spans = np.where(spans > _LONGEST * usual, usual, spans)  # a pause, and before the first
+    spans = np.where(spans > _LONGEST * usual, usual, spans)  # after a pause, and the first burst
     behind = np.repeat(counts + firsts, counts) - 1 - np.arange(len(arrivals))
     return np.asarray(np.repeat(ends, counts) - np.repeat(spans / counts, counts) * behind)
 
@@ -133,7 +131,7 @@ def spread_bunches(arrivals: Array) -> Array:
 def _decoded(recording: PacketFile, receiver: Source, name: str) -> Iterator[Packets]:
     intake, number = receiver.intake, 0
     packets = recording.packets(name)
-    while batch := list(islice(packets, _AT_ONCE)):
+    while batch := list(islice(packets, _CHUNK)):
         times, packed = zip(*batch, strict=True)
         rows, arrivals = intake.take(*pad_packets(packed, receiver.size), np.array(times))
         intake.count()
@@ -155,21 +153,21 @@ def follow_routes(
     doubles: Mapping[str, Any],
     groups: Mapping[str, Any],
 ) -> tuple[dict[str, Array], Array]:
-    """Computes the inputs of robots over a recording, or a table.
+    """Computes the inputs of robots over a recording or a table.
 
-    The rows are the packets of the source that moves the first robot; of other sources the
-    newest packet counts, as in a picture.
+    The rows are the packets of the source that moves the first robot. For other sources, the latest
+    packet counts.
 
     Args:
-        routes: input to origin, as a scene has them; those from elsewhere are left out.
-        doubles: double to its table; the first double that is moved is its robot's target. One of
-            a group is one of each of its robots.
+        routes: input to origin, as in a scene; routes from other sources are ignored.
+        doubles: double to its table. The first moved double of a robot, or of its group, is the
+            robot's target.
 
     Returns:
-        signals by event, (T, n), and their times (T,), s since the first row.
+        signals by event, shape (T, n), and their times, shape (T,), s since the first row.
 
     Raises:
-        RecordingError: no robot is moved by what was recorded, or a route is wrong.
+        RecordingError: no recorded source moves a robot, or a route is invalid.
     """
     wanted = route_texts(routes)
     lists = {name: [each for each in table["robots"] if each in {*robots, *groups}]
@@ -195,22 +193,22 @@ def follow_routes(
     moved = [name for name in robots if f"{name}.joint_angles" in values]
     if not moved:
         led = ", ".join(routes) or "none"
-        reason = f"no source in it moves a robot: found routes to {led}; expected {{}}.joint_angles"
-        raise RecordingError(path, reason.format(next(iter(robots))))
+        expected = f"{next(iter(robots))}.joint_angles"
+        reason = f"no recorded source moves a robot: found routes to {led}; expected {expected}"
+        raise RecordingError(path, reason)
     names = {origin.name for value in values.values() for origin in value.origins
              if origin.is_event}  # fmt: skip
     series = {name: read(name) for name in names}
     follower = _Follower(values, series, path, f"{moved[0]}.joint_angles", robots)
     inputs = {event_of(name, signal): f"{name}.{signal}" for name in moved for signal in _SIGNALS}
     for double, robot in ((name, each.of) for name, each in scene.doubles.items()):
-        # The first one that is moved.
         if robot in moved and f"{double}.joint_angles" in values:
             inputs.setdefault(event_of(robot, _TARGET), f"{double}.joint_angles")
     found = {event: follower.compute(each) for event, each in inputs.items() if each in values}
     angles = [found[event_of(name, "joint_angles")] for name in moved]
     there = np.isfinite(np.hstack(angles)).all(axis=1)
     if not there.any():
-        raise RecordingError(path, "never tells where all of its robots are at once")
+        raise RecordingError(path, "has no time at which the poses of all robots are known")
     times = follower.times[there]
     return {event: values[there] for event, values in found.items()}, times - times[0]
 
@@ -223,18 +221,17 @@ def _possible(
                                                "billboard_values")}  # fmt: skip
     left = {target: routes[target] for target in inputs}
     while True:
-        bad = [target for target, origin in left.items()
-               if not all(_is_there(name, left, sources) for name in names_in(origin))]  # fmt: skip
-        if not bad:
+        known = {target: origin for target, origin in left.items()
+                 if all(_is_there(name, left, sources) for name in names_in(origin))}  # fmt: skip
+        if len(known) == len(left):
             return {target: left[target] for target in routes if target in left}
-        for target in bad:
-            del left[target]
+        left = known
 
 
 def _is_there(name: str, routes: Collection[str], sources: Collection[str]) -> bool:
-    """Whether a name in an origin is known.
+    """Returns whether a name in an origin is known.
 
-    It is a unit, a recorded event, another route's input, or told by the model of a moved robot.
+    It is a unit, a recorded event, another route's input, or computed by a moved robot's model.
     """
     owner, dot, key = name.partition(".")
     if key in MODEL_TORQUES and f"{owner}.joint_angles" in routes:
@@ -243,7 +240,7 @@ def _is_there(name: str, routes: Collection[str], sources: Collection[str]) -> b
 
 
 class _Follower:
-    """Computes routes over time, each once, at the times of what leads to the first."""
+    """Evaluates routes over time, each once, at the times of the source of the first one."""
 
     def __init__(
         self,
@@ -265,14 +262,13 @@ class _Follower:
                     todo.append(str(origin))
         self.times: Array = max(leading, key=len, default=np.empty(0))
         if len(self.times) == 0:
-            raise RecordingError(path, f"has no good packet that leads to {first}")
+            raise RecordingError(path, f"has no valid packet for {first}")
 
     def compute(self, target: str) -> Array:
-        """What a route leads to, (T, n)."""
         if target not in self._done:
             with np.errstate(over="ignore", invalid="ignore"):
                 values = self._routes[target].evaluate(self._numbers)
-            # What takes nothing received is the same at all times.
+            # Routes without events are constant.
             self._done[target] = np.broadcast_to(values, (len(self.times), values.shape[-1]))
         return self._done[target]
 
@@ -285,7 +281,6 @@ class _Follower:
         return self.compute(str(origin))
 
     def _input(self, target: str) -> Array | None:
-        """An input over time; velocities that were not sent are differences of angles."""
         if target in self._routes:
             return self.compute(target)
         robot, _, key = target.partition(".")

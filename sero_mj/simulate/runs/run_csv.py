@@ -12,10 +12,10 @@ from .run_log import TIME, RunLayout
 
 
 def write_run_csv(layout: RunLayout, rows: Array, path: Path) -> None:
-    """Writes a log as a table: `time`, s, and `ROBOT_SIGNAL[JOINT]`, SI units.
+    """Writes a log as a table with `time` in seconds and `ROBOT_SIGNAL[JOINT]` in SI units.
 
     Args:
-        rows: (T, width), the log.
+        rows: the log, shape (T, width).
 
     Raises:
         CsvError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""`RunLog`: the signals of a run, a row for every step; each row is a packet as well."""
+"""`RunLog`: the signals of a run, one row per step. Each row is also a packet."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ...base.frames import Array
 from ...data.receive.structure import Structure
 from ...robots.declared.robot import SerialRobot
 
-# Per joint of every robot, in blocks of three that lie in a row as the plant has them.
+# Signals per joint of every robot, in blocks as in the plant's arrays.
 MEASURED = ("joint_angles", "joint_velocities", "torques")
 ACTUAL = ("actual_angles", "actual_velocities", "actual_torques")
 DRIVEN = ("commanded_torques", "saturated")
@@ -25,20 +25,19 @@ PER_JOINT = (*MEASURED, *ACTUAL, *DRIVEN, *TARGETS, *ESTIMATED)
 TIME = "time"
 
 
-# Signals whose events had other names in recordings and tables of before.
+# Old names of signals in recordings and tables.
 _OLD_NAMES = {"joint_angles": "angles", "joint_velocities": "velocities"}
 
 
 def event_of(robot: str, signal: str) -> str:
-    """The event of a robot's signal, as routes and recordings call it."""
+    """Returns the name of a robot's signal in routes and recordings."""
     return f"{robot.replace('-', '_')}_{signal}"
 
 
 def recorded_event(event: str, recorded: Collection[str]) -> str:
-    """An event's name among those that a recording or a table has, which may be an old one.
+    """Returns an event's name in a recording or a table, which may be an old one.
 
-    Returns:
-        `lwr_angles` where only that is recorded; else the event as it is.
+    For example, `lwr_angles` if `lwr_joint_angles` is not recorded.
     """
     for signal, old in _OLD_NAMES.items():
         if event.endswith(f"_{signal}") and event not in recorded:
@@ -49,15 +48,15 @@ def recorded_event(event: str, recorded: Collection[str]) -> str:
 
 
 class RunLayout:
-    """The columns of a log: rows of float64 numbers.
+    """The columns of a log, rows of float64 numbers.
 
     Args:
-        joints: robot name to its number of joints, in the order of the world.
-        others: further events and their kind and count: `{"push_force": "1V"}`.
+        joints: robot name to number of joints, in the order of the world.
+        others: additional events, with kind and count: `{"push_force": "1V"}`.
 
     Attributes:
-        structure: of a row as a packet; matrices stand row by row.
-        width: numbers in a row.
+        structure: structure of a row as a packet; matrices are row-major.
+        width: number of values in a row.
         columns: event name to its columns.
     """
 
@@ -81,7 +80,7 @@ class RunLayout:
         }
 
     def block(self, signals: tuple[str, ...]) -> slice:
-        """The columns of these signals of all robots together; they follow each other."""
+        """Returns the columns of some signals of all robots, which are contiguous."""
         found = [
             self.columns[event_of(name, signal)]
             for signal in signals
@@ -92,17 +91,17 @@ class RunLayout:
 
 @dataclass(frozen=True, eq=False)
 class RunLog:
-    """A run: of the simulation, of a recording of it, or of a robot.
+    """A run of a simulation, or a recorded run of a simulated or real robot.
 
-    Row 0 is the state at the start; torques of a row acted in the step that led to it.
+    Row 0 is the initial state. Torques of a row acted in the step that led to it.
 
     Attributes:
-        robots: declarations by name: joint names, limits.
-        signals: event name to its values, (T, n) per joint, (T, 3) vectors, (T, 4, 4) matrices.
-            What a real robot cannot know (`actual_...`) may be missing.
-        times: (T,), s.
-        name: for titles.
-        derived: what has been computed of it and takes long, by what it is.
+        robots: robots by name.
+        signals: event name to values: (T, n) per joint, (T, 3) vectors, (T, 4, 4) matrices. Signals
+            that real robots do not have (`actual_...`) may be missing.
+        times: shape (T,), s.
+        name: name in titles.
+        derived: cache of computed values.
     """
 
     robots: Mapping[str, SerialRobot]
@@ -115,11 +114,7 @@ class RunLog:
     def from_rows(
         cls, layout: RunLayout, rows: Array, robots: Mapping[str, SerialRobot], name: str = "run"
     ) -> RunLog:
-        """A log whose signals are views into rows.
-
-        Args:
-            rows: (T, width).
-        """
+        """Returns a log whose signals are views of rows, shape (T, width)."""
         signals = {}
         for event, columns in layout.columns.items():
             shape = layout.structure.events[event]
@@ -132,52 +127,47 @@ class RunLog:
         return cls(robots, signals, rows[:, 0], name)
 
     def has(self, robot: str, signal: str) -> bool:
-        """Whether a robot's signal is there."""
         return event_of(robot, signal) in self.signals
 
     def of(self, robot: str, signal: str) -> Array:
-        """A robot's signal, (T, n).
-
-        Raises:
-            KeyError: it is not there.
-        """
+        """Returns a robot's signal, shape (T, n). Raises KeyError if it is missing."""
         return self.signals[event_of(robot, signal)]
 
     def between(self, begin: float | None, end: float | None) -> RunLog:
-        """The part of a run from one time to another, s, both included; None for its own ends.
+        """Returns the part of a run between two times in seconds, both included; None for no limit.
 
         Raises:
-            UsageError: there is nothing.
+            UsageError: there are no rows.
         """
         rows = np.ones(len(self.times), bool)
-        asked = []
+        bounds = []
         if begin is not None:
             rows &= self.times >= begin
-            asked.append(f"from {begin:g} s")
+            bounds.append(f"from {begin:g} s")
         if end is not None:
             rows &= self.times <= end
-            asked.append(f"to {end:g} s")
+            bounds.append(f"to {end:g} s")
         if not rows.any():
             has = "has no rows"
             if len(self.times):
                 has = f"lasts from {self.times[0]:g} s to {self.times[-1]:g} s"
-            raise UsageError(f"run {self.name} {has}; found nothing {' '.join(asked)}")
+            raise UsageError(f"run {self.name} {has}; there are none {' '.join(bounds)}")
         signals = {event: values[rows] for event, values in self.signals.items()}
         return RunLog(self.robots, signals, self.times[rows], self.name)
 
     def torque_error(self, robot: str) -> Array:
-        """Commanded less measured torque, (T, n), Nm."""
+        """Returns commanded minus measured torque, shape (T, n), Nm."""
         return np.asarray(self.of(robot, "commanded_torques") - self.of(robot, "torques"))
 
     def unit_at(self, unit: str, robot: str, joint: str) -> str:
-        """A unit of joints that turn (Nm, rad, rad/s) at a joint that may slide (N, m, m/s)."""
+        """Returns the unit of a joint: `unit` (Nm, rad, rad/s); N, m, m/s for a prismatic joint."""
         declared = self.robots[robot]
         if declared.types[declared.names.index(joint)] == "revolute":
             return unit
         return unit.replace("Nm", "N").replace("rad", "m")
 
     def torque_limits(self, robot: str) -> Array:
-        """(n,), Nm; infinite where the robot has none."""
+        """Returns torque limits, shape (n,), Nm; infinite if there are none."""
         return self.robots[robot].torque_bounds
 
     @cached_property
@@ -189,7 +179,7 @@ class RunLog:
 def routes_from_recording(
     routes: Mapping[str, Any], source: str, recorded: Collection[str]
 ) -> dict[str, Any]:
-    """Routes from a simulation as they are from its recording, whose events may have old names."""
+    """Renames events of a simulation in routes to the names in its recording, which may be old."""
 
     def rename(match: re.Match[str]) -> str:
         return f"{source}.{recorded_event(match[1], recorded)}"
@@ -202,13 +192,12 @@ def routes_from_recording(
 
 
 def commanded_torques(log: RunLog, robot: str) -> Array:
-    """Commanded torques, (T, n), Nm; NaN in the first row where nothing was commanded yet.
+    """Returns commanded torques, (T, n), Nm; NaN in the first row if nothing was commanded yet.
 
-    Zeros in the first row only are what a log starts with before anybody commands anything, and
-    would be the largest error of many a run.
+    A log starts with zeros before the first command, which would often be the largest error.
 
     Raises:
-        KeyError: nothing is known of what was commanded.
+        KeyError: commanded torques are missing.
     """
     commanded = log.of(robot, "commanded_torques")
     if len(commanded) == 0 or commanded[0].any():
@@ -219,15 +208,15 @@ def commanded_torques(log: RunLog, robot: str) -> Array:
 
 
 def torque_error(log: RunLog, robot: str) -> Array:
-    """Commanded less measured torque, (T, n), Nm; raises KeyError."""
+    """Returns commanded minus measured torque, (T, n), Nm. Raises KeyError if one is missing."""
     return np.asarray(commanded_torques(log, robot) - log.of(robot, "torques"))
 
 
 def compared_signal(log: RunLog, robot: str, signal: str) -> Array:
-    """A signal of a robot, (T, n); commanded torques as `commanded_torques` has them.
+    """Returns a signal of a robot, (T, n); for commanded torques see `commanded_torques`.
 
     Raises:
-        KeyError: it is not there.
+        KeyError: the signal is missing.
     """
     if signal == "commanded_torques":
         return commanded_torques(log, robot)

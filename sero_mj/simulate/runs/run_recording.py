@@ -1,4 +1,4 @@
-"""A recording as a run: of a simulation, or of a robot that a scene's routes lead to."""
+"""Reads a recording as a run of a simulation, or of robots by a scene's routes."""
 
 from __future__ import annotations
 
@@ -42,31 +42,31 @@ from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
 log = logging.getLogger(__name__)
 
 _MODEL_FILES = (paths.ROBOT_FILE, paths.GROUP_FILE)
-# What a group's file says of its members' models; in a recording all models are beside each other.
+# The models of a group's members; in a recording, all models are in adjacent folders.
 _MODEL_NAMED = re.compile(r"""(\bmodel\s*=\s*)["']([^"'\n]+)["']""")
 _ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"
-# Before `angles`, in old events of a robot that has others as well.
+# Prefixes of `angles` in old events of the same robot.
 _DERIVED = ("actual_", "target_")
 
 
 def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None = None) -> RunLog:
     """Reads a recording of a simulation, or of robots that a scene mirrors.
 
-    A source with the events `time` and `ROBOT_joint_angles` is a run as it was logged. Of others
-    the scene in the recording says what leads to which robot, in which unit. Time counts from the
-    start of the simulation, or from the first packet that tells where the robots are.
+    A source with the events `time` and `ROBOT_joint_angles` is a logged run. For other sources, the
+    scene's routes lead to robot inputs. Time starts with the simulation, or with the first packet
+    at which the poses of all robots are known.
 
     Args:
-        source: which of its sources; all that matter when None.
-        scene: the robots and the routes; those in the recording when None.
+        source: name of a source; None for all.
+        scene: robots and routes; None for the recorded scene.
 
     Returns:
-        The signals `joint_angles`, `joint_velocities` (by differences where they were not sent)
-        and, where there are such, `torques`, `commanded_torques`, and all others of a simulation.
+        run with `joint_angles`, `joint_velocities` (differentiated if they are not recorded), and
+            if recorded `torques`, `commanded_torques` and all signals of a simulation.
 
     Raises:
-        RecordingError: it cannot be read, is no recording, or has no robot.
-        UsageError: no such source, or there are several and one has to be chosen.
+        RecordingError: the file cannot be read, is not a recording, or has no robot.
+        UsageError: there is no such source, or one of several must be selected.
     """
     path = Path(path)
     topics = None
@@ -90,8 +90,8 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         if not robots:
             found = f"found {', '.join(recording.attachments) or 'no files'}"
             if recording.names_joints:
-                found = "it describes none, and no shipped one has its joints"
-            reason = f"has no robot in it: {found}; expected a scene, give one"
+                found = "no robot description, and no shipped robot has these joints"
+            reason = f"has no robot: {found}; pass a scene"
             raise RecordingError(path, reason)
         receivers = {name: _receiver_of(recording, name) for name in names}
         return mirrored_run(
@@ -104,7 +104,7 @@ def _opened(path: Path, topics: Mapping[str, Source] | None) -> Iterator[PacketF
     with open_recording(path, topics) as recording:
         try:
             yield recording
-        finally:  # it may be why the recording cannot be used
+        finally:  # a fault may be the reason of an error
             for fault in recording.faults:
                 log.warning("%s: %s", path, fault)
 
@@ -144,7 +144,7 @@ def _chosen(recording: PacketFile, source: str | None) -> list[str]:
 
 
 def _robots_of(events: Iterable[str]) -> list[str]:
-    """Robots, as events call them, of a run that was logged; none when it is no such run."""
+    """Returns the robots of a logged run by their names in events; [] without such a run."""
     events = list(events)
     if TIME not in events:
         return []
@@ -174,7 +174,7 @@ def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
     receiver.allow_nan([event for event in receiver.events if event != TIME])
     series = read_events(recording, receiver, name)
     if len(series.times) == 0:
-        raise RecordingError(recording.path, f"has no good packet of '{name}'")
+        raise RecordingError(recording.path, f"has no valid packet of '{name}'")
     times = series.events[TIME][:, 0]
     rising = np.append(True, np.diff(np.maximum.accumulate(times)) > 0)
     declared = _recorded(recording).robots if scene is None else scene.robots
@@ -193,10 +193,10 @@ def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
             chosen = _meant(recording.path, prefix, count, declared)
         except UnknownName as error:
             near = did_you_mean(prefix, error.available)
-            reason = f"does not say what robot '{prefix}' is{near}; give a scene"
+            reason = f"does not describe robot '{prefix}'{near}; pass a scene"
             if scene is not None:
-                given = scene.file or f"the scene '{scene.name}'"
-                reason = f"is of another robot than {given} has: {error}"
+                where = scene.file or f"the scene '{scene.name}'"
+                reason = f"has a robot that is not in {where}: {error}"
             raise RecordingError(recording.path, reason) from error
         robots[chosen.name] = chosen
     signals = with_velocities(robots, signals, times[rising])
@@ -208,11 +208,11 @@ def _row_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _meant(path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]) -> SerialRobot:
-    """The robot that events mean; raises UnknownName where it is none of these."""
+    """Returns the robot of some events. Raises UnknownName if there is none."""
     by_event = {event_of(name, "joint_angles").removesuffix(_ANGLES): each
                 for name, each in robots.items()}  # fmt: skip
     robot = by_event.get(prefix)
-    if robot is None and len(robots) == 1:  # its file alone does not tell how it was called
+    if robot is None and len(robots) == 1:  # a robot file has no name for its robot
         only = next(iter(robots.values()))
         robot = only.model_copy(update={"name": prefix}) if only.n == count else None
     if robot is None:
@@ -226,9 +226,9 @@ def _meant(path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot
 def with_velocities(
     robots: Mapping[str, SerialRobot], signals: Mapping[str, Array], times: Array
 ) -> dict[str, Array]:
-    """Returns the signals with joint velocities, by differences if they are missing."""
+    """Returns the signals with joint velocities, which are differentiated if missing."""
     found = dict(signals)
-    rising = np.append(True, np.diff(times) > 0)[: len(times)]  # several rows may have one time
+    rising = np.append(True, np.diff(times) > 0)[: len(times)]  # rows may have equal times
     for name in robots:
         event, angles = event_of(name, "joint_velocities"), event_of(name, "joint_angles")
         if event not in found and angles in found and rising.sum() > 1:
@@ -239,13 +239,13 @@ def with_velocities(
 
 @dataclass
 class Declared:
-    """What a scene says of its robots, in a recording or elsewhere.
+    """The robots and routes of a scene.
 
     Attributes:
-        robots: by name, those of groups included.
+        robots: by name, including those of groups.
         routes: input to origin.
         doubles: tables by name.
-        groups: tables by name, each with its robots.
+        groups: tables with the robots of each group, by name.
     """
 
     robots: dict[str, SerialRobot] = field(default_factory=dict)
@@ -262,13 +262,13 @@ def declared_in(scene: Scene) -> Declared:
 
 
 def _recorded(recording: PacketFile) -> Declared:
-    """Robots by their names in the recorded scene, else by those of their folders; its routes.
+    """Returns the robots and routes of the recorded scene.
 
-    A robot that is installed here as it was recorded has its meshes; of another one the links grow
-    from its table.
+    Without a recorded scene, robots have the names of their folders. If the recorded model is
+    installed, its meshes are used. Otherwise link shapes are generated from the table.
 
     Raises:
-        RecordingError: a file in it is damaged, or declares a robot or a group wrongly.
+        RecordingError: a recorded file is damaged, or its declaration is invalid.
     """
     files = _read_tables(recording)
     models = {name: name.split("/")[-2] for name in files if name.split("/")[-1] in _MODEL_FILES}
@@ -280,7 +280,7 @@ def _recorded(recording: PacketFile) -> Declared:
         found.doubles = found.doubles or _table(tables, "doubles")
     ending = f"/{paths.ROBOT_FILE}"
     of_robots = {folder: name for name, folder in models.items() if name.endswith(ending)}
-    if not scenes:  # a robot or a group by itself, which is called as its folder is
+    if not scenes:  # a single robot or group, which is named after its folder
         scenes = [{"robots": {folder: {"model": folder} for folder in of_robots}}]
         whole = next((models[name] for name in models if name not in of_robots.values()), None)
         if whole is not None:
@@ -308,22 +308,22 @@ def _table(tables: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _folder(model: str) -> str:
-    """The folder of a model that is named, by itself: all models of a recording are beside it.
+    """Returns the folder name of a model; for a file with an unusual name, the file name.
 
-    Of a file that is not called as those in folders of models are, it is the file's own name.
+    All models of a recording are in adjacent folders.
     """
     path = Path(model)
     return path.parent.name if path.name in _MODEL_FILES else path.name
 
 
 def _expanded(recording: PacketFile, groups: dict[str, Any], directory: Path) -> Expanded:
-    scene = directory / "scene.toml"  # which is not there: models are found beside it
+    scene = directory / "scene.toml"  # does not exist; models are found relative to it
     found = expand_groups(_in_folders(groups), scene, MOST_ENTRIES)
     if found.problems:
         problem = found.problems[0]
         file = str(problem.file).removeprefix(f"{directory}/")
         reason = str(replace(problem, file=None if file == scene.name else file))
-        raise RecordingError(recording.path, f"its groups cannot be read: {reason}; give a scene")
+        raise RecordingError(recording.path, f"its groups are invalid: {reason}; pass a scene")
     return found
 
 
@@ -337,18 +337,14 @@ def _in_folders(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_tables(recording: PacketFile) -> dict[str, dict[str, Any]]:
-    """Tables of every scene and robot file in a recording, by its name there.
-
-    Raises:
-        RecordingError: one is damaged or cannot be read.
-    """
+    """Returns the tables of every recorded scene and robot file by name. Raises RecordingError."""
     found = {}
     for name in table_names(recording):
         if name.endswith(".toml"):
             try:
                 found[name] = parse_toml(recording.read_attachment(name).decode("utf-8-sig"))
             except ValueError as error:
-                reason = f"file '{name}' in it is no TOML: {error}"
+                reason = f"its file '{name}' is not TOML: {error}"
                 raise RecordingError(recording.path, reason) from error
         elif name.lower().endswith(paths.scene_endings()):
             with TemporaryDirectory() as directory:
@@ -357,7 +353,7 @@ def _read_tables(recording: PacketFile) -> dict[str, dict[str, Any]]:
                 try:
                     found[name] = read_robot_file(path).tables
                 except DeclarationError as error:
-                    reason = f"file '{name}' in it cannot be read: {error.problems[0].message}"
+                    reason = f"its file '{name}' cannot be read: {error.problems[0].message}"
                     raise RecordingError(recording.path, reason) from error
     return found
 
@@ -366,7 +362,7 @@ def _robot(
     recording: PacketFile, name: str, table: dict[str, Any], models: Mapping[str, str]
 ) -> SerialRobot:
     model = table.pop("model", None)
-    # What is fixed to the flange may be in files that are not there; frames for mounts are not.
+    # Children may use files that are not recorded, unless they are shapes or frames of mounts.
     children = table.pop("children", None)
     if isinstance(children, list):
         table["children"] = [c for c in children if isinstance(c, Mapping) and c.get("shape")]
@@ -375,7 +371,7 @@ def _robot(
         return _built(recording, name, _without_meshes(fields), None)
     folder = _folder(str(model))
     attached, file = models.get(folder), paths.ROBOT_FILE
-    if attached is None:  # of a robot in a file of another name, as those in URDF are
+    if attached is None:  # a robot file with another name, such as a URDF file
         file = folder
         attached = next((each for each in table_names(recording) if _is_robot(each, folder)), None)
     if attached is None:
@@ -388,7 +384,7 @@ def _robot(
         path = Path(directory) / Path(folder).stem / file
         path.parent.mkdir()
         path.write_bytes(data)
-        with without_warnings():  # of meshes, say, which nothing here needs
+        with without_warnings():  # for example of meshes, which are not needed
             return _built(recording, name, _without_meshes(fields), str(path))
 
 
@@ -402,12 +398,12 @@ def _built(
     try:
         file = None if model is None else paths.find_model(model)
     except (UnknownName, DeclarationError) as error:
-        reason = f"its robot '{name}' is not in it, nor installed: {error}; give a scene"
+        reason = f"its robot '{name}' is neither recorded nor installed: {error}; pass a scene"
         raise RecordingError(recording.path, reason) from error
     try:
         return build_robot(fields, file)
     except DeclarationError as error:
-        reason = f"its robot '{name}' is declared wrongly: {error}"
+        reason = f"its robot '{name}' is invalid: {error}"
         raise RecordingError(recording.path, reason) from error
 
 

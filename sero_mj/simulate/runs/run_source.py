@@ -1,4 +1,4 @@
-"""`RunSource`: a run as a source, finished or simulated while it is shown."""
+"""`RunSource`: a finished run, or one that is simulated while it is shown, as a source."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from .monitor import Finding
 
 log = logging.getLogger(__name__)
 
-_AGE, _OLD = "_command_age", 0.02  # s, of a command that is told
+_AGE, _OLD = "_command_age", 0.02  # s, age of a command that is reported
 
 
 class Run(Protocol):
-    """What a `RunSource` shows: a `FinishedRun`, or a `Simulation`, which computes rows.
+    """A run that a `RunSource` shows: a `FinishedRun`, or a `Simulation`, which computes rows.
 
     Attributes:
-        about: what it is, for people.
-        structure: of a row as a packet; its first number is the time, s.
-        rows: (T, width), float64, in the order of their times.
-        times: of the rows, (T,), s; those of later rows have to be right.
-        step: the last row that is there.
-        drag_force: pulls the robots by hand while they are simulated; None where nothing does.
-        live: changes targets and controllers while they run; None where nothing does.
+        about: title for users.
+        structure: structure of a row as a packet, whose first value is the time in seconds.
+        rows: shape (T, width), float64, in the order of their times.
+        times: times of the rows, shape (T,), s; also correct for rows that are not computed yet.
+        step: index of the last computed row.
+        drag_force: applies drag forces to links; None if that is not possible.
+        live: changes targets and controllers; None if that is not possible.
     """
 
     @property
@@ -54,7 +54,7 @@ class Run(Protocol):
         """Computes the rows up to a step."""
 
     def findings(self) -> list[Finding]:
-        """What a monitor finds in the rows until now."""
+        """Returns the detected faults in the computed rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +62,9 @@ class FinishedRun:
     """A complete run.
 
     Attributes:
-        about: what it is, for people.
-        structure: of a row as a packet; its first number is the time, s.
-        rows: (T, width), float64, in the order of their times.
+        about: title for users.
+        structure: structure of a row as a packet, whose first value is the time in seconds.
+        rows: shape (T, width), float64, in the order of their times.
     """
 
     about: str
@@ -75,31 +75,29 @@ class FinishedRun:
 
     @cached_property
     def times(self) -> Array:
-        """Times of the rows, (T,), s."""
         return np.ascontiguousarray(self.rows[:, 0])
 
     @property
     def step(self) -> int:
-        """The last row."""
         return len(self.rows) - 1
 
     def advance(self, to_step: int) -> None:
-        """Does nothing: all rows exist."""
+        """Does nothing, because all rows exist."""
 
     def findings(self) -> list[Finding]:
-        """None: its rows alone do not say what they are."""
+        """Returns no faults, because a run without its scenario cannot be monitored."""
         return []
 
 
 class RunSource(Source):
-    """The rows of a run as packets, passed on when the clock reaches their times.
+    """The rows of a run as packets, which are received when the clock reaches their times.
 
-    It has no thread: whoever drives it says what time it is, so a film is the same however long
-    rendering takes. A simulation that cannot go on stays where it is: `error` says why.
+    It has no thread: the caller passes the time to `advance_to`, so a video does not depend on the
+    speed of rendering. If a simulation cannot continue, it stops, and `error` has the reason.
 
     Attributes:
-        run: what is shown.
-        error: why it cannot go on; None while it can.
+        run: the run.
+        error: error that stopped the run, or None.
         end: time of the last row, s.
         step: median time between two rows, s.
     """
@@ -114,7 +112,7 @@ class RunSource(Source):
     _error: SimulationError | None = PrivateAttr(None)
 
     def __reduce__(self) -> Any:
-        """Pickles what is declared; of a run that is over its rows."""
+        """Pickles the declaration; a finished run is pickled as its rows."""
         make, (kind, fields) = super().__reduce__()
         run = self.run
         if run.step >= len(run.rows) - 1:
@@ -123,23 +121,19 @@ class RunSource(Source):
 
     @cached_property
     def layout(self) -> Structure:
-        """The decoder."""
         structure: Structure = self.run.structure
         return structure
 
     @property
     def error(self) -> SimulationError | None:
-        """Why it cannot go on."""
         return self._error
 
     @property
     def end(self) -> float | None:
-        """Time of the last row, s."""
         return float(self.run.rows[-1, 0])
 
     @property
     def step(self) -> float | None:
-        """Median time between two rows, s."""
         times = self.run.times
         return float(np.median(np.diff(times))) if len(times) > 1 else None
 
@@ -153,48 +147,45 @@ class RunSource(Source):
 
     @property
     def about(self) -> str:
-        """Kind and what it is, for people."""
         return f"{self.run.about}, {self.end:g} s"
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """Age of the oldest command of a program that holds a robot, s, and 0; -1 without one."""
+        """Returns the age of an external controller's oldest command in seconds, and 0.
+
+        -1 if none.
+        """
         ages = [float(values[event][0]) for event in self.events if event.endswith(_AGE)]
         return (max(ages), 0.0) if ages else (-1.0, -1.0)
 
     def link_faults(self, state: float, quality: float) -> list[str]:
-        """Which commands do not come."""
         return [f"no command for {state:.2f} s"] if state > _OLD else []
 
     @property
     def is_live(self) -> bool:
-        """False: packets follow `advance_to`."""
         return False
 
     def now(self) -> float:
-        """The time of the row that is shown, s."""
         return float(self.run.rows[max(self._shown, 0), 0])
 
     def open(self) -> None:
-        """Goes to the start."""
         self.reset()
         self._shown = -1
         self.advance_to(0.0)
 
     def close(self) -> None:
-        """Ends the programs that control the robots; a run that is shown again starts them anew."""
+        """Ends programs that control the robots. If the run is shown again, it restarts them."""
         end = getattr(self.run, "close", None)
         if end is not None:
             end()
 
     def wait(self, timeout: float) -> bool:
-        """Whether there are packets at all; nothing is to be waited for."""
         return True
 
     def _before(self, row: int) -> int:
         return -1
 
     def advance_to(self, time: float) -> None:
-        """Passes on all rows up to a time, s; computes missing ones."""
+        """Receives all rows up to a time in seconds; computes missing ones."""
         run = self.run
         times = run.times
         row = int(np.searchsorted(times, time + 1e-9, side="right")) - 1
@@ -205,7 +196,7 @@ class RunSource(Source):
                 self._error = error
                 log.warning("source '%s': the run has ended: %s", self.name, error)
         row = min(row, run.step)
-        if row < self._shown:  # the clock went back: it is a new film, say
+        if row < self._shown:  # the clock was set back, for example for a new video
             self.reset()
             self._shown = self._before(row)
         if row > self._shown:

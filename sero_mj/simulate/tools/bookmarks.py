@@ -1,4 +1,4 @@
-"""`Bookmarks`: what happened when: moments that the user marked, faults that were found."""
+"""`Bookmarks`: the user's marks and detected faults on the timeline."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from ..runs.monitor import Monitor
 from ..runs.run_recording import read_run
 from ..runs.run_source import RunSource
 
-_MOST = 1000  # of each kind
-_APART = 0.5  # s between two of the same kind at a joint, below which they are one
+_MAX_COUNT = 1000  # of each kind
+_MIN_INTERVAL = 0.5  # s between two faults of the same kind at a joint
 _SAME = 1e-3  # s
 _AGE = SOURCE_FIELDS.index("age")
-# What counters of a source mean when they grow.
+# Counters of a source, and their meaning.
 _LOSSES = {"lost": "lost", "dropped": "dropped", "malformed": "not applied"}
 _COLUMNS = [SOURCE_FIELDS.index(name) for name in _LOSSES]
 
 
 class Bookmarks(Tool):
-    """Marks of the user, and faults: of simulations and recordings what a monitor finds in them.
+    """Marks of the user, and faults that a monitor detects in simulations and recordings.
 
-    What is live is watched as it comes: joints beyond their limits of torque or angle, torque
-    errors above the monitor's share of the limit, sources that fall silent, packets that are lost
-    or not applied.
+    Live sources are monitored continuously: joints beyond their torque or angle limits, torque
+    errors above the monitor's share of the limit, silent sources, and packets that are lost or not
+    applied.
     """
 
     order: ClassVar[int] = 60
     keys: ClassVar[Mapping[str, Key]] = {
-        "m": Key("mark", "mark this moment"),
-        "e": Key("next_event", "next mark or fault, w the last one", repeats=True),
+        "m": Key("mark", "mark this time"),
+        "e": Key("next_event", "next mark or fault (w: previous)", repeats=True),
         "w": Key("last_event", repeats=True),
     }
 
@@ -50,7 +50,7 @@ class Bookmarks(Tool):
         mirror = self._mirror = shown.mirror
         self._clock = shown.clock
         self._marks: list[float] = []
-        self._watched: deque[Tick] = deque(maxlen=_MOST)
+        self._watched: deque[Tick] = deque(maxlen=_MAX_COUNT)
         self._of_recordings: list[Tick] | None = None
         world = mirror.world
         joints = world.joints
@@ -62,9 +62,9 @@ class Bookmarks(Tool):
             if limits is not None:
                 self._low[owner.joints], self._high[owner.joints] = limits.T
         self._was: Bools = np.zeros((3, len(joints.names)), bool)
-        self._last: Array = np.full((3, len(joints.names)), -np.inf)  # when each was found, s
+        self._last: Array = np.full((3, len(joints.names)), -np.inf)  # times of detection, s
         self._silent: set[str] = set()
-        # By source: how many packets were lost and so on, and when that was seen last, s.
+        # By source: the counters of `_LOSSES`, and the times of their last change, s.
         self._counts: dict[str, tuple[Array, Array]] = {}
 
     def actions(self) -> Mapping[str, Action]:
@@ -75,16 +75,16 @@ class Bookmarks(Tool):
         }
 
     def mark(self) -> str:
-        """Marks what is shown; returns what to tell the user."""
+        """Marks the shown time; returns a message."""
         self._marks.append(self._clock.time)
-        return f"marked {time_text(self._clock.time)}: e and w go from mark to mark"
+        return f"marked {time_text(self._clock.time)}: e and w go to the next and previous mark"
 
     @property
     def _of_user(self) -> list[Tick]:
         return [Tick(time, "mark", is_mark=True) for time in self._marks]
 
     def watch(self) -> None:
-        """Looks for faults in the state that the data has now, if it is live."""
+        """Detects faults in the current state, if it is live."""
         if not self._clock.is_live:
             return
         world, data = self._mirror.world, self._mirror.data
@@ -103,7 +103,7 @@ class Bookmarks(Tool):
         with np.errstate(invalid="ignore"):
             bad = np.array([np.abs(torque) > limit, np.abs(error) > self._share * limit,
                             (angle < self._low) | (angle > self._high)])  # fmt: skip
-        new = bad & ~self._was & (data.time > self._last + _APART)
+        new = bad & ~self._was & (data.time > self._last + _MIN_INTERVAL)
         self._was = bad
         self._last[bad] = data.time
         if not new.any():
@@ -123,7 +123,7 @@ class Bookmarks(Tool):
         never = np.full(len(counts), -np.inf)
         before, seen = self._counts.get(name, (np.zeros_like(counts), never))
         grown = counts > before
-        for what, more in zip(_LOSSES.values(), grown & (time > seen + _APART), strict=True):
+        for what, more in zip(_LOSSES.values(), grown & (time > seen + _MIN_INTERVAL), strict=True):
             if more:
                 self._found(f"{name}: packets {what}", time)
         self._counts[name] = counts, np.where(grown, time, seen)
@@ -132,35 +132,33 @@ class Bookmarks(Tool):
         self._watched.append(Tick(float(time), text, is_mark=False))
 
     def all(self) -> list[Tick]:
-        """All on the time line, in their order."""
         found = [*self._of_user, *self._watched]
         for source in self._mirror.sources.values():
             if isinstance(source, RunSource):
                 found += map(_bookmark_of, source.run.findings())
         found += self._of_recordings or ()
-        return sorted(moment for moment in found if moment.time >= self._clock.begin)
+        return sorted(tick for tick in found if tick.time >= self._clock.begin)
 
     def ticks(self) -> list[Tick]:
-        """What is known without a search."""
+        """Returns all known bookmarks, without searching recordings."""
         found = [*self._of_user, *self._watched, *(self._of_recordings or ())]
         return [each for each in found if each.time >= self._clock.begin]
 
     def go(self, places: int) -> str:
-        """Goes to the next moment, or with -1 to the one before; returns what to tell the user."""
+        """Goes to the next bookmark, or with -1 to the previous one; returns a message."""
         clock = self._clock
         if self._of_recordings is None:
             self._of_recordings = self._search()
-        there = [moment for moment in self.all()
-                 if (moment.time - clock.time) * places > _SAME]  # fmt: skip
+        there = [tick for tick in self.all() if (tick.time - clock.time) * places > _SAME]
         if not clock.can_go_back or not there:
-            return "nothing was found or marked " + ("after this" if places > 0 else "before this")
-        moment = there[0] if places > 0 else there[-1]
+            return f"no marks or faults {'after' if places > 0 else 'before'} this time"
+        tick = there[0] if places > 0 else there[-1]
         clock.is_paused = True
-        clock.seek(moment.time)
-        return f"{time_text(moment.time)}: {moment.text}"
+        clock.seek(tick.time)
+        return f"{time_text(tick.time)}: {tick.text}"
 
     def _search(self) -> list[Tick]:
-        """What a monitor finds in the recordings that are played; nothing in what is no run."""
+        """Returns the faults in recordings that are being played."""
         found: list[Tick] = []
         for source in self._mirror.sources.values():
             if not isinstance(source, FileSource) or source.end is None:
@@ -170,9 +168,9 @@ class Bookmarks(Tool):
             except SeroError:
                 continue
             start, speed = source.start or 0.0, source.speed
-            for finding in Monitor().find(log)[:_MOST]:
-                moment = _bookmark_of(finding)
-                found.append(moment._replace(time=(moment.time - start) / speed))
+            for finding in Monitor().find(log)[:_MAX_COUNT]:
+                tick = _bookmark_of(finding)
+                found.append(tick._replace(time=(tick.time - start) / speed))
         return found
 
 

@@ -1,4 +1,4 @@
-"""`Pulling`: pulls links of simulated robots by the pointer, or says why that cannot be."""
+"""`Pulling`: pulls links of simulated robots by the pointer, or reports why that is impossible."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _SAME_TIME = 1e-6  # s
 
 
 class Pulling(Tool):
-    """Pulls what a mirror simulates while it is shown.
+    """Pulls links of robots that are simulated while they are shown.
 
     Attributes:
-        is_on: whether something is pulled.
+        is_on: whether a link is being pulled.
     """
 
     order: ClassVar[int] = 30
@@ -39,17 +39,16 @@ class Pulling(Tool):
         self._source: Any = found[0] if found else None
         self._force: Any = found[0].drag_force if found else None
         self._at: Pixel = (0.0, 0.0)
-        self._card: int | None = None  # of the arrow, shown only while it is pulled
+        self._card: int | None = None  # billboard of the force arrow, shown while pulling
         self.is_on = False
         self._exports = BackgroundExports()
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`: what is live, `RollingRecorder` keeps."""
         is_live = any(source.is_live for source in self._mirror.sources.values())
         return {} if is_live else {"keep": self._keep}
 
     def grab(self, at: Pixel) -> Grab | None:
-        """Grabs the link at a pixel of the picture, or says why it cannot be pulled."""
+        """Grabs the link at a pixel, or returns why it cannot be pulled."""
         data = self._mirror.data
         found = self.shown.decor.link_at(data, at)
         if found is None:
@@ -67,11 +66,11 @@ class Pulling(Tool):
             return Grab(str(error), is_refused=True)
         self.is_on, self._at = True, at
         self._show_card()
-        goes_on = "; it acts when time goes on" if self._clock.is_paused else ""
-        return Grab(f"pulls {frame} with {self._strength()}{goes_on}")
+        paused = "; it acts when the simulation continues" if self._clock.is_paused else ""
+        return Grab(f"pulls {frame} with {self._strength()}{paused}")
 
     def announce(self, at: Pixel) -> Grab | None:
-        """Says what a drag from there would pull."""
+        """Returns what a drag from a pixel would pull."""
         found = self.shown.decor.link_at(self._mirror.data, at)
         if found is None:
             return None
@@ -79,7 +78,6 @@ class Pulling(Tool):
         return Grab(why or f"drag to pull {found[0]}", bool(why))
 
     def _refusal(self, robot: str) -> str:
-        """Why nothing can be pulled now; empty where it can."""
         if self._force is None:
             what = "not simulated"
             if self._mirror.sources:
@@ -90,9 +88,9 @@ class Pulling(Tool):
             return f"the simulation has stopped: {self._source.error}"
         now, run = self._clock.time, self._source.run
         if now < run.time - run.scenario.run.timestep - _SAME_TIME:
-            return f"the past cannot be pushed: go on from {run.time:.2f} s, where the run is"
+            return f"the past cannot be pushed: continue at {run.time:.2f} s, the current time"
         if self._clock.is_at_end:
-            return f"the run is over at {run.time:g} s; --set run.duration=60 makes it longer"
+            return f"the run has ended at {run.time:g} s; --set run.duration=60 extends it"
         return ""
 
     def _show_card(self) -> None:
@@ -104,15 +102,14 @@ class Pulling(Tool):
                 self._toggles.cards[index], self._card = True, index
 
     def move(self, at: Pixel) -> None:
-        """Moves the pointer."""
         self._at = at
 
     def drag(self) -> str:
-        """Pulls to where the pointer is, in the plane of the picture through the point."""
+        """Pulls to the pointer in the plane through the point, parallel to the image."""
         view = self.shown.decor.view
         if not self.is_on or view is None:
             return ""
-        if self._refusal(""):  # it has ended, or the past is shown
+        if self._refusal(""):  # the run has ended, or the past is shown
             self.release()
             return ""
         self._force.target = target_of(view.position, view.forward, self._force.place,
@@ -120,7 +117,6 @@ class Pulling(Tool):
         return ""
 
     def wheel(self, notches: float) -> str | None:
-        """Makes the spring stiffer."""
         if not self.is_on:
             return None
         self._force.make_stronger(notches)
@@ -130,7 +126,6 @@ class Pulling(Tool):
         return f"{self._force.stiffness:.0f} N/m, at most {self._force.limit:.0f} N"
 
     def release(self) -> None:
-        """Lets go."""
         if self.is_on:
             self.is_on = False
             self._force.release()
@@ -138,26 +133,24 @@ class Pulling(Tool):
             self._toggles.cards[self._card], self._card = False, None
 
     def _keep(self) -> str:
-        """Saves what was pulled, see `save_pushes`, or the run alone; returns what to tell.
+        """Saves the pushes, see `save_pushes`, or only the run; returns a message.
 
         Raises:
-            SeroError: nothing was pulled, or it cannot be written.
+            SeroError: there are no pushes, or the file cannot be written.
         """
         if self._force is None:
-            return "nothing is simulated here; only pushes of simulated robots can be kept"
+            return "no robot is simulated; only pushes of simulated robots can be saved"
         folder, run = self.shown.folder or Path(), self._source.run
         if self._source.end is None or run.scenario.file is None:
             path = save_run(run, folder)
             self._exports.add_page(path)
-            return f"kept: {path.name}; sero-mj plot {path.name} draws it"
+            return f"saved {path.name}; sero-mj plot {path.name} plots it"
         path = save_pushes(run, folder)
         self._exports.add_page(path.with_suffix(".mcap"))
-        return f"kept: {path.name} repeats the pushes, {path.stem}.mcap is the run"
+        return f"saved {path.name}, which repeats the pushes, and the run, {path.stem}.mcap"
 
     def next_message(self) -> tuple[str, bool] | None:
-        """See `Tool`: what became of the page."""
         return self._exports.advance()
 
     def close(self) -> None:
-        """See `Tool`: ends the page that is made."""
         self._exports.close(finish=False)

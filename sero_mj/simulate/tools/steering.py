@@ -1,7 +1,7 @@
-"""`Steering`: the targets of robots that are simulated without an end, dragged while they run.
+"""`Steering`: drags the targets of robots that are simulated without end.
 
-A target is shown by the robot's double: its flange is dragged by handles, its links with Ctrl, its
-joints by sliders. The robot follows with the compliance of its controller.
+The robot's double shows the target. Handles drag its flange, Ctrl drags its links, and sliders move
+its joints. The robot follows with the compliance of its controller.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from ..live_control import LiveRobot
 from ..runs.run_source import RunSource
 from .steering_panel import SteeringPanel
 
-_PAST = 0.1  # s behind the newest moment, from which on the past is shown
-_NEAR = 5.0  # pixels by which a handle may be missed
+_PAST = 0.1  # s before the newest time; earlier times are the past
+_NEAR = 5.0  # pixels, maximum distance of the pointer from a handle
 
 
 class Steering(Tool):
-    """The targets of the robots of a mirror.
+    """The targets of simulated robots.
 
     Attributes:
-        robots: whose controllers and targets are changed, by name; empty where none is.
-        goals: where their targets are wanted, by name.
+        robots: robots with changeable targets and controllers, by name.
+        goals: goals of their targets, by name.
         selected: name of the robot whose target has handles.
         has_handles: whether handles are shown.
-        is_on: whether a target is dragged.
+        is_on: whether a target is being dragged.
     """
 
     order: ClassVar[int] = 10
@@ -57,10 +57,10 @@ class Steering(Tool):
         self.is_on = False
         self._lit = -1
         self._at: Pixel = (0.0, 0.0)
-        # What is dragged: a handle with pose and pixel at first, or a point of a link.
+        # The dragged handle with its initial pose and pixel, or the dragged point of a link.
         self._handle: tuple[int, Array, Pixel] | None = None
         self._point: tuple[str, int, Array] | None = None
-        # Doubles by whose links a target is dragged, and their robots.
+        # Doubles whose links can be dragged, and their robots.
         world = mirror.world
         self._doubles = {
             name: part.double.of
@@ -75,12 +75,11 @@ class Steering(Tool):
         self.goals = {name: JointGoal(each.robot, each.goal) for name, each in self.robots.items()}
 
     def build(self, ui: Widgets) -> None:
-        """Builds the panel."""
         self._panel.build(ui)
 
     @property
     def state(self) -> tuple[tuple[str, bytes], ...]:
-        """Where targets are wanted that do not follow their robots."""
+        """Goals of the targets that do not follow their robots."""
         return tuple(
             (name, goal.angles.tobytes())
             for name, goal in self.goals.items()
@@ -88,11 +87,11 @@ class Steering(Tool):
         )
 
     def restore(self, state: tuple[tuple[str, bytes], ...]) -> None:
-        """Wants the targets to be there again."""
+        """Restores the goals of targets."""
         set_goals(self.goals, state)
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
-        """The target of the selected robot."""
+        """Returns the target of the selected robot."""
         if not self.goals:
             return None
         name = self.selected if self.selected in self.goals else next(iter(self.goals))
@@ -100,35 +99,37 @@ class Steering(Tool):
 
     @property
     def is_past(self) -> bool:
-        """Whether a moment of the past is shown."""
+        """Whether the past is shown."""
         return self.source is not None and self._clock.time < self.source.newest - _PAST
 
     @property
     def error(self) -> str:
-        """Why the simulation has stopped; empty while it goes on."""
+        """Reason why the simulation has stopped; empty while it runs."""
         return "" if self.source is None or self.source.error is None else f"{self.source.error}"
 
     def start_again(self) -> str:
-        """Begins anew after an error; returns what to tell the user."""
+        """Restarts after an error; returns a message."""
         self.source.start_again()
         self._find_robots()
         self._clock.go_to_start()
         return "from the declared pose"
 
     def choose(self, robot: str, control: str) -> str:
-        """Changes the controller of a robot; returns what to tell the user."""
+        """Changes the controller of a robot; returns a message."""
         self.selected = robot
         why = self.robots[robot].choose(control)
         self.goals[robot].follow(self.robots[robot].goal)
         return why or f"{robot}: {self.robots[robot].controller.title or control}"
 
     def base(self, robot: str) -> Array:
-        """T_world_base (4, 4) of a robot as it is shown."""
         world = self._mirror.world
         return world.frame(self._mirror.data, world.robots[robot].base_name)
 
     def advance(self, passed: float) -> None:
-        """Hands the wished targets on, and shows the handles; before the mirror moves."""
+        """Passes the goals on to the simulation, and shows the handles.
+
+        Called before the mirror moves.
+        """
         if not self.robots:
             return
         for name, robot in self.robots.items():
@@ -150,7 +151,7 @@ class Steering(Tool):
             self._toggles.handles = Handles(pose, lit, goal.mark)
 
     def hover(self, at: Pixel | None) -> bool:
-        """Lights the handle under the pointer; returns whether there is one."""
+        """Highlights the handle under the pointer; returns whether there is one."""
         found = None if at is None else self.shown.decor.handle_at(at, _NEAR)
         self._lit = -1 if found is None else found
         return found is not None
@@ -182,7 +183,7 @@ class Steering(Tool):
         return Grab(f"moves {label}")
 
     def announce(self, at: Pixel) -> Grab | None:
-        """Says what a drag from there would move."""
+        """Returns what a drag from a pixel would move."""
         found = self._found(at)
         return None if found is None else Grab(f"drag to move {found[2]}")
 
@@ -195,21 +196,20 @@ class Steering(Tool):
         return robot, link_number(self.goals[robot].robot, label), picked.name
 
     def _frames(self, robot: str) -> Array:
-        """Frames of base and links of a target, (n + 1, 4, 4), m."""
+        """Returns the frames of base and links of a target, (n + 1, 4, 4), m."""
         goal = self.goals[robot]
         return goal.robot.kinematics.frames(goal.angles, self.base(robot))
 
     def move(self, at: Pixel) -> None:
-        """Moves the pointer."""
         self._at = at
 
     def drag(self) -> str:
-        """Moves the target to the pointer; returns why it cannot be, or nothing."""
+        """Moves the target to the pointer; returns the reason if that is impossible."""
         view = self.shown.decor.view
         if view is None or not self.is_on:
             return ""
         if self.is_past:
-            return "the past cannot be changed: End goes on from now"
+            return "the past cannot be changed: End returns to the current time"
         if self._handle is not None:
             handle, pose, begin = self._handle
             goal, base = self.goals[self.selected], self.base(self.selected)
@@ -226,7 +226,6 @@ class Steering(Tool):
         return ""
 
     def release(self) -> None:
-        """Lets go."""
         for goal in self.goals.values():
             goal.let_go()
         self._handle = self._point = None

@@ -1,4 +1,4 @@
-"""`SteeringPanel`: controllers, gains and targets of robots that are simulated without an end."""
+"""`SteeringPanel`: controllers, gains and targets of robots that are simulated without end."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ...viewer.session.widgets import Widgets
 from ..control.controller import Slider
 from ..live_control import LiveRobot
 
-_SLIDER = 9.5  # wide, of the text's height
+_SLIDER = 9.5  # width, as a multiple of the text height
 
 
 class Steered(Protocol):
-    """What the panel changes, see `Steering`."""
+    """Interface of `Steering` for the panel."""
 
     robots: dict[str, LiveRobot]
     goals: dict[str, JointGoal]
@@ -33,20 +33,19 @@ class Steered(Protocol):
 
 
 class SteeringPanel:
-    """The panel of robots whose targets and controllers are changed while they run."""
+    """The panel for robots whose targets and controllers can be changed."""
 
     def __init__(self, steering: Steered, say: Callable[[str], None]) -> None:
         self._steering, self._say = steering, say
         self._sliders = JointSliders()
         self._refused: dict[str, str] = {}
-        self._asked: Any = None  # the value last refused, which a slider repeats in every frame
+        self._requested: Any = None  # the last request, which a slider repeats in every frame
 
     def build(self, ui: Widgets) -> None:
-        """Builds a section for every robot."""
         steering = self._steering
         if steering.error:
             ui.text(f"stopped: {steering.error}", "bad")
-            if ui.button("start again"):
+            if ui.button("restart"):
                 self._say(steering.start_again())
         robots = steering.robots
         build_each(ui, "Control", robots, lambda name: self._robot(ui, name, robots[name]))
@@ -64,7 +63,7 @@ class SteeringPanel:
         if name in self._refused:
             ui.text(self._refused[name], "bad")
         if not robot.controller.needs_target:
-            ui.text("it stays where it is put: Ctrl+drag pulls a link", "quiet")
+            ui.text("stays where it is released: Ctrl+drag pulls a link", "quiet")
             return
         self._target(ui, name)
 
@@ -75,11 +74,11 @@ class SteeringPanel:
         changed, is_on = ui.check("handles", steering.has_handles and steering.selected == name)
         if changed:
             steering.has_handles, steering.selected = is_on, name
-        ui.tip("drag arrows, rings and cube to move the target's flange; Ctrl+drag its links")
+        ui.tip("drag arrows, rings or cube to move the target's flange; Ctrl+drag its links")
         ui.same_line()
         if ui.button("target to robot"):
             goal.follow(steering.robots[name].measured)
-        ui.tip("the target is where the robot is now")
+        ui.tip("set the target to the current pose of the robot")
         if ui.tree("target's joints"):
             self._sliders.build(ui, goal)
             ui.end_tree()
@@ -106,10 +105,10 @@ class SteeringPanel:
     def _change(
         self, name: str, values: dict[str, Any], text: Callable[[Mapping[str, Any]], str]
     ) -> None:
-        asked = (name, [(key, np.asarray(value).tobytes()) for key, value in values.items()])
-        if asked == self._asked:
+        requested = (name, [(key, np.asarray(value).tobytes()) for key, value in values.items()])
+        if requested == self._requested:
             return
-        self._asked = asked
+        self._requested = requested
         why = self._steering.robots[name].change(values, text)
         if why:
             self._refused[name] = why

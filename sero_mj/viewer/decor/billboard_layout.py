@@ -177,8 +177,8 @@ class _Covered:
 class BillboardLayout:
     """Places the billboards of a world.
 
-    A billboard keeps its side and its place in the vertical order from frame to frame until leaders
-    cross. Then two billboards swap places. The layout is reused while nothing that it depends on
+    The side of a billboard and its place in the vertical order do not change until leaders cross.
+    Then two billboards swap places. The layout is reused while nothing that it depends on
     moves: of a frame of an LWR at 1280x800, which takes 8 ms (24 ms of Justin), this saves 6 ms
     (8 ms).
 
@@ -444,7 +444,7 @@ def _note(view: ImageView, total: int, corners: list[Panels]) -> Panels:
     text = _note_text(total, total)  # the longest one
     size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
     right, bottom = view.free[1][0] - margin, view.free[0][1] + margin
-    for corner in corners:  # above the legend, in a narrow picture
+    for corner in corners:  # above the legend if the image is narrow
         low, high = bounds(corner)
         if high[0] > right - size[0] and low[1] < bottom + size[1]:
             bottom = high[1] + margin

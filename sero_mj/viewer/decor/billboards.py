@@ -101,7 +101,7 @@ class Billboards(Feature):
         self._rank = heights_in_order(_declared_heights(world))
         self._rgba = np.array([_tinted(part) for part in parts]).reshape(-1, 4)[joints.owner]
         self._widths: dict[tuple[int, int], int] = {}
-        self._written: dict[int, _Written] = {}  # by joint
+
         self._limb_widths: dict[tuple[int, int], int] = {}  # by font and limb
 
     def _formats_for(self, view: ImageView) -> Formats:
@@ -232,7 +232,8 @@ class Billboards(Feature):
     def _sides(self, frame: Frame) -> Ints:
         if not self._is_in_limbs.any():
             return self._side
-        # A whole limb is on the side of its place in the image; near the middle, the side is kept.
+        # All billboards of a limb are on the limb's side of the image. Near the middle, the side
+        # does not change.
         joints, view = self.world.joints, frame.view
         pixels, depth = view.project(frame.data.site_xpos[joints.centre_site])
         is_before = depth > view.near
@@ -264,21 +265,12 @@ class Billboards(Feature):
         numbers = {
             key: values[key].tolist() for key in {line.key for each in lines for line in each}
         }
-        written = []
-        for i, of_joint in zip(index, lines, strict=True):
-            shown = [numbers[line.key][i] for line in of_joint]
-            last = self._written.get(i)
-            if (
-                last is None
-                or last.lines is not of_joint
-                or last.numbers != shown
-                or last.height != font.height
-            ):
-                texts = [line.text(number) for line, number in zip(of_joint, shown, strict=True)]
-                width = self._width(of_joint, texts, font)
-                last = self._written[i] = _Written(of_joint, shown, font.height, texts, width)
-            written.append(last)
-        return [each.texts for each in written], np.array([each.width for each in written], float)
+        texts = [
+            [line.text(numbers[line.key][i]) for line in of_joint]
+            for i, of_joint in zip(index, lines, strict=True)
+        ]
+        widths = [self._width(*each, font) for each in zip(lines, texts, strict=True)]
+        return texts, np.array(widths, float)
 
     def _width(self, lines: list[LineFormat], texts: list[bytes], font: Font) -> int:
         key = (font.height, id(lines))
@@ -294,15 +286,6 @@ class Billboards(Feature):
 class _LimbNames(NamedTuple):
     limbs: list[str]
     joints: list[str]
-
-
-@dataclass(frozen=True)
-class _Written:
-    lines: list[LineFormat]
-    numbers: list[float]
-    height: int
-    texts: list[bytes]
-    width: int
 
 
 @dataclass(frozen=True)

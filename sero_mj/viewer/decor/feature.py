@@ -62,7 +62,7 @@ class Frame:
 
     @property
     def cards(self) -> list[BillboardGroup]:
-        warnings.warn("'cards' is deprecated; use 'billboards'", DeprecationWarning, stacklevel=2)
+        warnings.warn("`cards` is deprecated; use `billboards`", DeprecationWarning, stacklevel=2)
         return self.billboards
 
     def is_stale(self, names: list[str]) -> Bools:

@@ -22,8 +22,8 @@ from .image_view import ImageView
 # Names of the handles, by the item of their geoms.
 HANDLE_NAMES = (
     *(f"move along {axis}" for axis in "xyz"),
-    *(f"turn about {axis}" for axis in "xyz"),
-    "move in the picture",
+    *(f"rotate about {axis}" for axis in "xyz"),
+    "move in the image plane",
 )
 CUBE = 6
 # Sizes of the handles, fractions of a line's height.

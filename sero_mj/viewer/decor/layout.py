@@ -246,7 +246,8 @@ def _assign_rooms(
             np.maximum(bottom + heights / 2 - centres, centres - top + heights / 2), 0
         )
         distance = np.concatenate([[0.0], np.cumsum(away)])
-        cost = least + distance[:, None] - distance  # [i, j]: intervals j to i - 1 are in this room
+        # [i, j]: intervals j to i - 1 are in this room.
+        cost = least + distance[:, None] - distance
         cost[until[:, None] - until - gap > top - bottom] = np.inf
         cost[np.triu_indices(k + 1, 1)] = np.inf
         firsts.append(cost.argmin(axis=1))
@@ -286,7 +287,7 @@ def place_clear(
     """
     placed, has_room = centres.copy(), np.ones(len(centres), bool)
     for k, (centre, half) in enumerate(zip(centres, sizes / 2, strict=True)):
-        # A centre inside one of these bounds is over what is taken.
+        # A rectangle with its center inside these bounds overlaps an occupied one.
         below, above = taken[:, :2] - half, taken[:, 2:] + half
 
         def is_clear(at: Array, below: Array = below, above: Array = above) -> Bools:

@@ -43,7 +43,7 @@ class BillboardLimbs:
 
         Args:
             shown: joints with a billboard, (k,).
-            is_clicked: whether each keeps its own billboard in any case, (k,).
+            is_clicked: whether each has its own billboard in any case, (k,).
             room: number of billboards that fit.
         """
         limb = self.of_joint[shown]

@@ -27,7 +27,7 @@ from .ribbons import Ribbons, draw_ribbons
 
 TURNING_SPEED = 1.6  # rad/s
 
-# Orange and blue: distinct for all common kinds of colour blindness (Okabe and Ito 2008).
+# Orange and blue: distinct for all common kinds of color blindness (Okabe and Ito 2008).
 POSITIVE_RGBA = (0.93, 0.45, 0.02, 1.0)
 NEGATIVE_RGBA = (0.02, 0.36, 0.78, 1.0)
 

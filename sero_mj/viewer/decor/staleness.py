@@ -139,7 +139,7 @@ class Staleness:
 
 def _awaited(item: _Routed, data: mujoco.MjData) -> NDArray[np.intp]:
     # Inputs set by a program need no packets. If a program sets some inputs of an item, sources
-    # that have never sent anything are not awaited for the others.
+    # that have never sent anything are ignored for the others.
     is_programs = data.userdata[item.flags] == SET_BY_PROGRAM
     if not is_programs.any():
         return item.ages

@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 import mujoco
 
@@ -23,55 +23,54 @@ from ..image.image_files import Pixels
 from ..image.image_options import DEFAULT_SIZE
 from ..image.sampling import recorded_poses
 from ..image.scene_decor import SceneDecor
-from ..panels.message import Message
 from ..panels.robot_panel import RobotPanel
 from ..panels.status_line import SourcesPanel
+from ..session.camera_control import CameraControl
 from ..session.clock import Clock
-from ..session.tool import Action, DrawnTool, Tools
+from ..session.status_line import Message
+from ..session.tool import Action, Actions, DrawnTool, Tools
 from ..session.view_state import ViewState, view_state_of
 from ..session.widgets import Widgets
-from .actions import Actions
-from .camera_control import CameraControl
 from .other_scenes import OtherScenes
 from .pointer import Pointer
 
 log = logging.getLogger(__name__)
 
 _JUMP = 1.0  # s
-SECTION = "section "  # before the names of sections, among those of visible parts
-_MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
+SECTION = "section "  # prefix of section names in a layout
+_MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s
 
 
 class LiveHost(ABC):
     """Shows a mirror, and passes user input to clock, switches and tools.
 
     Args:
-        folder: of saved files, pictures and films; the current one when None.
+        folder: directory of saved files, images and videos; the current directory if None.
 
     Attributes:
-        joint: the selected joint, its index in the world.
-        command: arguments of a command that shows this scene: its name or file, and options; from
-            the scene when None.
-        notice: the last message to the user.
-        folds: see `Widgets`; the same for all panels.
-        work: time spent by sero-mj for the last frame, s: input, sources, decor, plots and panels,
-            without rendering.
+        joint: index of the selected joint in the world.
+        command: arguments of a command that shows this scene; those of the scene if None.
+        notice: last message to the user.
+        folds: open or closed sections, shared by all panels, see `Widgets`.
+        work: time that sero-mj spent on the last frame without rendering, s: input, sources,
+            decor, plots and panels.
     """
 
     decor: SceneDecor
+    is_window: ClassVar[bool] = False
 
     def __init__(
         self, mirror: LiveWorld, folder: Path | None = None, camera: str | None = None
     ) -> None:
         world = mirror.world
         self.navigator = Navigator(world, camera)
-        # Before anything listens to packets.
+        # Before the plots listen to packets.
         self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
         self.mirror, self.world, self.data = mirror, world, mirror.data
         self.toggles = Toggles(world)
         self.clock = clock = Clock(mirror)
         if clock.is_live:
-            clock.on_moment = self._watch
+            clock.on_state = self._watch
         self.folder = folder
         self.joint = 0
         self.command: Sequence[str] | None = None
@@ -125,19 +124,15 @@ class LiveHost(ABC):
 
     @abstractmethod
     def frame(self, *, wait: bool = True) -> bool:
-        """Shows one frame.
-
-        Returns:
-            whether it is still open.
-        """
+        """Shows one frame; returns whether the window or page is still open."""
 
     @property
     @abstractmethod
-    def picture_size(self) -> tuple[int, int]: ...
+    def image_size(self) -> tuple[int, int]: ...
 
     @abstractmethod
-    def picture(self) -> Pixels:
-        """Returns the current picture, (height, width, 3), uint8, without the host's own text."""
+    def image(self) -> Pixels:
+        """Returns the current image, (height, width, 3), uint8, without status line and panels."""
 
     @property
     def view_camera(self) -> mujoco.MjvCamera:
@@ -154,7 +149,7 @@ class LiveHost(ABC):
     def request_close(self) -> None: ...
 
     def close(self) -> None:
-        self.tools.ask(lambda tool: tool.close())
+        self.tools.call_all(lambda tool: tool.close())
 
     # ---- frames
 
@@ -166,16 +161,17 @@ class LiveHost(ABC):
         for tool in self.tools.values():
             decor.add(DrawnTool(tool, self.tools))
 
-    def _advance(self, advance: Callable[[], object]) -> None:
+    def _advance(self, passed: float) -> None:
+        """Advances tools and clock by a real time, s."""
         now = time.monotonic()
-        passed, self._advanced = now - self._advanced, now
+        since, self._advanced = now - self._advanced, now
         self.pointer.dragging.advance()
-        self.tools.ask(lambda tool: tool.advance(passed))
+        self.tools.call_all(lambda tool: tool.advance(since))
         if not self.clock.is_live:
-            is_close = any(self.tools.ask(lambda tool: tool.watches_closely))
-            self.clock.on_moment = self._watch if is_close else None
+            needs_all = any(self.tools.call_all(lambda tool: tool.needs_every_state))
+            self.clock.on_state = self._watch if needs_all else None
         try:
-            advance()
+            self.clock.advance(passed)
         except SeroError as error:  # for example a deleted file; the display does not change
             self.clock.is_paused = True
             self.say(str(error), is_bad=True)
@@ -186,12 +182,12 @@ class LiveHost(ABC):
             self.say(*found[1])
 
     def _watch(self) -> None:
-        self.tools.ask(lambda tool: tool.watch())
+        self.tools.call_all(lambda tool: tool.watch())
 
     # ---- messages, panel and keys
 
     def say(self, text: str, is_bad: bool = False) -> None:
-        """Shows a message for a few seconds; errors are shown longer, an empty one not at all."""
+        """Shows a message for a few seconds; an empty text removes the last message."""
         seconds = (_ERROR_TIME if is_bad else _MESSAGE_TIME) if text else 0.0
         self.notice = Message(without_temporary(text), is_bad, time.monotonic() + seconds)
 
@@ -200,15 +196,14 @@ class LiveHost(ABC):
         setattr(self, part, not getattr(self, part))
 
     @property
-    def has_time_line(self) -> bool:
+    def has_timeline(self) -> bool:
         return self.clock.is_playing and self.clock.can_go_back
 
     def build_panel(self, ui: Widgets, *, unfolds_sources: bool) -> None:
-        """Builds what the panels of all hosts have in common."""
         sources = self.mirror.sources.values()
         self._sources.build(ui, self.clock, sources, is_open=unfolds_sources)
         self.others.build(ui)
-        self.tools.ask(lambda tool: tool.build(ui))
+        self.tools.call_all(lambda tool: tool.build(ui))
         self._robots.build(ui)
 
     def _switch(self, key: str) -> str:
@@ -217,17 +212,18 @@ class LiveHost(ABC):
     def _select(self, places: int) -> str:
         names = self.world.joints.names
         if not names:
-            return "no joint"
+            return "this scene has no joints"
         self.select((self.joint + places) % len(names))
         return f"selected: {joint_name(self.world, self.joint)}"
 
     def select(self, joint: int) -> None:
         self.joint = self.toggles.selected = joint
 
-    # ---- the view, as it is kept
+    # ---- the saved view
 
     @property
     def layout(self) -> dict[str, bool]:
+        """Visibility of status line, panel and areas, and whether sections are open, by name."""
         areas = {name: tool.shows_area for name, tool in self.tools.items() if tool.area}
         sections = {f"{SECTION}{name}": is_open for name, is_open in self.folds.items()}
         return {"status": self.shows_status, "panel": self.shows_panel, **areas, **sections}
@@ -245,12 +241,12 @@ class LiveHost(ABC):
         return view_state_of(self.world, self.view_camera, self.toggles, self.clock)
 
     def render_words(self) -> list[str]:
-        """Scene, camera, switches and selected joint as arguments of `sero-mj render`."""
+        """Returns the arguments of `sero-mj render` for scene, camera, switches and selection."""
         words = [*(self.command or [self.world.scene.argument])]
         state = self.view_state()
-        for of_tool in self.tools.ask(lambda tool: tool.render_words()):
+        for of_tool in self.tools.call_all(lambda tool: tool.render_words()):
             words += of_tool
-        if not self.decor.fixed:  # by a photo that is drawn over, which no option can say
+        if not self.decor.fixed:  # by a photo in the background, which no option reproduces
             words += ["--camera", state.camera]
         for name, digits in state.switches.items():
             words += ["--show", f"{name}={digits}"]

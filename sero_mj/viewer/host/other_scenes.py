@@ -1,4 +1,4 @@
-"""`OtherScenes`: what the user may open instead of the scene that is shown."""
+"""`OtherScenes`: the scenes that a user can open from a window or page."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from pathlib import Path
 from ...base.errors import SeroError
 from ...base.trust import Request, allow
 from ...data.drive.mirror import Mirror
-from ..panels.request_panel import build_request
+from ..panels.dialogs import build_request
 from ..session.widgets import Widgets
 
 log = logging.getLogger(__name__)
 
 
 class OtherScenes:
-    """Ends a window or page where the user opens another scene.
+    """Closes a window or page when its user opens another scene.
 
     Attributes:
-        offers: makes of other scenes, by the label of a button; None of what is no scene.
-        opener: returns the mirror of a dropped file; None if files cannot be opened.
-        chosen: the mirror to be shown after that, if any.
-        request: what the file of the scene asks to run, and may not; None for nothing.
-        asks: whether the dialog about that is shown.
+        offers: functions that open a scene, by the label of their button; a result of None closes
+            the viewer without another scene.
+        opener: opens a dropped file; None if files cannot be opened.
+        chosen: mirror of the scene to show next, if any.
+        request: request of the scene's file to run programs that are not allowed yet, if any.
+        asks: whether the dialog about the request is shown.
     """
 
     def __init__(self, say: Callable[[str, bool], None], close: Callable[[], object]) -> None:
@@ -42,57 +43,50 @@ class OtherScenes:
         if self.request is not None and ui.button("programs of this file ..."):
             self.asks = True
 
+    def take(self, label: str) -> None:
+        """Opens the scene of an offer, or shows an error message."""
+        self._open(self.offers[label])
+
     def ask(self, request: Request, allowed: Callable[[], Mirror]) -> None:
-        """Shows the dialog of a file that asks to run programs.
+        """Shows the dialog about the programs of a file.
 
         Args:
-            allowed: returns the mirror that simulates the file once its request is allowed.
+            allowed: returns the mirror that simulates the file after the user has allowed it.
         """
         self.request, self._allowed, self.asks = request, allowed, True
 
     def build_dialog(self, ui: Widgets, *, can_allow: bool) -> None:
-        """Builds that dialog; `can_allow`: whether who has control is on this machine."""
         if self.request is not None:
             build_request(
-                ui, self.request, can_allow=can_allow, allow=self.allow, dismiss=self.dismiss
+                ui, self.request, can_allow=can_allow, allow=self._allow, dismiss=self.dismiss
             )
 
     def dismiss(self) -> None:
         self.asks = False
 
-    def allow(self) -> None:
-        """Allows what the file asks for, and continues with its simulation."""
+    def _allow(self) -> None:
         if self.request is not None and self._allowed is not None:
             allow(self.request)
             self.asks = False
-            self._go_on_with(self._allowed)
-
-    def take(self, label: str) -> None:
-        """Goes on with an offer, or shows an error message."""
-        self._go_on_with(self.offers[label])
+            self._open(self._allowed)
 
     def open_file(self, path: Path) -> bool:
-        """Goes on with the scene, robot or recording of a file, or shows an error message.
-
-        Returns:
-            whether the file is opened.
-        """
+        """Opens a scene, robot or recording, or shows an error; returns whether it opens."""
         opener = self.opener
         if opener is None:
-            text = f"{path.name}: files are opened by `sero-mj view` alone"
-            self._say(text, True)
+            self._say(f"{path.name}: only `sero-mj view` opens dropped files", True)
             return False
-        return self._go_on_with(lambda: opener(path))
+        return self._open(lambda: opener(path))
 
-    def _go_on_with(self, make: Callable[[], Mirror | None]) -> bool:
+    def _open(self, make: Callable[[], Mirror | None]) -> bool:
         try:
             self.chosen = make()
         except SeroError as error:
             self._say(str(error), True)
             return False
-        except Exception as error:  # of a file from anywhere, which must not end the viewer
+        except Exception as error:  # a malformed file must not end the viewer
             log.exception("a file cannot be opened")
-            self._say(f"it cannot be opened: {type(error).__name__}: {error}", True)
+            self._say(f"the file cannot be opened: {type(error).__name__}: {error}", True)
             return False
         self._close()
         return True

@@ -1,30 +1,23 @@
-"""`Pointer`: clicks and drags in the picture of a window or page."""
+"""`Pointer`: clicks and drags in the image of a window or page."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from ...robots.assemble.world_view import WorldView
 from ..decor.toggles import Toggles
 from ..image.clicks import CLICKS, Gesture, click
-from ..image.picking import Picked, Pixel
+from ..image.picking import Picked, Pixel, pick
 from ..session.input import DOUBLE_CLICK_DISTANCE, DOUBLE_CLICK_TIME, Clicked, Moved
 from ..session.tool import Grab, Shown, Tool, Tools
-from .camera_control import CameraControl
 
 OnClick = Callable[[Picked | None, str], None]
 
 _OF_JOINTS = ("link", "double", "arrow", "billboard")  # kinds of items
-
-
-class Pointed(Shown, Protocol):
-    """A window or page whose camera can follow or center on what is under the pointer."""
-
-    camera_control: CameraControl
 
 
 @dataclass
@@ -41,7 +34,7 @@ class ClickDetector:
     def press(
         self, picked: Picked | None, pixel: Pixel, time: float, *, shift: bool = False
     ) -> Gesture:
-        """Handles a press of the button and performs its action."""
+        """Performs the action of a press of the button and returns its gesture."""
         apart = max(abs(a - b) for a, b in zip(pixel, self._where, strict=True))
         second = time - self._when <= DOUBLE_CLICK_TIME and apart <= DOUBLE_CLICK_DISTANCE
         if second and not shift:
@@ -59,108 +52,108 @@ class ClickDetector:
 
 
 class Pointer:
-    """Names, clicks and drags what is in the picture of a host.
+    """Handles the pointer in the image of a window or page.
 
     Attributes:
-        dragging: takes drags and turns of the wheel.
+        at: pixel of the pointer; None outside the image.
+        dragging: handles drags and wheel events.
         on_click: called with the clicked item and the gesture.
     """
 
-    def __init__(self, host: Pointed) -> None:
+    def __init__(self, shown: Shown) -> None:
         self.at: Pixel | None = None
-        self.dragging = Dragging(host.tools, host.say)
+        self.dragging = Dragging(shown.tools, shown.say)
         self.on_click: OnClick | None = None
-        self._host = host
-        self._clicks = ClickDetector(host.world, host.toggles)
+        self._shown = shown
+        self._clicks = ClickDetector(shown.world, shown.toggles)
 
     def hover(self, *, is_free: bool) -> bool:
-        """Names the item under the pointer, and lights the handle there.
+        """Shows the name of the item under the pointer; returns whether there is a handle.
 
-        Returns:
-            whether there is a handle.
+        Args:
+            is_free: whether nothing is dragged and no panel is under the pointer.
         """
-        host, at = self._host, self.at if is_free else None
+        shown, at = self._shown, self.at if is_free else None
         if at is None:
-            host.toggles.hover = None
+            shown.toggles.hover = None
         else:
-            host.decor.hover(host.data, at)
-        return any(host.tools.ask(lambda tool: tool.hover(at)))
+            shown.decor.hover(shown.data, at)
+        return any(shown.tools.call_all(lambda tool: tool.hover(at)))
 
     def follow(self) -> str:
-        """Lets the camera follow the frame under the pointer; stops where there is none."""
-        host = self._host
-        picked = None if self.at is None else host.decor.pick(host.data, self.at)
-        is_frame = picked is not None and picked.name in host.world.frames.names
-        return host.camera_control.follow(picked.name if picked and is_frame else None)
+        """Makes the camera follow the frame under the pointer; stops if there is none."""
+        shown = self._shown
+        picked = None if self.at is None else shown.decor.pick(shown.data, self.at)
+        is_frame = picked is not None and picked.name in shown.world.frames.names
+        return shown.camera_control.follow(picked.name if picked and is_frame else None)
 
     def click(self, clicked: Clicked, picked: Picked | None = None) -> None:
         """Performs the action of a click.
 
         Args:
-            clicked: pixel, time and modifiers of the click.
-            picked: the item there, if the caller knows it; found in the picture if None.
+            picked: clicked item; the item at the pixel if None.
         """
-        at = (clicked.x, clicked.y)
-        if clicked.centre:
-            self._centre(at)
+        shown, at = self._shown, (clicked.x, clicked.y)
+        if clicked.center:
+            self._center(at)
             return
-        if picked is None:
-            picked = self._host.decor.pick(self._host.data, at)
-        host = self._host
-        taken = host.tools.first(lambda tool: tool.click(picked, at))
+        decor = shown.decor
+        if picked is None and decor.view is not None:
+            picked = pick(shown.world, shown.data, decor.buffer, decor.view, at)
+        taken = shown.tools.first(lambda tool: tool.click(picked, at))
         if taken is not None:
-            host.say(taken[1])
+            shown.say(taken[1])
             return
         gesture = self._clicks.press(picked, at, clicked.time, shift=clicked.shift)
         if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
-            host.select(picked.index)
+            shown.select(picked.index)
         elif picked is None:
-            host.toggles.selected = None
+            shown.toggles.selected = None
         if picked is not None and picked.kind == "object" and gesture == "double":
-            self._centre(at)
+            self._center(at)
         if self.on_click is not None:
             self.on_click(picked, gesture)
 
-    def _centre(self, at: Pixel) -> None:
-        point = self._host.decor.point_at(self._host.data, at)
+    def _center(self, at: Pixel) -> None:
+        point = self._shown.decor.point_at(self._shown.data, at)
         if point is not None and np.isfinite(point).all():
-            self._host.camera_control.centre(point)
+            self._shown.camera_control.center(point)
 
 
 class Dragging:
     """Passes drags to the tools.
 
     Args:
-        say: shows a message, and whether it is an error; an empty text removes the last one.
+        say: shows a message, and whether it is an error; an empty text removes the last message.
     """
 
     def __init__(self, tools: Tools, say: Callable[[str, bool], None]) -> None:
         self._tools, self._say = tools, say
-        self._tool: Tool | None = None  # of the current drag
-        self._trouble = ""  # its last message
-        self._tried: Pixel | None = None  # where handles were searched
+        self._tool: Tool | None = None  # that handles the current drag
+        self._trouble = ""
+        self._tried: Pixel | None = None  # start of the last drag that was searched for a handle
         self._is_refused = False
 
     def take(
         self, moved: Moved, at: Pixel | None, begin: Pixel | None, pressed: Pixel | None
     ) -> bool:
-        """Takes a drag or a turn of the wheel, if a tool does.
+        """Passes a drag or wheel event to a tool.
 
         Args:
-            at: the pointer's pixel in the picture; None outside of it.
-            begin: that at which the button was pressed with Control; None for another drag.
-            pressed: that at which the left button was pressed, with Control or without.
+            at: pixel of the pointer; None outside the image.
+            begin: pixel where the button was pressed with Ctrl; None for other drags.
+            pressed: pixel where the left button was pressed, with or without Ctrl.
 
         Returns:
-            whether it does not move the camera.
+            whether a tool has handled it, so that the camera does not move.
         """
         if self._tool is not None and moved.how == "zoom":
-            said = self._tools.call(self._tool, lambda tool: tool.wheel(moved.down))
-            if said is not None:
-                self._say(said, False)
+            text = self._tools.call(self._tool, lambda tool: tool.wheel(moved.down))
+            if text is not None:
+                self._say(text, False)
                 return True
         if self._tool is None and pressed is not None and self._tried != moved.pressed:
-            self._tried = moved.pressed  # the drag began there, and only there is a handle grabbed
+            self._tried = moved.pressed  # a handle is only grabbed where the drag starts
             self._begin(self._tools.first(lambda tool: tool.grab_handle(pressed)))
         if moved.pulls_from is None and self._tool is None:
             return False
@@ -180,7 +173,7 @@ class Dragging:
             self._say(grab.text, grab.is_refused)
 
     def announce(self, at: Pixel) -> bool:
-        """Says what a long press at a pixel would drag; returns whether anything."""
+        """Shows what a long press at a pixel would drag; returns whether it would drag anything."""
         found = self._tools.first(lambda tool: tool.announce(at))
         if found is None:
             return False
@@ -189,7 +182,7 @@ class Dragging:
 
     def advance(self) -> None:
         if self._tool is None or self._tool not in self._tools.values():
-            self._tool = None  # it has failed, and was taken out
+            self._tool = None  # the tool may have failed and been removed
             return
         trouble = self._tools.call(self._tool, lambda tool: tool.drag()) or ""
         if trouble or self._trouble:

@@ -1,6 +1,6 @@
-"""The contents of the start page: recent views, shipped scenes, and expected data.
+"""`StartPage`: recent views, shipped scenes and robots, and expected packets.
 
-`StartPage` is all of it but the drawing, which `window/start_window.py` and `web/start_host.py` do.
+`window/start_window.py` and `web/start_host.py` display it.
 """
 
 from __future__ import annotations
@@ -23,13 +23,12 @@ from ...data.drive.mirror import Mirror
 from ...data.receive.reception import QUIET_AFTER
 from ...data.receive.source import Source, make_source
 from ...data.receive.structure import Rows
-from ..panels.message import Message
 from ..session.recent_views import RecentView, recent_views
-from ..session.status_line import Mood
+from ..session.status_line import Message, Mood
 
 log = logging.getLogger(__name__)
 
-# Returns the selected scene; raises SeroError, which the page then shows.
+# Opens the chosen scene; the page shows a SeroError.
 Opener = Callable[[RecentView | Path], Mirror]
 
 TITLE = "sero-mj"
@@ -38,28 +37,28 @@ DROP_HINT = (
     "Drop a file here: a robot (URDF, MJCF, robot.toml), a scene or scenario (TOML, X3D), "
     "or a recording (MCAP)"
 )
-SEARCH_HINT = "search"
-MORE_HINT = "`sero-mj list` names all that is shipped, `sero-mj --help` all commands."
-# Robots that are parts of others come last.
+SEARCH_HINT = "search scenes and robots"
+MORE_HINT = "`sero-mj list` lists all scenes and robots, `sero-mj --help` all commands."
+# Robots that are parts of other robots are listed last.
 _PARTS = ("biped_leg", "dlr_hand2_finger", "hit_finger", "justin_head", "justin_torso",
           "justin_wheel", "space_justin_torso", "ups_leg")  # fmt: skip
-# Kinds of sources that listen passively.
-_HEARD_KINDS = ("udp", "shm")
-_ERROR_TIME, _OPENING_TIME = 12.0, 60.0  # s for which an error is shown, and what is opened
+# Kinds of sources that only listen.
+_LISTENING_KINDS = ("udp", "shm")
+_ERROR_TIME, _OPENING_TIME = 12.0, 60.0  # s
 
 
 class Tile(NamedTuple):
     """An item that can be opened.
 
     Attributes:
-        about: a line about it.
-        picture: a file; None for none.
+        about: one line of description.
+        image: image file, if any.
     """
 
     view: RecentView
     title: str
     about: str
-    picture: Path | None
+    image: Path | None
 
 
 class Section(NamedTuple):
@@ -73,7 +72,7 @@ def sections() -> list[Section]:
     """Returns all sections, recent views first."""
     models, parts, scenes = paths.list_models(), set(_PARTS), paths.list_scenes()
     found = [
-        Section("Recent", [_recent_tile(view) for view in recent_views()]),
+        Section("Recent views", [_recent_tile(view) for view in recent_views()]),
         Section("Simulations", [_tile(name) for name in paths.list_scenarios()]),
         Section("Live robots", [_tile(name) for name in scenes]),
         Section(
@@ -92,32 +91,32 @@ def sections() -> list[Section]:
 
 
 def _tile(name: str) -> Tile:
-    picture = _shipped_picture(name)
-    return Tile(RecentView(name), name, _about(paths.shipped_file(name)), picture)
+    about = _about(paths.shipped_file(name))
+    return Tile(RecentView(name), name, about, _shipped_image(name))
 
 
 def _group_tile(name: str, *, is_hidden: bool) -> Tile:
     file = paths.models_dir() / name / paths.GROUP_FILE
     view = RecentView(str(file) if is_hidden else name)
-    return Tile(view, name, _about(file), _shipped_picture(name))
+    return Tile(view, name, _about(file), _shipped_image(name))
 
 
 def _recent_tile(view: RecentView) -> Tile:
-    picture = view.picture if view.picture.is_file() else _shipped_picture(view.scene)
+    image = view.image if view.image.is_file() else _shipped_image(view.scene)
     if view.replay:
-        return Tile(view, Path(view.replay).name, f"recording, shown by {view.scene}", picture)
+        return Tile(view, Path(view.replay).name, f"recording, shown in {view.scene}", image)
     file = paths.shipped_file(view.scene)
     if file is not None:
-        return Tile(view, view.scene, _about(file), picture)
+        return Tile(view, view.scene, _about(file), image)
     path = Path(view.scene)
     is_model = path.name in (paths.ROBOT_FILE, paths.GROUP_FILE)
     title = model_name(path) if is_model else path.name
-    return Tile(view, title, str(path.parent), picture)
+    return Tile(view, title, str(path.parent), image)
 
 
-def _shipped_picture(name: str) -> Path | None:
-    picture = paths.scenes_dir() / "pictures" / f"{Path(name).name}.jpg"
-    return picture if picture.is_file() else None
+def _shipped_image(name: str) -> Path | None:
+    image = paths.scenes_dir() / "pictures" / f"{Path(name).name}.jpg"
+    return image if image.is_file() else None
 
 
 def _about(file: Path | None) -> str:
@@ -130,12 +129,12 @@ def _about(file: Path | None) -> str:
 
 
 class ExpectedPackets(NamedTuple):
-    """Packets that scenes can show, at one address.
+    """The packets that scenes expect at one address.
 
     Attributes:
-        views: that show packets of a size, by that size, bytes.
-        rates: of received packets, packets/s, by their size.
-        trouble: why none can be received; empty for none.
+        views: views that show packets of a size, by size, bytes.
+        rates: received packets per second, by size, bytes.
+        trouble: why no packets can be received; empty if they can.
     """
 
     where: str
@@ -145,13 +144,13 @@ class ExpectedPackets(NamedTuple):
 
     @property
     def command(self) -> str:
-        """The command that would send such packets; empty if some arrive, or cannot."""
+        """Command that sends such packets; empty if packets arrive, or cannot be received."""
         if self.rates or self.trouble:
             return ""
         return f"sero-mj send {self.views[min(self.views)][0].scene}"
 
     @property
-    def expected(self) -> str:
+    def packets(self) -> str:
         """Sizes of packets, and the scenes that show them."""
         parts: list[str] = []
         for size, views in sorted(self.views.items()):
@@ -164,9 +163,9 @@ class ExpectedPackets(NamedTuple):
         if self.trouble:
             return self.trouble
         if not self.rates:
-            return f"{self.where}: nothing yet"
+            return f"{self.where}: no packets yet"
         found = (
-            f"{rate:.0f}/s of {size} bytes{'' if size in self.views else ', which is not expected'}"
+            f"{rate:.0f}/s of {size} bytes{'' if size in self.views else ' (unexpected size)'}"
             for size, rate in sorted(self.rates.items())
         )
         return f"{self.where}: {' and '.join(found)}"
@@ -183,17 +182,17 @@ class ExpectedPackets(NamedTuple):
 
 
 class _Place:
-    """An address with packets of one or several sizes, and their counts."""
+    """An address, and the counts of its packets by size."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        self.views: dict[int, list[RecentView]] = {}  # by size
+        self.views: dict[int, list[RecentView]] = {}  # by size of packets
         self.trouble = ""
         self._counts: dict[int, Counter[int]] = {}  # packets by second, by size
         self._last: dict[int, float] = {}
 
     def open(self) -> None:
-        self.source.record_to(self._hear)
+        self.source.record_to(self._count)
         try:
             self.source.open()
         except SeroError as error:
@@ -203,13 +202,13 @@ class _Place:
         self.source.record_to(None)
         self.source.close()
 
-    def _hear(self, rows: Rows, lengths: Ints, arrivals: Array) -> None:
+    def _count(self, rows: Rows, lengths: Ints, arrivals: Array) -> None:
         now = time.monotonic()
         for size, count in Counter(lengths.tolist()).items():
             self._counts.setdefault(size, Counter())[int(now)] += count
             self._last[size] = now
 
-    def awaited(self) -> ExpectedPackets:
+    def expected(self) -> ExpectedPackets:
         now = time.monotonic()
         rates = {}
         for size, last in [*self._last.items()]:
@@ -231,7 +230,7 @@ class PortMonitor:
                 place.views.setdefault(source.size, []).append(view)
         for place in self._places.values():
             for each in place.views.values():
-                each.sort(key=lambda view: len(view.scene))  # the simplest one first
+                each.sort(key=lambda view: len(view.scene))  # the simplest scene first
 
     def __enter__(self) -> Self:
         for place in self._places.values():
@@ -242,14 +241,14 @@ class PortMonitor:
         for place in self._places.values():
             place.close()
 
-    def awaited(self) -> list[ExpectedPackets]:
-        """Returns the expected packets, by address: active ones first."""
-        found = [place.awaited() for place in self._places.values()]
+    def expected(self) -> list[ExpectedPackets]:
+        """Returns the expected packets by address; addresses with packets come first."""
+        found = [place.expected() for place in self._places.values()]
         return sorted(found, key=lambda each: (not each.rates, each.where))
 
 
 def listening() -> PortMonitor:
-    """Returns a monitor of all shipped and recent scenes."""
+    """Returns a monitor for all shipped and recent scenes."""
     recent = [view for view in recent_views() if not view.replay]
     shipped = [RecentView(name) for name in paths.list_scenes()]
     return PortMonitor(list(dict.fromkeys([*recent, *shipped])))
@@ -266,18 +265,18 @@ def _sources(scene: str) -> list[Source]:
     found: list[Source] = []
     if isinstance(tables, Mapping):
         for name, table in tables.items():
-            if isinstance(table, Mapping) and table.get("kind") in _HEARD_KINDS:
+            if isinstance(table, Mapping) and table.get("kind") in _LISTENING_KINDS:
                 with suppress(SeroError):
                     found.append(make_source(name, {**table, "debug_level": 0}))
     return found
 
 
 class StartPage:
-    """What the start page offers, and does with what its user chooses.
+    """The contents of the start page, and what its user has chosen.
 
     Attributes:
-        chosen: the scene that was opened; None for none so far.
-        tiles: all that can be opened.
+        chosen: mirror of the opened scene, if any.
+        tiles: all tiles.
     """
 
     def __init__(self, opener: Opener, listening: PortMonitor) -> None:
@@ -288,11 +287,11 @@ class StartPage:
         self.chosen: Mirror | None = None
         self._wanted: queue.SimpleQueue[RecentView | Path] = queue.SimpleQueue()
 
-    def awaited(self) -> list[ExpectedPackets]:
-        return self._listening.awaited()
+    def expected(self) -> list[ExpectedPackets]:
+        return self._listening.expected()
 
     def found(self, words: str) -> list[Section]:
-        """Returns the sections with the tiles that have these words in title or description."""
+        """Returns the sections with the tiles whose title or description contains all words."""
         each = words.lower().split()
         found = [
             Section(title, [tile for tile in tiles if _has(tile, each)])
@@ -301,7 +300,7 @@ class StartPage:
         return [section for section in found if section.tiles]
 
     def choose(self, what: RecentView | Path) -> None:
-        """Has something opened by the next `open_next`, and tells so; from any thread."""
+        """Requests that `open_next` opens a view or file; can be called from any thread."""
         name = what.name if isinstance(what, Path) else Path(what.replay or what.scene).name
         self.notice = Message(f"opening {name} ...", until=time.monotonic() + _OPENING_TIME)
         self._wanted.put(what)
@@ -311,13 +310,10 @@ class StartPage:
         return not self._wanted.empty()
 
     def open_next(self, patience: float) -> bool:
-        """Opens what was chosen, or tells why it cannot be.
+        """Opens the next requested view or file; returns whether something is open.
 
         Args:
-            patience: s for which something is waited for.
-
-        Returns:
-            whether something is open.
+            patience: time to wait for a request, s.
         """
         try:
             self.chosen = self._opener(self._wanted.get(timeout=patience))
@@ -325,9 +321,9 @@ class StartPage:
             pass
         except SeroError as error:
             self._refuse(without_temporary(str(error)))
-        except Exception as error:  # of a file from anywhere, which must not end the viewer
+        except Exception as error:  # a malformed file must not end the viewer
             log.exception("a file cannot be opened")
-            self._refuse(f"it cannot be opened: {type(error).__name__}: {error}")
+            self._refuse(f"the file cannot be opened: {type(error).__name__}: {error}")
         return self.chosen is not None
 
     def _refuse(self, text: str) -> None:

@@ -205,7 +205,7 @@ def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None
 
     The image contains a sphere about the declared scene without its floor; the aspect ratio is at
     most 4/3, since a view may show a part of the scene. In narrower images, the camera stands
-    farther back. A view declared by a scene is meant for images of 1280x800, so it also needs the
+    farther back. A view declared by a scene is for images of 1280x800, so it also needs the
     width of the robots visible there.
     """
     data, tangent = declared_data(world), _tan_half_fovy(world)

@@ -1,7 +1,7 @@
 """`HeldTorques`: gravity torques of the joints, for robots without data.
 
 If neither joint angles nor torques of a robot are received or declared, the model provides the
-torques that hold its pose, and the legend says so.
+torques that hold its pose, and the legend names them gravity torques.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ PickedKind = Literal[
     "limb",
 ]
 
-Pixel = tuple[float, float]  # x to the right and y up from the lower left corner of a picture
+Pixel = tuple[float, float]  # x to the right and y up from the lower left corner of an image
 
 TOUCH_TOLERANCE = 12.0  # tolerance for a touch screen, pixels
 # An arrow geom in MuJoCo's renderers (`mjGEOM_ARROW`): the cone is a third of its length.
@@ -55,8 +55,8 @@ class Picked:
         name: for example `lwr/A4` for a joint's arrow or billboard, `lwr/link3`, `table`.
         owner: the robot or double it belongs to; empty for other items.
         index: joint of the world for links, doubles, arrows and billboards; frame for axes and
-            names; smart arrow for vectors and cards; robot for checks; -1 for objects and
-            paths.
+            names; smart arrow for vectors and their billboards; robot for checks; -1 for
+            objects and paths.
         own_name: for a link, its name in the robot's file; otherwise the same as `name`.
     """
 

@@ -51,13 +51,10 @@ class SceneDecor:
         self.dropped = 0
         self.drawing = ModelDrawing(world)
         self._decor = Decor(world, capacity, arrow_geoms)
+        self.buffer: GeomBuffer = self._decor.buffer
         self._host: tuple[mujoco.MjvScene, SceneWriter] | None = None
         self._has_warned = False
         self._with_text = with_text
-
-    @property
-    def buffer(self) -> GeomBuffer:
-        return self._decor.buffer
 
     def add(self, feature: Drawn) -> None:
         self._decor.features.append(feature)

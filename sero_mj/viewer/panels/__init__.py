@@ -1,6 +1,8 @@
-"""Panels of windows and pages, written once for both.
+"""The panels of windows and pages, written once for both.
 
-In: a host's world, toggles, and what its user sets by hand. Out: changes of these.
-Open first: `robot_panel.py`. Panels are made of `session.widgets`; `imgui_widgets.py` draws them in
-windows with Dear ImGui, `dom_widgets.py` makes the tree that pages show as HTML elements.
+In: a window or page, and its switches. Out: changes of these.
+Open first: `../tools/model_view.py`, a short panel of its own. To add a panel, write such a tool: a
+subclass of `Tool` whose method `build(ui)` calls the methods of `session.widgets.Widgets`, with an
+entry point in the group `sero_mj.tools`. Windows draw the widgets with `imgui_widgets.py`, and
+`dom_widgets.py` turns them into HTML elements of pages.
 """

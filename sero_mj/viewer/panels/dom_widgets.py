@@ -1,7 +1,7 @@
-"""`DomWidgets`: the widgets of panels as a tree of nodes, which a page shows by HTML elements.
+"""`DomWidgets`: the widgets of pages, as a tree of nodes that the browser shows as HTML elements.
 
-A panel is built anew for every update, as in windows; what the user of a browser did is kept until
-the widget is built next, and is then returned by it.
+A panel is built again for every update, as in windows. User actions are stored until the widget is
+built next, which returns them.
 """
 
 from __future__ import annotations
@@ -18,55 +18,54 @@ from ..session.widgets import Plot, Ticks
 
 Node = dict[str, Any]
 
-_CHARACTER = 0.52  # mean width of a character, of the text's height
-_DIGITS = 5  # of the numbers of plots
-# Heights in `panels.css`, of the text's: of a line, of one of a text, and beside a plot.
+_CHARACTER = 0.52  # mean width of a character, in text heights
+_DIGITS = 5  # significant digits of numbers in plots
+# Heights in `panels.css`, in text heights: line of widgets, line of text, gap below a plot.
 _LINE, _TEXT_LINE, _GAP = 2.3, 1.45, 0.3
 
 
 class _Tree:
-    """Nodes with their ids, and what the user did with them."""
-
     def __init__(self) -> None:
         self.folds: dict[str, bool] = {}
-        self._is_open: dict[str, bool] = {}  # nodes that were folded or unfolded
-        self._sections: set[str] = set()  # ids
-        self._nodes_to_fold: set[str] = set()  # ids
-        self._widgets: set[str] = set()  # ids, of the last panel that was built
-        self._done: dict[str, Any] = {}  # what the user did, by id
+        self._is_open: dict[str, bool] = {}  # nodes that the user has opened or closed
+        self._sections: set[str] = set()  # ids of foldable sections
+        self._branches: set[str] = set()  # ids of foldable nodes
+        self._widgets: set[str] = set()  # ids of the last built panel
+        self._done: dict[str, Any] = {}  # value that the user has set, by id
         self._begin((0.0, 0.0))
 
     def _begin(self, size: tuple[float, float]) -> None:
         self._size = size
         self._nodes: list[Node] = []
-        self._into = [self._nodes]  # lists that nodes are put into, the innermost last
+        self._into = [self._nodes]  # open lists of nodes, the innermost last
         self._tables: list[Node] = []
         self._scopes: list[str] = []
         self._ids: dict[str, int] = {}
         self._off: list[bool] = []
-        self._next: Node = {}  # of the next node
+        self._next: Node = {}  # keys of the next node
 
     def act(self, id_: str, value: Any) -> None:
-        """Notes what the user did with a widget; ignores an id that the panel does not have."""
+        """Stores what the user did with a widget; ignores unknown ids."""
         if id_ in self._widgets:
             self._done[id_] = value
 
     def fold(self, id_: str, *, is_open: bool) -> None:
-        """Folds or unfolds a section or a node; ignores an id that the panel never had."""
+        """Opens or closes a section or node; ignores unknown ids."""
         if id_ in self._sections:
             self.folds[id_] = is_open
-        elif id_ in self._nodes_to_fold:
+        elif id_ in self._branches:
             self._is_open[id_] = is_open
 
     def tree_of(self, build: Callable[[], object], size: tuple[float, float]) -> list[Node]:
         """Returns the nodes that a function builds.
 
-        Width and height of the panel are in units of the text's height.
+        Args:
+            size: width and height of the panel, in text heights.
         """
         self._begin(size)
         self._widgets = set()
         build()
-        self._done.clear()  # also of widgets that are not shown any more
+        self._done.clear()  # also for widgets that are no longer shown
         return self._nodes
 
     def _id(self, label: str) -> str:
@@ -93,10 +92,10 @@ class _Tree:
 
 
 class DomWidgets(_Tree):
-    """`Widgets` on a page; a node has the keys that `js/src/panels.js` reads.
+    """Implements `Widgets`; `js/src/panels.js` reads the nodes.
 
     Args:
-        to_clipboard: puts a text onto the clipboard of the browser in control.
+        to_clipboard: copies a text to the clipboard of the browser in control.
     """
 
     points, interval = 320, 1.0 / 15.0
@@ -129,7 +128,7 @@ class DomWidgets(_Tree):
 
     def tree(self, label: str) -> bool:
         id_ = self._id(label)
-        self._nodes_to_fold.add(id_)
+        self._branches.add(id_)
         is_open = self._foldable("tree", label, id_, is_open=self._is_open.get(id_, False))
         if is_open:
             self._scopes.append(label)
@@ -249,7 +248,7 @@ class DomWidgets(_Tree):
 
 
 def _height_of(nodes: Sequence[Node], width: float) -> float:
-    """Returns the approximate height of nodes, in units of the text's height as is the width."""
+    """Returns the approximate height of nodes, in text heights."""
     height = last = 0.0
     for node in nodes:
         own = _LINE
@@ -264,7 +263,7 @@ def _height_of(nodes: Sequence[Node], width: float) -> float:
         elif node["k"] == "lines":
             own = node["count"] * _TEXT_LINE + _GAP
         own += _height_of(node.get("nodes", ()), width)
-        if "same" in node:  # beside the last one
+        if "same" in node:  # beside the previous node
             height += max(own - last, 0.0)
             last = max(own, last)
         else:
@@ -275,7 +274,7 @@ def _height_of(nodes: Sequence[Node], width: float) -> float:
 def _is_number(value: Any) -> bool:
     try:
         return isinstance(value, int | float) and math.isfinite(value)
-    except OverflowError:  # a whole number beyond all others
+    except OverflowError:  # an integer that exceeds float
         return False
 
 
@@ -284,5 +283,4 @@ def _number(value: float, otherwise: float) -> float:
 
 
 def _short(values: Array) -> list[float | None]:
-    """Numbers with some digits, for JSON; None for a gap."""
     return [float(f"{v:.{_DIGITS}g}") if np.isfinite(v) else None for v in values.tolist()]

@@ -1,4 +1,4 @@
-"""`ImguiWidgets`: the widgets of windows, by Dear ImGui and ImPlot; pages have `dom_widgets.py`."""
+"""`ImguiWidgets`: the widgets of windows, drawn with Dear ImGui and ImPlot."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from ..session.status_line import Mood
 from ..session.widgets import Plot, PlotLine, Rgb, Ticks
 
-# On light themes and on dark ones. Contrast with the window is at least 4.5 (WCAG).
+# For light and dark themes. The contrast with the window is at least 4.5 (WCAG).
 MOODS: dict[Mood, tuple[Rgb, Rgb]] = {
     "good": ((0.04, 0.41, 0.16), (0.55, 0.85, 0.62)),
     "quiet": ((0.47, 0.33, 0.00), (0.95, 0.80, 0.40)),
@@ -17,27 +17,28 @@ MOODS: dict[Mood, tuple[Rgb, Rgb]] = {
     "title": ((0.55, 0.30, 0.00), (1.00, 0.72, 0.30)),
 }
 _LIMIT: Rgb = (0.85, 0.30, 0.30)
-_GRAB = 0.6  # width of a slider's knob, of the text's height
-_EDGE = 2.0  # pixels between the knob and the slider's ends
-_TICK = 0.28  # height of marks at its edges, of its height; text is between them
-_BESIDE = 0.9  # beside a plot, for half of the last number below it, of the text's height
+_GRAB = 0.6  # width of a slider's knob, in text heights
+_EDGE = 2.0  # distance of the knob from the slider's ends, pixels
+_TICK = 0.28  # height of the marks at the slider's edges, of its height
+_BESIDE = 0.9  # margin of a plot for the last number of its axis, in text heights
 _LINE = 1.75  # width of lines, pixels
-# What is told of a tick: while the value is as near, of the slider's length, and so long after, s.
+# The text of a mark is shown within this fraction of the slider's length, and this long after it,
+# s.
 _NEAR, _AFTER = 0.012, 1.0
-_TIP = 22.0  # width from which on a tip is wrapped, of the text's height
+_TIP = 22.0  # maximum width of a tooltip, in text heights
 
 
 class ImguiWidgets:
-    """See `Widgets`."""
+    """Implements `Widgets`."""
 
     points, interval = 980, 0.0
 
     def __init__(self, imgui: Any, implot: Any) -> None:
         self._imgui, self._implot = imgui, implot
         self.folds: dict[str, bool] = {}
-        self._unfolded: dict[str, bool] = {}  # as they were in the last frame
+        self._unfolded: dict[str, bool] = {}  # state in the last frame
         self._scopes: list[str] = []
-        # What is the same there.
+        # Methods that ImGui has with the same meaning.
         self.row, self.cell = imgui.table_next_row, imgui.table_next_column
         self.end_table, self.end_tree = imgui.end_table, imgui.tree_pop
         self.enable, self.check = imgui.end_disabled, imgui.checkbox
@@ -146,9 +147,9 @@ class ImguiWidgets:
     ) -> tuple[bool, float]:
         imgui = self._imgui
         grab = _GRAB * self._unit
-        told = _told(ticks, value, high - low)
-        if told:
-            text += f"   {told.replace('%', '%%')}"
+        near = _near_text(ticks, value, high - low)
+        if near:
+            text += f"   {near.replace('%', '%%')}"
         imgui.push_style_var(imgui.StyleVar_.grab_min_size, grab)
         changed, now = imgui.slider_float(label, value, low, high, text)
         imgui.pop_style_var(1)
@@ -157,9 +158,9 @@ class ImguiWidgets:
         tall, draw = _TICK * (end.y - begin.y), imgui.get_window_draw_list()
         for at, mood, _ in ticks if high > low else ():
             x = left + min(max((at - low) / (high - low), 0.0), 1.0) * (right - left)
-            colour = imgui.get_color_u32(self._rgba(mood))
+            color = imgui.get_color_u32(self._rgba(mood))
             for y in (begin.y, end.y - tall):
-                draw.add_line(imgui.ImVec2(x, y), imgui.ImVec2(x, y + tall), colour, _EDGE)
+                draw.add_line(imgui.ImVec2(x, y), imgui.ImVec2(x, y + tall), color, _EDGE)
         return changed, now
 
     def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
@@ -205,7 +206,7 @@ class ImguiWidgets:
         self._imgui.set_clipboard_text(text)
 
 
-def _told(ticks: Sequence[tuple[float, Mood, str]], value: float, length: float) -> str:
+def _near_text(ticks: Sequence[tuple[float, Mood, str]], value: float, length: float) -> str:
     near = _NEAR * length
     there = [each for each in ticks if -near <= value - each[0] <= max(near, _AFTER)]
     return min(there, key=lambda each: abs(value - each[0]))[2] if there else ""

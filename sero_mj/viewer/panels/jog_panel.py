@@ -1,4 +1,4 @@
-"""`JogPanel`: joint sliders of robots that are moved by hand, their poses to type and copy."""
+"""`JogPanel`: joint sliders of robots that are moved by hand, and their poses to type and copy."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from ..session.joint_goal import JointGoal, as_command, as_python, as_toml
 from ..session.widgets import Widgets
 
 UNITS = ("deg", "rad")
-_MOST_SECTIONS, _MOST_OPEN = 3, 2  # number of robots with sections, and of those unfolded at first
-# Widths of columns, of the text's height, and of a name's character.
-_LEAST_NAME, _MOST_NAME, _NUMBER, _CHARACTER = 3.2, 8.0, 4.6, 0.56
+_MAX_SECTIONS, _MAX_OPEN = 3, 2  # robots with own sections, and sections that are initially open
+# Widths of columns and of a character, in text heights.
+_MIN_NAME, _MAX_NAME, _NUMBER, _CHARACTER = 3.2, 8.0, 4.6, 0.56
 _POSE = (("x", 0), ("y", 1), ("z", 2), ("roll", 0), ("pitch", 1), ("yaw", 2))
 
 
 def build_each(
     ui: Widgets, verb: str, names: Collection[str], build: Callable[[str], None]
 ) -> None:
-    """Builds a section for every robot, or where they are many a tree in one section.
+    """Builds a section for each robot, or one section with a tree if there are many robots.
 
     Args:
-        verb: what is done with the robots there.
+        verb: first word of the titles.
     """
-    are_many = len(names) > _MOST_SECTIONS
+    are_many = len(names) > _MAX_SECTIONS
     if are_many and not ui.header(f"{verb} {len(names)} robots"):
         return
     for index, name in enumerate(names):
         ui.scope(f"{verb} {name}")
-        if not are_many and ui.header(f"{verb} {name}", is_open=index < _MOST_OPEN):
+        if not are_many and ui.header(f"{verb} {name}", is_open=index < _MAX_OPEN):
             build(name)
         elif are_many and ui.tree(name):
             build(name)
@@ -41,12 +41,12 @@ def build_each(
 
 
 class JointSliders:
-    """Sliders and number fields of the joints of a robot, in a tree of its limbs if it branches.
+    """Sliders and number fields of the joints of a robot, in a tree if the robot branches.
 
-    Below them are a button for the declared pose and the choice of the unit.
+    A button for the declared pose and the choice of the unit are below.
 
     Attributes:
-        unit: of angles, index in `UNITS`, the same for all robots.
+        unit: index in `UNITS`, the same for all robots.
     """
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class JointSliders:
                 ui.end_tree()
         if ui.button("home"):
             goal.set_all(goal.robot.home)
-        ui.tip("the declared pose")
+        ui.tip("go to the declared pose")
         ui.same_line()
         ui.width(4.2)
         _, self.unit = ui.choose("##unit", self.unit, UNITS)
@@ -70,15 +70,15 @@ class JointSliders:
     def _joints(self, ui: Widgets, goal: JointGoal, joints: Sequence[int]) -> None:
         robot, angles = goal.robot, goal.angles
         free = set(robot.coupled.independent.tolist())
-        names = short_joint_names(robot.names, robot.name)  # without what all have in common
+        names = short_joint_names(robot.names, robot.name)  # without their common prefix
         longest = max(len(names[joint]) for joint in joints)
-        name_width = min(max(_CHARACTER * longest, _LEAST_NAME), _MOST_NAME)
+        name_width = min(max(_CHARACTER * longest, _MIN_NAME), _MAX_NAME)
         if not ui.table(f"##angles{joints[0]}", (name_width, 0, _NUMBER)):
             return
         for joint in joints:
-            name, turns = robot.names[joint], robot.types[joint] == "revolute"
+            name, is_angle = robot.names[joint], robot.types[joint] == "revolute"
             factor, unit, decimals = 1.0, "m", 4
-            if turns:
+            if is_angle:
                 factor, unit, decimals = ((180 / np.pi, "deg", 1), (1.0, "rad", 3))[self.unit]
             low, high = goal.range_of(joint)
             ui.row()
@@ -88,7 +88,7 @@ class JointSliders:
             ui.disable(is_off=joint not in free)
             ui.width(0.0)
             value = factor * float(angles[joint])
-            # Without a number, which the knob would cover; it is in the field.
+            # Without the number, which is in the field.
             moved, wanted = ui.slide(f"##{name}", value, factor * low, factor * high, "")
             ui.tip(f"{name}: {factor * low:.4g} to {factor * high:.4g} {unit}")
             ui.cell()
@@ -101,10 +101,9 @@ class JointSliders:
 
 
 def build_flange(ui: Widgets, label: str, goal: JointGoal, base: Array) -> None:
-    """Builds a tree with the pose of a flange from its base, m and degrees, in number fields.
+    """Builds a tree with the pose of the flange relative to its base, m and degrees, to type.
 
     Args:
-        goal: moves to the pose that is typed.
         base: T_world_base (4, 4), m.
     """
     if not ui.tree(label):
@@ -121,7 +120,9 @@ def build_flange(ui: Widgets, label: str, goal: JointGoal, base: Array) -> None:
             ui.width(0.0)
             shown = f"{name} %.3f" if number < 3 else f"{name} %.1f"
             typed, value = ui.number(f"##{name}", float(values[index]), shown)
-            ui.tip(f"{name} of the flange from the base, {unit}: type a number, then Enter")
+            ui.tip(
+                f"{name} of the flange relative to the base, {unit}; type a number and press Enter"
+            )
             if typed:
                 values[index], is_new = value, True
         ui.end_table()
@@ -143,7 +144,6 @@ class JogPanel:
         self._copied = ""
 
     def build(self, ui: Widgets, note: str) -> None:
-        """Builds a section for every robot, of many a tree in one section."""
         goals = self._goals
         build_each(ui, "Move", goals, lambda name: self._robot(ui, name, goals[name], note))
 
@@ -157,7 +157,7 @@ class JogPanel:
         build_flange(ui, "flange", goal, self._base(name))
         ui.enable()
         if goal.is_led:
-            ui.text("a program sets this pose", "quiet")
+            ui.text("a program controls this pose", "quiet")
         if ui.tree("copy the pose"):
             self._copy(ui, name, goal)
             ui.end_tree()

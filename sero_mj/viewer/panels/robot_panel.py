@@ -1,4 +1,4 @@
-"""`RobotPanel`: toggles and sizes of every robot and double."""
+"""`RobotPanel`: switches and sizes of all robots and doubles."""
 
 from __future__ import annotations
 
@@ -14,26 +14,25 @@ from ..decor.quantities import QUANTITY_NAMES, joint_name
 from ..decor.toggles import Toggles
 from ..session.widgets import Widgets
 
-_MOST_WITHOUT_SEARCH = 8  # joints
-_MOST_FOUND = 60  # joints that a search lists
-_MOST_OPEN = 3  # number of robots whose toggles are initially expanded
-_LARGEST = 3.0  # range of the sliders, factors of the declared size
+_SEARCHABLE = 8  # more joints are shown with a search field
+_MAX_FOUND = 60  # joints in the result of a search
+_MAX_OPEN = 3  # robots whose sections are initially open
+_MAX_SCALE = 3.0  # maximum factor of a declared size
 _FLAG_NAMES = {
     "legend": "legend",
-    "status": "faults of the sources",
+    "status": "errors of the sources",
     "flange_checks": "comparison of flange frames",
 }
-_SECOND = 8.6  # where a second widget of a line begins, of the text's height
-_SLIDER = 8.6  # likewise, wide
+# Lengths in units of the text height.
+_SECOND = 8.6  # left edge of the second widget of a line
+_SLIDER = 8.6  # width
 
 
 def tree_of_owners(world: WorldView) -> tuple[dict[str, list[str]], list[str]]:
-    """Returns the tree in which robots and doubles are listed.
-
-    Each is listed once, in the first of its groups.
+    """Returns the tree of robots and doubles, each in the first of its groups.
 
     Returns:
-        groups with their members, and what is in no group: groups, robots, doubles.
+        members by group, and everything that is in no group: groups, robots, doubles.
     """
     scene = world.scene
     declared = {name: group.robots for name, group in scene.groups.items()} | scene.double_groups
@@ -50,29 +49,29 @@ def tree_of_owners(world: WorldView) -> tuple[dict[str, list[str]], list[str]]:
 def build_handle(ui: Widgets, key: str) -> bool:
     """Builds the button that opens the panel; returns whether it was pressed."""
     is_pressed = ui.button("panel")
-    ui.tip(f"switches, sources and sizes: {key}")
+    ui.tip(f"switches, sources and sizes ({key})")
     return is_pressed
 
 
 class RobotPanel:
-    """The panel with toggles and size sliders of every robot and double.
+    """Switches and size sliders of all robots and doubles.
 
-    Sliders scale the declared sizes; `Toggles.reset` does not reset them.
+    Sliders scale the declared sizes.
 
     Args:
-        world: the compiled scene; its tables of sizes are changed in place.
+        world: the compiled scene, whose sizes are changed in place.
 
     Attributes:
-        on_select: called with a joint that was clicked on.
+        on_select: called with a joint when it is clicked.
     """
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
         self._world, self._toggles = world, toggles
-        self._wanted = ""  # what is searched for
+        self._wanted = ""  # text of the search field
         self.on_select: Callable[[int], None] = lambda joint: None
         joints, frames = world.joints, world.frames
         self._members, self._tops = tree_of_owners(world)
-        # Name, array, rows of an owner, and declared values of the sizes that sliders scale.
+        # Label, scaled array, kind of its rows, and declared values.
         self._scaled: list[tuple[str, Array, str, Array]] = [
             ("arrow radius", joints.arrow_radius, "joints", joints.arrow_radius.copy()),
             ("arrow width", joints.arrow_width_scale, "joints", joints.arrow_width_scale.copy()),
@@ -82,7 +81,7 @@ class RobotPanel:
 
     def build(self, ui: Widgets) -> None:
         world, toggles = self._world, self._toggles
-        if len(world.joints.names) > _MOST_WITHOUT_SEARCH or len(world.owners) > 1:
+        if len(world.joints.names) > _SEARCHABLE or len(world.owners) > 1:
             ui.width(0)
             self._wanted = ui.search("##search", self._wanted, "search joints and robots")
         if self._wanted:
@@ -90,7 +89,7 @@ class RobotPanel:
             return
         for index, name in enumerate(self._tops):
             ui.scope(name)
-            is_open = index < _MOST_OPEN and name not in world.doubles
+            is_open = index < _MAX_OPEN and name not in world.doubles
             if ui.header(name, is_open=is_open):
                 self._entry(ui, name)
             ui.end_scope()
@@ -103,16 +102,16 @@ class RobotPanel:
             if len(toggles.vectors):
                 self._check(ui, "smart arrows", toggles.vectors, slice(None))
                 self._check(ui, "arrow values", toggles.cards, slice(None))
-            if ui.button("reset to the scene"):
+            if ui.button("reset"):
                 self._reset()
-            ui.tip("resets toggles and sizes to those that the scene declares")
+            ui.tip("reset switches and sizes to those of the scene")
 
     def _found(self, ui: Widgets) -> None:
         wanted = self._wanted.lower()
         names = [joint_name(self._world, i) for i in range(len(self._world.joints.names))]
         joints = [i for i, name in enumerate(names) if wanted in name.lower()]
         ui.text(f"{len(joints)} of {len(names)} joints")
-        for joint in joints[:_MOST_FOUND]:
+        for joint in joints[:_MAX_FOUND]:
             if ui.select(f"{names[joint]}##found{joint}", is_lit=self._toggles.selected == joint):
                 self.on_select(joint)
 
@@ -152,7 +151,7 @@ class RobotPanel:
         ui.same_line(_SECOND)
         self._check(ui, "billboards", toggles.billboards, joints)
         self._check(ui, "exact values", toggles.details, joints)
-        ui.tip("exact values of every arrow on its billboard")
+        ui.tip("show the exact value of each arrow on its billboard")
         if len(frames):
             ui.same_line(_SECOND)
             self._check(ui, "axes", toggles.axes, frames)
@@ -215,22 +214,16 @@ class RobotPanel:
             array[rows] = on
 
     @staticmethod
-    def _scale(
-        ui: Widgets,
-        words: str,
-        array: Array,
-        rows: Ints,
-        declared: Array,
-    ) -> None:
-        given = declared[rows]
-        largest = _LARGEST
+    def _scale(ui: Widgets, words: str, array: Array, rows: Ints, declared: Array) -> None:
+        sizes = declared[rows]
+        largest = _MAX_SCALE
         if words == "axes opacity":
-            largest = 1.0 / max(float(given.max()), 1e-9)
-        now = float(array[rows].max() / max(float(given.max()), 1e-12))
+            largest = 1.0 / max(float(sizes.max()), 1e-9)
+        now = float(array[rows].max() / max(float(sizes.max()), 1e-12))
         ui.width(_SLIDER)
         changed, times = ui.slide(words, now, 0.0, largest, "x %.2f")
         if changed:
-            array[rows] = given * times
+            array[rows] = sizes * times
 
     def _reset(self) -> None:
         self._toggles.reset()

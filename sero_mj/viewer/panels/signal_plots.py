@@ -1,4 +1,4 @@
-"""`SignalPlots`: plots of signals that the user has arranged, one below the other."""
+"""`SignalPlots`: the plots of signals that the user has arranged."""
 
 from __future__ import annotations
 
@@ -11,29 +11,30 @@ from ..session.signals import PlotSignal, PlotSignals
 from ..session.widgets import Plot, PlotLine, Rgb, Widgets
 from .torque_plots import time_plot, with_gaps
 
-# Distinct for the colour-blind, on a dark background (after Okabe and Ito).
-_COLOURS: tuple[Rgb, ...] = (
+# Distinct for the color-blind, on a dark background (after Okabe and Ito).
+_COLORS: tuple[Rgb, ...] = (
     *((0.45, 0.78, 1.0), (1.0, 0.62, 0.18), (0.75, 0.88, 0.45), (0.80, 0.60, 0.70)),
     *((0.94, 0.89, 0.26), (0.00, 0.62, 0.45), (0.84, 0.37, 0.00), (0.90, 0.90, 0.90)),
 )
-MOST_PLOTS, MOST_LINES = 8, len(_COLOURS)
-_LEAST = 1e-9  # minimum half range
+MAX_PLOTS, MAX_LINES = 8, len(_COLORS)
+_MIN_RANGE = 1e-9  # half of the range
 _NEW = "new plot"
 _HINT = "add or remove a signal"
 _SHOWN = " (shown)"
-_TARGET, _GROUP = 7.0, 7.0  # widths of lists, of the text's height
-_LEAST_HEIGHT = 8.0  # of a plot, likewise; what finds no room is reached by scrolling
+# Lengths in units of the text height.
+_TARGET, _GROUP = 7.0, 7.0  # widths of drop-down lists
+_MIN_HEIGHT = 8.0  # of a plot; the area scrolls if there are more
 
 
 class SignalPlots:
-    """Plots of signals, and the lists by which signals are put into them and taken out."""
+    """Plots of signals, and the drop-down lists that add and remove signals."""
 
     def __init__(self, signals: PlotSignals) -> None:
         self._signals = signals
         self.shown: list[list[PlotSignal]] = []
         self._target, self._group = 0, 0  # chosen in the lists
         self._plots: list[Plot] = []
-        self._built: list[list[PlotSignal]] = []  # what these show
+        self._built: list[list[PlotSignal]] = []  # signals of `_plots`
         self._when = float("-inf")
 
     @property
@@ -41,18 +42,18 @@ class SignalPlots:
         return {signal for plot in self.shown for signal in plot}
 
     def add(self, signal: PlotSignal) -> None:
-        if signal not in self.wanted and len(self.shown) < MOST_PLOTS:
+        if signal not in self.wanted and len(self.shown) < MAX_PLOTS:
             self.shown.append([signal])
 
     def toggle(self, plot: int, signal: PlotSignal) -> str:
-        """Puts a signal into a plot, a new one behind the last, or takes it out of it.
+        """Adds a signal to a plot, or to a new last plot, or removes it from the plot.
 
         Returns:
-            why it cannot be put there; empty where it can.
+            why it cannot be added; empty if it can.
         """
         if plot >= len(self.shown):
-            if len(self.shown) == MOST_PLOTS:
-                return f"{MOST_PLOTS} plots are as many as there can be"
+            if len(self.shown) == MAX_PLOTS:
+                return f"at most {MAX_PLOTS} plots can be shown"
             self.shown.append([signal])
             return ""
         lines = self.shown[plot]
@@ -60,13 +61,13 @@ class SignalPlots:
             lines.remove(signal)
             self.shown = [lines for lines in self.shown if lines]
             return ""
-        if len(lines) == MOST_LINES:
-            return f"{MOST_LINES} signals are as many as a plot can show"
+        if len(lines) == MAX_LINES:
+            return f"a plot can show at most {MAX_LINES} signals"
         lines.append(signal)
         return ""
 
     def build_choice(self, ui: Widgets) -> str:
-        """Builds the lists of plots, groups and signals."""
+        """Builds the lists of plots, groups and signals; returns an error or an empty text."""
         groups = self._signals.groups
         if not groups:
             return ""
@@ -88,7 +89,7 @@ class SignalPlots:
         return self.toggle(self._target, PlotSignal(group, names[chosen - 1]))
 
     def build(self, ui: Widgets, now: float) -> None:
-        """Builds the plots, all as high as there is room for."""
+        """Builds the plots, which share the remaining height."""
         if not self.shown:
             return
         passed = time.monotonic() - self._when
@@ -96,7 +97,7 @@ class SignalPlots:
             self._when = time.monotonic()
             self._built = [[*lines] for lines in self.shown]
             self._plots = [self._plot(lines, now, ui.points) for lines in self.shown]
-        height = max(ui.room()[1] / len(self._plots), _LEAST_HEIGHT)
+        height = max(ui.room()[1] / len(self._plots), _MIN_HEIGHT)
         for index, plot in enumerate(self._plots):
             ui.scope(f"plot {index}")
             ui.plot(plot, height)
@@ -104,9 +105,9 @@ class SignalPlots:
 
     def _plot(self, shown: list[PlotSignal], now: float, points: int) -> Plot:
         lines, names = [], [signal.name for signal in shown]
-        for signal, colour in zip(shown, _COLOURS, strict=False):
+        for signal, color in zip(shown, _COLORS, strict=False):
             times, values = with_gaps(*self._signals.of(signal, now, points))
             is_one = names.count(signal.name) == 1
             name = signal.name if is_one else f"{signal.group} {signal.name}"
-            lines.append(PlotLine(name, colour, times, values))
-        return time_plot(f"plot {self.shown.index(shown) + 1}", lines, np.inf, _LEAST)
+            lines.append(PlotLine(name, color, times, values))
+        return time_plot(f"plot {self.shown.index(shown) + 1}", lines, np.inf, _MIN_RANGE)

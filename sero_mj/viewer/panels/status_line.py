@@ -12,18 +12,14 @@ from ..session.clock import SPEEDS, Clock, Tick, time_text
 from ..session.status_line import Mood, Piece, clock_text, source_text
 from ..session.widgets import Widgets
 
-_GAP = 1.4  # between parts, of the text's height
+_GAP = 1.4  # between parts, in text heights
 _READABLE = 0.25  # minimum time for which a number is shown, s
 
 
 def build_status_line(ui: Widgets, pieces: Sequence[Piece], hint: str) -> None:
-    """Builds the status line, without the parts that do not fit.
-
-    Args:
-        pieces: parts, the most important first.
-    """
+    """Builds the parts that fit into the width, the most important first."""
     width, _ = ui.room()
-    end = 0.0  # of what is written
+    end = 0.0  # right edge of the last part
     for words, mood in pieces:
         start, wide = end + (_GAP if end else 0.0), ui.wide(words)
         if start + wide > width:
@@ -47,14 +43,13 @@ class SourcesPanel:
     def build(
         self, ui: Widgets, clock: Clock, sources: Collection[Source], *, is_open: bool
     ) -> None:
-        """Builds it."""
         if not ui.header("Sources", is_open=is_open):
             return
         ui.text(*clock_text(clock))
         for source in sources:
             self._source(ui, source)
         if not sources:
-            ui.text("no sources: pose as declared, or set by a program", "dim")
+            ui.text("no sources: the pose is declared or set by a program", "dim")
 
     def _source(self, ui: Widgets, source: Source) -> None:
         if error := error_text(source):
@@ -81,21 +76,21 @@ class SourcesPanel:
         return found
 
 
-# Widths, of the text's height.
+# Widths, in text heights.
 _PAUSE, _SPEED = 3.4, 4.6
-_NARROW = 30.0  # in what is narrower there is no choice of the speed
+_NARROW = 30.0  # a narrower timeline has no choice of the speed
 
 
-def build_time_line(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
-    """Builds the time line in one line."""
+def build_timeline(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
+    """Builds the timeline with its buttons in one line."""
     is_wide = ui.room()[0] >= _NARROW
-    stands = clock.is_paused or clock.is_at_end
-    if ui.button(f"{'play' if stands else 'pause'}###pause", _PAUSE):
+    is_still = clock.is_paused or clock.is_at_end
+    if ui.button(f"{'play' if is_still else 'pause'}###pause", _PAUSE):
         clock.pause()
     for label, tip, act in (
-        ("|<", "to the start", clock.reset),
-        ("<", "a step back", lambda: clock.step(-1)),
-        (">", "a step on", clock.step),
+        ("|<", "go to the start", clock.reset),
+        ("<", "step back", lambda: clock.step(-1)),
+        (">", "step forward", clock.step),
     ):
         ui.same_line()
         if ui.button(label):
@@ -112,21 +107,22 @@ def build_time_line(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
         ui.same_line()
         ui.width(0.0)
         marked: list[tuple[float, Mood, str]] = [
-            (tick.time, "title" if tick.is_mark else "bad", _told(clock, tick)) for tick in ticks
+            (tick.time, "title" if tick.is_mark else "bad", _tick_text(clock, tick))
+            for tick in ticks
         ]
         text = _text(clock, clock.end)
         moved, wanted = ui.slide("##time", clock.time, clock.begin, clock.end, text, marked)
         if moved:
             clock.seek(wanted)
-            # Who goes to what happened wants to see it, as by the keys for that.
+            # A click on a mark pauses there, like the keys for marks.
             clock.is_paused |= any(wanted == tick.time for tick in ticks)
 
 
-def _told(clock: Clock, tick: Tick) -> str:
+def _tick_text(clock: Clock, tick: Tick) -> str:
     return tick.text if clock.is_live else f"{time_text(tick.time)}: {tick.text}"
 
 
 def _text(clock: Clock, end: float) -> str:
     if not clock.is_live:
         return f"{time_text(clock.time)} / {time_text(end)}"
-    return f"{time_text(end - clock.time)} ago; End is live" if clock.is_past else "live"
+    return f"{time_text(end - clock.time)} ago; End shows live data" if clock.is_past else "live"

@@ -1,4 +1,4 @@
-"""Plots over time; `TorquePlots`: measured and commanded torques of a joint, and their error."""
+"""`TorquePlots`: measured and commanded torques of a joint over time, and their error."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ..session.binned_history import SPAN
 from ..session.torque_history import TorqueHistory, split_at_gaps
 from ..session.widgets import Plot, PlotLine, Rgb, Widgets
 
-# Light blue and orange: distinct for the colour-blind and on a dark background.
+# Light blue and orange: distinct for the color-blind and on a dark background.
 _MEASURED: Rgb = (0.45, 0.78, 1.0)
 _COMMANDED: Rgb = (1.0, 0.62, 0.18)
 _ERROR: Rgb = (0.75, 0.88, 0.45)
-_LEAST = 0.5  # in the joint's unit, minimum half range
-# Widths of the list of joints and of what is beside it, of the text's height.
-_NAMES, _BESIDE = 11.0, 8.0
+_MIN_RANGE = 0.5  # half of the range, in the joint's unit
+# Lengths in units of the text height.
+_NAMES, _BESIDE = 11.0, 8.0  # widths of the list of joints, and of the text beside it
 _ROOM_FOR_TWO = 20.0  # minimum height with a plot of the error
 _SHARE = 0.56  # of the height, for the torques
-_LEAST_HEIGHT = 4.0  # in less there is no plot
-_NOTE = 2.2  # height of the words in place of that of the error, two lines of them at most
+_MIN_HEIGHT = 4.0  # of a plot
+_NOTE = 2.2  # height of the text that replaces the plot of the error
 
 
 class TorquePlots:
@@ -38,10 +38,10 @@ class TorquePlots:
         self._joint = -1
 
     def build(self, ui: Widgets, history: TorqueHistory, joint: int, height: float = np.inf) -> int:
-        """Builds the plots of a joint and returns the joint that the user has selected.
+        """Builds the plots of a joint; returns the joint that the user has selected.
 
         Args:
-            height: at most, of the text's height.
+            height: maximum height, in text heights.
         """
         ui.width(max(min(_NAMES, ui.room()[0] - _BESIDE), 1.0))
         changed, chosen = ui.choose("##joint", joint, self._names)
@@ -55,13 +55,13 @@ class TorquePlots:
         ui.same_line()
         text = f"limit {factor * limit:g} {unit}" if np.isfinite(limit) else "no limit"
         if self._world.joints.is_largest[joint]:
-            text = f"largest seen {torque_text(self._world, joint, limit)}"
+            text = f"largest so far {torque_text(self._world, joint, limit)}"
         ui.label(text)
         torques, error = self._plots
         room = min(ui.room()[1], height)
         is_for_two = room >= _ROOM_FOR_TWO
         note = _without(what, torques) if is_for_two else ""
-        if room >= _LEAST_HEIGHT:
+        if room >= _MIN_HEIGHT:
             share = room - _NOTE if note else _SHARE * room
             ui.plot(torques, share if is_for_two else room)
         if note:
@@ -81,8 +81,8 @@ class TorquePlots:
         ]
         errors = [PlotLine("commanded - measured", _ERROR, *with_gaps(times, factor * error))]
         return [
-            time_plot(f"{what} [{unit}]", torques, factor * limit, _LEAST),
-            time_plot(f"error [{unit}]", errors, np.inf, _LEAST),
+            time_plot(f"{what} [{unit}]", torques, factor * limit, _MIN_RANGE),
+            time_plot(f"error [{unit}]", errors, np.inf, _MIN_RANGE),
         ]
 
 
@@ -91,16 +91,21 @@ def _without(what: str, torques: Plot) -> str:
     if not missing:
         return ""
     which = f"{missing[0]} " if len(missing) < len(torques.lines) else ""
-    return f"no {which}{what}s are received, so there is no error to plot"
+    return f"no {which}{what}s are received, so no error can be plotted"
 
 
-_NEAR = 0.8  # fraction of the limit from which on it is in the visible range
-_MARGIN = 1.15  # of the range over that of the values
-_NARROWEST = 1e-3  # half a range, of its middle
+_NEAR = 0.8  # values beyond this fraction of the limit bring the limit into view
+_MARGIN = 1.15  # visible range, relative to that of the values
+_MIN_RATIO = 1e-3  # of half the range to its center
 
 
 def time_plot(label: str, lines: Sequence[PlotLine], limit: float, least: float) -> Plot:
-    """Returns a plot of the last seconds."""
+    """Returns a plot of the last seconds.
+
+    Args:
+        limit: marked magnitude, inf for none.
+        least: minimum half range.
+    """
     values = np.concatenate([line.y for line in lines]) if lines else np.zeros(0)
     return Plot("s", label, lines, (-SPAN, 0.0), y_range(values, limit, least), (limit, -limit))
 
@@ -119,10 +124,10 @@ def with_gaps(times: Array, values: Array) -> tuple[Array, Array]:
 
 
 def y_range(values: Array, limit: float, least: float) -> tuple[float, float]:
-    """Returns lower and upper end of a plot, rounded so that they rarely change.
+    """Returns lower and upper end of the y axis, rounded so that they rarely change.
 
     Args:
-        limit: of their magnitude, inf for none; it is in the range when values come close to it.
+        limit: magnitude, inf for none; it is visible if values come close to it.
     """
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
@@ -130,7 +135,7 @@ def y_range(values: Array, limit: float, least: float) -> tuple[float, float]:
         high = max(high, limit) if high > _NEAR * limit else high
         low = min(low, -limit) if low < -_NEAR * limit else low
     middle = (low + high) / 2
-    half = max((high - low) / 2 * _MARGIN, least, _NARROWEST * abs(middle))
+    half = max((high - low) / 2 * _MARGIN, least, _MIN_RATIO * abs(middle))
     step = 10.0 ** np.floor(np.log10(half)) / 2
     return (
         float(np.floor((middle - half) / step) * step),

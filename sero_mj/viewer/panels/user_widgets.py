@@ -1,6 +1,7 @@
-"""Widgets that a program adds to a view: slider, number, check box, choice, button and text.
+"""The widgets that a program adds to a viewer: slider, number, check box, choice, button and text.
 
-A widget is checked by the program and built by the view, in another process; it has no state.
+The program creates and checks a widget, and the viewer builds it in another process. A new kind is
+a class here and a method of `program.panels.UserPanel`.
 """
 
 from __future__ import annotations
@@ -8,59 +9,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from ...base.errors import UsageError, did_you_mean, shown
 from ..session.widgets import Widgets
 
 Value = TypeVar("Value")
 
-_WIDTH = 9.0  # of sliders and fields, of the text's height; their labels are beside them
-_DIGITS = 7  # significant ones of a slider's value, which is a float32
-
-
-class UserWidget(Protocol[Value]):
-    """A widget; equal ones look the same.
-
-    Attributes:
-        label: unique in its panel.
-    """
-
-    @property
-    def label(self) -> str: ...
-
-    def checked(self, value: object) -> Value:
-        """Returns a value as it is shown; raises UsageError if it is none of this widget."""
-
-    def build(self, ui: Widgets, value: Value) -> object:
-        """Builds the widget; returns what its user has set, None for nothing."""
-
-    def calls(self, before: Value, now: Value) -> Sequence[tuple[Value, ...]]:
-        """Returns the arguments of every call of its callback after a change."""
-
-
-@dataclass(frozen=True)
-class _ValueWidget(Generic[Value]):
-    label: str
-
-    def calls(self, before: Value, now: Value) -> Sequence[tuple[Value, ...]]:
-        return [(now,)]
+TOOL = "user_panels"  # the tool that shows the widgets
+_WIDTH = 9.0  # of sliders and fields, in text heights
+_DIGITS = 7  # significant digits of a slider's value, which is a float32
 
 
 def check_label(what: str, label: object) -> None:
-    """Raises UsageError if a text is not the label of a widget or a panel, as `what` says."""
+    """Raises UsageError if `label` is not a valid label; `what` names it in the message."""
     if not isinstance(label, str) or not label.strip() or "##" in label:
         raise UsageError(f"{what}: found {shown(label)}; expected a text without '##'")
 
 
-def check_range(label: str, low: float, high: float) -> None:
-    """Raises UsageError if two numbers are not lower and upper end of a range."""
-    if not low < high:
-        raise UsageError(f"{label}: found the range {low:g} to {high:g}; expected low < high")
-
-
 def to_number(label: str, value: object) -> float:
-    """Returns a number as float; raises UsageError if it is none, or not finite."""
+    """Returns a finite number as float; raises UsageError for anything else."""
     try:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
@@ -71,17 +39,44 @@ def to_number(label: str, value: object) -> float:
 
 
 @dataclass(frozen=True)
-class NumberWidget(_ValueWidget[float]):
-    """A field for a number.
+class UserWidget(Generic[Value]):
+    """A widget without state.
 
     Attributes:
-        low: least value, -inf for none.
-        high: greatest value, inf for none.
+        label: unique in its panel.
     """
+
+    label: str
+
+    def __post_init__(self) -> None:
+        check_label("label", self.label)
+
+    def checked(self, value: object) -> Value:
+        """Returns a value that the widget can have, or raises UsageError."""
+        raise NotImplementedError
+
+    def build(self, ui: Widgets, value: Value) -> object:
+        """Builds the widget; returns the value that the user has set, or None."""
+        raise NotImplementedError
+
+    def calls(self, before: Value, now: Value) -> Sequence[tuple[Value, ...]]:
+        """Returns the arguments of each call of the callback after a change."""
+        return [(now,)]
+
+
+@dataclass(frozen=True)
+class NumberWidget(UserWidget[float]):
+    """A number field."""
 
     low: float = -math.inf
     high: float = math.inf
     unit: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.low < self.high:
+            found = f"found the range {self.low:g} to {self.high:g}"
+            raise UsageError(f"{self.label}: {found}; expected low < high")
 
     def checked(self, value: object) -> float:
         number = to_number(self.label, value)
@@ -109,17 +104,17 @@ class NumberWidget(_ValueWidget[float]):
 
 @dataclass(frozen=True)
 class SliderWidget(NumberWidget):
-    """A number that is set by a slider."""
+    """A slider."""
 
     def build(self, ui: Widgets, value: float) -> object:
         ui.width(_WIDTH)
         changed, now = ui.slide(self.label, value, self.low, self.high, self._format)
-        # A typed number may be out of range.
+        # Ctrl+click on a slider lets users type numbers that are out of range.
         return min(max(float(f"{now:.{_DIGITS}g}"), self.low), self.high) if changed else None
 
 
 @dataclass(frozen=True)
-class CheckWidget(_ValueWidget[bool]):
+class CheckWidget(UserWidget[bool]):
     """A check box."""
 
     def checked(self, value: object) -> bool:
@@ -133,10 +128,18 @@ class CheckWidget(_ValueWidget[bool]):
 
 
 @dataclass(frozen=True)
-class ChoiceWidget(_ValueWidget[str]):
-    """One of several names."""
+class ChoiceWidget(UserWidget[str]):
+    """A drop-down list of names."""
 
     names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in self.names:
+            check_label(f"{self.label}: names", name)
+        if len({*self.names}) < max(len(self.names), 1):
+            found = shown([*self.names])
+            raise UsageError(f"{self.label}: found the names {found}; expected different ones")
 
     def checked(self, value: object) -> str:
         if value not in self.names:
@@ -151,7 +154,7 @@ class ChoiceWidget(_ValueWidget[str]):
 
 
 @dataclass(frozen=True)
-class TextWidget(_ValueWidget[str]):
+class TextWidget(UserWidget[str]):
     """A text, which only the program changes."""
 
     def checked(self, value: object) -> str:
@@ -163,10 +166,8 @@ class TextWidget(_ValueWidget[str]):
 
 
 @dataclass(frozen=True)
-class ButtonWidget:
-    """A button; its value is how often it was pressed."""
-
-    label: str
+class ButtonWidget(UserWidget[int]):
+    """A button, whose value is the number of presses."""
 
     def checked(self, value: object) -> int:
         if not isinstance(value, int):
@@ -177,21 +178,18 @@ class ButtonWidget:
         return value + 1 if ui.button(self.label) else None
 
     def calls(self, before: int, now: int) -> Sequence[tuple[int, ...]]:
-        """One call without argument for every press."""
         return [()] * (now - before)
 
 
-TOOL = "user_panels"  # that shows them
-
-Place = tuple[str, str]  # of a widget: the panel's title, and its label there
+Place = tuple[str, str]  # title of the panel and label of the widget
 
 
 class WidgetState(NamedTuple):
-    """A widget as the viewer is told of it.
+    """A widget in a message to the viewer.
 
     Attributes:
-        number: of the last change by the program.
-        order: of the widgets in their panel.
+        number: number of the program's last change.
+        order: position in the panel.
     """
 
     widget: UserWidget[Any]

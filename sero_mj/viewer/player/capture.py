@@ -1,6 +1,6 @@
-"""Collects what a player shows of a scene: poses, values and decor of every frame, without OpenGL.
+"""Collects what a player shows of a scene, without OpenGL: poses, values and decor of each frame.
 
-What depends on the camera, such as places of cards, is left to the player.
+The player itself places everything that depends on the camera, such as billboards.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from .model import visible_geoms
 from .soft import Soft, SoftParts, bytes_of_frame, soft_of
 
 DEFAULT_FPS = 30.0
-DEFAULT_SECONDS = 10.0  # of what has no end
-MAX_BYTES = 128_000_000  # of a run in a browser's memory
+DEFAULT_SECONDS = 10.0  # for sources without an end
+MAX_BYTES = 128_000_000  # of a run in the memory of a browser
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
-_ARROW_GEOMS = 24  # of round arrows at frames; those of joints are made by the player
-_SIZE = (1280, 800)  # pixels; some decor asks for a picture
+_ARROW_GEOMS = 24  # for round arrows at frames; the player draws those of joints
+_SIZE = (1280, 800)  # pixels; some decor depends on the size of the image
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Mark:
 
     Attributes:
         begin: time since the start of the page, s.
-        end: the same as `begin` for an instant, s.
+        end: end of the event, s; equal to `begin` for an instant.
         text: description.
         kind: `push` or `fault` of a scenario, `finding` of a monitor, `bookmark` of a user, or
             whether an expectation has `held` or `failed`.
@@ -64,13 +64,13 @@ class Mark:
 
 @dataclass(frozen=True, eq=False)
 class DecorItem:
-    """A geom of decor through F frames.
+    """A geom of decor in F frames.
 
     Attributes:
-        kind: kind of item that it belongs to.
-        item: index of that item, see `Kind`.
-        rows: the geom in every frame, (F,) of `GEOM`.
-        visible: whether it is drawn, (F,) bool.
+        kind: kind of its item.
+        item: index of its item, see `Kind`.
+        rows: the geom in each frame, (F,) of `GEOM`.
+        visible: whether it is drawn in each frame, (F,) bool.
     """
 
     kind: Kind
@@ -81,25 +81,24 @@ class DecorItem:
 
 @dataclass(eq=False)
 class CapturedRun:
-    """What a player shows of a scene in F frames; arrays as in `CapturedFrame`, frames first.
+    """A scene in F frames for a player; arrays as in `CapturedFrame`, frames first.
 
     Attributes:
         fps: frames per second.
         begin: time of the first frame, s.
         toggles: initial switches.
         camera: initial camera.
-        lines: of the card of every joint, (N,).
-        details: lines of all values of every joint, (N,).
-        bodies: ids of the bodies that carry something visible, (B,).
-        copies: bodies of doubles, (G,), which follow the others in poses, opacity and greyness.
+        lines: lines of each joint's billboard, (N,).
+        details: lines of all values of each joint, (N,).
+        bodies: ids of the visible bodies, (B,).
+        copies: bodies of doubles, (G,); they follow the others in poses, opacity and grayness.
         limit: value of an arrow of full width, (N,); inf for none.
-        cards: texts by frame of each smart arrow's card.
-        marks: on the timeline.
+        arrow_texts: texts of each smart arrow by frame, by its index.
         silent: names of the sources without data.
-        meanings: meaning of labels on cards, such as the file that `A` is.
+        meanings: meanings of labels on billboards, such as the file that `A` stands for.
         needed: aspect ratio that the camera needs, see `needed_aspect`; that of the declared pose
             if None.
-        path: displacement of the free camera with what it follows, (F, 3), m; None for none.
+        path: displacement of the free camera that follows a frame, (F, 3), m; None if it does not.
     """
 
     world: WorldView
@@ -123,7 +122,7 @@ class CapturedRun:
     labels: list[Any]
     notes: list[str]
     legend: list[str]
-    cards: dict[int, list[str]]
+    arrow_texts: dict[int, list[str]]
     marks: Sequence[Mark] = ()
     silent: list[str] = field(default_factory=list)
     meanings: Mapping[str, str] = field(default_factory=dict)
@@ -145,10 +144,7 @@ class CapturedRun:
 
 
 class FrameCapturer:
-    """Captures states of a world one by one, by a decor of its own.
-
-    The player makes all arrows of joints.
-    """
+    """Captures states of a world one by one; the player draws the arrows of joints."""
 
     def __init__(self, world: WorldView, camera: mujoco.MjvCamera) -> None:
         self._world, self._camera = world, camera
@@ -186,7 +182,7 @@ class FrameCapturer:
             labels={},
             note="",
             legend="",
-            cards={},
+            arrow_texts={},
         )
 
     def result(
@@ -200,11 +196,11 @@ class FrameCapturer:
         toggles: Toggles | None = None,
         needed: float | None = None,
     ) -> CapturedRun:
-        """Returns one or more frames as a run; without toggles it begins as declared."""
+        """Returns frames as a run, with the declared switches if `toggles` is None."""
         world = self._world
         poses = np.array([each.poses for each in frames])
         opacity = np.array([each.opacity for each in frames])
-        _keep_last(poses, poses[..., 2] < OUT_OF_SIGHT[2] / 2)
+        _hold_last(poses, poses[..., 2] < OUT_OF_SIGHT[2] / 2)
         values = {key: np.array([f.values[key] for f in frames]) for key in frames[0].values}
         if toggles is None:
             toggles = Toggles(world)
@@ -232,7 +228,7 @@ class FrameCapturer:
             labels=[each.labels for each in frames],
             notes=[each.note for each in frames],
             legend=[each.legend for each in frames],
-            cards=_cards([each.cards for each in frames]),
+            arrow_texts=_arrow_texts([each.arrow_texts for each in frames]),
             marks=marks,
             silent=list(silent),
             copies=self._taker.copies.each,
@@ -255,18 +251,18 @@ def capture(
     """Collects a scene as it moves; live sources in real time, others as fast as possible.
 
     Args:
-        scene: what to show.
-        seconds: maximum duration; to the end of the sources if None.
+        scene: scene to capture.
+        seconds: maximum duration; up to the end of the sources if None.
         begin: time of the first frame, s; 0 for live sources.
         fps: frames per second.
         camera: see `find_camera`.
-        follow: what the free camera follows, see `Follower`; as the scene's view declares if None.
-        wait: maximum time to wait for the first packet of every source, s.
-        marks: on the timeline.
-        on_progress: called with the number of finished frames and of all frames.
+        follow: frame that the free camera follows, see `Follower`; that of the scene if None.
+        wait: maximum time to wait for the first packet of each source, s.
+        marks: marks on the timeline.
+        on_progress: called with the numbers of finished frames and of all frames.
 
     Raises:
-        SeroError: a problem of the scene, its sources or the camera; or it is too long for a page.
+        SeroError: a problem of the scene, its sources or the camera; or the run is too long.
     """
     with Mirror(scene) as mirror:
         world = mirror.world
@@ -304,7 +300,7 @@ def capture_pose(
     camera: mujoco.MjvCamera,
     needed: float | None = None,
 ) -> CapturedRun:
-    """Collects one pose without decor and values, which a server sends for every frame."""
+    """Captures one pose without decor and values, which a server sends with each frame."""
     capturer = FrameCapturer(world, camera)
     return capturer.result([capturer.pose(data)], fps=DEFAULT_FPS, needed=needed)
 
@@ -320,15 +316,15 @@ def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float
     left = max(ends) - begin if ends else None
     if ends and max(ends) <= 0:
         names = ", ".join(mirror.sources)
-        raise RenderError(f"{names}: found no good packet; expected at least one")
+        raise RenderError(f"{names}: found no valid packet; expected at least one")
     if left is not None and left <= 0:
-        raise RenderError(f"found a begin at {begin:g} s; it ends at {max(ends):g} s")
+        raise RenderError(f"found a start at {begin:g} s; the sources end at {max(ends):g} s")
     if seconds is None:
         seconds = left or (DEFAULT_SECONDS if mirror.sources else 0.0)
-    if seconds > (most := longest(mirror.world, fps)):
+    if seconds > (limit := longest(mirror.world, fps)):
         raise RenderError(
-            f"found {seconds:g} s; expected at most {most:.0f} s of this scene at {fps:g} frames "
-            "per second: export a part of it, or fewer frames per second"
+            f"found {seconds:g} s; expected at most {limit:.0f} s of this scene at {fps:g} frames "
+            "per second: export a shorter part, or fewer frames per second"
         )
     if left is not None and not mirror.is_live:
         seconds = min(seconds, left)
@@ -343,8 +339,8 @@ def _view(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera) 
     return ImageView.of_scene(scene, *_SIZE)
 
 
-def _keep_last(poses: Array, far: Bools) -> None:
-    """Lets bodies without a pose stay at their last or next one instead of far away."""
+def _hold_last(poses: Array, far: Bools) -> None:
+    """Replaces missing poses of bodies by their last or next known pose."""
     for b in np.flatnonzero(far.any(axis=0)):
         there = np.flatnonzero(~far[:, b])
         if not len(there):
@@ -355,7 +351,7 @@ def _keep_last(poses: Array, far: Bools) -> None:
 
 
 def _continuous(rotations: Array) -> Array:
-    """Quaternions with signs such that none jumps from frame to frame."""
+    """Returns quaternions whose signs do not jump between frames."""
     signs = np.where((rotations[1:] * rotations[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
     rotations[1:] *= np.cumprod(signs, axis=0)[..., None]
     return rotations
@@ -364,9 +360,9 @@ def _continuous(rotations: Array) -> Array:
 def _lines(
     world: WorldView, values: dict[str, Array], toggles: Toggles
 ) -> tuple[list[list[LineFormat]], list[list[LineFormat]]]:
-    """Returns the lines of the cards of all joints, and of all their values.
+    """Returns the billboard lines of each joint, and the lines of all its values.
 
-    Angles give way to torques if there are some, and these to what arrows show.
+    If torques are available, they replace angles; the displayed quantity of arrows replaces them.
     """
     are_errors = shows_errors(toggles)
     formats = joint_formats(world)
@@ -383,7 +379,6 @@ def _lines(
 
 
 def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[DecorItem]:
-    """Sorts the geoms of all frames by their item."""
     found: dict[tuple[int, int, int, int], DecorItem] = {}
     for k, (geoms, kinds, items) in enumerate(rows):
         count: dict[tuple[int, int, int], int] = {}
@@ -400,13 +395,13 @@ def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[DecorI
     return list(found.values())
 
 
-def _cards(cards: list[dict[int, str]]) -> dict[int, list[str]]:
-    items = sorted({item for each in cards for item in each})
-    return {item: [each.get(item, "") for each in cards] for item in items}
+def _arrow_texts(texts: list[dict[int, str]]) -> dict[int, list[str]]:
+    items = sorted({item for each in texts for item in each})
+    return {item: [each.get(item, "") for each in texts] for item in items}
 
 
 def eye(capture: CapturedRun) -> dict[str, Any]:
-    """Returns the first camera of a page, as JSON."""
+    """Returns the initial camera of a page, for JSON."""
     camera, world, needed = capture.camera, capture.world, capture.needed
     fixed = int(camera.fixedcamid) if camera.type == mujoco.mjtCamera.mjCAMERA_FIXED else -1
     return {

@@ -1,4 +1,4 @@
-"""`CopiedBodies`: doubles that are not compiled into a model, as more bodies of a live page."""
+"""`CopiedBodies`: doubles that are not compiled into the model, as additional bodies of a page."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class CopiedBody(NamedTuple):
     """A body of a double.
 
     Attributes:
-        name: such as `goal/lower`.
+        name: name such as `goal/lower`.
         double: index of the double.
-        row: row of a path; 0 of a single double.
-        body: id of the robot's body, whose geoms it has.
-        rgba: their color, (4,).
+        row: row of a path; 0 for a double with one pose.
+        body: id of the robot's body that provides the geoms.
+        rgba: color of the geoms, (4,).
     """
 
     name: str
@@ -54,10 +54,10 @@ class CopiedBodies:
                     self.each.append(CopiedBody(label, double, row, body, rgba))
 
     def poses(self, drawn: Sequence[DrawnDouble]) -> tuple[Array, Array, Array]:
-        """Returns the poses of all in a frame.
+        """Returns the poses of all bodies in a frame.
 
         Args:
-            drawn: doubles of the frame; the rows of a path follow each other.
+            drawn: doubles of the frame, with the rows of a path in their order.
 
         Returns:
             positions (G, 3), m, unit quaternions (G, 4), and opacity factors (G,), 0 if not drawn.

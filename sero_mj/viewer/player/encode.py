@@ -1,4 +1,4 @@
-"""The bytes of a run: a JSON head and typed arrays, as `js/src/data.js` reads them."""
+"""Encodes a run as a JSON head and typed arrays, which `js/src/data.js` decodes."""
 
 from __future__ import annotations
 
@@ -19,20 +19,19 @@ from ..decor.legend import arrows_line
 from ..decor.quantities import QUANTITY_NAMES, torque_and_unit
 from ..decor.ribbons import ribbon_shape
 from .capture import CapturedRun, eye
-from .items import poses
-from .labels import labels_head
+from .frame import Labels
 from .model import Look
-from .packing import PackedArrays, rounded
+from .packing import PackedArrays, poses, rounded
 from .surroundings import surroundings_head
 
 VERSION = 1
 METRE_STEP = 5e-5  # m
 ROTATION_STEP = 1 / 16384  # of a component of a unit quaternion
-_BY_TURNS = ("torques", "torque_error")  # what arrows can show by turns in a page
+_SWITCHABLE = ("torques", "torque_error")  # quantities between which arrows can switch
 
 
 def encode(capture: CapturedRun, title: str) -> bytes:
-    """Returns the bytes of a run with a title, not compressed."""
+    """Returns the uncompressed bytes of a run."""
     parts = PackedArrays()
     frames = capture.frames
     opacity = np.round(capture.opacity * 255)
@@ -62,12 +61,12 @@ def encode(capture: CapturedRun, title: str) -> bytes:
         },
         "arrows": _arrows(capture, parts),
         "items": _items(capture, parts),
-        **labels_head(capture.labels, parts, METRE_STEP),
+        **_labels(capture.labels, parts, METRE_STEP),
         "notes": _texts(capture.notes, parts),
         "legend": _legend(capture, parts),
         "cards": [
             {"item": item, "name": capture.world.arrows.names[item], **_texts(texts, parts)}
-            for item, texts in capture.cards.items()
+            for item, texts in capture.arrow_texts.items()
         ],
         "vectors": capture.world.arrows.names,
         "marks": [vars(mark) for mark in capture.marks],
@@ -98,9 +97,9 @@ def _index(capture: CapturedRun, body: int) -> int:
 
 
 def _bodies(capture: CapturedRun) -> list[dict[str, Any]]:
-    """Returns name, joint and double of every body, -1 for none.
+    """Returns name, joint and double of each body, -1 for none.
 
-    `moves` is whether anything can move it, as MuJoCo understands that.
+    `moves` is false for bodies that nothing can move, as in MuJoCo.
     """
     world, found = capture.world, []
     doubles = list(world.doubles)
@@ -183,7 +182,7 @@ def _place(capture: CapturedRun, site: int) -> dict[str, Any]:
 
 
 def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
-    """Returns what the arrow of every joint follows from, as `widthOf` of the player takes it."""
+    """Returns the parameters of each joint's arrow for `widthOf` of the player."""
     joints = world.joints
     has_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(has_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
@@ -238,10 +237,10 @@ def _arrows(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
 
 
 def _quantities(capture: CapturedRun) -> list[dict[str, str]]:
-    """Returns what arrows can show in turn, first what they show; nothing if there is no choice.
+    """Returns the quantities that arrows can switch to, the current one first; empty for no choice.
 
-    Torque and its error both follow from values that are there, and have one limit. The error
-    between two runs is none.
+    Torque and torque error can be switched if both values are recorded. The error between two runs
+    cannot be switched.
     """
     joints, toggles = capture.world.joints, capture.toggles
     lines = [line for owner in capture.world.owners.values()
@@ -250,13 +249,13 @@ def _quantities(capture: CapturedRun) -> list[dict[str, str]]:
         return []
     shown = {ARROW_QUANTITIES[code] for code in toggles.arrow_quantity.tolist()}
     has_both = {"torques", "commanded_torques"} <= capture.values.keys()
-    if not (has_both and len(shown) == 1 and shown <= {*_BY_TURNS}):
+    if not (has_both and len(shown) == 1 and shown <= {*_SWITCHABLE}):
         return []
     own = shown.pop()
     has_sliding = not joints.revolute[toggles.arrows].all()
     return [
         {"key": key, "name": QUANTITY_NAMES[key], "line": arrows_line(key, has_sliding)}
-        for key in sorted(_BY_TURNS, key=lambda key: key != own)
+        for key in sorted(_SWITCHABLE, key=lambda key: key != own)
     ]
 
 
@@ -287,7 +286,7 @@ def _type(item: Any) -> int:
 
 
 def _legend(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
-    """The lines of every frame, with None for the line of the quantity that arrows show."""
+    """Returns the legend's lines of each frame, with None for the line of the arrows' quantity."""
     own = {quantity["line"] for quantity in _quantities(capture)[:1]}
     found = _texts(capture.legend, parts)
     texts = [text.split("\n") if text else [] for text in found["texts"]]
@@ -295,7 +294,7 @@ def _legend(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
 
 
 def _texts(texts: list[str], parts: PackedArrays) -> dict[str, Any]:
-    """Returns each text once, and the number of the text of every frame."""
+    """Returns each different text once, and the number of the text of each frame."""
     unique = list(dict.fromkeys(texts))
     number = {text: k for k, text in enumerate(unique)}
     at = np.array([[number[text]] for text in texts])
@@ -310,4 +309,27 @@ def _switches(capture: CapturedRun) -> dict[str, bool]:
         "numbers": bool(toggles.billboards.any()),
         "doubles": bool(toggles.doubles.all()),
         "legend": bool(toggles.legend),
+    }
+
+
+def _labels(frames: list[Labels], parts: PackedArrays, step: float) -> dict[str, Any]:
+    keys = list(dict.fromkeys(key for each in frames for key in each))
+    if not keys:
+        return {}
+    places = np.zeros((len(frames), len(keys), 3))
+    numbers = np.zeros((len(frames), len(keys)), int)
+    texts = {"": 0}
+    for k, each in enumerate(frames):
+        for i, key in enumerate(keys):
+            if key in each:
+                text, places[k, i] = each[key]
+                numbers[k, i] = texts.setdefault(text, len(texts))
+            elif k:
+                places[k, i] = places[k - 1, i]
+    return {
+        "labels": {
+            "texts": list(texts),
+            "at": parts.moving(numbers, 1),
+            "positions": parts.moving(places.reshape(len(frames), -1), step),
+        }
     }

@@ -1,8 +1,8 @@
-"""What a player shows of one frame of decor; pages send it, files store many of them."""
+"""`FrameTaker`: captures a frame of decor for a player; pages send it, files store many frames."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -13,34 +13,36 @@ from ...robots.declared.double import OUT_OF_SIGHT
 from ..decor.billboard_layout import BillboardGroup
 from ..decor.feature import Frame
 from ..decor.geom_buffer import GeomBuffer, Kind
+from ..decor.joint_titles import frame_titles
 from ..decor.legend import SCALE
 from ..decor.panels import Panels
+from ..decor.part_names import named_parts
 from .copied_bodies import CopiedBodies
-from .labels import labels_of
 from .model import drawn_bodies
 from .soft import SoftFrame, SoftParts
 
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
+Labels = dict[tuple[str, int], tuple[str, Array]]  # text and position (3,), m, by kind and number
 
 
 class CapturedFrame(NamedTuple):
-    """What a player shows of one state, of B bodies and G copies, and N joints.
+    """A state for a player, of B bodies, G copies and N joints.
 
     Attributes:
         poses: positions in m and unit quaternions, (B + G, 7).
-        opacity: 0 where out of sight, (B + G,).
-        grey: bodies whose data are stale, (B + G,) bool.
+        opacity: 0 for bodies out of sight, (B + G,).
+        grey: bodies with stale data, (B + G,) bool.
         soft: tendons and flexes.
-        values: of the joints by name, (N,) each; NaN for no data.
-        arrows: what the arrows of joints show, (N,).
+        values: joint values by name, (N,) each; NaN for no data.
+        arrows: displayed values of the joints' arrows, (N,).
         limit: value of an arrow of full width, (N,); inf for none.
-        stale: joints without fresh data, (N,) bool.
-        geoms: of decor, without text and the arrows that the player makes: rows of `GEOM`,
-            and kind and item of each.
+        stale: joints without recent data, (N,) bool.
+        geoms: geoms of decor without text and without the arrows that the player draws: rows of
+            `GEOM`, and kind and item of each.
         labels: see `labels_of`.
         note: text in the corners, without the legend.
-        legend: what arrows mean.
-        cards: text of the smart arrows, by their index.
+        legend: text of the legend.
+        arrow_texts: texts of smart arrows, by index.
     """
 
     poses: Array
@@ -52,22 +54,21 @@ class CapturedFrame(NamedTuple):
     limit: Array
     stale: Bools
     geoms: tuple[np.ndarray, np.ndarray, np.ndarray]
-    labels: dict[Any, Any]
+    labels: Labels
     note: str
     legend: str
-    cards: dict[int, str]
+    arrow_texts: dict[int, str]
 
 
 class FrameTaker:
-    """The last feature of a decor, which takes what all others have laid out and drawn.
+    """The last feature of a decor, which captures what the others have laid out and drawn.
 
     Args:
-        world: the compiled scene.
-        own_arrows: joints whose arrows the player makes from their values, (N,).
+        own_arrows: joints whose arrows the player draws, (N,).
 
     Attributes:
-        corners: lines of each text in a corner, and whether it belongs to the legend.
-        beside: text that belongs to a pixel, except cards.
+        corners: whether each text in a corner belongs to the legend, and its lines.
+        beside: texts with a pixel, except billboards.
     """
 
     def __init__(self, world: WorldView, own_arrows: Bools) -> None:
@@ -75,7 +76,7 @@ class FrameTaker:
         self.bodies, self.copies = shown_bodies(world), CopiedBodies(world)
         self._soft = SoftParts(world.model)
         self.corners: list[tuple[bool, list[str]]] = []
-        self.cards: list[BillboardGroup] = []
+        self.billboards: list[BillboardGroup] = []
         self.beside: list[Panels] = []
         self.frame: Frame | None = None
 
@@ -85,8 +86,8 @@ class FrameTaker:
             for group in frame.corners
             for lines in group.texts
         ]
-        self.cards = [*frame.billboards]
-        # Names have places of their own, see `labels_of`.
+        self.billboards = [*frame.billboards]
+        # `labels_of` handles names.
         self.beside = [each for each in frame.panels if each.kind not in (Kind.NAME, Kind.PART)]
         for groups in (frame.corners, frame.billboards, frame.panels):
             groups.clear()
@@ -122,9 +123,9 @@ class FrameTaker:
             labels=labels_of(world, frame),
             note=note,
             legend=legend,
-            cards={
+            arrow_texts={
                 int(item): "\n".join(map(line_text, lines))
-                for group in self.cards
+                for group in self.billboards
                 if group.kind == Kind.CARD
                 for item, lines in zip(group.items, group.texts, strict=True)
             },
@@ -135,7 +136,7 @@ class FrameTaker:
         is_arrow = kinds == Kind.ARROW
         kept = ~is_arrow
         kept[is_arrow] = ~self._own_arrows[items[is_arrow]]
-        # Panels stand in front of the camera, and are laid out by the player.
+        # The player lays out panels itself.
         kept[buffer.text] = False
         kept &= buffer.rows["type"][: buffer.count] != _LABEL
         index = kept.nonzero()[0]
@@ -145,9 +146,9 @@ class FrameTaker:
 def body_poses(
     data: mujoco.MjData, bodies: Ints, copies: CopiedBodies, frame: Frame | None
 ) -> tuple[Array, Array]:
-    """Returns the poses of bodies and then of copies, (B + G, 7), and the opacity of copies (G,).
+    """Returns the poses of bodies and copies, (B + G, 7), and the opacity of copies, (G,).
 
-    A copy that the frame does not show, as without a frame, has the opacity 0.
+    Copies that the frame does not draw have opacity 0.
     """
     drawn = [] if frame is None else frame.buffer.drawn_doubles
     places, turns, opacity = copies.poses(drawn)
@@ -165,16 +166,33 @@ def _body_opacity(model: mujoco.MjModel, buffer: GeomBuffer) -> Array:
 
 
 def line_text(line: bytes) -> str:
-    """Returns a line as text; the legend's scale has bars, of which only the last has a name."""
+    """Returns a line as text; in the line of the legend's scale, text replaces the bars."""
     text = line.decode("latin-1").rstrip()
     scale = "".join(SCALE)
     return f"full width: {text.removeprefix(scale)}" if text.startswith(scale) else text
 
 
 def shown_bodies(world: WorldView) -> Ints:
-    """Returns the ids of the bodies that something visible, or a camera, is fixed to, (B,)."""
+    """Returns the ids of the bodies with something visible or a camera, (B,)."""
     model = world.model
     own = [drawn_bodies(model), model.cam_bodyid]
     if world.has_sites:
         own.append(model.site_bodyid[world.joints.centre_site])
     return np.unique(np.concatenate(own)).astype(np.intp)
+
+
+def labels_of(world: WorldView, frame: Frame) -> Labels:
+    """Returns text and position (3,), m, of all labels of a frame."""
+    frames, buffer = world.frames, frame.buffer
+    found: Labels = {}
+    titles = frame_titles(tuple(frames.names))
+    for i in frame.shown.frame_names.nonzero()[0].tolist():
+        found["name", i] = titles[i], np.array(frame.data.site_xpos[frames.site[i]])
+    parts, places = named_parts(world, frame.data, frame.toggles.part_names)
+    found |= {("part", k): (parts[k], places[k]) for k in range(len(parts))}
+    rows = buffer.rows[: buffer.count]
+    has_text = rows["label"] != b""
+    has_text[buffer.text] = False  # texts of panels, which the player lays out itself
+    for k, row in enumerate(rows[has_text]):
+        found["geom", k] = row["label"].decode("latin-1"), np.array(row["pos"], float)
+    return found

@@ -1,6 +1,6 @@
-"""What a model looks like in a player: geoms, sites, meshes, materials, textures, skins, lights.
+"""The appearance of a model: geoms, sites, meshes, materials, textures, skins and lights.
 
-Equal meshes and textures are stored once, those of invisible geoms never. Height fields become
+Equal meshes and textures are stored once, and only if they are visible. Height fields are stored as
 meshes.
 """
 
@@ -18,28 +18,30 @@ import numpy as np
 from ...base.frames import Array, Bools, Ints
 from .packing import PackedArrays, differing, rounded
 
-_GROUPS = 3  # of geoms and sites, that MuJoCo shows unless told otherwise
-_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)  # of geoms whose material has the colour
+_GROUPS = 3  # groups of geoms and sites that MuJoCo shows by default
+_DEFAULT_RGBA = np.array(
+    [0.5, 0.5, 0.5, 1.0], np.float32
+)  # of geoms that have the color of their material
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _HFIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _SDF = int(mujoco.mjtGeom.mjGEOM_SDF)
-_COLOUR = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
+_COLOR = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 _FLAT = int(mujoco.mjtTexture.mjTEXTURE_2D)
 _FACES = 6  # of a cube texture, one below the other
-_MOST_PIXELS = 2048  # of a side of a texture; larger ones are halved
-_MESH_STEPS = 65535  # of the longest side of a mesh
+_MAX_PIXELS = 2048  # of a side of a texture; larger textures are halved
+_MESH_STEPS = 65535  # resolution of the longest side of a mesh
 _NORMAL_STEPS = 127
 _OUR_LIGHT = "key"
 _OUR_FLOOR = "floor"
 
-# Vertices (n, 3), m, normals (n, 3), corners of triangles (3 m,), and places in a texture (n, 2).
+# Vertices (n, 3), m, normals (n, 3), corners of triangles (3 m,), and texture coordinates (n, 2).
 Corners = tuple[Array, Array, Ints, Array | None]
 
 
 def visible_geoms(model: mujoco.MjModel) -> Ints:
-    """Returns the ids of the geoms that MuJoCo draws by default, without our floor."""
-    shown = (model.geom_group < _GROUPS) & (geom_colours(model)[:, 3] > 0)
+    """Returns the ids of the geoms that MuJoCo draws by default, without the scene's floor."""
+    shown = (model.geom_group < _GROUPS) & (geom_colors(model)[:, 3] > 0)
     shown &= model.geom_type <= _SDF
     floor = our_floor(model)
     if floor is not None:
@@ -48,13 +50,13 @@ def visible_geoms(model: mujoco.MjModel) -> Ints:
     return found
 
 
-def geom_colours(model: mujoco.MjModel) -> Array:
-    """Returns the colours of all geoms (ngeom, 4): their own, else their material's."""
-    return _colours(model, model.geom_rgba, model.geom_matid)
+def geom_colors(model: mujoco.MjModel) -> Array:
+    """Returns the colors of all geoms (ngeom, 4): their own, or those of their materials."""
+    return _colors(model, model.geom_rgba, model.geom_matid)
 
 
 def drawn_bodies(model: mujoco.MjModel) -> Ints:
-    """Returns ids of the bodies that something visible, or a light, is fixed to."""
+    """Returns the ids of the bodies with something visible or a light."""
     sites = model.site_bodyid[_visible_sites(model)]
     bones = model.skin_bonebodyid if model.nskin else np.zeros(0, int)
     lights = np.append(model.light_bodyid, 0) if _has_own_lights(model) else np.zeros(0, int)
@@ -63,20 +65,20 @@ def drawn_bodies(model: mujoco.MjModel) -> Ints:
 
 
 def _visible_sites(model: mujoco.MjModel) -> Ints:
-    alpha = _colours(model, model.site_rgba, model.site_matid)[:, 3]
+    alpha = _colors(model, model.site_rgba, model.site_matid)[:, 3]
     found: Ints = ((model.site_group < _GROUPS) & (alpha > 0)).nonzero()[0]
     return found
 
 
-def _colours(model: mujoco.MjModel, rgba: np.ndarray, material: np.ndarray) -> Array:
-    colours = np.array(rgba)
-    of_material = (material >= 0) & (colours == _DEFAULT_RGBA).all(axis=1)
-    colours[of_material] = model.mat_rgba[material[of_material]]
-    return colours
+def _colors(model: mujoco.MjModel, rgba: np.ndarray, material: np.ndarray) -> Array:
+    colors = np.array(rgba)
+    of_material = (material >= 0) & (colors == _DEFAULT_RGBA).all(axis=1)
+    colors[of_material] = model.mat_rgba[material[of_material]]
+    return colors
 
 
 def our_floor(model: mujoco.MjModel) -> int | None:
-    """Returns the geom of the floor of scenes, which a player draws itself; None for none."""
+    """Returns the geom of the scene's floor, which the player draws itself, or None."""
     floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, _OUR_FLOOR)
     if floor < 0 or model.geom_type[floor] != _PLANE or model.geom_matid[floor] < 0:
         return None
@@ -88,7 +90,7 @@ def _has_own_lights(model: mujoco.MjModel) -> bool:
 
 
 def field_corners(model: mujoco.MjModel, field: int) -> Corners:
-    """Returns a height field as a mesh with sides."""
+    """Returns a height field as a closed mesh."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     begin = model.hfield_adr[field]
     wide, deep, high, under = model.hfield_size[field]
@@ -102,7 +104,7 @@ def field_corners(model: mujoco.MjModel, field: int) -> Corners:
     a, b, c, d = here[:-1, :-1], here[:-1, 1:], here[1:, 1:], here[1:, :-1]
     points, facing, index = [top.reshape(-1, 3)], [normals.reshape(-1, 3)], []
     index.append(np.stack([a, b, c, a, c, d], axis=-1).ravel())
-    # Round the field, anticlockwise from above.
+    # The sides of the field, counterclockwise from above.
     edges = ((top[0], (0, -1)), (top[:, -1], (1, 0)), (top[-1, ::-1], (0, 1)),
              (top[::-1, 0], (-1, 0)))  # fmt: skip
     for edge, (to_x, to_y) in edges:
@@ -123,7 +125,7 @@ def field_corners(model: mujoco.MjModel, field: int) -> Corners:
 
 
 def mesh_corners(model: mujoco.MjModel, mesh: int, *, is_textured: bool = False) -> Corners:
-    """Returns a mesh, with places in its texture if it has one."""
+    """Returns a mesh, with texture coordinates if `is_textured`."""
     vertex, normal = model.mesh_vertadr[mesh], model.mesh_normaladr[mesh]
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
     columns = [model.mesh_face[faces].ravel(), model.mesh_facenormal[faces].ravel()]
@@ -146,12 +148,11 @@ def mesh_corners(model: mujoco.MjModel, mesh: int, *, is_textured: bool = False)
 
 
 class Look:
-    """The looks of a model, for the head of a page.
+    """The appearance of a model, for the head of a page.
 
     Args:
-        model: compiled.
         parts: stores the arrays.
-        body_index: returns the number on the page of a body's id.
+        body_index: returns the page's number of a body id.
     """
 
     def __init__(
@@ -164,7 +165,7 @@ class Look:
         self._known: dict[Any, int] = {}
 
     def head(self) -> dict[str, Any]:
-        """Returns the entries of the head, those that are rare only if they are not empty."""
+        """Returns the entries of the head; rare entries only if they are not empty."""
         model = self._model
         found: dict[str, Any] = {
             "meshes": self._meshes,
@@ -202,7 +203,7 @@ class Look:
             self._materials.append(
                 {
                     "finish": rounded([each[material] for each in numbers], 3),
-                    "texture": self._texture(int(model.mat_texid[material, _COLOUR])),
+                    "texture": self._texture(int(model.mat_texid[material, _COLOR])),
                     "repeat": rounded(model.mat_texrepeat[material]),
                     "uniform": bool(model.mat_texuniform[material]),
                     **self._physical(material),
@@ -234,13 +235,13 @@ class Look:
         return found
 
     def copied(self, geom: int, body: int, rgba: Array) -> dict[str, Any]:
-        """Returns a geom once more, in one color and fixed to a body of the page."""
+        """Returns another copy of a geom, in one color and attached to a body of the page."""
         found = self._geom(geom)
         found.pop("material", None)
         return found | {"body": body, "rgba": np.round(rgba * 255).astype(int).tolist()}
 
     def _is_flat(self, found: dict[str, Any]) -> bool:
-        """Whether the material of a geom has a texture that is not a cube's."""
+        """Whether a geom has a texture that is not a cube map."""
         texture = self._materials[found["material"]]["texture"] if "material" in found else -1
         return texture >= 0 and not self._textures[texture]["cube"]
 
@@ -250,7 +251,7 @@ class Look:
         def of(name: str) -> Any:
             return getattr(model, f"{what}_{name}")
 
-        (rgba,) = _colours(model, of("rgba")[i : i + 1], of("matid")[i : i + 1])
+        (rgba,) = _colors(model, of("rgba")[i : i + 1], of("matid")[i : i + 1])
         found = {
             "body": self._index(int(of("bodyid")[i])),
             "type": int(of("type")[i]),
@@ -282,7 +283,6 @@ class Look:
         return known[name]
 
     def _steps(self, places: Array, name: str) -> dict[str, Any]:
-        """Places (n, dimensions) as steps from the lowest one."""
         low = places.min(axis=0)
         step = max(float(np.ptp(places, axis=0).max()) / _MESH_STEPS, 1e-9)
         whole = np.round((places - low) / step).astype(np.int64)
@@ -301,21 +301,21 @@ class Look:
         key = ("texture", wide, channels, is_cube, hashlib.sha256(pixels.tobytes()).digest())
         if key not in self._known:
             self._known[key] = len(self._textures)
-            picture = pixels.reshape(faces, tall // faces, wide, channels)
-            while max(picture.shape[1:3]) > _MOST_PIXELS:
-                picture = _halved(picture)
-            rows = picture.reshape(-1, *picture.shape[2:])
+            image = pixels.reshape(faces, tall // faces, wide, channels)
+            while max(image.shape[1:3]) > _MAX_PIXELS:
+                image = _halved(image)
+            rows = image.reshape(-1, *image.shape[2:])
             way, packed = _filtered(rows)
             self._textures.append(
                 {
-                    "cube": is_cube, "width": picture.shape[2], "height": picture.shape[1],
+                    "cube": is_cube, "width": image.shape[2], "height": image.shape[1],
                     "channels": channels, "way": way, "pixels": self._parts.put(packed),
                 }
             )  # fmt: skip
         return self._known[key]
 
     def _skin(self, i: int) -> dict[str, Any]:
-        """Returns vertices in the initial pose of the bones, and the weight of each bone."""
+        """Returns the vertices in the bind pose of the bones, and the weights of each bone."""
         model, parts = self._model, self._parts
         begin, count = int(model.skin_vertadr[i]), int(model.skin_vertnum[i])
         faces = slice(model.skin_faceadr[i], model.skin_faceadr[i] + model.skin_facenum[i])
@@ -352,8 +352,8 @@ class Look:
 
     def _soft(self, rgba: Array, material: int) -> dict[str, Any]:
         ids = np.array([material])
-        (colour,) = _colours(self._model, np.asarray(rgba)[None], ids)
-        found: dict[str, Any] = {"rgba": np.round(colour * 255).astype(int).tolist()}
+        (color,) = _colors(self._model, np.asarray(rgba)[None], ids)
+        found: dict[str, Any] = {"rgba": np.round(color * 255).astype(int).tolist()}
         number = self.material(material)
         return found | ({"material": number} if number >= 0 else {})
 
@@ -386,19 +386,19 @@ class Look:
         model = self._model
         head, on = model.vis.headlight, model.light_active.astype(bool)
         is_fixed = model.light_mode == int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
-        at, way, body = model.light_pos, model.light_dir, model.light_bodyid
-        if not is_fixed[on].all():  # those that follow something stand where they are at first
+        at, axis, body = model.light_pos, model.light_dir, model.light_bodyid
+        if not is_fixed[on].all():  # lights that track something stay at their initial pose
             data = mujoco.MjData(model)
             mujoco.mj_fwdPosition(model, data)
             at = np.where(is_fixed[:, None], at, data.light_xpos)
-            way = np.where(is_fixed[:, None], way, data.light_xdir)
+            axis = np.where(is_fixed[:, None], axis, data.light_xdir)
             body = np.where(is_fixed, body, 0)
         others = [
             {
                 "body": self._index(int(body[i])),
                 "type": int(model.light_type[i]),
                 "pos": rounded(at[i]),
-                "dir": rounded(way[i]),
+                "dir": rounded(axis[i]),
                 "diffuse": rounded(model.light_diffuse[i], 3),
                 "ambient": rounded(model.light_ambient[i], 3),
                 "cutoff": round(float(model.light_cutoff[i]), 3),
@@ -428,27 +428,27 @@ def _differences(places: Array) -> Array:
 
 
 def _octahedral(normals: Array) -> np.ndarray:
-    """Returns unit vectors (n, 3) on the square to which an octahedron unfolds, (2, n)."""
+    """Returns unit vectors (n, 3) in octahedral encoding, (2, n)."""
     normals = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-12)
     over = (1 - np.abs(normals[:, 1::-1])) * np.where(normals[:, :2] >= 0, 1, -1)
     square = np.where(normals[:, 2:] < 0, over, normals[:, :2])
     return np.round(square.T * _NORMAL_STEPS).astype(np.int8)
 
 
-def _halved(picture: np.ndarray) -> np.ndarray:
-    """Halves pictures (k, h, w, c), or their longer side, until they are small enough."""
+def _halved(image: np.ndarray) -> np.ndarray:
+    """Halves images (k, h, w, c) along each axis that is too long."""
     for axis in (1, 2):
-        size = picture.shape[axis] // 2 * 2
-        if size > _MOST_PIXELS:
-            even = np.take(picture, range(0, size, 2), axis=axis).astype(np.uint16)
-            picture = ((even + np.take(picture, range(1, size, 2), axis=axis) + 1) // 2).astype(
+        size = image.shape[axis] // 2 * 2
+        if size > _MAX_PIXELS:
+            even = np.take(image, range(0, size, 2), axis=axis).astype(np.uint16)
+            image = ((even + np.take(image, range(1, size, 2), axis=axis) + 1) // 2).astype(
                 np.uint8
             )
-    return picture
+    return image
 
 
 def _filtered(rows: np.ndarray) -> tuple[int, np.ndarray]:
-    """Returns a picture (h, w, c) or differences of neighbors, whichever deflate packs best.
+    """Returns an image (h, w, c), or differences of neighbors if they compress better.
 
     The first value is the axis of the differences, -1 for none.
     """

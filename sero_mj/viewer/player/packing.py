@@ -1,45 +1,49 @@
-"""Arrays of numbers behind a JSON head, as `js/src/data.js` reads them.
+"""Arrays behind a JSON head, which `js/src/data.js` decodes.
 
-Numbers that move are differences in time, of which the sign is the lowest bit, one channel after
-the other, and bytes of one significance stand together: so deflate finds what repeats.
+Changing numbers are stored as differences in time, with the sign in the lowest bit, one channel
+after the other, and with bytes of the same significance together, so that deflate compresses them
+well.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 
-from ...base.frames import Ints
+from ...base.frames import Array, Ints
+
+_TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 
 
 class PackedArrays:
-    """Arrays behind the head, known by their number."""
+    """Arrays behind the head, referenced by number."""
 
     def __init__(self) -> None:
         self.arrays: list[bytes] = []
 
     def put(self, array: np.ndarray) -> list[Any]:
-        """Adds an array; returns its number, the type of its numbers, and their count."""
+        """Adds an array; returns its number, the type of its elements, and their count."""
         array = np.ascontiguousarray(array)
         planes = array.reshape(-1).view(np.uint8).reshape(-1, array.itemsize).T
         self.arrays.append(planes.tobytes())
         return [len(self.arrays) - 1, array.dtype.str[1:], array.size]
 
     def moving(self, numbers: np.ndarray, step: float) -> list[Any]:
-        """Adds channels (F, C) in steps, as differences in time."""
+        """Adds channels (F, C) as differences in time, in multiples of `step`."""
         whole = np.round(numbers / step).astype(np.int64)
         differences = np.diff(whole, axis=0, prepend=0).T
         return self.put(unsigned(folded(differences)))
 
 
 def folded(differences: Ints) -> Ints:
-    """Returns small numbers of either sign as small numbers."""
+    """Returns signed integers with the sign in the lowest bit."""
     return np.asarray((differences << 1) ^ (differences >> 63))
 
 
 def unsigned(numbers: Ints) -> np.ndarray:
-    """Returns numbers from 0 on, of as few bytes as they need."""
+    """Returns nonnegative integers in the smallest unsigned type."""
     for kind in (np.uint8, np.uint16):
         if numbers.max(initial=0) <= np.iinfo(kind).max:
             return numbers.astype(kind)
@@ -53,6 +57,37 @@ def rounded(numbers: Any, digits: int = 6) -> list[Any]:
 
 
 def differing(numbers: np.ndarray) -> np.ndarray:
-    """Returns whole numbers (n,) as folded differences of neighbours."""
+    """Returns integers (n,) as folded differences of neighbors."""
     whole: Ints = np.asarray(numbers, np.int64)
     return unsigned(folded(np.diff(whole, prepend=0)))
+
+
+def poses(rows: np.ndarray) -> tuple[Array, Array]:
+    """Returns quaternions, scalar first (k, 4), and sizes (k, 3), m, of rows of `GEOM`.
+
+    The sides of a triangle are not perpendicular. Its x axis is along its first side; its sizes are
+    the length of that side, and the extent of the second side along y and along x.
+    """
+    mats, sizes = rows["mat"].astype(float), rows["size"].astype(float)
+    skew = (rows["type"] == _TRIANGLE).nonzero()[0]
+    if len(skew):
+        first, second = mats[skew, :, 0], mats[skew, :, 1] * sizes[skew, 1:2]
+        normal = np.cross(first, second)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        across = np.cross(normal, first)
+        mats[skew] = np.stack([first, across, normal], axis=-1)
+        sizes[skew, 1] = _along(second, across)
+        sizes[skew, 2] = _along(second, first)
+    return quaternions_of(mats), sizes
+
+
+def quaternions_of(mats: Array) -> Array:
+    """Returns the quaternions, scalar first (k, 4), of rotations (k, 3, 3)."""
+    quaternions = np.empty((len(mats), 4))
+    for quaternion, mat in zip(quaternions, mats.reshape(-1, 9), strict=True):
+        mujoco.mju_mat2Quat(quaternion, mat)
+    return quaternions
+
+
+def _along(vectors: Array, axes: Array) -> Any:
+    return (vectors * axes).sum(axis=1)

@@ -1,4 +1,4 @@
-"""`export_html`: a scene as it moves, as one HTML file that makes no requests."""
+"""`export_html`: writes a moving scene as one HTML file, which makes no requests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...robots.declared.scene import Scene
 from .capture import CapturedRun, Mark, capture
 from .encode import encode
 
-# Adds the player, which is compressed as the run is; the policy knows its hash.
+# Decompresses and starts the player; the content security policy contains its hash.
 _LOADER = (
     "(async()=>{const e=document.getElementById('player'),"
     "b=Uint8Array.from(atob(e.textContent),c=>c.charCodeAt(0)),"
@@ -51,19 +51,20 @@ def export_html(
     """Writes a page that plays a scene: a recording, a run, or live sources for some seconds.
 
     Args:
-        scene: what to show, see `load_scene`.
+        scene: see `load_scene`.
         path: path of the .html file.
         title: title of the page; the scene's name if empty.
-        marks: on the timeline.
-        meanings: meaning of labels on cards, such as the file that `A` is.
-        **keywords: of `capture`: `seconds` and `begin` (s), `fps`, `camera`, `follow`,
+        marks: marks on the timeline.
+        meanings: meanings of labels on billboards, such as the file that `A` stands for.
+        **keywords: arguments of `capture`: `seconds` and `begin` (s), `fps`, `camera`, `follow`,
             `wait` (s), `on_progress`.
 
     Returns:
         names of the sources without data; their robots have the declared pose.
 
     Raises:
-        SeroError: a problem of the scene, its sources, the camera or the file; or it is too long.
+        SeroError: a problem of the scene, its sources, the camera or the file; or the run is too
+            long.
     """
     captured = capture(scene, marks=marks, **keywords)
     captured.meanings = meanings or {}
@@ -72,13 +73,13 @@ def export_html(
 
 
 def write_page(captured: CapturedRun, path: Path, title: str = "") -> None:
-    """Writes a run as a page; its title is the scene's name if empty.
+    """Writes a run as a page, with the scene's name if `title` is empty.
 
     Raises:
         UsageError: the file cannot be written.
     """
     title = title or captured.world.scene.name
-    look = look_asked_for(captured.world.scene)
+    look = requested_look(captured.world.scene)
     try:
         run = packed(encode(captured, title))
         page = _page_alone(_RUN + _PLAYER, RUN=run, TITLE=title, LOOK=look)
@@ -87,8 +88,8 @@ def write_page(captured: CapturedRun, path: Path, title: str = "") -> None:
         raise UsageError(f"cannot write {path}: {error.strerror}") from error
 
 
-def look_asked_for(scene: Scene) -> str:
-    """Returns the look that a scene or an option asks for; empty where the browser's is taken."""
+def requested_look(scene: Scene) -> str:
+    """Returns the look that a scene or an option requests; empty for the browser's setting."""
     return scene.view.look if "look" in scene.view.model_fields_set else ""
 
 
@@ -103,21 +104,20 @@ def player_files() -> dict[str, bytes]:
 
 
 def cell_page(cell: str, title: str, look: str) -> str:
-    """Returns a page for a cell of a notebook: live, or the run that its notebook has stored.
+    """Returns a page for a notebook cell: live, or with the run that the notebook has stored.
 
-    The page sends the id of the cell to its kernel, see `web/notebook.py`.
+    The page sends the id of the cell to its kernel, see `extensions/notebook`.
     """
     return _page_alone(_PLAYER, KIND=f' data-cell="{html.escape(cell)}"', TITLE=title, LOOK=look)
 
 
 def packed(data: bytes) -> str:
-    """Returns bytes as pages hold them: base64 of a raw deflate stream."""
+    """Returns bytes as stored in pages: base64 of a raw deflate stream."""
     deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
     return base64.b64encode(deflate.compress(data) + deflate.flush()).decode()
 
 
 def _page_alone(scripts: str, **values: str) -> str:
-    """Returns a page that makes no requests."""
     script, style = _static("player.js"), _static("player.css")
     policy = (
         f"default-src 'none'; script-src {_hash(_LOADER)} {_hash(script)}; "
@@ -143,7 +143,6 @@ def _filled(**values: str) -> str:
 
 
 def _replaced(text: str, values: Mapping[str, str]) -> str:
-    """Returns a text with its placeholders replaced; placeholders in values stay."""
     parts = text.split("%%")
     parts[1::2] = [values[name] for name in parts[1::2]]
     return "".join(parts)

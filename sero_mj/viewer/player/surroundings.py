@@ -1,6 +1,6 @@
 """The surroundings of a page: the palettes of both looks, and the floor.
 
-A page is shaded as Filament's pictures are, of the same light, see `sky_light.py`.
+Pages use the same light as Filament, see `image/sky_light.py`.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from ..image.sky_light import LEVELS, SkyLight
 from .model import our_floor
 from .packing import rounded
 
-_END = 0.77  # of the distance to which a scene is drawn, where floors end; seen with MuJoCo 4.0.0
-_ELEVATIONS = 33  # of reflections, equally far apart in their sines, from -1 to 1
+_END = 0.77  # where floors end, relative to the far plane (measured with MuJoCo 4.0.0)
+_ELEVATIONS = 33  # of reflections, with equidistant sines from -1 to 1
 
 
 def surroundings_head(world: WorldView) -> dict[str, Any]:
-    """Returns what the head of a page has of the surroundings of a world."""
+    """Returns the surroundings of a world for the head of a page."""
     return {
         "looks": _looks(),
         "towards": rounded(KEY_DIRECTION),
@@ -36,9 +36,9 @@ def _looks() -> dict[str, dict[str, Any]]:
 
 
 def _look(palette: Palette) -> dict[str, Any]:
-    """Returns a palette, with its light relative to white, for each linear color channel.
+    """Returns a palette, with its light relative to white for each linear color channel.
 
-    `fill` is (a, b, c) of `SkyLight.irradiance`; `reflections` has a row for every roughness.
+    `fill` is (a, b, c) of `SkyLight.irradiance`; `reflections` has one row per roughness.
     """
     light, up = SkyLight(palette), np.linspace(-1.0, 1.0, _ELEVATIONS)
     return {
@@ -53,7 +53,6 @@ def _look(palette: Palette) -> dict[str, Any]:
 
 
 def _floor(world: WorldView) -> dict[str, float] | None:
-    """Height and edge of the tiles, where it ends, and where haze begins, m; None for no floor."""
     shown = world.model
     for model in (shown, world.surroundings()):
         geom = None if model is None else our_floor(model)

@@ -1,7 +1,6 @@
-"""The viewer of a program: `Viewer`, which a loop of the user's own steers and reads.
+"""`Viewer`: a window or page in its own process, which a user's loop controls.
 
-In: scenes, models, and what the loop sets. Out: the same into a process of its own, which draws at
-its own rate, so that neither waits for the other; clicks and the user's widgets come back.
-Open first: `viewer.py`; `process_main.py` is what runs in the other process, `memory.py` what both
-share.
+In: scenes, models, and the values that the loop sets. Out: clicks and the values of the user's
+widgets. Neither process waits for the other.
+Open first: `viewer.py`; `process_main.py` runs in the other process, and both share `memory.py`.
 """

@@ -1,7 +1,7 @@
-"""What a viewer and the process that shows it hand to each other many times a second.
+"""The memory that a viewer and its process share.
 
-Inputs, and the state of an overlay, go to the process that shows; what it shows comes back. All of
-it lies in memory that both have mapped, so that neither ever waits for the other.
+Inputs and the state of an overlay go to the process; the displayed state comes back. Neither
+process ever waits for the other.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.inputs import to_array
 from ...robots.external.model_world import ModelWorld
 
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # MuJoCo takes ten times as long for the enum
-_MEMORY = Path("/dev/shm")  # files there are never written to a disk; Linux only
-_HEADER = 2  # of an array: its number, and a checksum
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # MuJoCo takes ten times as long for an enum
+_MEMORY = Path("/dev/shm")  # a file system in memory; Linux only
+_HEADER = 2  # of an array: the number of writes, and a checksum
 _CHECKSUM_MODULUS = 2**32  # checksums are smaller
 _pack = struct.Struct("dd").pack
 
 
 class SharedArrays:
-    """Arrays in memory that two processes share; each is written by one, and read by the other.
+    """Arrays of float64 in memory that two processes share; one of them writes each array.
 
-    An array comes with the number of times it was written and a checksum over both. An array that
-    is being written does not match its checksum and is left for the next time; so no lock is
-    needed that a process could die with, and no processor's order of writing matters.
+    Each array has the number of writes and a checksum over both. A reader ignores an array whose
+    checksum does not match, because it is being written, and reads it the next time. No lock is
+    needed, so the end of one process cannot block the other.
 
     Args:
-        lengths: of the arrays.
-        path: of the memory that another process has made; None to make it. The process that takes
-            it up removes its name, so nothing is left behind however the two end.
+        lengths: lengths of the arrays.
+        path: path of the memory of the other process; None to create it. The process that opens it
+            removes its name, so no file remains.
 
     Attributes:
-        written: how often this process has written each array, (K,).
-        numbers: how often each array had been written when it was last read, (K,).
+        written: number of writes of this process by array, (K,).
+        numbers: number of writes of each array when it was last read, (K,).
     """
 
     def __init__(self, lengths: Sequence[int], path: Path | None = None) -> None:
@@ -60,7 +60,7 @@ class SharedArrays:
         ]
         self.written = [0] * len(lengths)
         self.numbers = np.zeros(len(lengths))
-        self._lock = threading.Lock()  # of the threads that write
+        self._lock = threading.Lock()  # for threads that write
         if path is None:
             folder = _MEMORY if os.access(_MEMORY, os.W_OK) else None
             file, name = tempfile.mkstemp(prefix="sero-mj-", dir=folder)
@@ -77,11 +77,11 @@ class SharedArrays:
         self._heads = np.array(self._starts)
 
     def remove_name(self) -> None:
-        with suppress(OSError):  # on Windows while it is in use
+        with suppress(OSError):  # raised on Windows while the file is in use
             self.path.unlink()
 
     def write(self, index: int, values: Array) -> None:
-        """Writes an array of float64, of its length and any shape."""
+        """Writes an array of any shape that has its length."""
         contents = values.tobytes()
         with self._lock:
             self.written[index] = number = self.written[index] + 1
@@ -89,7 +89,7 @@ class SharedArrays:
             self._memory[self._spans[index]] = header + contents
 
     def number(self, index: int) -> int:
-        """How often an array has been written until now, by either process."""
+        """Returns how often an array has been written, by either process."""
         return int(self._cells[self._starts[index]])
 
     def changed(self) -> list[int]:
@@ -109,12 +109,12 @@ class SharedArrays:
 
 
 class ViewerMemory(Protocol):
-    """What a viewer and the process that shows it share.
+    """The memory of a scene or an overlay.
 
-    The viewer calls `set` and `sync`, the process that shows calls `apply` and `show`.
+    The viewer calls `set` and `sync`, and its process calls `apply` and `show`.
 
     Attributes:
-        is_read: whether `sync` has to take over what is shown into `data`.
+        is_read: whether `sync` copies the displayed state to `data`.
     """
 
     data: mujoco.MjData
@@ -122,28 +122,29 @@ class ViewerMemory(Protocol):
     arrays: SharedArrays
 
     @property
-    def pictures(self) -> int: ...
+    def frame_count(self) -> int: ...
 
     def set(self, target: str, values: Any) -> None:
-        """Sets an input of the viewer's world and hands it on; raises as `set_input` does."""
+        """Sets an input of the viewer's world and sends it; raises as `set_input` does."""
 
     def sync(self) -> None:
-        """Hands on what the viewer's data has, and takes over what was shown."""
+        """Sends the state of the viewer's data, and receives the displayed state."""
 
-    def apply(self) -> None: ...
+    def apply(self) -> None:
+        """Applies what the viewer has sent."""
 
-    def show(self) -> None: ...
+    def show(self) -> None:
+        """Sends the displayed state."""
 
 
 class SceneMemory:
-    """The inputs of a scene, and what is shown of it.
+    """The inputs of a scene, and its displayed state.
 
-    Every input is an array of its own, so that only what the user sets is handed on: all others
-    are for the scene's sources. What these do comes back, except to inputs that the user has set
-    since.
+    Each input is an array, so that only the inputs that the user sets are sent; the scene's sources
+    set the others. Their values come back, except for inputs that the user has set since.
 
     Args:
-        world: the compiled scene; the two processes have equal ones.
+        world: the compiled scene, equal in both processes.
     """
 
     def __init__(self, world: WorldView, data: mujoco.MjData, path: Path | None = None) -> None:
@@ -151,9 +152,9 @@ class SceneMemory:
         self._inputs = list(world.inputs.values())
         self._index = {item.target: index for index, item in enumerate(self._inputs)}
         self._fields = (data.qpos, data.mocap_pos, data.mocap_quat, data.userdata)
-        # What is shown: the time, these fields, and which of the user's inputs are in them.
+        # The displayed state: time, these fields, and the numbers of the user's inputs in them.
         ends = np.cumsum([1, *(field.size for field in self._fields)]).tolist()
-        self._parts = list(map(slice, ends, ends[1:]))
+        self._slices = list(map(slice, ends, ends[1:]))
         self._flat = [field.reshape(-1) for field in self._fields]  # views
         self._numbers = slice(ends[-1], ends[-1] + len(self._inputs))
         lengths = [*(item.count for item in self._inputs), self._numbers.stop]
@@ -175,7 +176,7 @@ class SceneMemory:
         return np.concatenate([[-1], *(each.ravel() for each in setter)])
 
     @property
-    def pictures(self) -> int:
+    def frame_count(self) -> int:
         return self.arrays.number(-1)
 
     def set(self, target: str, values: Any) -> None:
@@ -189,11 +190,11 @@ class SceneMemory:
         shown = self.arrays.read(len(self._inputs)) if self.is_read else None
         if shown is None:
             return
-        # The last is for what no input sets.
+        # The last entry is for values that no input sets.
         is_shown = np.append(shown[self._numbers] == self.arrays.written[:-1], True)
         where = is_shown[self._setter]
         self.data.time = shown[0]
-        for flat, part in zip(self._flat, self._parts, strict=True):
+        for flat, part in zip(self._flat, self._slices, strict=True):
             np.copyto(flat, shown[part], where=where[part])
         follow(self._world.model, self.data)
 
@@ -215,15 +216,15 @@ class OverlayMemory:
     def __init__(self, world: ModelWorld, path: Path | None = None) -> None:
         self._world, self.data, self.is_read = world, world.data, False
         size, nv = mujoco.mj_stateSize(world.model, _STATE), world.model.nv
-        # The state, and what decor shows of it that cannot be computed from it.
+        # The state, and displayed fields that do not follow from it.
         self._values = np.empty(size + 2 * nv)
-        self._state, *self._parts = np.split(self._values, [size, size + nv])  # views
+        self._state, *self._slices = np.split(self._values, [size, size + nv])  # views
         self._fields = (self.data.qfrc_actuator, self.data.qacc)
-        self._changes = -1  # of the inputs that were handed on last
+        self._changes = -1  # number of the inputs that were sent last
         self.arrays = SharedArrays([size + 2 * nv, len(world.input_state()), 0], path)
 
     @property
-    def pictures(self) -> int:
+    def frame_count(self) -> int:
         return self.arrays.number(-1)
 
     def set(self, target: str, values: Any) -> None:
@@ -233,7 +234,7 @@ class OverlayMemory:
     def sync(self) -> None:
         world = self._world
         mujoco.mj_getState(world.model, self.data, self._state, _STATE)
-        for part, field in zip(self._parts, self._fields, strict=True):
+        for part, field in zip(self._slices, self._fields, strict=True):
             part[:] = field
         self.arrays.write(0, self._values)
         if self._changes != world.changes:
@@ -250,7 +251,7 @@ class OverlayMemory:
             follow(world.model, data)
             mujoco.mj_flex(world.model, data)
             mujoco.mj_tendon(world.model, data)
-            for part, field in zip(self._parts, self._fields, strict=True):
+            for part, field in zip(self._slices, self._fields, strict=True):
                 field[:] = part
 
     def show(self) -> None:

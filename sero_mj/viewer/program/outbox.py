@@ -1,7 +1,7 @@
-"""`Outbox`: sends the viewer's process what has changed, on a thread of its own.
+"""`Outbox`: sends changes to the viewer's process on a thread; `UserSignals`: plotted samples.
 
-So a loop never waits for the viewer, not even for one that hangs: what changes while something is
-being sent waits at its topic, which keeps the latest of it only, or a limited number of samples.
+A loop never waits for the viewer, even if the viewer hangs: while a message is being sent, each
+topic collects its changes.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from ...base.errors import UsageError, shown
 from ...base.frames import Array
 from ..panels.user_widgets import check_label
 
-_INTERVAL = 1 / 30  # s between two messages, at least
+_INTERVAL = 1 / 30  # minimum time between messages, s
 
 
 class Outbox:
     """Sends the messages of several topics.
 
     Args:
-        send: sends a message to a tool of the view; returns whether it was there to receive it.
+        send: sends a message to a tool of the view; returns False if the viewer has ended.
     """
 
     def __init__(self, send: Callable[[str, Any], bool]) -> None:
@@ -38,8 +38,7 @@ class Outbox:
         """Adds a topic.
 
         Args:
-            take: returns what has changed since the last call, None for nothing; called by another
-                thread.
+            take: returns the changes since the last call, or None; called by another thread.
         """
         is_first = not self._topics
         self._topics[tool] = take
@@ -47,7 +46,7 @@ class Outbox:
             threading.Thread(target=self._run, daemon=True, name="sero-mj outbox").start()
 
     def wake(self) -> None:
-        if not self._has_news.is_set():  # which is quicker than to set it again
+        if not self._has_news.is_set():  # faster than setting it again
             self._has_news.set()
 
     def close(self) -> None:
@@ -65,14 +64,14 @@ class Outbox:
             time.sleep(_INTERVAL)
 
 
-TOOL = "plot"  # that shows them
+TOOL = "plot"  # the tool that shows the signals
 
-_MOST = 100  # signals
-_UNSENT = 20_000  # samples of a signal that wait to be sent; the oldest are dropped
+_MAX_SIGNALS = 100
+_MAX_UNSENT = 20_000  # samples of a signal; if more wait to be sent, the oldest are dropped
 
 
 class UserSignals:
-    """Samples that were not sent yet."""
+    """Samples of plotted signals that wait to be sent."""
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
@@ -82,7 +81,7 @@ class UserSignals:
         """Adds a sample at the current time; takes about a microsecond.
 
         Raises:
-            UsageError: no name, no number, or more than 100 signals.
+            UsageError: the name or the value is invalid, or there are more than 100 signals.
         """
         unsent = self._unsent.get(name)
         if unsent is None:
@@ -95,9 +94,11 @@ class UserSignals:
 
     def _begin(self, name: str) -> deque[tuple[float, float]]:
         check_label("plot", name)
-        if len(self._unsent) == _MOST:
-            raise UsageError(f"plot '{name}': found {_MOST + 1} signals; expected at most {_MOST}")
-        unsent: deque[tuple[float, float]] = deque(maxlen=_UNSENT)
+        if len(self._unsent) == _MAX_SIGNALS:
+            raise UsageError(
+                f"plot '{name}': found {_MAX_SIGNALS + 1} signals; expected at most {_MAX_SIGNALS}"
+            )
+        unsent: deque[tuple[float, float]] = deque(maxlen=_MAX_UNSENT)
         self._unsent[name] = unsent
         if len(self._unsent) == 1:
             self._outbox.add(TOOL, self._take)
@@ -106,7 +107,7 @@ class UserSignals:
     def _take(self) -> dict[str, Array] | None:
         taken = {}
         for name, unsent in [*self._unsent.items()]:
-            count = len(unsent)  # what is added meanwhile is for the next time
+            count = len(unsent)  # samples that are added now are sent next time
             if count:
                 taken[name] = np.array([unsent.popleft() for _ in range(count)])
         return taken or None

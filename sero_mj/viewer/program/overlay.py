@@ -34,22 +34,23 @@ from .robot_inputs import RobotInputs
 log = logging.getLogger(__name__)
 
 _NOTEBOOK_SIZE = (960, 600)
-_SCENE_SIZE = (640, 480)  # of the picture of a scene that has none
+_SCENE_SIZE = (640, 480)  # assumed for a scene without an image size
 
 
 class Overlay:
-    """Decor for the user's model and data, which are never changed.
+    """Visual features for the user's model and data, which are never changed.
 
     Attributes:
-        data: the user's; frames show its current state, so call `mj_step` or `mj_forward` before.
+        data: the user's data; frames show its current state, so call `mj_step` or `mj_forward`
+            first.
     """
 
     def __init__(self, world: ModelWorld) -> None:
         self.model, self.data, self.world = world.model, world.data, world
         self._decor = SceneDecor(world)
-        self._drawn = self._decor  # the last drawn decor: this one, or that of `image`
+        self._drawn = self._decor  # the decor of the last frame: this one, or that of `image`
         self._renderer: HeadlessRenderer | None = None
-        self._is_told = False  # that there are no frames
+        self._has_warned = False
 
     @property
     def toggles(self) -> Toggles:
@@ -69,17 +70,17 @@ class Overlay:
 
     @property
     def not_finite(self) -> int:
-        """Number of NaN, infinite and implausible values that were set; these are not shown."""
+        """Number of NaN, infinite and implausible values that were set; these are not displayed."""
         return self.world.not_finite
 
     def set(self, target: str, values: Any) -> None:
-        """Sets an input: joint values, a double's joint angles, an arrow's vector, or a toggle.
+        """Sets an input: joint values, a double's joint angles, an arrow's vector, or a switch.
 
         Args:
             target: `arm.commanded_torques`, `arm.torques`, `goal.joint_angles`, `push.vector`,
                 `arm.show_axes`, ...
-            values: of the input's shape, SI units; for joint values also a vector of the whole
-                model, (nv,), and for joints a mapping from joint names.
+            values: values of the input's shape, SI units. Joint values can also be a vector of the
+                whole model, (nv,), or a mapping from joint names.
 
         Raises:
             UnknownName: no such input or joint; suggests the nearest name.
@@ -91,7 +92,7 @@ class Overlay:
         """Returns the inputs of a robot or double as attributes: `robot("arm").torques = ...`.
 
         Raises:
-            UnknownName: no robot or double of that name; suggests the nearest one.
+            UnknownName: no robot or double of that name; suggests the nearest name.
         """
         return RobotInputs(self, name)
 
@@ -108,14 +109,15 @@ class Overlay:
         return self.world.frame(self.data, name)
 
     def draw(self, target: Any, camera: Any = None, size: tuple[int, int] | None = None) -> int:
-        """Adds the decor to a scene that MuJoCo has filled.
+        """Adds the visual features to a scene that MuJoCo has filled.
 
         Args:
             target: a `mujoco.Renderer` after `update_scene`, the viewer of
                 `mujoco.viewer.launch_passive` (whose `user_scn` is cleared first), or an
                 `MjvScene`.
-            camera: where the scene has none: an `MjvCamera`, a camera's name, or
+            camera: camera for a scene without one: an `MjvCamera`, a camera's name, or
                 `azimuth,elevation,distance` (degrees, degrees, m).
+            size: size of the image, pixels; that of the target if None.
 
         Returns:
             number of geoms that exceeded the scene's capacity; also in `dropped`.
@@ -148,7 +150,7 @@ class Overlay:
             tolerance: maximum distance from decor if none is hit exactly, pixels.
 
         Raises:
-            UsageError: nothing was drawn yet.
+            UsageError: nothing has been drawn yet.
         """
         return self._drawn.pick(self.data, self._from_above(x, y), tolerance)
 
@@ -162,7 +164,7 @@ class Overlay:
 
     def _from_above(self, x: float, y: float) -> Pixel:
         if self.view is None:
-            raise UsageError("nothing was drawn yet: call draw or image before")
+            raise UsageError("nothing has been drawn yet: call draw or image first")
         return self._drawn.from_above(x, y)
 
     def image(
@@ -171,7 +173,7 @@ class Overlay:
         height: int = DEFAULT_SIZE[1],
         camera: str | mujoco.MjvCamera | None = None,
     ) -> ImageArray:
-        """Renders a picture without a window; notebooks display it, `.save("out.png")` writes it.
+        """Renders an image without a window; notebooks display it, `.save("out.png")` writes it.
 
         Args:
             camera: a camera's name, `azimuth,elevation,distance` (degrees, degrees, m), an
@@ -179,7 +181,7 @@ class Overlay:
 
         Raises:
             RenderError: no OpenGL, or the size is out of range.
-            UsageError: the size is no number.
+            UsageError: the size is not a number.
             UnknownName: no camera of that name.
         """
         for key, value in (("width", width), ("height", height)):
@@ -193,17 +195,17 @@ class Overlay:
             renderer.toggles = self.toggles
         named = camera is None or isinstance(camera, str)
         renderer.camera = find_camera(self.world, camera) if named else camera
-        picture: ImageArray = renderer.render(self.data).view(ImageArray)
+        image: ImageArray = renderer.render(self.data).view(ImageArray)
         self._drawn = renderer.decor
-        return picture
+        return image
 
     def check_frames(self) -> None:
-        """Warns, once, where nothing has computed the frames of the data before it is shown."""
-        if not self._is_told and not self.data.xmat.any():
-            self._is_told = True
+        """Warns once if `mj_forward` has not been called for the data."""
+        if not self._has_warned and not self.data.xmat.any():
+            self._has_warned = True
             log.warning(
-                "the data of %s has no frames yet, so nothing is at its place: call "
-                "mujoco.mj_forward(model, data) before a picture",
+                "the data of %s has no frames yet, so everything is at the origin: call "
+                "mujoco.mj_forward(model, data) before drawing",
                 self.world.scene.name,
             )
 
@@ -257,29 +259,29 @@ def overlay(
     surroundings: bool = True,
     name: str = "overlay",
 ) -> Overlay:
-    """Finds the robots in a compiled model and returns their decor.
+    """Finds the robots in a compiled model and returns an overlay that draws their features.
 
     A robot is a kinematic tree, one child of the world with its descendants, that has a hinge or
     slide joint and, if the model has actuators, is driven by one or named in `robots`. Limbs of a
     trunk that is fused with the world are one robot. It is named after the root body, or after the
-    model if that is a `base_link` or the like. Its arrows show `data.qfrc_actuator`, the
+    model if the root is named `base_link` or similar. Its arrows show `data.qfrc_actuator`, the
     actuator forces at the joints, until `ROBOT.torques` is set; `ROBOT.commanded_torques` has no
-    default. Full width of an arrow is the limit of the joint or of its actuators; without one, the
-    gravity load of the joint. Free and ball joints have no single axis and no arrow.
+    default. An arrow of full width shows the limit of the joint or of its actuators, or the gravity
+    load of the joint if there is no limit. Free and ball joints have no arrow.
 
     Args:
         model: a `mujoco.MjModel`, which is not changed; or a source to compile: a
             `mujoco.MjSpec`, a PyMJCF `RootElement`, a dm_control composer entity.
-        data: of that model, not changed; None for new data, in the overlay's `data`.
+        data: data of that model, not changed; None to create data.
         robots: fields of robots that override the model, by name: `torque_limits`,
             `arrow_radius`, `axes_size`, `billboard_lines`, `show_axes`, ... as in `SerialRobot`.
         doubles: transparent doubles of its robots.
         arrows: Cartesian vectors at frames (`arm/hand`).
         frames: other bodies and sites whose axes are shown.
-        toggles: initial toggles of the whole scene.
-        surroundings: whether `image` and windows show a floor, a sky and lights where the model
-            has none; what you draw with a renderer of your own, and a page, has those of the model.
-        name: in the window's title.
+        toggles: initial switches of the whole scene.
+        surroundings: whether `image` and windows add a floor, a sky and lights if the model has
+            none; your own renderer and pages show those of the model.
+        name: title of the window.
 
     Raises:
         UsageError: `data` belongs to another model, or an argument has another type.

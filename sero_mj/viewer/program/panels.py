@@ -1,8 +1,8 @@
-"""`UserPanel`: widgets that a program adds to its viewer, from the side of the program.
+"""`UserPanel`: the widgets that a program adds to its viewer, on the side of the program.
 
-They are shown by the tool `user_panels` in the viewer's process. Both sides change values: every
-change by the program has a number, and changes by the user come with the last number that the
-viewer has received, so that those which the program has overridden meanwhile are ignored.
+The tool `user_panels` shows them in the viewer's process. Both sides change values. Each change by
+the program has a number, and changes by the user carry the last number that the viewer has
+received, so that the program ignores those that it has overridden.
 """
 
 from __future__ import annotations
@@ -27,53 +27,50 @@ from ..panels.user_widgets import (
     Value,
     WidgetState,
     check_label,
-    check_range,
     to_number,
 )
 from .outbox import Outbox
+
+Callback = Callable[..., object]
 
 
 class WidgetHandle(Generic[Value]):
     """A widget of a panel; made by `UserPanel`."""
 
     def __init__(
-        self,
-        panels: UserPanels,
-        place: Place,
-        placed: WidgetState,
-        callback: Callable[..., object] | None,
+        self, panels: UserPanels, place: Place, state: WidgetState, callback: Callback | None
     ) -> None:
         self._panels, self._callback = panels, callback
-        self.place, self.placed = place, placed
+        self.place, self.state = place, state
 
     @property
     def value(self) -> Value:
-        """What it shows; set it to show something else, which calls no callback.
+        """Value of the widget. Setting it calls no callback.
 
         Raises:
-            UsageError: a value that the widget cannot have.
+            UsageError: the widget cannot have the value.
         """
-        value: Value = self.placed.value
+        value: Value = self.state.value
         return value
 
     @value.setter
     def value(self, value: Value) -> None:
-        self._panels.change(self, self.placed.widget.checked(value))
+        self._panels.change(self, self.state.widget.checked(value))
 
     def call(self, before: Value) -> None:
         if self._callback is not None:
-            for arguments in self.placed.widget.calls(before, self.value):
+            for arguments in self.state.widget.calls(before, self.value):
                 self._callback(*arguments)
 
 
 class UserPanel:
     """A section of the viewer's panel with widgets of the program; see `Viewer.panel`.
 
-    Callbacks are called by `Viewer.sync`, once for all changes since the last call; those of
-    buttons once for every press. Values change without `sync` as well.
+    `Viewer.sync` calls the callback of each widget that has changed since its last call, and that
+    of a button once for each press. Values also change without `sync`.
 
-    Every method raises UsageError if the panel has a widget of that label, or an argument is
-    wrong, and RenderError if the viewer is closed.
+    Every method raises UsageError if the panel already has a widget with the label, or an argument
+    is invalid, and RenderError if the viewer is closed.
     """
 
     def __init__(self, panels: UserPanels, title: str) -> None:
@@ -90,15 +87,8 @@ class UserPanel:
         unit: str = "",
         on_change: Callable[[float], object] | None = None,
     ) -> WidgetHandle[float]:
-        """Adds a slider.
-
-        Args:
-            low: value at its left end.
-            high: value at its right end.
-            value: where it is at first; `low` when None.
-        """
+        """Adds a slider, whose initial value is `low` if `value` is None."""
         low, high = to_number(label, low), to_number(label, high)
-        check_range(label, low, high)
         widget = SliderWidget(label, low, high, unit)
         return self._add(widget, low if value is None else value, on_change, "on_change")
 
@@ -112,13 +102,7 @@ class UserPanel:
         unit: str = "",
         on_change: Callable[[float], object] | None = None,
     ) -> WidgetHandle[float]:
-        """Adds a field for a number.
-
-        Args:
-            low: least value.
-            high: greatest value.
-        """
-        check_range(label, low, high)
+        """Adds a number field."""
         return self._add(NumberWidget(label, low, high, unit), value, on_change, "on_change")
 
     def check(
@@ -139,23 +123,15 @@ class UserPanel:
         value: str | None = None,
         on_change: Callable[[str], object] | None = None,
     ) -> WidgetHandle[str]:
-        """Adds a list to choose a name from.
-
-        Args:
-            names: to choose from, all different.
-        """
-        names = [names] if isinstance(names, str) else [*names]
-        for name in names:
-            check_label(f"{label}: names", name)
-        if len({*names}) < max(len(names), 1):
-            raise UsageError(f"{label}: found the names {shown(names)}; expected different ones")
-        widget = ChoiceWidget(label, tuple(names))
-        return self._add(widget, names[0] if value is None else value, on_change, "on_change")
+        """Adds a drop-down list of different names."""
+        widget = ChoiceWidget(label, (names,) if isinstance(names, str) else (*names,))
+        chosen = widget.names[0] if value is None else value
+        return self._add(widget, chosen, on_change, "on_change")
 
     def button(
         self, label: str, *, on_click: Callable[[], object] | None = None
     ) -> WidgetHandle[int]:
-        """Adds a button; its value is how often it was pressed."""
+        """Adds a button; its value is the number of presses."""
         return self._add(ButtonWidget(label), 0, on_click, "on_click")
 
     def text(self, text: str) -> WidgetHandle[str]:
@@ -163,32 +139,28 @@ class UserPanel:
         return self._add(TextWidget(f"text {len(self._labels)}"), text, None, "")
 
     def clear(self) -> None:
+        """Removes all widgets."""
         for label in self._labels:
             self._panels.remove((self._title, label))
         self._labels.clear()
 
     def _add(
-        self,
-        widget: UserWidget[Value],
-        value: object,
-        callback: Callable[..., object] | None,
-        name: str,
+        self, widget: UserWidget[Value], value: object, callback: Callback | None, name: str
     ) -> WidgetHandle[Value]:
         label = widget.label
-        check_label("label", label)
         if label in self._labels:
-            raise UsageError(f"{label}: the panel '{self._title}' has a widget of that name")
+            raise UsageError(f"{label}: the panel '{self._title}' already has a widget '{label}'")
         if callback is not None and not callable(callback):
             raise UsageError(f"{label}: {name}: found {shown(callback)}; expected a function")
         if not self._panels.is_open():
-            raise RenderError(f"{label}: no widget: the viewer is closed")
+            raise RenderError(f"{label}: cannot add a widget: the viewer is closed")
         value = widget.checked(value)
         self._labels.append(label)
         return self._panels.add((self._title, label), widget, value, callback)
 
 
 class UserPanels:
-    """All panels of a viewer, and what has changed of them.
+    """All panels of a viewer.
 
     Args:
         outbox: sends changes by the program.
@@ -202,7 +174,7 @@ class UserPanels:
         self._outbox, self.is_open = outbox, is_open
         self.has_changes = False
         self._panels: dict[str, UserPanel] = {}
-        self._lock = threading.Lock()  # of all below
+        self._lock = threading.Lock()  # for all fields below
         self._numbers = itertools.count(1)
         self._handles: dict[Place, WidgetHandle[Any]] = {}
         self._unsent: set[Place] = set()
@@ -217,32 +189,26 @@ class UserPanels:
         return self._panels.setdefault(title, UserPanel(self, title))
 
     def add(
-        self,
-        place: Place,
-        widget: UserWidget[Value],
-        value: Value,
-        callback: Callable[..., object] | None,
+        self, place: Place, widget: UserWidget[Value], value: Value, callback: Callback | None
     ) -> WidgetHandle[Value]:
         with self._lock:
             number = next(self._numbers)
-            handle = WidgetHandle[Value](
-                self, place, WidgetState(widget, value, number, number), callback
-            )
+            state = WidgetState(widget, value, number, number)
+            handle = WidgetHandle[Value](self, place, state, callback)
             self._handles[place] = handle
             self._unsent.add(place)
         self._outbox.wake()
         return handle
 
     def change(self, handle: WidgetHandle[Value], value: Value) -> None:
-        """Changes the value of a widget; one that was removed is not shown again."""
+        """Changes the value of a widget; a removed widget is not shown again."""
         with self._lock:
-            handle.placed = handle.placed._replace(value=value, number=next(self._numbers))
+            handle.state = handle.state._replace(value=value, number=next(self._numbers))
             if self._handles.get(handle.place) is handle:
                 self._unsent.add(handle.place)
         self._outbox.wake()
 
     def remove(self, place: Place) -> None:
-        """Removes a widget."""
         with self._lock:
             self._before.pop(self._handles.pop(place), None)
             self._unsent.add(place)
@@ -253,22 +219,22 @@ class UserPanels:
             unsent, self._unsent = self._unsent, set()
             handles = self._handles
             changes = {
-                place: handles[place].placed if place in handles else None for place in unsent
+                place: handles[place].state if place in handles else None for place in unsent
             }
         return changes or None
 
-    def hear(self, changes: Mapping[Place, tuple[Any, int]]) -> None:
-        """Takes over changes by the user: values, and the numbers of the last changes seen."""
+    def receive(self, changes: Mapping[Place, tuple[Any, int]]) -> None:
+        """Applies changes by the user: values, and the number of the last received change."""
         with self._lock:
             for place, (value, number) in changes.items():
                 handle = self._handles.get(place)
-                if handle is not None and handle.placed.number == number:
-                    self._before.setdefault(handle, handle.placed.value)
-                    handle.placed = handle.placed._replace(value=value)
+                if handle is not None and handle.state.number == number:
+                    self._before.setdefault(handle, handle.state.value)
+                    handle.state = handle.state._replace(value=value)
                     self.has_changes = True
 
     def call(self) -> None:
-        """Calls the callbacks of all that was changed by the user since the last call."""
+        """Calls the callbacks of all widgets that the user has changed since the last call."""
         self.has_changes = False
         while self._before:
             with self._lock:

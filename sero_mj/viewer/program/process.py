@@ -1,8 +1,7 @@
-"""`ViewerProcess`: the process that shows a viewer, from the side of the one that uses it.
+"""`ViewerProcess`: the process of a viewer, as seen by the user's program.
 
-The two talk in pickled messages over the standard input and output of the process, which ends by
-itself when its input ends: when this process closes it, has ended, or was killed. What it writes
-on its standard error is kept in a file, and told when it dies.
+The two exchange pickled messages over the standard input and output of the process, which ends when
+its input is closed. A file collects its standard error, which is reported if the process dies.
 """
 
 from __future__ import annotations
@@ -32,30 +31,31 @@ from ..image.picking import Picked
 
 log = logging.getLogger(__name__)
 
-# The package is found where this process has found it, whatever the folder.
+# With the module search path of this process.
 _PROGRAM = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
     "from sero_mj.viewer.program.process_main import main; main()"
 )
-_CLOSE_TIMEOUT = 5.0  # s that it has to close by itself
-_PICTURE_TIMEOUT = 30.0  # s to wait for a picture; software takes a second or two for the first
-_MAX_CLICKS = 1000  # that wait to be taken
+_CLOSE_TIMEOUT = 5.0  # s; then the process is killed
+_IMAGE_TIMEOUT = 30.0  # s; software rendering takes some seconds for the first image
+_MAX_CLICKS = 1000  # clicks that wait to be handled
 
 
 class ViewerProcess:
-    """A process of its own, which shows a scene or an overlay.
+    """A process that shows a scene or an overlay.
 
-    It begins to load while this process compiles the scene; then comes `describe`, then `open`.
+    It starts to load while this process compiles the scene. Call `describe`, then `open`.
 
     Attributes:
-        clicks: what was clicked on and how, oldest first; whoever handles them takes them out.
-        is_open: whether it shows, or is about to.
-        answers: takes what a tool of the view sends, by the tool's name; called by another thread.
+        clicks: clicked items and gestures, oldest first; the caller removes those it handles.
+        is_open: whether the process is running.
+        answers: functions that receive the messages of a tool, by the tool's name; called by
+            another thread.
     """
 
     def __init__(self, *, is_window: bool) -> None:
         environment = {**os.environ, **({"MUJOCO_GL": "glfw"} if is_window else {})}
-        # A group of its own: Ctrl+C in the terminal is for the user's loop.
+        # In its own process group, so that Ctrl+C in the terminal only interrupts the user's loop.
         self._child = ChildProcess(
             [sys.executable, "-c", _PROGRAM],
             stdin=subprocess.PIPE,
@@ -67,9 +67,9 @@ class ViewerProcess:
         self.is_open = True
         self.answers: dict[str, Callable[[Any], None]] = {}
         self._owner = os.getpid()
-        self._is_closing = False  # or has said that its user has closed it
-        self._pictures: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
-        self._wanted = 0  # number of the last picture that was asked for
+        self._is_closing = False  # or its user has closed it
+        self._images: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
+        self._requested = 0  # number of the last requested image
         self._listener = threading.Thread(target=self._listen, daemon=True, name="sero-mj viewer")
         self._sending = threading.Lock()
         self._send(sys.path)
@@ -80,32 +80,32 @@ class ViewerProcess:
             with self._sending:
                 self._process.stdin.write(pickle.dumps(message))
                 self._process.stdin.flush()
-        except (OSError, ValueError):  # it has ended; `_listen` tells why
+        except (OSError, ValueError):  # the process has ended; `_listen` reports why
             return False
         return True
 
     def tell(self, tool: str, message: Any) -> bool:
-        """Sends a message to a tool of the view; returns whether it was there to receive it."""
+        """Sends a message to a tool of the view; returns whether the process is running."""
         return self._send(("tell", tool, message))
 
     def describe(self, shown: Any) -> None:
-        """Says what is shown, so that it is compiled there while this process goes on.
+        """Sends a scene or model, which the process compiles at the same time as this one.
 
         Raises:
-            UsageError: it cannot be handed over.
+            UsageError: the scene cannot be pickled.
         """
         level = logging.getLogger("sero_mj").getEffectiveLevel()
         self._send(("describe", _pickled(shown), level))
 
     def open(self, memory: str, options: dict[str, Any]) -> list[str]:
-        """Opens window or page, and the scene's sources; returns the page's addresses.
+        """Opens the window or page, and the scene's sources; returns the page's addresses.
 
         Args:
-            memory: path of what is shared with it.
+            memory: path of the shared memory.
 
         Raises:
-            SeroError: as raised there.
-            RenderError: it has died.
+            SeroError: as raised in the process.
+            RenderError: the process has died.
         """
         self._send(("open", memory, options))
         assert self._process.stdout is not None
@@ -114,7 +114,7 @@ class ViewerProcess:
                 kind, *rest = pickle.load(self._process.stdout)
             except (EOFError, OSError, pickle.UnpicklingError):
                 how = self._ending()
-                raise RenderError(f"the viewer has died before it opened: {how}") from None
+                raise RenderError(f"the viewer process ended before it opened: {how}") from None
             if kind == "ready":
                 self._listener.start()
                 urls: list[str] = rest[0]
@@ -132,17 +132,17 @@ class ViewerProcess:
                 kind, *rest = pickle.load(stdout)
                 self._take(kind, rest)
         self.is_open = False
-        self._pictures.put((-1, None))
+        self._images.put((-1, None))
         if not self._is_closing:
-            log.warning("the viewer has died, your program goes on: %s", self._ending())
+            log.warning("the viewer process ended; your program continues: %s", self._ending())
 
     def _take(self, kind: str, rest: list[Any]) -> None:
         if kind == "click":
             picked, gesture = rest
             self.clicks.append((picked, gesture))
-        elif kind == "picture":
+        elif kind == "image":
             number, found = rest
-            self._pictures.put((number, found))
+            self._images.put((number, found))
         elif kind == "answer":
             tool, answer = rest
             if tool in self.answers:
@@ -156,47 +156,46 @@ class ViewerProcess:
     def _ending(self) -> str:
         try:
             self._process.wait(_CLOSE_TIMEOUT)
-        except subprocess.TimeoutExpired:  # it lives, and says nothing that can be understood
+        except subprocess.TimeoutExpired:  # it runs, but its output is not a message
             self._process.kill()
             self._process.wait()
-        how, said = self._child.status, self._child.lines()
-        return f"{how}; it wrote: {said[-1]}" if said else how
+        how, lines = self._child.status, self._child.lines()
+        return f"{how}; last output: {lines[-1]}" if lines else how
 
-    def picture(self) -> Pixels:
-        """Returns the picture that is shown next, (height, width, 3), uint8.
+    def image(self) -> Pixels:
+        """Returns the next image, (height, width, 3), uint8.
 
         Raises:
-            RenderError: it is closed, or cannot make one.
+            RenderError: the viewer is closed, or cannot render.
         """
-        self._wanted += 1
-        is_there = self.is_open and self._send(("picture", self._wanted))
-        end = time.monotonic() + _PICTURE_TIMEOUT
+        self._requested += 1
+        is_there = self.is_open and self._send(("image", self._requested))
+        end = time.monotonic() + _IMAGE_TIMEOUT
         while is_there:
             try:
-                number, found = self._pictures.get(timeout=max(end - time.monotonic(), 0.0))
+                number, found = self._images.get(timeout=max(end - time.monotonic(), 0.0))
             except queue.Empty:
-                raise RenderError(
-                    f"the viewer has made no picture in {_PICTURE_TIMEOUT:g} s"
-                ) from None
+                text = f"no image: the viewer has not rendered one in {_IMAGE_TIMEOUT:g} s"
+                raise RenderError(text) from None
             if number == -1:
                 break
-            if number != self._wanted:
-                continue  # one that came too late
+            if number != self._requested:
+                continue  # the image of an earlier request
             if isinstance(found, Exception):
                 raise found
             pixels: Pixels = found
             return pixels
-        raise RenderError("no picture: the viewer is closed")
+        raise RenderError("no image: the viewer is closed")
 
     def close(self, *, at_once: bool = False) -> None:
         if os.getpid() != self._owner:
-            return  # a copy of the process that started it, see `os.fork`
+            return  # a forked copy of the process that started the viewer
         self._is_closing, self.is_open = True, False
         process = self._process
         assert process.stdin is not None
         assert process.stdout is not None
         is_mine = self._sending.acquire(timeout=_CLOSE_TIMEOUT)
-        if at_once or not is_mine:  # it takes nothing any more, and another thread waits for it
+        if at_once or not is_mine:  # a thread is blocked in `_send`
             process.kill()
         with suppress(OSError, ValueError):
             process.stdin.close()
@@ -214,8 +213,6 @@ class ViewerProcess:
 
 
 class _Pickler(pickle.Pickler):
-    """Pickles what scenes are made of."""
-
     def reducer_override(self, item: Any) -> Any:
         if isinstance(item, type) or not is_mjcf_object(item):
             return NotImplemented
@@ -233,7 +230,7 @@ def _pickled(shown: Any) -> bytes:
         _Pickler(buffer).dump(shown)
     except (TypeError, AttributeError, pickle.PicklingError) as error:
         raise UsageError(
-            f"scene: cannot be handed to the viewer's process ({error}); sources and functions in "
-            "it must be picklable: defined at the top of a module"
+            f"scene: cannot be sent to the viewer's process ({error}); its sources and functions "
+            "must be picklable: define them at the top level of a module"
         ) from error
     return buffer.getvalue()

@@ -1,7 +1,6 @@
-"""What the process of a viewer runs: it shows a scene or an overlay until it is told to end.
+"""The main function of a viewer's process: shows a scene or an overlay until its input ends.
 
-Messages come from `process.py` on the standard input. It ends when the last of them has come,
-so it never outlives the process that has started it.
+`process.py` sends messages on the standard input, which ends when the user's program ends.
 """
 
 from __future__ import annotations
@@ -31,41 +30,39 @@ from .memory import OverlayMemory, SceneMemory, ViewerMemory
 
 log = logging.getLogger(__name__)
 
-_HIDDEN_INTERVAL = 0.1  # s between two frames of a page that no browser shows
-_CLOSE_TIMEOUT = 5.0  # s after which it ends, even if the host does not come back from drawing
+_HIDDEN_INTERVAL = 0.1  # s between frames of a page without browsers
+_CLOSE_TIMEOUT = 5.0  # s after which the process ends, even while it renders
 
 
 def main() -> None:
-    """Shows the scene or overlay of its arguments, and ends the process."""
+    """Shows the scene or overlay of the first message, and ends the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    user = _User()
+    program = _Program()
     status = 0
     try:
-        _show(user)
-        user.send("closed")
+        _show(program)
+        program.send("closed")
     except SeroError as error:
-        user.send("failed", error)
-        if user.is_shown:
+        program.send("failed", error)
+        if program.is_shown:
             status = 1
             print(error, file=sys.stderr)
     except Exception:
         status = 1
         print_exc()
     except SystemExit:
-        pass  # it was closed before it was shown
+        pass  # closed before it was opened
     sys.stderr.flush()
-    # At once: drivers and threads have nothing left to do, and the reader of messages still waits.
+    # Immediately: the thread that reads messages is still waiting.
     os._exit(status)
 
 
-class _User:
-    """The process that uses the viewer."""
-
+class _Program:
     def __init__(self) -> None:
         self.is_shown = False
         self._process = os.getppid()
         self.messages: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
-        # What anybody else prints here is kept apart from the messages.
+        # Messages use a copy of the standard output; everything printed goes to the standard error.
         self._out = os.fdopen(os.dup(1), "wb")
         os.dup2(2, 1)
         self._sending = threading.Lock()
@@ -91,22 +88,22 @@ class _User:
         return message[1:]
 
     def send(self, *message: Any) -> None:
-        with suppress(OSError), self._sending:  # it is gone; `_listen` hears of it as well
+        with suppress(OSError), self._sending:  # the program has ended; `_listen` notices it, too
             self._out.write(pickle.dumps(message))
             self._out.flush()
 
 
 class _LogSender(logging.Handler):
-    def __init__(self, user: _User) -> None:
+    def __init__(self, program: _Program) -> None:
         super().__init__()
-        self._user = user
+        self._program = program
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._user.send("log", record.name, record.levelno, record.getMessage())
+        self._program.send("log", record.name, record.levelno, record.getMessage())
 
 
 class _SceneMirror(Mirror):
-    """Follows the sources of a scene, and before these what its user sets."""
+    """A mirror that applies the inputs of the user before those of the sources."""
 
     take: Callable[[], None]
 
@@ -116,7 +113,7 @@ class _SceneMirror(Mirror):
 
 
 class _OverlayMirror(Watch):
-    """Follows the state of a model that its user steps."""
+    """A mirror of a model that the user steps."""
 
     take: Callable[[], None]
 
@@ -125,25 +122,25 @@ class _OverlayMirror(Watch):
         return super().advance(now)
 
 
-def _show(user: _User) -> None:
-    pickled, level = user.receive("describe")
+def _show(program: _Program) -> None:
+    pickled, level = program.receive("describe")
     mirror, make_memory = _mirror_of(pickled)
-    # From here on: the user's process has compiled the same, and warned of the same.
+    # Only from here on, because the program has logged the same warnings of the scene.
     logging.getLogger("sero_mj").setLevel(level)
-    logging.getLogger().addHandler(_LogSender(user))
-    path, options = user.receive("open")
+    logging.getLogger().addHandler(_LogSender(program))
+    path, options = program.receive("open")
     memory = make_memory(Path(path))
     mirror.take = memory.apply
     mirror.take()
     mirror.open()
     try:
         with _open_host(mirror, options) as host:
-            host.pointer.on_click = lambda picked, gesture: user.send("click", picked, gesture)
+            host.pointer.on_click = lambda picked, gesture: program.send("click", picked, gesture)
             host.frame()
             memory.show()
-            user.send("ready", getattr(host, "urls", []))
-            user.is_shown = True
-            _serve(user, host, memory)
+            program.send("ready", getattr(host, "urls", []))
+            program.is_shown = True
+            _serve(program, host, memory)
     finally:
         mirror.close()
 
@@ -175,7 +172,7 @@ def _open_host(mirror: LiveWorld, options: dict[str, Any]) -> LiveHost:
         except RenderError:
             if not last or "port" in options:
                 raise
-            # Another program has the port by now.
+            # The port is in use now.
             page = open_page(mirror, **options)
         return page
     from ..window.host import Window
@@ -183,38 +180,40 @@ def _open_host(mirror: LiveWorld, options: dict[str, Any]) -> LiveHost:
     return Window(mirror, **options)
 
 
-def _serve(user: _User, host: LiveHost, memory: ViewerMemory) -> None:
-    while host.frame() and not user.is_gone:
+def _serve(program: _Program, host: LiveHost, memory: ViewerMemory) -> None:
+    while host.frame() and not program.is_gone:
         memory.show()
         for name, tool in host.tools.items():
-            answer = host.tools.call(tool, lambda tool: tool.answer())
+            answer = host.tools.call(tool, lambda tool: tool.reply())
             if answer is not None:
-                user.send("answer", name, answer)
+                program.send("answer", name, answer)
         timeout = 0.0 if host.is_seen else _HIDDEN_INTERVAL
         with suppress(queue.Empty):
             while True:
-                message = user.messages.get(timeout=timeout)
+                message = program.messages.get(timeout=timeout)
                 if message is None:
                     return
-                _take(message, user, host, memory)
+                _take(message, program, host, memory)
                 timeout = 0.0
 
 
-def _take(message: tuple[Any, ...], user: _User, host: LiveHost, memory: ViewerMemory) -> None:
+def _take(
+    message: tuple[Any, ...], program: _Program, host: LiveHost, memory: ViewerMemory
+) -> None:
     kind, *rest = message
     if kind == "tell":
         name, words = rest
         if name in host.tools:
-            host.tools.call(host.tools[name], lambda tool: tool.hear(words))
+            host.tools.call(host.tools[name], lambda tool: tool.receive(words))
     else:
         (number,) = rest
-        host.frame()  # with all that was set before it was asked for
+        host.frame()  # with the inputs that were set before the request
         memory.show()
-        user.send("picture", number, _picture(host))
+        program.send("image", number, _image(host))
 
 
-def _picture(host: LiveHost) -> Any:
+def _image(host: LiveHost) -> Any:
     try:
-        return host.picture()
+        return host.image()
     except SeroError as error:
         return error

@@ -30,7 +30,7 @@ class HasInputs(Protocol):
 class JointInput:
     """An attribute with one value per joint, (n,), SI units; NaN means no data.
 
-    An overlay also takes a mapping from joint names to numbers and, except for joint angles, a
+    An overlay also accepts a mapping from joint names to numbers and, except for joint angles, a
     vector of its whole model, (nv,).
     """
 

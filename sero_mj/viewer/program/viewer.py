@@ -1,16 +1,18 @@
-"""`view`: shows a scene in a window or on a web page, beside the user's own loop."""
+"""`view`: shows a scene in a window or on a web page while the user's loop runs."""
 
 from __future__ import annotations
 
 import atexit
 import copy
+import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Protocol, get_args
 from urllib.parse import urlsplit
 
 import mujoco
 
 from ...base.errors import UsageError, did_you_mean, shown
+from ...base.plugins import NOTEBOOKS, load_all
 from ...data.drive.mirror import LiveWorld, Mirror
 from ...load import load_scene
 from ...robots.assemble.world_view import WorldView
@@ -32,21 +34,30 @@ from .robot_inputs import RobotInputs
 
 if TYPE_CHECKING:
     from ..web.host import WebHost
-    from ..web.notebook import Cells
 
-RUN = "shown_run"  # the tool that makes runs for notebooks
-_shown: list[Viewer] = []  # open viewers, even without other references (in a notebook)
+_shown: list[Viewer] = []  # open viewers; in a notebook, there may be no other references
+
+
+class NotebookCells(Protocol):
+    """The notebook cells that display a viewer; made by an entry point of `sero_mj.notebooks`."""
+
+    def show(self) -> None: ...
+
+    def store_last(self) -> None:
+        """Stores the run up to now in the notebook, before the viewer is closed."""
+
+    def close(self, *, is_exit: bool = False) -> None: ...
 
 
 class Viewer:
-    """A window or web page in a separate process, fed by the user's loop.
+    """A window or web page in its own process, which displays the values that the user's loop sets.
 
-    It is drawn independently of the loop until it is closed by its user or by `close`, or this
-    process ends. Can be used as a context manager.
+    It renders independently of the loop until it is closed or this process ends. Can be used as a
+    context manager.
 
     Attributes:
         urls: all addresses of the page, including those for other machines; empty for a window.
-        url: of the page for browsers on this machine; None for a window.
+        url: address of the page for browsers on this machine; None for a window.
     """
 
     def __init__(
@@ -60,8 +71,8 @@ class Viewer:
         self._outbox = Outbox(process.tell)
         self._panels = UserPanels(self._outbox, lambda: self.is_open)
         self._signals = UserSignals(self._outbox)
-        process.answers[PANELS] = self._panels.hear
-        self._cells: Cells | None = None
+        process.answers[PANELS] = self._panels.receive
+        self._cells: NotebookCells | None = None
         _shown.append(self)
 
     @property
@@ -70,10 +81,11 @@ class Viewer:
 
     @property
     def data(self) -> mujoco.MjData:
-        """The state of the world at the last `sync`; of an overlay the user's own data.
+        """State of the world at the last `sync`; for an overlay, the user's own data.
 
-        It includes set values and data of the scene's sources. Change it with `set` and `robot`
-        only. After the first access every `sync` updates it, which takes some 50 us per picture.
+        It includes values that were set and data of the scene's sources. Change it only with `set`
+        and `robot`. After the first access, every `sync` updates it, which takes about 50 us per
+        frame.
         """
         if not self._memory.is_read:
             self._memory.is_read = True
@@ -81,17 +93,25 @@ class Viewer:
         return self._memory.data
 
     @property
+    def frame_count(self) -> int:
+        """Number of rendered frames."""
+        return self._memory.frame_count
+
+    @property
     def pictures(self) -> int:
-        return self._memory.pictures
+        """Old name of `frame_count`."""
+        warnings.warn("`pictures` is now named `frame_count`", DeprecationWarning, stacklevel=2)
+        return self.frame_count
 
     def set(self, target: str, values: Any) -> None:
-        """Sets an input, as a route does; the next picture shows it.
+        """Sets an input, as a route does; the next frame shows it.
 
         Args:
             target: `lwr.joint_angles`, `lwr.torques`, `goal.joint_angles`, `push.vector`,
-                `lwr.show_axes`, `toggles.legend`, ...; or of a group, `justin.joint_angles`
-            values: of the input's shape, SI units; of a group those of all joints, or of the
-                independent ones, in the order of its robots.
+                `lwr.show_axes`, `toggles.legend`, ...; or an input of a group,
+                `justin.joint_angles`
+            values: values of the input's shape, SI units; for a group, those of all joints or of
+                the independent ones, in the order of its robots.
 
         Raises:
             UnknownName: no such input; lists the existing ones.
@@ -102,22 +122,22 @@ class Viewer:
     def robot(self, name: str) -> RobotInputs:
         """Returns the inputs of a robot or double as attributes: `robot("lwr").torques = ...`.
 
-        Those of a group are all of its robots' in their order: `robot("justin").torques = ...`.
+        The inputs of a group contain the values of its robots in their order.
 
         Raises:
-            UnknownName: no robot, double or group of that name; suggests the nearest one.
+            UnknownName: no robot, double or group of that name; suggests the nearest name.
         """
         return RobotInputs(self, name)
 
     def sync(self) -> bool:
-        """Sends the state of an overlay's model, receives the displayed state, calls callbacks.
+        """Sends the state of an overlay's model, receives the displayed state, and calls callbacks.
 
-        It never blocks (1 us for a scene, some 30 us for an overlay), so it can be called in every
+        It never blocks (1 us for a scene, about 30 us for an overlay), so it can be called in every
         cycle of a fast loop, and errors of the viewer are not raised. A viewer that only shows
-        `set` values needs no call.
+        values that were `set` does not need it.
 
         Returns:
-            whether it is still open.
+            whether the viewer is open.
         """
         self._memory.sync()
         clicks = self._process.clicks
@@ -130,84 +150,78 @@ class Viewer:
         return self.is_open
 
     def on_click(self, callback: OnClick) -> None:
-        """Registers `callback(picked, gesture)`, called by `sync` for every click until then.
-
-        Raises:
-            UsageError: it is not callable.
-        """
+        """Registers `callback(picked, gesture)`, which `sync` calls for every click."""
         if not callable(callback):
             found = type(callback).__name__
             raise UsageError(f"on_click: found {found}; expected callback(picked, gesture)")
         self._on_click = callback
 
     def panel(self, title: str) -> UserPanel:
-        """Returns a section of the panel for widgets of the program: sliders, buttons, ...
+        """Returns a section of the panel for widgets of the program.
 
             stiffness = viewer.panel("Tuning").slider("stiffness", 0, 2000, value=500)
 
-        `stiffness.value` is what its user has set; see `UserPanel`.
+        `stiffness.value` is the value that the user has set; see `UserPanel`.
 
         Raises:
-            UsageError: no title.
-            RenderError: it is closed.
+            UsageError: the title is invalid.
+            RenderError: the viewer is closed.
         """
         return self._panels.panel(title)
 
     def plot(self, name: str, value: float) -> None:
-        """Plots a value over time: every name is a line in a plot beside the picture.
+        """Plots a value over time; each name is a line in a plot beside the image.
 
-        It takes about a microsecond, so it can be called in every cycle of a fast loop; the least
-        and the greatest value of every 2 ms are shown. A closed viewer ignores it.
+        It takes about a microsecond, so it can be called in every cycle of a fast loop; plots show
+        minimum and maximum in bins of 2 ms. A closed viewer ignores it.
 
         Args:
-            value: now; NaN for a gap.
+            value: current value; NaN for a gap.
 
         Raises:
-            UsageError: no name, no number, or too many signals.
+            UsageError: the name or value is invalid, or there are too many signals.
         """
         self._signals.add(name, value)
 
-    def picture(self) -> ImageArray:
-        """Returns a picture of the values set so far, without status line and messages.
+    def image(self) -> ImageArray:
+        """Returns an image with all values that were set, without status line and messages.
 
         Raises:
-            RenderError: it is closed, or no picture can be made.
+            RenderError: the viewer is closed, or cannot render.
         """
         self._memory.sync()
-        picture: ImageArray = self._process.picture().view(ImageArray)
-        return picture
+        image: ImageArray = self._process.image().view(ImageArray)
+        return image
+
+    def picture(self) -> ImageArray:
+        """Old name of `image`."""
+        warnings.warn("`picture` is now named `image`", DeprecationWarning, stacklevel=2)
+        return self.image()
 
     def close(self) -> None:
         if self._cells is not None and self.is_open:
-            self._cells.keep_last()
+            self._cells.store_last()
         self._end()
 
     def _end(self, *, at_exit: bool = False) -> None:
         if self in _shown:
             _shown.remove(self)
         if self._cells is not None:
-            self._cells.close(tells=not at_exit)
+            self._cells.close(is_exit=at_exit)
         self._outbox.close()
         self._process.close()
 
     def _ipython_display_(self) -> None:
-        from ..player.page import look_asked_for
-        from ..web.notebook import Cells, has_channel, in_notebook, show_address
-
-        name = self.world.scene.name
+        scene = self.world.scene
         if self.url is None:
-            print(f"{name} is in a window on the screen.")
-        elif not in_notebook():
-            print(f"{name} is at {self.url}")
-        elif not has_channel():
-            show_address(name, self.url)
+            print(f"{scene.name} is shown in a window")
+            return
+        if self._cells is None:
+            for make in load_all(NOTEBOOKS).values():
+                self._cells = make(scene, self.url, self._process)
+        if self._cells is None:
+            print(f"{scene.name} is at {self.url}")
         else:
-            if self._cells is None:
-                look = look_asked_for(self.world.scene)
-                self._cells = Cells(
-                    name, look, self.url, lambda what: self._process.tell(RUN, what)
-                )
-                self._process.answers[RUN] = self._cells.keep
             self._cells.show()
 
     def __enter__(self) -> Viewer:
@@ -235,33 +249,33 @@ def view(
     port: int | None = None,
     token: bool = True,
 ) -> Viewer:
-    """Opens a window or a web page on a scene, in a separate process, and returns.
+    """Opens a window or a web page that shows a scene, in its own process, and returns.
 
-    The scene's sources are mirrored, if it has any; the caller can set all inputs:
+    The scene's sources, if any, are mirrored. The caller can set all inputs:
 
         with sero_mj.view("lwr_udp") as viewer:
             while viewer.sync():
                 viewer.robot("lwr").torques = my_torques()
                 time.sleep(0.001)
 
-    It stays open without further calls, in a notebook for example. When called again (by running a
-    cell again, say), it replaces this process's window or page of a scene with the same name and
-    robots; the page keeps its port.
+    The viewer stays open without further calls, for example in a notebook. Another call for a scene
+    with the same name and robots, for example when a cell is run again, replaces the window or
+    page; the page stays at its port.
 
     Args:
         scene: a scene; a TOML file or the name of a shipped scene, scenario or robot; or an
-            `overlay`, whose data the caller steps; its model is shown as it is now.
+            `overlay`, whose data the caller steps.
         web: True for a page, whose address is printed; None for a page only if there is no display
             for a window.
         look: `light` or `dark`, overrides the scene's; not for an overlay.
-        host: address that the page is served at; None for this machine only.
-        port: of the page; None for the first free one from 8080 on.
+        host: address to serve the page at; None for this machine only.
+        port: port of the page; None for the first free port from 8080.
         token: whether the page needs a secret token, which the printed address contains; a page
             for other machines always does.
 
     Raises:
         UsageError: arguments contradict each other, or have a wrong type.
-        SeroError: a problem of the scene, its sources or the camera, no display for a window, or
+        SeroError: a problem of the scene, its sources or the camera; no display for a window; or
             no such address for a page.
     """
     of_page = {"host": host, "port": port, "token": None if token else False}
@@ -270,8 +284,10 @@ def view(
         web = not has_display()
     for name, value in (of_window if web else of_page).items():
         if value is not None:
-            what = "a window, and this is a page" if web else "a page, and this is a window"
-            raise UsageError(f"{name}: found {shown(value)}; it is for {what}: use web={not web}")
+            what = "windows" if web else "pages"
+            raise UsageError(
+                f"{name}: found {shown(value)}; only {what} have it: use web={not web}"
+            )
     subject = _to_show(scene, look)
     options: dict[str, Any] = {"web": web, "camera": camera}
     if web:
@@ -293,7 +309,7 @@ def _open(shown: Scene | ModelWorld, process: ViewerProcess, options: dict[str, 
     memory: ViewerMemory
     if isinstance(shown, Scene):
         process.describe(shown)
-        mirror = Mirror(shown)  # raises what is wrong with sources and routes, too
+        mirror = Mirror(shown)  # also raises errors of sources and routes
         world: WorldView = mirror.world
         memory = SceneMemory(world, mirror.data)
     else:
@@ -315,7 +331,7 @@ def _replace(scene: Scene, options: dict[str, Any]) -> None:
         if viewer.is_open and not (is_same and (viewer.url is not None) == options["web"]):
             continue
         if viewer.is_open:
-            print(f"{other.name} is opened again; its viewer before is closed", flush=True)
+            print(f"{other.name} is opened again; its previous viewer is closed", flush=True)
         if viewer.is_open and viewer.url is not None:
             options["last"] = {"port": urlsplit(viewer.url).port}
         viewer._end()
@@ -338,7 +354,7 @@ def _to_show(scene: Scene | Overlay | Path | str, look: Look | None) -> Scene | 
         raise UsageError(f"look: found {shown(look)}{did_you_mean(str(look), get_args(Look))}")
     if isinstance(scene, Overlay):
         if look is not None:
-            raise UsageError(f"look: found '{look}'; an overlay has the look of its model")
+            raise UsageError(f"look: found '{look}'; the look of an overlay is that of its model")
         return scene.world
     if isinstance(scene, str | Path):
         scene = load_scene(scene, by_hand=True, trusted=True)

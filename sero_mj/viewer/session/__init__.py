@@ -1,5 +1,5 @@
-"""State of a view, and what tools and panels are made of.
+"""The state of a view, and the base classes of tools and panels.
 
-In: a mirror, events, and recent views. Out: time, histories, keys and settings of the view.
-Open first: `tool.py` (the base class of tools), `widgets.py` (what panels are made of), `clock.py`.
+In: a mirror and events. Out: time, histories, keys and settings of the view.
+Open first: `tool.py` (the base class of tools), `widgets.py` (the widgets of panels), `clock.py`.
 """

@@ -1,4 +1,4 @@
-"""`BackgroundExports`: pages and films of what was kept, made while a viewer goes on."""
+"""`BackgroundExports`: creates pages and videos of recordings in other processes."""
 
 from __future__ import annotations
 
@@ -15,23 +15,22 @@ from ...base.child_process import ChildProcess
 
 log = logging.getLogger(__name__)
 
-_KINDS = {".mp4": "film", ".html": "page"}
-_GRACE = 10.0  # s for a process that is ended to remove its unfinished file
+_KINDS = {".mp4": "video", ".html": "page"}
+_GRACE = 10.0  # s; a process that is terminated removes its unfinished file
 
 
 class BackgroundExports:
-    """Makes pages and films, one after the other, each in a process of its own."""
+    """Creates pages and videos one after the other, each in its own process."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[list[str], Path]] = deque()
         self._made: tuple[ChildProcess, list[str], Path] | None = None
 
     def add(self, words: Sequence[str], path: Path) -> int:
-        """Adds a file; returns how many are made before it. Any thread may call it.
+        """Queues a file; returns the number of files before it. Any thread may call it.
 
         Args:
-            words: command and arguments of `sero-mj`, but for the output.
-            path: of the file.
+            words: command and arguments of `sero-mj`, without the output.
         """
         self._waiting.append(([*words, "-o", str(path)], path))
         return len(self._waiting) - 1 + (self._made is not None)
@@ -40,10 +39,10 @@ class BackgroundExports:
         return self.add(["export", str(recording)], recording.with_suffix(".html"))
 
     def advance(self) -> tuple[str, bool] | None:
-        """Begins the next file when one is finished; returns what to tell, see `Tool`."""
-        said = None
+        """Starts the next file if one is finished; returns a message as `Tool.next_message`."""
+        message = None
         if self._made is not None and self._made[0].status:
-            said = self._end()
+            message = self._end()
         if self._made is None and self._waiting:
             words, path = self._waiting.popleft()
             process = ChildProcess(
@@ -53,7 +52,7 @@ class BackgroundExports:
                 stdout=subprocess.DEVNULL,
             )
             self._made = process, words, path
-        return said
+        return message
 
     def _end(self) -> tuple[str, bool]:
         assert self._made is not None
@@ -63,16 +62,17 @@ class BackgroundExports:
         self._made = None
         kind = _KINDS[path.suffix]
         if code == 0:
-            return f"{kind} of what was kept: {path.name}", False
-        return f"no {kind} {path.name}: {errors[-1] if errors else 'it ended'}", True
+            return f"{kind} saved: {path.name}", False
+        reason = errors[-1] if errors else f"the process returned {code}"
+        return f"{kind} {path.name} failed: {reason}", True
 
     def close(self, *, finish: bool) -> None:
-        """Finishes all files, until Ctrl+C, or ends them and logs how they can be made."""
+        """Finishes all files until Ctrl+C, or cancels them and logs their commands."""
         if finish:
             with contextlib.suppress(KeyboardInterrupt):
                 self.advance()
                 while self._made is not None:
-                    log.warning("pages and films to be finished: %d; Ctrl+C ends them", self.count)
+                    log.warning("finishing %d pages and videos; Ctrl+C cancels them", self.count)
                     self._end()
                     self.advance()
         left = [words for words, _ in self._waiting]
@@ -81,16 +81,15 @@ class BackgroundExports:
             child, words, path = self._made
             child.end()
             self._made = None
-            path.unlink(missing_ok=True)  # as far as it was made
+            path.unlink(missing_ok=True)  # the unfinished file
             left.insert(0, words)
         for words in left:
             log.warning(
-                "%s was not finished; this makes it: %s",
+                "%s was not finished; create it with: %s",
                 words[-1],
                 shlex.join(["sero-mj", *words]),
             )
 
     @property
     def count(self) -> int:
-        """Number of files that are not finished."""
         return len(self._waiting) + (self._made is not None)

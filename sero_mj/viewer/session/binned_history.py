@@ -1,4 +1,4 @@
-"""`BinnedHistory`: the least and the greatest values of signals, in every 2 ms of the last time."""
+"""`BinnedHistory`: minimum and maximum of signals in bins of 2 ms, for the last seconds."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ import numpy as np
 from ...base.frames import Array
 
 SPAN = 8.0  # duration of the plots, s
-_BIN = 0.002  # duration for which the least and the greatest value are kept, s
-SHOWN = round(SPAN / _BIN) + 1  # bins of the plots
+_BIN = 0.002  # width of a bin, s
+SHOWN = round(SPAN / _BIN) + 1  # bins of a plot
 
 
 class BinnedHistory:
-    """Keeps the extremes of all samples, so that no peak is lost, however many there are.
+    """Stores the extremes of all samples, so that no peak is lost.
 
     Args:
-        kept: duration that is kept, s.
+        shape: shape of a sample.
+        span: duration of the history, s.
     """
 
-    def __init__(self, shape: tuple[int, ...] = (), kept: float = SPAN) -> None:
-        self._count = count = round(kept / _BIN) + 1  # of bins
-        self._times = np.full(count, np.nan)  # of the last sample of a bin
+    def __init__(self, shape: tuple[int, ...] = (), span: float = SPAN) -> None:
+        self._count = count = round(span / _BIN) + 1  # number of bins
+        self._times = np.full(count, np.nan)  # time of the last sample in each bin
         self._low = np.full((count, *shape), np.nan, np.float32)
         self._high = np.full((count, *shape), np.nan, np.float32)
         self._last: int | None = None  # newest bin; bin i is in row i % count
@@ -32,11 +33,7 @@ class BinnedHistory:
         self._last = None
 
     def add(self, times: Array, values: Array) -> None:
-        """Adds samples.
-
-        Args:
-            values: (n, ...), NaN for no data.
-        """
+        """Adds samples (n, ...) with their times (n,), s; NaN means no data."""
         bins = np.floor(times / _BIN + 1e-6).astype(np.intp)
         newest = int(bins[-1])
         if self._last is None:
@@ -49,19 +46,20 @@ class BinnedHistory:
             self._low[new] = self._high[new] = np.nan
         self._last = newest if self._last is None else max(newest, self._last)
         self.newest = max(float(times[-1]), self.newest)
-        kept = bins > self._last - self._count
-        if not kept.any():
+        is_new = bins > self._last - self._count
+        if not is_new.any():
             return
-        bins, times, values = bins[kept], times[kept], values[kept]
+        bins, times, values = bins[is_new], times[is_new], values[is_new]
         bins, begins = np.unique(bins, return_index=True)
         ends = np.append(begins[1:], len(times)) - 1
         rows = bins % self._count
         self._times[rows] = np.fmax(self._times[rows], times[ends])
-        with np.errstate(over="ignore"):  # nonsense that was received is beyond float32
+        with np.errstate(over="ignore"):  # implausible values may exceed float32
             self._low[rows] = np.fmin(self._low[rows], np.fmin.reduceat(values, begins, axis=0))
             self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
 
     def forget(self, since: Array) -> None:
+        """Deletes the samples after a time, s, of each value."""
         with np.errstate(invalid="ignore"):
             past = self._times.reshape(-1, *(1,) * np.ndim(since)) > since
         for extremes in (self._low, self._high):
@@ -73,10 +71,10 @@ class BinnedHistory:
         """Returns the samples in the last `SPAN` before a time, oldest first.
 
         Args:
-            time: s; the newest when None.
-            points: about as many are returned at most, two at least; each stands for the least or
-                the greatest value of its stretch of time.
-            at: index of the values in a sample, of one dimension at most; all when empty.
+            time: end of the span, s; the newest sample if None.
+            points: approximate maximum number of samples, at least 2; each one is the minimum or
+                maximum of an interval.
+            at: index into a sample that leaves at most one dimension.
 
         Returns:
             times (k,), s, and values (m, k), NaN for no data.
@@ -97,9 +95,9 @@ class BinnedHistory:
         high = self._high[(rows, *at)].reshape(len(rows), -1)
         points = max(points, 2)
         if 2 * len(bins) > points:
-            # Stretches begin at multiples of their length, so that a line does not flicker.
-            stretches = bins // -(-2 * (int(bins[-1] - bins[0]) + 1) // points)
-            begins = np.flatnonzero(np.diff(stretches, prepend=stretches[0] - 1))
+            # Intervals start at multiples of their length, so that lines do not flicker.
+            intervals = bins // -(-2 * (int(bins[-1] - bins[0]) + 1) // points)
+            begins = np.flatnonzero(np.diff(intervals, prepend=intervals[0] - 1))
             low = np.fmin.reduceat(low, begins, axis=0)
             high = np.fmax.reduceat(high, begins, axis=0)
             times = times[np.append(begins[1:], len(times)) - 1]

@@ -1,4 +1,4 @@
-"""Screenshots and films of live hosts, written on a thread so that frames do not wait for it."""
+"""`ImageWriter`: writes screenshots and videos on a thread, so that frames do not wait."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ...base.errors import SeroError
 from ..image.image_files import Pixels, VideoWriter, save_image
 
 FPS = 30.0
-# Maximum number of queued frames; further ones are replaced by a longer following frame.
+# If more frames are queued, frames are dropped and the next one is repeated.
 _MAX_WAITING = 8
-_given: set[Path] = set()  # names of files that may not be there yet
+_used: set[Path] = set()  # names of files that may not exist yet
 
 
 def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
-    """Returns an unused file name: `lwr_2026-05-04_17-03-12.png`; no name is returned twice.
+    """Returns an unused file name such as `lwr_2026-05-04_17-03-12.png`.
 
-    The file may be written later, by another thread.
+    No name is returned twice, because the files may be written later.
 
     Args:
         ending: extension with its dot.
@@ -28,86 +28,90 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
     stem = f"{safe}_{now:%Y-%m-%d_%H-%M-%S}"
     path = folder / f"{stem}{ending}"
     count = 2
-    while path.exists() or path.absolute() in _given:
+    while path.exists() or path.absolute() in _used:
         path = folder / f"{stem}_{count}{ending}"
         count += 1
-    _given.add(path.absolute())
+    _used.add(path.absolute())
     return path
 
 
 def due_frames(seconds: float, sent: int) -> int:
-    """Returns how often to add the current picture, so that the film shows real time."""
+    """Returns how often the current image must be added for the video to play in real time."""
     return max(int(seconds * FPS) + 1 - sent, 0)
 
 
-class PictureWriter:
-    """Writes screenshots and films."""
+class ImageWriter:
+    """Writes screenshots and videos.
+
+    Attributes:
+        seconds: duration of the current video, s.
+    """
 
     def __init__(self, scene: str, folder: Path | None = None) -> None:
         self.seconds = 0.0
         self._scene = scene
         self._folder = folder or Path()
-        self._pool = ThreadPoolExecutor(1, "pictures")
+        self._pool = ThreadPoolExecutor(1, "images")
         self._pending: list[tuple[Future[None], str, Path]] = []
         self._waiting = threading.Semaphore(_MAX_WAITING)
-        self._film: VideoWriter | None = None
-        self._film_path = Path()
+        self._video: VideoWriter | None = None
+        self._video_path = Path()
         self._size = (0, 0)
         self._begin = 0.0
         self._sent = 0
 
     @property
-    def is_filming(self) -> bool:
-        return self._film is not None
+    def is_recording(self) -> bool:
+        return self._video is not None
 
-    def picture(self, pixels: Pixels) -> None:
+    def save_screenshot(self, pixels: Pixels) -> None:
         path = unused_name(self._folder, self._scene, ".png", datetime.now())
         future = self._pool.submit(save_image, path, pixels)
         self._pending.append((future, "screenshot", path))
 
     def start(self, size: tuple[int, int], time: float) -> str:
-        """Starts a film and returns a message for the user."""
+        """Starts a video and returns a message for the user."""
         path = unused_name(self._folder, self._scene, ".mp4", datetime.now())
-        self._film, self._film_path = VideoWriter(path, *size, FPS), path
+        self._video, self._video_path = VideoWriter(path, *size, FPS), path
         self._size, self._begin, self._sent = size, time, 0
         self.seconds = 0.0
-        return f"filming to {path}"
+        return f"recording a video: {path}"
 
     def wants(self, time: float) -> bool:
-        return self.is_filming and due_frames(time - self._begin, self._sent) > 0
+        return self.is_recording and due_frames(time - self._begin, self._sent) > 0
 
     def add(self, pixels: Pixels, time: float) -> None:
-        """Adds the current picture; stops the film when the window has another size."""
-        film = self._film
-        if film is None:
+        """Adds the current image; stops the video if the size of the window has changed."""
+        video = self._video
+        if video is None:
             return
         if pixels.shape[1::-1] != self._size:
             self.stop()
             return
         self.seconds = time - self._begin
         if not self._waiting.acquire(blocking=False):
-            return  # the encoder is too slow; the next picture replaces this one
+            return  # the encoder is too slow; the next frame replaces this one
         count = due_frames(self.seconds, self._sent)
         self._sent += count
 
         def write() -> None:
             try:
                 for _ in range(count):
-                    film.add(pixels)
+                    video.add(pixels)
             finally:
                 self._waiting.release()
 
         self._pool.submit(write)
 
     def stop(self) -> None:
-        """Stops the film; `next_message` reports when it is written."""
-        film, self._film = self._film, None
-        if film is not None:
-            future = self._pool.submit(film.__exit__, None, None, None)
-            self._pending.append((future, f"film of {self.seconds:.1f} s", self._film_path))
+        """Stops the video; `next_message` reports when the file is written."""
+        video, self._video = self._video, None
+        if video is not None:
+            future = self._pool.submit(video.__exit__, None, None, None)
+            self._pending.append((future, f"video of {self.seconds:.1f} s", self._video_path))
 
     def next_message(self) -> tuple[str, bool] | None:
-        """Returns a message about the next completed file and whether it is an error, or None."""
+        """Returns a message about the next written file and whether it is an error, or None."""
         for each in self._pending:
             future, what, path = each
             if future.done():

@@ -1,4 +1,4 @@
-"""The displayed time of a live viewer: real time for live sources, else set by the user."""
+"""The displayed time: real time for live sources; otherwise the user controls it."""
 
 from __future__ import annotations
 
@@ -6,33 +6,40 @@ import time as clock
 from collections.abc import Callable
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 
+from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
+from ...data.drive.place import follow
 from .binned_history import SPAN
-from .live_history import LiveHistory
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
-_STEP = 1.0 / 60.0  # s, for recordings without a time step
-_SIMULATION_CHUNK = 0.05  # s simulated in one call
-# s of real time until a frame is shown, so that the window stays responsive; if the rest of a frame
-# takes longer, that time, which halves the frame rate at worst.
+_STEP = 1.0 / 60.0  # s, if the sources have no time step
+_SIMULATION_CHUNK = 0.05  # simulated time per call, s
+# Real time, s, that a frame spends on simulation, so that the window stays responsive. If the rest
+# of a frame takes longer, simulation may take the same time, which at worst halves the frame rate.
 _MAX_WAIT = 0.03
-_SAMPLE_INTERVAL = 0.004  # s between samples, so that no spike of 5 ms is missed in real time
+_SAMPLE_INTERVAL = 0.004  # s; shows spikes of 5 ms at real-time speed
 _MAX_SAMPLES = 20  # per frame
 _JUMP_THRESHOLD = 0.5  # s; a larger advance is a jump
-_PAST_SAMPLES = 120  # with which the plots are refilled after a jump
-_SMOOTHING = 0.1  # weight of a frame in the displayed speed
-_MAX_FRAME = 0.5  # s; longer frames (after a laptop's sleep) are shortened to this
+_PAST_SAMPLES = 120  # refill the plots after a jump
+_SMOOTHING = 0.1  # weight of a frame in `real_speed`
+_MAX_FRAME = 0.5  # s; longer frames, for example after a suspend, are shortened to this
+
+HISTORY_SPAN = 60.0  # s of live data that can be replayed
+_STATE_RATE = 30.0  # stored states per second
+_MAX_STATE_BYTES = 64e6  # for all states; large worlds store fewer states per second
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class Tick(NamedTuple):
-    """Something that happened at a time of the time line.
+    """An event on the timeline.
 
     Attributes:
         time: s.
-        text: what.
-        is_mark: whether the user has marked it; else it is a fault that was found.
+        text: description.
+        is_mark: whether the user has set it; otherwise it is a fault.
     """
 
     time: float
@@ -44,21 +51,21 @@ class Clock:
     """Determines the time that a mirror shows, frame by frame.
 
     Live sources run in real time. They can be paused, and the last minute can be replayed while
-    they continue; packets received meanwhile are kept.
+    packets are still received.
 
     Attributes:
-        is_live: whether a source follows the real time.
-        is_past: whether it is live, and shows the past.
-        is_playing: whether there is a source with a speed; else the user sets all inputs.
-        speed: displayed s per real s.
-        begin: of the time line, s.
-        end: of the time line, s; None if a source has no end. For live sources and endless
-            simulations the newest time.
-        step_size: of a single step, s.
-        on_moment: called whenever the mirror has advanced; if set, recordings and simulations
-            advance in equally fine steps at a low frame rate, so that a plot misses little. If it
-            is set later, it is first called for past times, as after a jump.
-        real_speed: achieved in the last frames; a simulation may be slower than `speed`.
+        is_live: whether a source follows real time.
+        is_past: whether the past of live sources is shown.
+        is_playing: whether there are sources; otherwise the user sets all inputs.
+        speed: displayed time per real time.
+        begin: start of the timeline, s.
+        end: end of the timeline, s; None if a source has no end. For live sources and infinite
+            simulations, the newest time.
+        step_size: size of a single step, s.
+        on_state: called for each new state of the mirror. While it is set, recordings and
+            simulations advance in fine steps even at a low frame rate, so that plots miss little.
+            If it is set later, it is first called for past times, as after a jump.
+        real_speed: speed of the last frames; a simulation may be slower than `speed`.
     """
 
     def __init__(self, mirror: LiveWorld) -> None:
@@ -68,25 +75,27 @@ class Clock:
         self.is_paused = False
         self.speed = 1.0
         self.real_speed = 1.0
-        self.on_moment: Callable[[], None] | None = None
+        self.on_state: Callable[[], None] | None = None
         self.time = self.begin = 0.0
-        self.is_past = self._goes_on_from_there = False
+        self.is_past = self._resumes_past = False
         has_history = self.is_live and mirror.has_states
         self._history = LiveHistory(mirror) if has_history else None
         sources = mirror.sources.values()
         ends = [source.end for source in sources if source.end is not None]
         is_endless = self.is_live or len(ends) < len(sources)
         self.end = None if is_endless else max(ends, default=None)
-        # The time line of an endless simulation moves.
+        # The timeline of an endless simulation moves.
         self._growing = [] if self.is_live else [s for s in sources if s.newest is not None]
-        self._move_line()
+        self._move_timeline()
         steps = [source.step for source in sources if source.step is not None]
         self.step_size = min(steps, default=_STEP)
-        self._shown: float | None = None  # the time of the mirror
-        self._is_heard = True  # whether `on_moment` was called for it
-        self._simulated = 0.0  # as far as it is simulated
+        self._shown: float | None = None  # time of the mirror
+        self._is_reported = True  # whether `on_state` was called for that time
+        self._simulated = 0.0  # time up to which the simulation has run
         self._simulates = bool(steps)
-        self._passed = self._simulating = 0.0  # s for the last frame, and for simulating in it
+        self._passed = self._simulating = (
+            0.0  # real time of the last frame and of its simulation, s
+        )
 
     @property
     def is_at_end(self) -> bool:
@@ -96,7 +105,7 @@ class Clock:
     def _has_end(self) -> bool:
         return not (self.is_live or self._growing)
 
-    def _move_line(self) -> None:
+    def _move_timeline(self) -> None:
         if self._growing:
             self.begin = max(source.begin for source in self._growing)
             self.end = max(source.newest or 0.0 for source in self._growing)
@@ -110,11 +119,10 @@ class Clock:
 
     @property
     def can_go_back(self) -> bool:
-        """Whether the past can be shown."""
         return not self.is_live or self._history is not None
 
     def advance(self, passed: float) -> bool:
-        """Advances by a real time, s, and updates the mirror."""
+        """Advances by a real time, s, and updates the mirror; returns whether the state changed."""
         if self.is_live:
             return self._follow(passed)
         if self.is_paused or self.is_at_end:
@@ -124,9 +132,12 @@ class Clock:
         self._passed = min(passed, _MAX_FRAME)
         self.time += self.speed * self._passed
         if self._has_end and self.end is not None and self.time >= self.end:
-            self.time, before = self.end, self.end - self.speed * passed  # not due to its speed
+            self.time, before = (
+                self.end,
+                self.end - self.speed * passed,
+            )  # the end, not the speed, limits this frame
         changed = self._show()
-        self._move_line()
+        self._move_timeline()
         self._stop_at_failure()
         passed = max(passed, 1e-6)
         self.real_speed += _SMOOTHING * ((self.time - before) / passed - self.real_speed)
@@ -141,10 +152,10 @@ class Clock:
         if self.is_past:
             history.put_back()
         elif self.is_paused and self.end:
-            history.keep()  # the last displayed state, while paused
+            history.store()  # the last displayed state, while paused
         self._mirror.advance()
-        if self.on_moment is not None:
-            self.on_moment()
+        if self.on_state is not None:
+            self.on_state()
         history.add()
         self.begin, self.end = history.begin, history.end
         if self.is_past and not self.is_paused:
@@ -162,40 +173,40 @@ class Clock:
     def go_live(self) -> str:
         if not self.is_live:
             if self.end is None:
-                return "no end"
+                return "this timeline has no end"
             self.seek(self.end)
             if self._has_end:
                 return "at the end"
             self.is_paused = False
-            return "goes on from now"
-        self.is_past = self.is_paused = self._goes_on_from_there = False
+            return "continues from the newest state"
+        self.is_past = self.is_paused = self._resumes_past = False
         if self._history is not None:
             self._history.put_back()
         return "live"
 
-    def look_back(self) -> None:
-        """Calls `on_moment` for past times as after a jump, if they can be shown again."""
-        self._is_heard = False
+    def replay_past(self) -> None:
+        """Calls `on_state` for past times at the next frame, as after a jump."""
+        self._is_reported = False
 
     def _show(self) -> bool:
-        jumps = not self._is_heard and self.on_moment is not None
+        jumps = not self._is_reported and self.on_state is not None
         if self.time == self._shown and self._mirror.sources and not jumps:
             return False
         goal = self.time
         if self._simulates and goal > self._simulated:
             goal = self._simulate(goal)
-        for moment in self._moments(goal, jumps=jumps):
-            self._mirror.advance(moment)
-            if self.on_moment is not None:
-                self.on_moment()
-        self._shown, self._is_heard = goal, self.on_moment is not None
+        for time in self._times(goal, jumps=jumps):
+            self._mirror.advance(time)
+            if self.on_state is not None:
+                self.on_state()
+        self._shown, self._is_reported = goal, self.on_state is not None
         return True
 
-    def _moments(self, goal: float, *, jumps: bool) -> list[float]:
-        if self.on_moment is None:
+    def _times(self, goal: float, *, jumps: bool) -> list[float]:
+        if self.on_state is None:
             return [goal]
         passed = goal - (goal if self._shown is None else self._shown)
-        if jumps or passed < 0 or passed > _JUMP_THRESHOLD:  # plots show the time before it
+        if jumps or passed < 0 or passed > _JUMP_THRESHOLD:  # for the plots
             begin = max(goal - SPAN, 0.0)
             return np.linspace(begin, goal, _PAST_SAMPLES).tolist() if goal else [goal]
         if not passed:
@@ -221,9 +232,9 @@ class Clock:
             self.is_paused = False
             return "from the start"
         self.is_paused = not self.is_paused
-        if self.is_live and not self.is_paused and not self._goes_on_from_there:
+        if self.is_live and not self.is_paused and not self._resumes_past:
             return self.go_live()
-        return "paused" if self.is_paused else "goes on"
+        return "paused" if self.is_paused else "continues"
 
     def step(self, count: int = 1) -> str:
         self.is_paused = True
@@ -244,7 +255,7 @@ class Clock:
 
     def faster(self, times: int) -> str:
         if self.is_live and not self.is_past:
-            return "live: the speed is the robot's"
+            return "the speed of live sources cannot be changed"
         nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - self.speed))
         self.speed = self.real_speed = SPEEDS[min(max(nearest + times, 0), len(SPEEDS) - 1)]
         return f"speed {self.speed:g}"
@@ -254,36 +265,36 @@ class Clock:
             is_paused = self.is_paused
             self.go_live()
             self._mirror.reset()
-            # Immediately, even if paused: the declared pose is not from the robot.
+            # Immediately, even if paused: the declared pose is not the robot's.
             self._follow(0.0)
             self.is_paused = is_paused
-            return "reset to the declared pose, then the latest packets"
+            return "reset to the declared pose; the latest packets are applied"
         self.seek(0.0)
         return "back to the start"
 
     def seek(self, time: float) -> None:
-        """Continues from a time, s, within the time line.
+        """Continues from a time, s, limited to the timeline.
 
-        The newest time of live sources is live, not past; no effect without history.
+        For live sources, the newest time is live; without history, seeking has no effect.
         """
         if self.is_live and (self._history is None or self.end is None):
             return
         end = float("inf") if self.end is None else self.end
         self.time = min(max(time, self.begin), end)
         if self.is_live:
-            self.is_past = self._goes_on_from_there = self.time < end
+            self.is_past = self._resumes_past = self.time < end
             if not self.is_past:
                 self.go_live()
 
     def go_to_start(self) -> None:
-        """Continues at the start after a restart."""
+        """Returns to the start after the sources have restarted."""
         self.time = self._simulated = 0.0
         self._shown, self.is_paused = None, False
-        self._move_line()
+        self._move_timeline()
 
 
 def time_text(time: float) -> str:
-    """A time as text: `3.42 s`, or `12:03.4` from a minute on."""
+    """Returns a time as text: `3.42 s`, or `12:03.4` from one minute on."""
     if time < 60:
         return f"{time:.2f} s"
     minutes, seconds = divmod(time, 60)
@@ -291,3 +302,57 @@ def time_text(time: float) -> str:
         return f"{minutes:.0f}:{seconds:04.1f}"
     hours, minutes = divmod(minutes, 60)
     return f"{hours:.0f}:{minutes:02.0f}:{seconds:02.0f}"
+
+
+class LiveHistory:
+    """The newest state of a live mirror, and about 30 states per second of the last minute.
+
+    While a past state is shown, call `put_back` before the mirror advances.
+    """
+
+    def __init__(self, mirror: LiveWorld, span: float = HISTORY_SPAN) -> None:
+        self._model, self._data = mirror.world.model, mirror.data
+        self._span = span
+        size = mujoco.mj_stateSize(self._model, _STATE)
+        count = int(min(span * _STATE_RATE, _MAX_STATE_BYTES / (8 * size)))
+        self._step = span / count
+        self._times: Array = np.full(count, np.nan)
+        self._states: Array = np.empty((count, size))
+        self._newest: Array = np.empty(size)
+        self._row = -1  # row of the newest stored state
+        self.end = 0.0
+
+    @property
+    def begin(self) -> float:
+        known = self._times[self._times >= self.end - self._span]
+        return float(known.min()) if len(known) else self.end
+
+    def add(self) -> None:
+        time = float(self._data.time)
+        if time < self.end:
+            self._times[:] = np.nan
+            self._row = -1
+        self.end = time
+        mujoco.mj_getState(self._model, self._data, self._newest, _STATE)
+        if self._row < 0 or time >= self._times[self._row] + self._step:
+            self.store()
+
+    def store(self) -> None:
+        """Stores the newest state, even if the previous one is recent."""
+        self._row = (self._row + 1) % len(self._times)
+        self._times[self._row], self._states[self._row] = self.end, self._newest
+
+    def put_back(self) -> None:
+        mujoco.mj_setState(self._model, self._data, self._newest, _STATE)
+
+    def show(self, time: float) -> None:
+        """Restores the last state before a time, s, or the oldest state."""
+        count = len(self._times)
+        order = (self._row + 1 + np.arange(count)) % count  # the oldest first
+        order = order[np.isfinite(self._times[order])]
+        if not len(order):
+            return
+        place = int(np.searchsorted(self._times[order], time + 1e-9, "right")) - 1
+        row = order[max(place, 0)]
+        mujoco.mj_setState(self._model, self._data, self._states[row], _STATE)
+        follow(self._model, self._data)

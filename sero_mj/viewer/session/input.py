@@ -1,4 +1,4 @@
-"""Mouse and key events of live hosts, and their interpretation as drags and clicks."""
+"""Mouse and key events, and their interpretation as drags and clicks."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Event:
     """A mouse or key event.
 
     Attributes:
-        kind: `press` and `release` of a button, `move`, `scroll`, `key`, `drop` of a file.
+        kind: `drop` is a dropped file.
         x: pixels of the framebuffer from its left edge; wheel steps to the right for `scroll`.
-        time: on the clock of `time.monotonic`, s.
-        button: `LEFT`, `RIGHT`, `MIDDLE`.
-        key: a character in lower case, or a name: `f1`, `left`, `escape`; of a `drop` the path.
+        y: pixels from its lower edge; wheel steps away from the user for `scroll`.
+        time: time on the clock of `time.monotonic`, s.
+        key: a lowercase character, a name such as `f1`, `left`, `escape`, or the path of a `drop`.
         shift: whether Shift or Control was held.
     """
 
@@ -41,9 +41,10 @@ class Moved:
     """A drag of the pointer, or a turn of the wheel.
 
     Attributes:
-        pulls_from: pixel at which the left button was pressed with Control, for which a link there
-            is pulled and the camera stays; None otherwise.
-        pressed: pixel at which the left button was pressed; None for other buttons.
+        right: pixels.
+        down: pixels; wheel steps for `zoom`.
+        pulls_from: pixel where the left button was pressed with Control to pull a link, or None.
+        pressed: pixel where the left button was pressed; None for other buttons.
     """
 
     how: Literal["orbit", "pan", "zoom"]
@@ -55,20 +56,24 @@ class Moved:
 
 @dataclass(frozen=True)
 class Clicked:
-    """A click: a button was pressed and released at the same position."""
+    """A click: a button was pressed and released at the same position.
+
+    Attributes:
+        center: whether the view is centered there.
+    """
 
     x: float
     y: float
     time: float
     shift: bool = False
-    centre: bool = False
+    center: bool = False
 
 
 class Mouse:
     """Interprets mouse events as drags and clicks.
 
     Attributes:
-        position: of the pointer, pixels; None before its first event.
+        position: pixel of the pointer; None before its first event.
     """
 
     def __init__(self) -> None:
@@ -82,10 +87,10 @@ class Mouse:
         return self._pressed is not None
 
     def hold(self, pulls: Callable[[tuple[float, float]], bool]) -> bool:
-        """Takes a press that has not moved for one with Control, as a finger has no such key.
+        """Turns a press that has not moved into one with Control, for touch screens.
 
         Args:
-            pulls: whether there is something to pull at a pixel.
+            pulls: returns whether something can be pulled at a pixel.
         """
         press = self._pressed
         if press is None or self._is_drag or not pulls((press.x, press.y)):
@@ -139,7 +144,7 @@ class Mouse:
             soon = first is not None and press.time - first.time <= DOUBLE_CLICK_TIME
             if soon and first is not None and _apart(first, press) <= DOUBLE_CLICK_DISTANCE:
                 self._right_click = None
-                return Clicked(press.x, press.y, press.time, centre=True)
+                return Clicked(press.x, press.y, press.time, center=True)
         return None
 
 

@@ -1,4 +1,4 @@
-"""`JointGoal`: where a user wants the joints of a robot to be; poses as text."""
+"""`JointGoal`: the joint angles that a user requests for a robot; joint angles as text."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ from ...robots.declared.inverse_kinematics import (
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 
-_FAR = 0.005  # m, from which on it is shown where a frame was wanted
-_TURNED = np.deg2rad(2.0)  # rad, likewise
-_PER_DRAG = 12  # iterations for a move of the pointer; what is left is made up in the next
-_NO_NUMBER = "found no finite number; it stays where it was"
+_FAR = 0.005  # m; larger distances to the requested pose are reported
+_ROTATED = np.deg2rad(2.0)  # rad; larger angles to the requested pose are reported
+_PER_DRAG = 12  # iterations per move of the pointer; the next move continues
+_NO_NUMBER = "expected a finite number; the robot does not move"
 
 
 class JointGoal:
-    """Angles that are set joint by joint, by the flange's pose, or by a point of a link.
+    """Joint angles that are set by joint, by the flange's pose, or by a point of a link.
 
-    Angles stay within the position limits. What cannot be is approached, and `trouble` says why.
+    Angles stay within the position limits. If a request cannot be fulfilled, the nearest pose is
+    used, and `trouble` explains why.
 
     Attributes:
-        trouble: why the last wish is not fulfilled; empty where it is.
-        mark: where a frame was wanted and where it is, (2, 3), m; None where that is one.
-        is_led: whether a program sets the angles just now, so that no wish would last.
+        trouble: why the last request is not fulfilled; empty if it is.
+        mark: requested and reached position of a frame, (2, 3), m; None if they coincide.
+        is_led: whether a program is setting the angles, so that the user cannot.
     """
 
     def __init__(self, robot: SerialRobot, angles: Array) -> None:
@@ -50,7 +51,7 @@ class JointGoal:
         return self._coupled.positions(self._free)
 
     def range_of(self, joint: int) -> tuple[float, float]:
-        """Returns the ends of a joint's slider, lower and upper, rad or m."""
+        """Returns the lower and upper end of a joint's slider, rad or m."""
         low, high = self._ranges[joint].tolist()
         return low, high
 
@@ -72,33 +73,34 @@ class JointGoal:
             self.trouble = _NO_NUMBER
             return
         self.mark, self.trouble = None, ""
-        kept = free
+        limited = free
         if self._limits is not None:
-            kept = np.clip(free, self._limits[:, 0], self._limits[:, 1])
-            beyond = np.flatnonzero(np.abs(kept - free) > 1e-9)
+            limited = np.clip(free, self._limits[:, 0], self._limits[:, 1])
+            beyond = np.flatnonzero(np.abs(limited - free) > 1e-9)
             if len(beyond):
-                self.trouble = ", ".join(self._limit_text(int(i), kept) for i in beyond[:3])
-        self._free = kept
+                self.trouble = ", ".join(self._limit_text(int(i), limited) for i in beyond[:3])
+        self._free = limited
 
     def _limit_text(self, index: int, free: Array) -> str:
         joint = int(self._coupled.independent[index])
-        name, turns = self.robot.names[joint], self.robot.types[joint] == "revolute"
-        value = np.rad2deg(free[index]) if turns else free[index]
-        return f"limit of {name} reached, {value:.4g} {'deg' if turns else 'm'}"
+        name, is_angle = self.robot.names[joint], self.robot.types[joint] == "revolute"
+        value = np.rad2deg(free[index]) if is_angle else free[index]
+        return f"{name} is at its limit of {value:.4g} {'deg' if is_angle else 'm'}"
 
     def hold_posture(self) -> None:
-        """Draws the null space to the angles of now, from the beginning of a drag on."""
+        """Makes the null space prefer the current angles, from the start of a drag."""
         self._posture = self._free.copy()
 
     def flange(self, base: Array) -> Array:
-        """T_world_flange (4, 4) at these angles."""
+        """Returns T_world_flange (4, 4) at these angles."""
         return np.asarray(base @ self.robot.fwd_kin_base_to_flange(self.angles))
 
     def move_flange(self, base: Array, pose: Array, *, at_once: bool = False) -> None:
-        """Moves the flange to a pose, or as near as it gets.
+        """Moves the flange to a pose (4, 4), or as close as possible.
 
         Args:
-            at_once: whether the pose was typed: only what is reached counts then.
+            base: T_world_base (4, 4).
+            at_once: whether the pose was typed; it is then rejected unless it is reached.
         """
         if not np.isfinite(pose).all():
             self.trouble = _NO_NUMBER
@@ -114,15 +116,18 @@ class JointGoal:
         )
         if at_once and not found.is_there:
             self._refuse(found, pose[:3, 3], place(self._free)[0][:3, 3])
-            self.trouble += "; it stays where it was"
+            self.trouble += "; the robot does not move"
             return
         self._take(found, pose[:3, 3], place(found.angles)[0][:3, 3])
 
     def move_point(self, base: Array, link: int, point: Array, wanted: Array) -> None:
-        """Moves a point of a link to another place, or as near as it gets.
+        """Moves a point of a link to a position in the world, or as close as possible.
 
         Args:
-            link: that carries the point, 0 for the base, up to n.
+            base: T_world_base (4, 4).
+            link: index of the link, 0 for the base, up to n.
+            point: position in the frame of the link, (3,), m.
+            wanted: position in the world, (3,), m.
         """
         place = frame_place(self.robot, base, link, frame(np.eye(3), point))
         goal = frame(np.eye(3), wanted)
@@ -139,20 +144,18 @@ class JointGoal:
 
     def _take(self, found: Reached, wanted: Array, there: Array) -> None:
         self._free = found.angles
-        if found.distance > _FAR or found.angle > _TURNED:
+        if found.distance > _FAR or found.angle > _ROTATED:
             self._refuse(found, wanted, there)
         else:
             self.trouble, self.mark = "", None
 
     def _refuse(self, found: Reached, wanted: Array, there: Array) -> None:
         left = f"{1e3 * found.distance:.0f} mm"
-        if found.angle > _TURNED:
+        if found.angle > _ROTATED:
             left += f" and {np.rad2deg(found.angle):.0f} deg"
         joints = np.flatnonzero(found.at_limit)
         why = ", ".join(self._limit_text(int(i), found.angles) for i in joints[:3])
-        self.trouble = (
-            f"not reached, {left} away: {why or 'out of reach, or a singularity in the way'}"
-        )
+        self.trouble = f"not reached, {left} away: {why or 'out of reach, or at a singularity'}"
         self.mark = np.array([wanted, there])
 
     def let_go(self) -> None:
@@ -160,7 +163,7 @@ class JointGoal:
 
 
 def set_goals(goals: Mapping[str, JointGoal], angles: Iterable[tuple[str, bytes]]) -> None:
-    """Sets the angles of goals to those of before, float64 as bytes, where they are others."""
+    """Sets the angles of goals, float64 as bytes, if they differ."""
     for name, wanted in angles:
         if name in goals and goals[name].angles.tobytes() != wanted:
             goals[name].set_all(np.frombuffer(wanted))
@@ -180,13 +183,13 @@ def as_python(robot: str, angles: Array) -> str:
 
 
 def as_command(scene: Scene, robot: str, angles: Array) -> str:
-    """Returns the command that shows the scene with a robot like that."""
-    given = setting(robot, angles)
-    return f"sero-mj view {shlex.quote(scene.argument)} --set {given}\n"
+    """Returns the command that shows the scene with the robot at these angles."""
+    text = setting(robot, angles)
+    return f"sero-mj view {shlex.quote(scene.argument)} --set {text}\n"
 
 
 def setting(robot: str, values: Array, field: str = "joint_angles") -> str:
-    """Returns what `--set` takes for a field of a robot with a number for each joint."""
+    """Returns the value of `--set` for a field of a robot with one number per joint."""
     return f"{robot}.{field}={_listed(values, ',')}"
 
 

@@ -1,4 +1,4 @@
-"""Keys and mouse of a window or page, and the help that lists them."""
+"""The keys and mouse gestures of windows and pages, and the help that lists them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from ..image.clicks import CLICKS, KEYS, Gesture
 
 
 class Key(NamedTuple):
-    """What a key does.
+    """The action of a key.
 
     Attributes:
-        text: for the help; empty to omit it from the help.
+        text: text of the help; empty to omit the key.
+        repeats: whether the action is repeated while the key is held.
     """
 
     action: str
@@ -20,29 +21,28 @@ class Key(NamedTuple):
     repeats: bool = False
 
 
-# Keys for camera, clock and window of a live host.
-# A host has a function for each action, or other controls for it.
-HOST_KEYS: dict[str, Key] = {
+# Keys for camera, clock and window.
+VIEWER_KEYS: dict[str, Key] = {
     " ": Key("pause", "pause or continue"),
-    ".": Key("step", "single step", repeats=True),
+    ".": Key("step", "single step forward", repeats=True),
     ",": Key("step_back", "single step back", repeats=True),
     "-": Key("slower", "slower", repeats=True),
     "+": Key("faster", "faster", repeats=True),
-    "backspace": Key("reset", "back to the start"),
+    "backspace": Key("reset", "go to the start"),
     "left": Key("back", "1 s back", repeats=True),
-    "right": Key("on", "1 s on", repeats=True),
-    "end": Key("end", "to the end; what is live again"),
+    "right": Key("on", "1 s forward", repeats=True),
+    "end": Key("end", "go to the end, or to live data"),
     "0": Key("camera_0", "0 initial view, 1 to 9 cameras"),
     "f": Key("follow", "follow the item under the pointer"),
     "]": Key("next_joint", "select the next joint, [ the previous", repeats=True),
     "t": Key("status_line", "status line on or off"),
-    "tab": Key("panel", "panel with switches and sizes on or off"),
+    "tab": Key("panel", "panel on or off"),
     "f11": Key("full_screen", "full screen"),
     "h": Key("help", "this help"),
 }
-# Actions that a browser provides itself.
-OF_BROWSER = ("tab", "f11")
-# Alternative keys, which the help does not list.
+# Keys that browsers handle themselves.
+_OF_BROWSER = ("tab", "f11")
+# Alternative keys, which the help omits.
 MORE_KEYS: dict[str, Key] = {
     "?": Key("help"),
     "f1": Key("help"),
@@ -52,16 +52,15 @@ MORE_KEYS: dict[str, Key] = {
     "home": Key("reset"),
     **{str(number): Key(f"camera_{number}") for number in range(1, 10)},
 }
-# Effect of the mouse on the camera of a live host.
-HOST_MOUSE: dict[str, str] = {
-    "drag": "rotates the view",
-    "drag of a handle": "moves or turns the target of a robot",
-    "right drag": "pans, also with Shift",
-    "Ctrl+drag": "pulls a simulated link, moves others and targets",
-    "wheel": "zooms; how strongly it pulls",
-    "right double click": "centres the view there",
+# Effects of the mouse on the camera.
+VIEWER_MOUSE: dict[str, str] = {
+    "drag": "rotate the view",
+    "drag a handle": "move or rotate the target of a robot",
+    "right drag": "pan the view, also with Shift",
+    "Ctrl+drag": "pull a simulated link, move another link or a target",
+    "wheel": "zoom, or set the strength of a pull",
+    "right double click": "center the view there",
 }
-
 
 Row = tuple[str, str]
 
@@ -83,28 +82,23 @@ _KINDS = {
     "axes": "axes",
     "name": "name",
     "vector": "smart arrow",
-    "card": "card",
-    "limb": "card of a limb",
+    "card": "values of a smart arrow",
+    "limb": "billboard of a limb",
     "object": "object",
 }
 
 
 def help_columns(of_tools: Mapping[str, Key], *, on_page: bool = False) -> list[list[Row]]:
-    """Returns columns of rows of input and effect; headings have no effect.
-
-    Args:
-        on_page: whether to omit actions that a browser provides itself.
-    """
-    of_host = {**HOST_KEYS, **{key: entry for key, entry in of_tools.items() if entry.text}}
+    """Returns columns of rows of input and effect; headings have no effect."""
+    keys = {**VIEWER_KEYS, **{key: entry for key, entry in of_tools.items() if entry.text}}
     if on_page:
-        of_host = {key: action for key, action in of_host.items() if key not in OF_BROWSER}
-        of_host |= {"t": Key("panel", "panel on or off")}
-    view: list[Row] = [("View", "")]
-    view += [(how, words) for how, words in HOST_MOUSE.items()]
+        keys = {key: entry for key, entry in keys.items() if key not in _OF_BROWSER}
+        keys |= {"t": Key("panel", "panel on or off")}
+    view: list[Row] = [("View", ""), *VIEWER_MOUSE.items()]
     view += [("", ""), ("Page and time" if on_page else "Window and time", "")]
-    view += [(_KEY_NAMES.get(key, key), entry.text) for key, entry in of_host.items()]
+    view += [(_KEY_NAMES.get(key, key), entry.text) for key, entry in keys.items()]
     view += [] if on_page else [("Ctrl+Q", "close")]
-    shown: list[Row] = [("What is shown", "")]
+    shown: list[Row] = [("Displayed features", "")]
     shown += [(key, words) for key, (words, _) in KEYS.items()]
     shown += [("", ""), ("Clicks", "")]
     for kind, name in _KINDS.items():
@@ -112,7 +106,7 @@ def help_columns(of_tools: Mapping[str, Key], *, on_page: bool = False) -> list[
             if (gesture, kind) in CLICKS:
                 shown.append((f"{gesture} {name}", CLICKS[gesture, kind][0]))
     shown += [
-        ("double click background", "what the scene declares"),
-        ("Shift+click", "the same for the whole robot, or all smart arrows"),
+        ("double click background", "reset to the scene"),
+        ("Shift+click", "same effect for the whole robot, or all smart arrows"),
     ]
     return [view, shown]

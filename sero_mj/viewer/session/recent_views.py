@@ -1,4 +1,4 @@
-"""Recent views with their last images, and the saved view of every scene."""
+"""Recent views with their images, and the saved view of each scene."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from ...robots.declared.scene import Scene
 from ..image.image_files import Pixels
 from .view_state import ViewState
 
-MOST = 8
-PICTURE_SIZE = (480, 300)  # pixels
+MAX_VIEWS = 8
+IMAGE_SIZE = (480, 300)  # pixels
 
 
 class RecentView(NamedTuple):
@@ -29,14 +29,14 @@ class RecentView(NamedTuple):
 
     Attributes:
         scene: a shipped name, or the absolute path of a file.
-        replay: the absolute path of the recording played; empty for none.
+        replay: the absolute path of the played recording; empty for none.
     """
 
     scene: str
     replay: str = ""
 
     @property
-    def picture(self) -> Path:
+    def image(self) -> Path:
         digest = hashlib.sha256("\n".join(self).encode()).hexdigest()[:16]
         return state_folder() / "recent" / f"{digest}.jpg"
 
@@ -51,25 +51,25 @@ class RecentView(NamedTuple):
 
 
 def recent_views() -> list[RecentView]:
-    """Returns recent views that still exist, latest first."""
+    """Returns the recent views whose files still exist, latest first."""
     return [view for view in _read() if view.is_there]
 
 
 def remember_view(view: RecentView, pixels: Pixels | None) -> None:
-    """Saves a view as the latest."""
+    """Saves a view as the latest one."""
     before = [each for each in _read() if each != view]
-    kept = [view, *before[: MOST - 1]]
+    views = [view, *before[: MAX_VIEWS - 1]]
     if pixels is not None:
         stream = io.BytesIO()
-        cut_to(Image.fromarray(pixels), PICTURE_SIZE).save(stream, "JPEG", quality=88)
-        write_state(view.picture, stream.getvalue())
-    write_state(_file(), json.dumps([each._asdict() for each in kept]).encode())
-    for each in before[MOST - 1 :]:
-        each.picture.unlink(missing_ok=True)
+        cut_to(Image.fromarray(pixels), IMAGE_SIZE).save(stream, "JPEG", quality=88)
+        write_state(view.image, stream.getvalue())
+    write_state(_file(), json.dumps([each._asdict() for each in views]).encode())
+    for each in before[MAX_VIEWS - 1 :]:
+        each.image.unlink(missing_ok=True)
 
 
 def cut_to(image: Image.Image, size: tuple[int, int]) -> Image.Image:
-    """Returns the middle of a picture in another size, pixels."""
+    """Returns the center of an image in another size, pixels."""
     scale = max(size[0] / image.width, size[1] / image.height)
     wide, high = size[0] / scale, size[1] / scale
     left, top = (image.width - wide) / 2, (image.height - high) / 2
@@ -86,16 +86,16 @@ def _read() -> list[RecentView]:
         views = [RecentView(str(each["scene"]), str(each["replay"])) for each in found]
     except (OSError, ValueError, KeyError, TypeError):
         return []
-    return [view for view in views if "\0" not in view.scene + view.replay][:MOST]
+    return [view for view in views if "\0" not in view.scene + view.replay][:MAX_VIEWS]
 
 
 log = logging.getLogger(__name__)
 
-_MAX_BYTES = 1_000_000  # that are read, so no more are written
+_MAX_BYTES = 1_000_000  # of a saved view
 
 
 def file_of(scene: Scene) -> Path:
-    """Returns the file of a scene's view: by its file or name, and its robots."""
+    """Returns the file of a scene's view, by the scene's file or name and its robots."""
     name = scene.name if scene.file is None else str(scene.file.resolve())
     name = "\n".join([name, *scene.robots, *scene.doubles])
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
@@ -104,35 +104,38 @@ def file_of(scene: Scene) -> Path:
 
 
 def state_folder() -> Path:
-    """Returns the user's state folder."""
+    """Returns the directory of the user's state."""
     return user_state_path("sero-mj", appauthor=False)
 
 
 def write_state(path: Path, data: bytes) -> None:
-    """Writes a file of that folder atomically; logs failures."""
+    """Writes a file of that directory atomically; logs failures."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}")
         part.write_bytes(data)
         part.replace(path)
     except OSError as error:
-        log.info("not kept: %s: %s", path, error)
+        log.info("cannot save %s: %s", path, error)
 
 
-def keep_view(
+def save_view(
     scene: Scene, state: ViewState, layout: Mapping[str, bool], tools: Mapping[str, Any]
 ) -> None:
-    """Saves a view for the next start, without what tools keep if it is too long; logs failures."""
+    """Saves a view for the next start; logs failures.
+
+    The states of tools are omitted if the file would be too long.
+    """
     view = state._replace(time=None).to_text()
-    path, kept = file_of(scene), {"view": view, "layout": dict(layout), "tools": dict(tools)}
-    if len(text := json.dumps(kept).encode()) > _MAX_BYTES:
-        log.warning("%s: the state of tools is not saved: it is too long", path)
-        text = json.dumps({**kept, "tools": {}}).encode()
+    path, saved = file_of(scene), {"view": view, "layout": dict(layout), "tools": dict(tools)}
+    if len(text := json.dumps(saved).encode()) > _MAX_BYTES:
+        log.warning("%s: the states of tools are not saved: they are too long", path)
+        text = json.dumps({**saved, "tools": {}}).encode()
     write_state(path, text)
 
 
-def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool], dict[str, Any]] | None:
-    """Returns a saved view, the layout, and what tools have kept; None for none.
+def load_view(scene: Scene) -> tuple[ViewState, dict[str, bool], dict[str, Any]] | None:
+    """Returns the saved view, the layout and the states of tools, or None.
 
     Raises:
         UsageError: the file is damaged.
@@ -148,4 +151,4 @@ def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool], dict[str, Any]]
         layout = {str(name): bool(on) for name, on in found["layout"].items()}
         return ViewState.from_text(found["view"]), layout, dict(found.get("tools", {}))
     except (ValueError, KeyError, TypeError, AttributeError, UsageError) as error:
-        raise UsageError(f"{path}: found no view ({error}); --fresh makes a new one") from None
+        raise UsageError(f"{path}: no valid view ({error}); use --fresh to ignore it") from None

@@ -1,7 +1,7 @@
-"""`PlotSignals`: all that can be plotted over time, and the history of what is plotted.
+"""`PlotSignals`: the signals that can be plotted over time, and their histories.
 
-Signals are values of the displayed joints, numbers of the sources' packets (for recordings and
-runs as well, whose packets have the columns of their log), and what a program plots.
+A signal is a value of a displayed joint, a number in the packets of a source (recordings and runs
+have the columns of their log), or a value that a program plots.
 """
 
 from __future__ import annotations
@@ -19,21 +19,22 @@ from ...data.receive.source import Source
 from ...robots.assemble.world_view import WorldView
 from ..decor.quantities import joint_values
 from ..decor.staleness import Staleness
-from . import live_history
 from .binned_history import SPAN, BinnedHistory
+from .clock import HISTORY_SPAN
 from .torque_history import ROWS, TorqueHistory
 
-PROGRAM = "program"  # group of what a program plots
-_KEPT = SPAN + live_history.SPAN  # s
-_LATE = 0.1  # s that the displayed time may be behind the clock, by slow frames
-_WENT_BACK = 1.0  # s by which the time of a program's samples has to go back to begin anew
+PROGRAM = "program"  # group of the signals that a program plots
+_SPAN = SPAN + HISTORY_SPAN  # s
+_MAX_DELAY = 0.1  # s; slow frames may delay the displayed time this much
+_MIN_JUMP = 1.0  # s; a larger jump back in time clears the history of a program's signal
 
 
 class PlotSignal(NamedTuple):
     """A signal.
 
     Attributes:
-        name: in its group: `A2.torques`, `values0[3]`.
+        group: a robot, double or source, or `PROGRAM`.
+        name: name in the group, such as `A2.torques` or `values0[3]`.
     """
 
     group: str
@@ -44,7 +45,7 @@ class PlotSignals:
     """The signals of a view.
 
     Args:
-        torques: of its joints.
+        torques: history of its joints.
     """
 
     def __init__(self, mirror: LiveWorld, torques: TorqueHistory) -> None:
@@ -55,7 +56,7 @@ class PlotSignals:
         self._program: dict[PlotSignal, BinnedHistory] = {}
         self._followed: dict[PlotSignal, BinnedHistory] = {}
         self._is_listening = False
-        self._offset = 0.0  # of the displayed time to that of `time.monotonic`, s
+        self._offset = 0.0  # displayed time minus that of `time.monotonic`, s
 
     @property
     def groups(self) -> dict[str, list[str]]:
@@ -69,19 +70,19 @@ class PlotSignals:
         return signal.group == PROGRAM or signal in self._joints or signal in self._numbers
 
     def follow(self, wanted: Collection[PlotSignal]) -> bool:
-        """Keeps the history of these signals, besides torques and those of a program.
+        """Stores the history of these signals; those of torques and of a program always have one.
 
         Returns:
-            whether there are new ones, so that the past should be shown to `watch` again.
+            whether there are new signals, so that `watch` should be called for the past.
         """
-        kept = {*wanted} & {*self._joints, *self._numbers}
-        new = {each for each in kept - {*self._followed} if not self._has_torque(each)}
-        for signal in {*self._followed} - kept:
+        known = {*wanted} & {*self._joints, *self._numbers}
+        new = {each for each in known - {*self._followed} if not self._has_torque(each)}
+        for signal in {*self._followed} - known:
             del self._followed[signal]
-        self._followed |= {signal: BinnedHistory((), _KEPT) for signal in new}
+        self._followed |= {signal: BinnedHistory((), _SPAN) for signal in new}
         if not self._is_listening and new & {*self._numbers}:
             self._is_listening = True
-            self._mirror.listen(self._hear, to_all=True)
+            self._mirror.listen(self._on_packets, to_all=True)
         return bool(new)
 
     def _has_torque(self, signal: PlotSignal) -> bool:
@@ -90,7 +91,7 @@ class PlotSignals:
     def watch(self) -> None:
         world, data = self._mirror.world, self._mirror.data
         offset = data.time - time.monotonic()
-        if offset > self._offset or offset < self._offset - _LATE:
+        if offset > self._offset or offset < self._offset - _MAX_DELAY:
             self._offset = offset
         joints = [signal for signal in self._followed if signal in self._joints]
         if not joints:
@@ -101,7 +102,7 @@ class PlotSignals:
             value = np.nan if signal.group in stale else float(values[key][joint])
             self._add(signal, np.array([data.time]), np.array([value]))
 
-    def _hear(self, source: str, packets: Packets) -> None:
+    def _on_packets(self, source: str, packets: Packets) -> None:
         now = self._mirror.sources[source].now()
         times = self._mirror.data.time - now + packets.arrivals
         for signal in self._followed:
@@ -116,26 +117,26 @@ class PlotSignals:
             history.restart()
         history.add(times, np.where(np.isfinite(values), values, np.nan))
 
-    def hear_program(self, samples: Mapping[str, Array]) -> list[PlotSignal]:
+    def add_program(self, samples: Mapping[str, Array]) -> list[PlotSignal]:
         """Adds samples of a program: (n, 2), times on the clock of `time.monotonic` and values.
 
         Returns:
-            the signals among them that are new.
+            the new signals among them.
         """
         new = []
         for name, rows in samples.items():
             signal = PlotSignal(PROGRAM, name)
             if signal not in self._program:
-                self._program[signal] = BinnedHistory((), _KEPT)
+                self._program[signal] = BinnedHistory((), _SPAN)
                 new.append(signal)
             history, times = self._program[signal], rows[:, 0] + self._offset
-            if times[0] < history.newest - _WENT_BACK:
+            if times[0] < history.newest - _MIN_JUMP:
                 history.restart()
             history.add(times, np.where(np.isfinite(rows[:, 1]), rows[:, 1], np.nan))
         return new
 
     def of(self, signal: PlotSignal, until: float, points: int) -> tuple[Array, Array]:
-        """Returns a signal in the last `SPAN`, oldest first.
+        """Returns the last `SPAN` of a signal, oldest first.
 
         Returns:
             times (k,), s, relative to `until`, and values (k,), NaN for no data.

@@ -1,9 +1,10 @@
-"""The status line of live hosts: sources, time, frame rate."""
+"""The texts of the status line (sources, time and frame rate), and messages to the user."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from ...data.receive.report import error_text, report
 from ...data.receive.source import Source
@@ -13,9 +14,26 @@ from .clock import Clock, time_text
 Mood = Literal["good", "quiet", "bad", "plain", "dim", "title"]
 Piece = tuple[str, Mood]
 
-_CLOCKS_DIFFER = 0.1  # s from which this is shown; the network may take the rest
-_SEEN_LOSS = 0.0005  # fraction of lost packets below which their number is shown
-_SLOW = 0.85  # fraction of the selected speed below which the actual speed is shown
+
+class Message(NamedTuple):
+    """A message to the user, which is shown until a time of `time.monotonic`, s."""
+
+    text: str = ""
+    is_bad: bool = False
+    until: float = float("-inf")
+
+    @property
+    def is_shown(self) -> bool:
+        return time.monotonic() < self.until
+
+    @property
+    def piece(self) -> Piece:
+        return self.text, "bad" if self.is_bad else "plain"
+
+
+_MIN_OFFSET = 0.1  # s; smaller clock offsets may be network delays
+_MIN_LOSS = 0.0005  # below this fraction, the number of lost packets is shown instead
+_SLOW = 0.85  # below this fraction of the selected speed, the actual speed is shown
 
 
 def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
@@ -29,12 +47,12 @@ def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
     fault_age = found["fault_age"]
     is_faulty = fault_age is not None and fault_age < SHOWN_FOR
     if not found["receiving"]:
-        what = "nothing usable" if is_faulty else "quiet"
+        what = "no valid packet" if is_faulty else "no packet"
         return f"{name}: {what} for {found['age']:.1f} s{_loss(found)}", "bad"
     text = f"{name}: {found['rate']:.0f}/s, {1e3 * found['age']:.0f} ms old{_loss(found)}"
-    if found["clock"] is not None and abs(found["clock"]) > _CLOCKS_DIFFER:
-        side = "behind" if found["clock"] > 0.0 else "ahead"
-        text += f", its clock {abs(found['clock']):.1f} s {side}"
+    if found["clock"] is not None and abs(found["clock"]) > _MIN_OFFSET:
+        side = "slow" if found["clock"] > 0.0 else "fast"
+        text += f", its clock is {abs(found['clock']):.1f} s {side}"
     return text, "bad" if is_faulty else "good"
 
 
@@ -43,12 +61,12 @@ def _loss(found: dict[str, Any]) -> str:
     text = ""
     if lost:
         share = lost / max(found["received"] + lost, 1)
-        text = f", {lost} lost" if share < _SEEN_LOSS else f", {100 * share:.1f} % lost"
+        text = f", {lost} lost" if share < _MIN_LOSS else f", {100 * share:.1f} % lost"
     return text + (f", {found['malformed']} not applied" if found["malformed"] else "")
 
 
 def clock_text(clock: Clock) -> Piece:
-    """Returns the displayed time and its speed."""
+    """Returns the displayed time, the speed and whether it is paused."""
     if clock.is_live:
         ago = (clock.end or 0.0) - clock.time
         when = f"{time_text(ago)} ago" if clock.is_past else ""

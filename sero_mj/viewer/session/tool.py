@@ -1,7 +1,6 @@
 """`Tool`: a user interaction with the displayed world, by pointer, keys and panel.
 
-Jogging, pulling, undo and all others are found by entry points, one file each; a package adds one
-in its pyproject.toml:
+Each tool is one file, found by its entry point. A package adds one in its pyproject.toml:
 
     [project.entry-points."sero_mj.tools"]
     measure = "my_package:Measure"
@@ -11,8 +10,10 @@ from __future__ import annotations
 
 import logging
 import time
+import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
@@ -25,12 +26,14 @@ from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..decor.feature import Frame
 from ..decor.toggles import Toggles
+from ..image.clicks import KEYS
 from ..image.image_files import Pixels
 from ..image.picking import Picked, Pixel
 from ..image.scene_decor import SceneDecor
+from .camera_control import CameraControl
 from .clock import Clock, Tick
 from .joint_goal import JointGoal
-from .keys import Key
+from .keys import MORE_KEYS, VIEWER_KEYS, Key, Row
 from .status_line import Piece
 from .view_state import ViewState
 from .widgets import Widgets
@@ -40,16 +43,29 @@ log = logging.getLogger(__name__)
 Action = Callable[[], str | None]  # returns a message for the user
 Found = TypeVar("Found")
 
+# Old names of methods, for one version.
+_RENAMED = {
+    "hear": "receive",
+    "answer": "reply",
+    "kept": "saved_state",
+    "take_kept": "restore_saved",
+    "takes_pictures": "takes_images",
+    "wants_picture": "wants_image",
+    "take_picture": "take_image",
+    "watches_closely": "needs_every_state",
+}
+
 
 class Shown(Protocol):
-    """The interface of the window or page to its tools.
+    """The window or page of a tool.
 
     Attributes:
-        mirror: the displayed mirror, with its sources and routes.
-        data: its state; frames are up to date when `draw` and the pointer's methods are called.
-        clock: pause, speed and time line.
-        decor: of the last frame: items at pixels, and the camera's view.
-        joint: the selected joint, its index in the world.
+        data: state of the mirror; frames are up to date when `draw` and the pointer's methods
+            are called.
+        clock: pause, speed and timeline.
+        decor: decor of the last frame, with the items at pixels and the camera's view.
+        joint: index of the selected joint in the world.
+        is_window: whether this is a window, not a page.
     """
 
     mirror: LiveWorld
@@ -61,14 +77,17 @@ class Shown(Protocol):
     folder: Path | None
     joint: int
     tools: Tools
+    actions: Actions
+    camera_control: CameraControl
     shows_panel: bool
+    is_window: ClassVar[bool]
 
     @property
     def view_camera(self) -> mujoco.MjvCamera: ...
     @property
     def is_following(self) -> bool: ...
     @property
-    def picture_size(self) -> tuple[int, int]: ...
+    def image_size(self) -> tuple[int, int]: ...
 
     def say(self, text: str, is_bad: bool = False) -> None: ...
 
@@ -82,10 +101,11 @@ class Shown(Protocol):
 
 
 class Grab(NamedTuple):
-    """The effect of a drag that begins at a pixel.
+    """The start of a drag.
 
     Attributes:
-        is_refused: whether the text says why nothing is dragged there.
+        text: message for the user.
+        is_refused: whether the text explains why nothing can be dragged there.
     """
 
     text: str
@@ -93,34 +113,34 @@ class Grab(NamedTuple):
 
 
 class PointerEvents:
-    """What a tool does with the pointer; pixels are those of the picture, y up."""
+    """The pointer events of a tool; pixels are those of the image, y up."""
 
     def click(self, picked: Picked | None, at: Pixel) -> str | None:
-        """Handles a click; returns a message, or None to leave it to others."""
+        """Handles a click; returns a message, or None to pass the click on."""
         return None
 
     def hover(self, at: Pixel | None) -> bool:
-        """Handles the pointer; returns whether a drag from there would grab a handle.
+        """Called in every frame; returns whether a drag from this pixel would grab a handle.
 
         Args:
-            at: the pixel; None outside of the picture, and while something is dragged.
+            at: the pixel; None if the pointer is outside the image, or drags.
         """
         return False
 
     def grab_handle(self, at: Pixel) -> Grab | None:
-        """Begins a drag of a handle; None if this tool has none there."""
+        """Starts to drag a handle; returns None if this tool has none at the pixel."""
         return None
 
     def grab(self, at: Pixel) -> Grab | None:
-        """Begins a drag with Ctrl; None if this tool has nothing to drag there."""
+        """Starts a drag with Ctrl; returns None if this tool has nothing to drag at the pixel."""
         return None
 
     def announce(self, at: Pixel) -> Grab | None:
-        """Describes what `grab` would do there."""
+        """Describes what `grab` would do at the pixel."""
         return None
 
     def move(self, at: Pixel) -> None:
-        """Called when the pointer of a drag moves."""
+        """Called when the pointer moves during a drag."""
 
     def drag(self) -> str:
         """Applies the drag, in every frame; returns what obstructs it, or an empty text."""
@@ -130,42 +150,42 @@ class PointerEvents:
         """Called when the drag ends."""
 
     def wheel(self, notches: float) -> str | None:
-        """Handles the wheel while this tool drags; returns a message, or None to zoom as usual."""
+        """Handles the wheel during a drag; returns a message, or None to zoom the camera."""
         return None
 
 
-class KeptState:
-    """What of a tool is undone, seen again at the next start, and rendered."""
+class ToolState:
+    """The state of a tool that undo, the next start and the copied command restore."""
 
     @property
     def state(self) -> Any:
-        """The state for undo; equal states count as one."""
+        """State that undo restores, compared with `==`."""
         return ()
 
     def restore(self, state: Any) -> None:
-        """Restores an earlier state."""
+        """Restores an earlier `state`."""
 
     @property
-    def kept(self) -> Any:
-        """What its user sees again at the next start of this scene, for JSON; None for nothing."""
+    def saved_state(self) -> Any:
+        """State to restore at the next start of the scene, for JSON, or None."""
         return None
 
-    def take_kept(self, kept: Any) -> None:
-        """Takes over what was kept, as far as it fits; raises TypeError or so where it does not."""
+    def restore_saved(self, state: Any) -> None:
+        """Restores a `saved_state`; a TypeError, ValueError or LookupError ignores it."""
 
     def render_words(self) -> list[str]:
-        """Arguments of `sero-mj render` that reproduce its changes in a picture."""
+        """Returns the arguments of `sero-mj render` that reproduce the tool's changes."""
         return []
 
 
-class Tool(PointerEvents, KeptState):
+class Tool(PointerEvents, ToolState):
     """A tool of one window or page; override the methods of the events it needs.
 
     Attributes:
-        order: of panels from top to bottom, and of priority for drags and keys. Those of sero-mj
-            have 10 to 90.
-        keys: what keys do: `Key`, or name of an action and text for the help.
-        shows_area: whether that is shown; users see it again at the next start.
+        order: position in the panel from top to bottom, and priority for drags and keys. The tools
+            of sero-mj have 5 to 90.
+        keys: action of each key: a `Key`, or the name of the action and a text for the help.
+        area: title of the area beside the image; empty for none.
     """
 
     order: ClassVar[int] = 100
@@ -176,8 +196,16 @@ class Tool(PointerEvents, KeptState):
     def __init__(self, shown: Shown) -> None:
         self.shown = shown
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        for old, new in _RENAMED.items():
+            if old in vars(cls) and not is_own_class(cls):
+                text = f"`{cls.__name__}.{old}` is now named `{new}`"
+                warnings.warn(text, DeprecationWarning, stacklevel=2)
+                setattr(cls, new, vars(cls)[old])
+
     def actions(self) -> Mapping[str, Action]:
-        """Actions of keys and menus, by the names in `keys`."""
+        """Returns the actions of keys and menus, by the names in `keys`."""
         return {}
 
     @property
@@ -185,17 +213,21 @@ class Tool(PointerEvents, KeptState):
         """Names of the actions that are switched on, which menus mark."""
         return ()
 
+    def help_rows(self) -> Sequence[Row]:
+        """Returns rows of input and effect for a column of the help; a heading has no effect."""
+        return ()
+
     # ---- frames
 
     def advance(self, passed: float) -> None:
-        """Acts before the world advances, `passed` s of real time after the last frame."""
+        """Called before the world advances, `passed` s of real time after the last frame."""
 
     def watch(self) -> None:
-        """Examines a new state, of a live source, a recording or a simulation."""
+        """Called for each new state of a live source, a recording or a simulation."""
 
     @property
-    def watches_closely(self) -> bool:
-        """Whether it needs states of recordings and simulations between frames, too."""
+    def needs_every_state(self) -> bool:
+        """Whether `watch` also needs the states of recordings and simulations between frames."""
         return False
 
     def lay_out(self, frame: Frame) -> None:
@@ -211,7 +243,7 @@ class Tool(PointerEvents, KeptState):
         """Builds the area of this tool beside the image, if `area` and `shows_area` are set."""
 
     def ongoing(self) -> Piece | None:
-        """Words over the picture while something goes on, and their mood; None for none."""
+        """Returns the text over the image while a recording or the like is in progress."""
         return None
 
     def ticks(self) -> Sequence[Tick]:
@@ -219,34 +251,34 @@ class Tool(PointerEvents, KeptState):
         return ()
 
     def next_message(self) -> tuple[str, bool] | None:
-        """A message about background work, and whether it is an error; None for none."""
+        """Returns a message about background work and whether it is an error, or None."""
         return None
 
     # ---- the program that has opened the view, see `sero_mj.view`
 
-    def hear(self, message: Any) -> None:
-        """Takes what that program sends it."""
+    def receive(self, message: Any) -> None:
+        """Called with each message from the program."""
 
-    def answer(self) -> Any:
-        """What it sends to that program, in every frame; None for nothing."""
+    def reply(self) -> Any:
+        """Returns a message to the program, or None; called after every frame."""
         return None
 
-    # ---- pictures
+    # ---- images
 
     @property
-    def takes_pictures(self) -> bool:
-        """Whether it takes pictures at this time: they are drawn in full, as without panels."""
+    def takes_images(self) -> bool:
+        """Whether frames are drawn in full quality and without panels, for `take_image`."""
         return False
 
-    def wants_picture(self, now: float) -> bool:
-        """Whether it takes the picture of this frame, at a time of `time.monotonic`, s."""
+    def wants_image(self, now: float) -> bool:
+        """Whether `take_image` gets this frame, at a time of `time.monotonic`, s."""
         return False
 
-    def take_picture(self, pixels: Pixels, now: float) -> None:
-        """Takes the picture of this frame, (height, width, 3), and its time, s."""
+    def take_image(self, pixels: Pixels, now: float) -> None:
+        """Receives the image of this frame, (height, width, 3), and its time, s."""
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
-        """The goal moved by the sticks of a gamepad: its name, it, and T_world_base (4, 4)."""
+        """Returns name, goal and T_world_base (4, 4) of the target that a gamepad moves."""
         return None
 
     def close(self) -> None:
@@ -256,10 +288,7 @@ class Tool(PointerEvents, KeptState):
 class Tools(Mapping[str, Tool]):
     """All tools of a window or page by name, in their order.
 
-    A failing tool of another package is logged, reported and removed; the others continue.
-
-    Args:
-        shown: the window or page.
+    If a tool of another package fails, the error is logged and reported, and the tool is removed.
     """
 
     def __init__(self, shown: Shown) -> None:
@@ -285,80 +314,79 @@ class Tools(Mapping[str, Tool]):
         except Exception as error:
             if is_own_class(kind) or isinstance(error, SeroError):
                 raise
-            log.exception("tool %s fails and is taken out", name)
+            log.exception("the tool %s has failed and is removed", name)
             self._tools.pop(name, None)
-            self._shown.say(f"{name} fails and is taken out: {error}", is_bad=True)
+            self._shown.say(f"the tool {name} has failed and is removed: {error}", is_bad=True)
 
     def call(self, tool: Tool, act: Callable[[Tool], Found]) -> Found | None:
-        """What one of them answers; None where it fails, and is taken out."""
+        """Returns the result of a call; None if the tool fails and is removed."""
         name = next((name for name, each in self._tools.items() if each is tool), "tool")
-        answer: Found | None = None
+        result: Found | None = None
         with self._guarding(name, type(tool)):
-            answer = act(tool)
-        return answer
+            result = act(tool)
+        return result
 
-    def ask(self, act: Callable[[Tool], Found]) -> list[Found]:
-        """The results of all tools, in their order."""
-        answers: list[Found] = []
+    def call_all(self, act: Callable[[Tool], Found]) -> list[Found]:
+        """Returns the results of all tools, in their order."""
+        results: list[Found] = []
         for name, tool in [*self._tools.items()]:
             with self._guarding(name, type(tool)):
-                answers.append(act(tool))
-        return answers
+                results.append(act(tool))
+        return results
 
     def first(self, act: Callable[[Tool], Found | None]) -> tuple[Tool, Found] | None:
+        """Returns the first tool whose result is not None, with its result."""
         for name, tool in [*self._tools.items()]:
             with self._guarding(name, type(tool)):
-                answer = act(tool)
-                if answer is not None:
-                    return tool, answer
+                result = act(tool)
+                if result is not None:
+                    return tool, result
         return None
 
     @property
     def areas(self) -> list[Tool]:
-        """The tools that show an area of their own."""
+        """The tools whose areas are shown."""
         return [tool for tool in self.values() if tool.area and tool.shows_area]
 
     @property
     def ticks(self) -> list[Tick]:
-        return [tick for ticks in self.ask(lambda tool: tool.ticks()) for tick in ticks]
+        return [tick for ticks in self.call_all(lambda tool: tool.ticks()) for tick in ticks]
 
     @property
     def ongoing(self) -> Piece | None:
-        """Words over the picture of what goes on, and their mood; None for none."""
         found = self.first(lambda tool: tool.ongoing())
         return None if found is None else found[1]
 
     @property
-    def takes_pictures(self) -> bool:
-        """Whether a tool takes pictures at this time."""
-        return any(self.ask(lambda tool: tool.takes_pictures))
+    def takes_images(self) -> bool:
+        return any(self.call_all(lambda tool: tool.takes_images))
 
-    def give_picture(self, draw: Callable[[], Pixels]) -> None:
-        """Gives the current picture to the tools that want it; draws it only for these."""
+    def distribute_image(self, draw: Callable[[], Pixels]) -> None:
+        """Passes the current image to the tools that want it; draws it only if one does."""
         now = time.monotonic()
-        wants = self.ask(lambda tool: tool if tool.wants_picture(now) else None)
-        wanting = [tool for tool in wants if tool is not None]
-        if wanting:
+        wanting = self.call_all(lambda tool: tool if tool.wants_image(now) else None)
+        if any(wanting):
             pixels = draw()
-            for each in wanting:
-                self.call(each, lambda tool: tool.take_picture(pixels, now))
+            for each in filter(None, wanting):
+                self.call(each, lambda tool: tool.take_image(pixels, now))
 
     @property
-    def kept(self) -> dict[str, Any]:
-        """What tools keep of the scene, by their names."""
-        found = {name: self.call(tool, lambda tool: tool.kept) for name, tool in self.items()}
-        return {name: kept for name, kept in found.items() if kept is not None}
+    def saved_state(self) -> dict[str, Any]:
+        found = {
+            name: self.call(tool, lambda tool: tool.saved_state) for name, tool in self.items()
+        }
+        return {name: state for name, state in found.items() if state is not None}
 
-    def take_kept(self, kept: Mapping[str, Any]) -> None:
-        """Hands tools what they have kept; what does not fit is left out."""
-        for name, of_tool in kept.items():
+    def restore_saved(self, states: Mapping[str, Any]) -> None:
+        """Restores the states of tools; those that do not fit are ignored."""
+        for name, state in states.items():
             with suppress(TypeError, ValueError, KeyError, AttributeError, IndexError):
                 if name in self:
-                    self[name].take_kept(of_tool)
+                    self[name].restore_saved(state)
 
 
 class DrawnTool:
-    """Lets a tool draw in every frame; one that fails is reported and removed."""
+    """A tool as a feature of decor; a tool that fails is reported and removed."""
 
     def __init__(self, tool: Tool, tools: Tools) -> None:
         self._tool, self._tools = tool, tools
@@ -372,11 +400,63 @@ class DrawnTool:
             self._tools.call(self._tool, lambda tool: tool.draw(frame))
 
 
+class Actions:
+    """The actions of a window or page and of its tools by name, and the keys that perform them.
+
+    An action or key of a tool whose name is taken is ignored, with a warning in the log.
+    """
+
+    def __init__(
+        self, own: Mapping[str, Action], tools: Tools, say: Callable[[str, bool], None]
+    ) -> None:
+        self._actions, self._tools, self._say = dict(own), tools, say
+        self._keys = {**VIEWER_KEYS, **MORE_KEYS, **{key: Key(f"switch_{key}") for key in KEYS}}
+        for name, tool in tools.items():
+            for action, act in (tools.call(tool, lambda tool: tool.actions()) or {}).items():
+                if action in self._actions:
+                    log.warning(
+                        "the action %s of the tool %s is ignored: the name is taken; "
+                        "rename it, for example to %s_%s", action, name, name, action,
+                    )  # fmt: skip
+                    continue
+                self._actions[action] = partial(self._act, tool, act)
+        for name, tool in tools.items():
+            for key, entry in tool.keys.items():
+                action = entry[0]
+                if key in self._keys:
+                    log.warning("the key %s of the tool %s is ignored: it is taken", key, name)
+                elif action not in self._actions:
+                    log.warning("the tool %s has the key %s, but no action %s", name, key, action)
+                self._keys.setdefault(key, Key(*entry))
+
+    def _act(self, tool: Tool, act: Action) -> str | None:
+        return self._tools.call(tool, lambda _: act())
+
+    def add(self, own: Mapping[str, Action]) -> None:
+        self._actions.update(own)
+
+    def press(self, key: str, *, is_repeat: bool = False) -> None:
+        """Performs the action of a key, if it has one."""
+        found = self._keys.get(key)
+        if found is not None and found.action in self._actions and found.repeats >= is_repeat:
+            self.perform(found.action)
+
+    def perform(self, action: str) -> None:
+        """Performs an action and shows its message or error."""
+        try:
+            message = self._actions[action]()
+        except SeroError as error:
+            self._say(str(error), True)
+            return
+        if message:
+            self._say(message, False)
+
+
 def tool_kinds() -> dict[str, type[Tool]]:
-    """All installed tools by name, in their order; logs those that cannot be loaded."""
+    """Returns all installed tools by name, in their order; logs those that cannot be loaded."""
     return dict(sorted(load_all(TOOLS, Tool).items(), key=lambda each: (each[1].order, each[0])))
 
 
 def tool_keys() -> dict[str, Key]:
-    """What keys do, of all tools in their order."""
+    """Returns the keys of all tools, in the order of the tools."""
     return {key: Key(*entry) for kind in tool_kinds().values() for key, entry in kind.keys.items()}

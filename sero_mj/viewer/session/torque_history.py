@@ -1,4 +1,4 @@
-"""History of the joints' commanded and measured torques, for the plots of live hosts."""
+"""`TorqueHistory`: commanded and measured torques of the joints, for plots."""
 
 from __future__ import annotations
 
@@ -18,31 +18,30 @@ from .binned_history import SHOWN, SPAN, BinnedHistory
 _GAP = 0.25  # minimum duration of a visible gap, s
 _MEASURED, _COMMANDED, _ERROR = range(3)
 _ROWS = {"torques": _MEASURED, "commanded_torques": _COMMANDED}
-ROWS = {**_ROWS, "torque_error": _ERROR}  # that are kept of every joint
+ROWS = {**_ROWS, "torque_error": _ERROR}  # of every joint
 
 
 class TorqueHistory:
     """The torques of all joints in the last seconds, see `BinnedHistory`.
 
-    Those of a live source are added by `add_packets`, all that have come between two frames,
-    everything else by `add`, with a sample for every frame or every few ms. When time goes back,
-    later samples are deleted.
+    `add_packets` adds all packets of live sources; `add` adds everything else, with one sample per
+    frame or every few ms. If time goes back, later samples are deleted.
 
     Args:
-        routes: those whose packets are added by `add_packets`.
-        kept: s that are kept.
+        routes: routes of the packets for `add_packets`.
+        span: duration of the history, s.
 
     Attributes:
-        until: the time, s, up to which torques are returned; the newest when None.
+        until: end of the returned torques, s; the newest sample if None.
     """
 
-    def __init__(self, world: WorldView, routes: Iterable[Route] = (), kept: float = SPAN) -> None:
+    def __init__(self, world: WorldView, routes: Iterable[Route] = (), span: float = SPAN) -> None:
         joints = len(world.joints.names)
         self.until: float | None = None
         self._world = world
         self._staleness = Staleness(world)
-        self._history = BinnedHistory((3, joints), kept)
-        # By source: where the torques of a packet go.
+        self._history = BinnedHistory((3, joints), span)
+        # Route, row and joints of the torques, by source.
         self._routes: dict[str, list[tuple[Route, int, slice]]] = {}
         self._by_packet = np.zeros((3, joints), bool)
         for route in routes:
@@ -52,7 +51,7 @@ class TorqueHistory:
                 self._by_packet[[row, _ERROR], owner.joints] = True
 
     def add(self, data: mujoco.MjData) -> None:
-        """Adds the torques at `data.time`, except those that packets bring."""
+        """Adds the torques at `data.time`, except those of `add_packets`."""
         history = self._history
         if data.time < history.newest - 1e-9:
             history.restart()
@@ -68,8 +67,9 @@ class TorqueHistory:
         """Adds the torques of packets, each at its arrival.
 
         Args:
-            data: the world's state before the last packet is applied; `data.time` is now.
-            now: on the clock of their arrivals, s.
+            data: state of the world before the last packet is applied; `data.time` is the current
+                time.
+            now: current time on the clock of the arrivals, s.
         """
         routes = self._routes.get(source)
         if routes is None:
@@ -85,7 +85,7 @@ class TorqueHistory:
             came[[row, _ERROR], joints] = True
         values[:, _ERROR] = values[:, _COMMANDED] - values[:, _MEASURED]
         values[:, ~came] = np.nan
-        if self._world.joints.is_largest.any():  # peaks between two pictures count as well
+        if self._world.joints.is_largest.any():  # peaks between two frames count as well
             for row in (_MEASURED, _COMMANDED):
                 size = np.fmax.reduce(np.abs(values[:, row]), axis=0)
                 self._world.joints.note_largest(size, IMPLAUSIBLE_FACTOR)
@@ -99,8 +99,7 @@ class TorqueHistory:
         """Returns the torques of a joint, oldest first.
 
         Args:
-            points: about as many are returned at most, two at least; each stands for the least or
-                the greatest value of its stretch of time.
+            points: see `BinnedHistory.until`.
 
         Returns:
             times (k,), s, relative to the newest (0 and below), and values (3, k): measured,
@@ -108,14 +107,11 @@ class TorqueHistory:
         """
         times, values = self._history.until(self.until, points, (slice(None), joint))
         times = times - times[-1:]
-        kept = times >= -SPAN
-        return times[kept], values[:, kept]
+        is_recent = times >= -SPAN
+        return times[is_recent], values[:, is_recent]
 
     def one(self, joint: int, key: str, points: int) -> tuple[Array, Array]:
-        """Returns a torque of a joint until `until`, oldest first.
-
-        Args:
-            key: one of `ROWS`.
+        """Returns a torque of a joint, one of `ROWS`, oldest first.
 
         Returns:
             times (k,), s, and values (k,), Nm or N, NaN for no data.
@@ -125,11 +121,11 @@ class TorqueHistory:
 
 
 def split_at_gaps(times: Array, values: Array) -> list[Ints]:
-    """Splits the samples of a line at gaps in the data.
+    """Returns the indices of the samples of each continuous piece of a line.
 
     Args:
-        times: (k,), s, rising.
-        values: (k,), NaN for no data; gaps shorter than `GAP` are ignored.
+        times: (k,), s, increasing.
+        values: (k,), NaN for no data; gaps shorter than `_GAP` are ignored.
     """
     there = np.isfinite(values).nonzero()[0]
     if not len(there):

@@ -1,4 +1,4 @@
-"""The user's settings of a view, as text for commands and links: camera, switches, selection."""
+"""`ViewState`: the user's settings of a view, as text for commands and links."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from ..image.switches import SWITCH_NAMES, apply_switches, find_joint, switches_
 from .clock import Clock
 
 _DECIMALS = 4  # of degrees and m
-_MAX_CHARACTERS = 200_000  # of a state as text; robots have a digit for each switch
+_MAX_CHARACTERS = 200_000  # of a state as text, which has a digit for each switch of each joint
 _MAX_TIME = 1e9  # s
 _CAMERA = ("type", "fixedcamid", "trackbodyid", "azimuth", "elevation", "distance")
 _SWITCHES = (*SWITCH_NAMES, "clicked")
 
 
 class _Text(BaseModel):
-    """A state as text; the parser limits how deep it can be nested."""
+    """A state as text; the parser limits its nesting."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -41,8 +41,9 @@ class ViewState(NamedTuple):
 
     Attributes:
         camera: in the format of `find_camera`; empty for the scene's own view.
-        switches: those that differ from the scene's, in the format of `apply_switches`.
-        time: displayed, s; None for live sources.
+        switches: switches that differ from the scene's, in the format of `apply_switches`.
+        joint: selected joint; empty for none.
+        time: displayed time, s; None for live sources.
     """
 
     camera: str = ""
@@ -51,7 +52,7 @@ class ViewState(NamedTuple):
     time: float | None = None
 
     def to_text(self) -> str:
-        """As JSON in one line, without what is as declared."""
+        """Returns one line of JSON without the defaults."""
         found = {
             name: value for name, value in self._asdict().items() if value not in ("", {}, None)
         }
@@ -59,7 +60,7 @@ class ViewState(NamedTuple):
 
     @classmethod
     def from_text(cls, text: str) -> ViewState:
-        """From JSON.
+        """Returns the view of a text from `to_text`.
 
         Raises:
             UsageError: the text is invalid.
@@ -74,19 +75,19 @@ class ViewState(NamedTuple):
             if isinstance(error, ValidationError):
                 first = error.errors(include_url=False, include_input=False)[0]
                 reason = ": ".join([*map(str, first["loc"]), first["msg"]])
-            raise UsageError(f"found no state of a view in {text[:60]!r}: {reason}") from None
+            raise UsageError(f"view: {text[:60]!r} is not a valid view: {reason}") from None
         return cls(state.camera, state.switches, state.joint, state.time)
 
 
 def view_state_of(
     world: WorldView, camera: mujoco.MjvCamera, toggles: Toggles, clock: Clock
 ) -> ViewState:
-    """The user's settings of a view."""
+    """Returns the user's current settings of a view."""
     return ViewState(
         camera_text(world, camera),
         switches_text(world, toggles),
         "" if toggles.selected is None else joint_name(world, toggles.selected),
-        None if clock.is_live else round(clock.time, 6),  # arrows turn with it
+        None if clock.is_live else round(clock.time, 6),  # arrows rotate with time
     )
 
 
@@ -103,41 +104,37 @@ def apply_state(
 ) -> tuple[mujoco.MjvCamera | None, int | None, list[str]]:
     """Applies a state to the switches of a world, as far as it fits.
 
-    Args:
-        world: the compiled scene, which may have changed since.
-        state: what was set.
-
     Returns:
-        its camera, None for the scene's view; the selected joint; and what does not fit.
+        the camera, None for the scene's view; the selected joint; and the errors.
     """
-    wrong: list[str] = []
+    errors: list[str] = []
     camera = None
     toggles.reset()
     for name, digits in state.switches.items():
         try:
             apply_switches(world, toggles, {name: digits})
         except SeroError as error:
-            wrong.append(str(error))
+            errors.append(str(error))
     if state.camera:
         try:
             camera = find_camera(world, state.camera)
         except SeroError as error:
-            wrong.append(str(error))
+            errors.append(str(error))
     toggles.selected = None
     if state.joint:
         try:
             toggles.selected = find_joint(world, state.joint)
         except SeroError as error:
-            wrong.append(str(error))
-    return camera, toggles.selected, wrong
+            errors.append(str(error))
+    return camera, toggles.selected, errors
 
 
 class ViewSnapshot(NamedTuple):
-    """The exact state of a view for undo; equal ones look the same.
+    """The exact state of a view for undo, compared with `==`.
 
     Attributes:
         camera: type, ids of camera and body, azimuth, elevation and distance.
-        lookat: (3,), m; None if the camera follows something.
+        lookat: (3,), m; None if the camera follows a frame.
     """
 
     camera: tuple[float, ...]
@@ -159,11 +156,11 @@ class ViewSnapshot(NamedTuple):
             setattr(camera, name, value)
         if self.lookat is not None:
             camera.lookat = self.lookat
-        for name, kept in zip(_SWITCHES, self.switches, strict=True):
+        for name, stored in zip(_SWITCHES, self.switches, strict=True):
             now = getattr(toggles, name)
             if isinstance(now, int):
-                (value,) = np.frombuffer(kept, np.asarray(now).dtype).tolist()
+                (value,) = np.frombuffer(stored, np.asarray(now).dtype).tolist()
                 setattr(toggles, name, value)
             else:
-                now[:] = np.frombuffer(kept, now.dtype)
+                now[:] = np.frombuffer(stored, now.dtype)
         toggles.selected = self.selected

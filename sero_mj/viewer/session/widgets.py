@@ -1,8 +1,8 @@
-"""`Widgets`: what panels are made of, the same in windows and on pages.
+"""`Widgets`: the widgets of panels, the same in windows and on pages.
 
-A window draws them with Dear ImGui, a page with HTML elements. A panel builds all its widgets anew
-in every frame; their methods return what the user changed. `##` and the rest of a label are not
-displayed, and distinguish widgets with the same label.
+Windows draw them with Dear ImGui, and pages with HTML elements. A panel builds all its widgets in
+every frame; the methods return what the user has changed. `##` and the rest of a label are not
+displayed and distinguish widgets with the same label.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ...base.frames import Array
 from .status_line import Mood
 
 Rgb = tuple[float, float, float]
-# Values that a slider marks, how, and what is shown while the value is near.
+# Marks of a slider: value, mood, and the text that is shown while the value is near.
 Ticks = Sequence[tuple[float, Mood, str]]
 
 
@@ -22,8 +22,8 @@ class PlotLine(NamedTuple):
     """A line of a plot.
 
     Attributes:
-        rgb: its colour, red, green and blue from 0 to 1, where the host can set it.
-        x: (k,), rising.
+        rgb: color, 0 to 1.
+        x: (k,), increasing.
         y: (k,), NaN for a gap.
     """
 
@@ -36,7 +36,7 @@ class PlotLine(NamedTuple):
 class Plot(NamedTuple):
     """A plot with its lines and the ranges of its axes.
 
-    `limits`: values of y that are marked, in the range or not.
+    `limits` are values of y that are marked if they are in the range.
     """
 
     x_unit: str
@@ -48,13 +48,12 @@ class Plot(NamedTuple):
 
 
 class Widgets(Protocol):
-    """What panels are made of; lengths are in units of the text's height.
+    """Builds the widgets of a panel; lengths are in units of the text height.
 
     Attributes:
-        points: of a line of a plot, at most, about.
-        interval: between two updates of a plot, s.
-        folds: sections that the user has folded or unfolded, by their scopes and labels: whether
-            each is unfolded.
+        points: approximate maximum number of points of a plotted line.
+        interval: time between two updates of a plot, s.
+        folds: whether each section that the user has opened or closed is open, by scopes and label.
     """
 
     points: int
@@ -72,22 +71,22 @@ class Widgets(Protocol):
     def title(self, words: str) -> None: ...
 
     def header(self, label: str, *, is_open: bool = False) -> bool:
-        """Begins a section that can be folded; returns whether it is unfolded.
+        """Begins a foldable section; returns whether it is open.
 
         Args:
-            is_open: whether it is unfolded as long as the user has said nothing, see `folds`.
+            is_open: whether it is open until the user opens or closes it, see `folds`.
         """
 
     def tree(self, label: str) -> bool:
-        """Begins a node of a tree; returns whether it is unfolded, which `end_tree` then ends."""
+        """Begins a node of a tree; returns whether it is open and must be ended by `end_tree`."""
 
     def end_tree(self) -> None: ...
 
     def table(self, name: str, widths: Sequence[float]) -> bool:
-        """Begins a table; returns whether it is seen, which `end_table` then ends.
+        """Begins a table; returns whether it is visible and must be ended by `end_table`.
 
         Args:
-            widths: of the columns; 0 for one that takes what is left, or its share of it.
+            widths: widths of the columns; 0 for a share of the remaining width.
         """
 
     def row(self) -> None: ...
@@ -104,37 +103,38 @@ class Widgets(Protocol):
         """Puts the next widget beside the last one.
 
         Args:
-            gap: distance from the last one; -1 for the usual.
+            left: left edge; 0 for beside the last widget.
+            gap: distance from the last widget; -1 for the default.
         """
 
     def width(self, width: float) -> None:
-        """Sets the width of the next widget; 0 for all that is left."""
+        """Sets the width of the next widget; 0 for all remaining width."""
 
     def tip(self, words: str) -> None: ...
 
     def disable(self, *, is_off: bool) -> None:
-        """Begins widgets that are greyed and take no input, if `is_off`; `enable` ends them."""
+        """Begins widgets that are grayed out if `is_off`, until `enable`."""
 
     def enable(self) -> None: ...
 
     def button(self, label: str, width: float = 0.0) -> bool:
-        """Builds a button; returns whether it was pressed."""
+        """Returns whether the button was pressed."""
 
     def select(self, label: str, *, is_lit: bool) -> bool:
-        """Builds a text that can be clicked on; returns whether it was."""
+        """Builds a text that can be clicked; returns whether it was clicked."""
 
     def search(self, label: str, text: str, hint: str) -> str:
-        """Builds a field for a text; returns what is in it.
+        """Builds a text field; returns its text.
 
         Args:
-            hint: what it shows while it is empty.
+            hint: text that is shown while the field is empty.
         """
 
     def check(self, label: str, is_on: bool) -> tuple[bool, bool]:
         """Builds a check box; returns whether it was changed, and whether it is on."""
 
     def choose(self, label: str, index: int, names: Sequence[str]) -> tuple[bool, int]:
-        """Builds a list to choose from; returns whether it was changed, and the chosen index."""
+        """Builds a drop-down list; returns whether the choice was changed, and its index."""
 
     def slide(
         self, label: str, value: float, low: float, high: float, text: str, ticks: Ticks = ()
@@ -142,14 +142,13 @@ class Widgets(Protocol):
         """Builds a slider; returns whether it was moved, and its value.
 
         Args:
-            text: printf's format of the value, `%.1f deg`; empty to show none.
-            ticks: values that are marked, how, and what is told while the value is near.
+            text: printf format of the value, such as `%.1f deg`; empty for none.
         """
 
     def plot(self, plot: Plot, height: float) -> None: ...
 
     def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
-        """Builds a field for a number; returns whether one was typed to the end, and it."""
+        """Builds a number field; returns whether a number was entered, and the number."""
 
     def lines(self, label: str, text: str, count: int) -> None: ...
 

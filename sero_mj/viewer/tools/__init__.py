@@ -1,7 +1,6 @@
-"""Tools that need no simulation: what pointer and keys do to robots and to time.
+"""Tools that need no simulation: jogging, undo, recording, images and plots.
 
-In: a host's events and its world. Out: poses, pushes and targets of robots; the past of what is
-live kept; changes undone.
-Open first: `jogging.py` (robots without data) and `undo.py`; all are entry points in the group
-`sero_mj.tools`, see `session.tool`.
+In: a window or page, and its events. Out: poses of robots, recordings and images.
+Open first: `jogging.py` (robots without data), `model_view.py` (a short panel) and
+`../session/tool.py` (the base class). All tools are entry points in the group `sero_mj.tools`.
 """

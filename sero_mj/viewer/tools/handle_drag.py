@@ -1,4 +1,4 @@
-"""Dragging a frame by its handles: what a move of the pointer makes of its pose."""
+"""The pose of a frame whose handle is dragged."""
 
 from __future__ import annotations
 
@@ -9,21 +9,23 @@ from ..decor.handles import CUBE, ring_radius
 from ..decor.image_view import ImageView
 from ..image.picking import Pixel
 
-_EDGE_ON = 0.2  # of a ring's axis along the line of sight; below it the ring is seen from the side
-_HEAD_ON = 0.05  # of 1 - the same for an arrow; below it the arrow points at the camera
+_EDGE_ON = 0.2  # |axis . line of sight| of a ring; below this it appears as a line
+_HEAD_ON = (
+    0.05  # sin^2 of the angle between an arrow and the line of sight; below this it is ignored
+)
 
 
 def dragged(pose: Array, handle: int, view: ImageView, begin: Pixel, now: Pixel) -> Array:
-    """Returns the pose of a frame whose handle the pointer has dragged.
+    """Returns the pose (4, 4) of a frame whose handle was dragged from one pixel to another.
 
-    An arrow moves it by what the point of its axis nearest to the line of sight moves; a ring turns
-    it by the angle about its centre, in its plane, or where that is seen from the side by the way
-    along its edge; the cube moves it in the plane of the picture.
+    An arrow moves the frame along its axis, to the point nearest to the line of sight. A ring
+    rotates the frame about its axis: by the angle in its plane, or, if it appears as a line, by the
+    distance along that line. The cube moves the frame parallel to the image plane.
     """
     found = pose.copy()
     origin = pose[:3, 3]
     if handle == CUBE:
-        there, then = (_in_picture(view, origin, pixel) for pixel in (now, begin))
+        there, then = (_in_image(view, origin, pixel) for pixel in (now, begin))
         found[:3, 3] += there - then
     elif handle < 3:
         axis = pose[:3, handle]
@@ -40,7 +42,7 @@ def _ray(view: ImageView, pixel: Pixel) -> Array:
     return np.asarray(ray / np.linalg.norm(ray))
 
 
-def _in_picture(view: ImageView, origin: Array, pixel: Pixel) -> Array:
+def _in_image(view: ImageView, origin: Array, pixel: Pixel) -> Array:
     ray = view.at(np.array(pixel, float), 1.0)
     return target_of(view.position, view.forward, origin, ray)
 
@@ -51,16 +53,16 @@ def _along(view: ImageView, origin: Array, axis: Array, pixel: Pixel) -> float:
     apart = 1.0 - across**2
     if apart < _HEAD_ON:
         return 0.0
-    way = view.position - origin
-    return float((way @ axis - across * (way @ ray)) / apart)
+    offset = view.position - origin
+    return float((offset @ axis - across * (offset @ ray)) / apart)
 
 
 def _about(view: ImageView, origin: Array, axis: Array, begin: Pixel, now: Pixel) -> float:
     sight = (origin - view.position) / np.linalg.norm(origin - view.position)
     if abs(float(sight @ axis)) < _EDGE_ON:
-        # The nearer side of the ring goes along this line of the picture.
+        # The near side of the ring moves along this line of the image.
         along = np.cross(axis, -sight)
-        moved = _in_picture(view, origin, now) - _in_picture(view, origin, begin)
+        moved = _in_image(view, origin, now) - _in_image(view, origin, begin)
         return float(moved @ along) / ring_radius(origin, view)
     arms = []
     for pixel in (begin, now):
@@ -79,10 +81,11 @@ def _rotation(axis: Array, angle: float) -> Array:
 
 
 def target_of(eye: Array, forward: Array, point: Array, ray: Array) -> Array:
-    """Returns where a ray meets the plane through a point that is parallel to the picture.
+    """Returns the point where a ray meets the plane through `point` parallel to the image plane.
 
     Args:
-        point: of the plane, (3,), m.
+        eye: position of the camera, (3,), m.
+        ray: another point of the ray, (3,), m.
     """
     depth = (point - eye) @ forward
     return eye + (ray - eye) * (depth / ((ray - eye) @ forward))

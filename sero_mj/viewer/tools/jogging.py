@@ -1,7 +1,7 @@
-"""`Jogging`: moves robots by hand that nothing else moves, and shows what their joints then hold.
+"""`Jogging`: moves robots that have no data, by sliders, typed poses and dragged links.
 
-By sliders, typed poses and dragged links. Shown angles go to the wanted ones smoothly. Where no
-torques are received either, those that hold the robot against gravity are shown, by its model.
+The displayed angles approach the requested ones smoothly. If no torques are received either, the
+torques that hold the robot against gravity are computed from its model and displayed.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from ..session.tool import Grab, Shown, Tool
 from ..session.widgets import Widgets
 from .handle_drag import target_of
 
-_TIME = 0.04  # s, in which 63 % of the way is made
-_LED = 1.0  # s: a program that sets angles again within this time leads the robot
+_TIME = 0.04  # time constant of the approach, s
+_LED = 1.0  # s; a program that sets angles at shorter intervals controls the robot
 
 
 class Jogging(Tool):
     """The robots of a mirror that are moved by hand.
 
     Attributes:
-        goals: where the robots are wanted, by name; empty where all have data.
+        goals: goals of the robots without data, by name.
     """
 
     order: ClassVar[int] = 20
@@ -46,12 +46,14 @@ class Jogging(Tool):
             name: JointGoal(part.robot, data.qpos[part.qpos]) for name, part in parts.items()
         }
         self._written = {name: self._shown(name) for name in self.goals}
-        self._since = dict.fromkeys(self.goals, np.inf)  # s, since something else set their angles
+        self._since = dict.fromkeys(self.goals, np.inf)  # s since a program has set their angles
         self._fastest = {
             name: undeclared_speeds(goal.robot, "shown") for name, goal in self.goals.items()
         }
         self.held = HeldTorques(mirror, shown.toggles)
-        self._dragged: tuple[str, int, Array] | None = None  # robot, link, point in its frame
+        self._dragged: tuple[str, int, Array] | None = (
+            None  # robot, link, point in the frame of the link
+        )
         self._at: Pixel = (0.0, 0.0)
         self._panel = JogPanel(world, self.goals, self.base)
 
@@ -63,20 +65,19 @@ class Jogging(Tool):
         return self._dragged is not None
 
     def base(self, name: str) -> Array:
-        """T_world_base (4, 4) of a robot as it is shown."""
+        """Returns T_world_base (4, 4) of a displayed robot."""
         world = self._mirror.world
         return world.frame(self._mirror.data, world.robots[name].base_name)
 
     def advance(self, passed: float) -> None:
-        """Moves what is shown towards what is wanted, for so many s; before the mirror does."""
         data, world = self._mirror.data, self._mirror.world
         for name, goal in self.goals.items():
             shown = self._shown(name)
             self._since[name] += passed
             is_recent = self._since[name] < _LED
             if not np.array_equal(shown, self._written[name]):
-                goal.follow(shown)  # a program has set them, or a reset
-                goal.is_led = is_recent  # a reset comes alone
+                goal.follow(shown)  # a program or a reset has set the angles
+                goal.is_led = is_recent  # false after a single reset
                 self._since[name] = 0.0
             elif not is_recent:
                 goal.is_led = False
@@ -98,7 +99,7 @@ class Jogging(Tool):
         self._dragged = (name, link, rotation.T @ (point - data.xpos[body]))
         self._at = at
         self.goals[name].hold_posture()
-        return Grab(f"moves {frame_name}")
+        return Grab(f"moving {frame_name}")
 
     def announce(self, at: Pixel) -> Grab | None:
         found = self._found(at)
@@ -148,7 +149,6 @@ class Jogging(Tool):
         set_goals(self.goals, state)
 
     def render_words(self) -> list[str]:
-        """Angles that differ from the declared ones, and torques of the model."""
         words: list[str] = []
         for name, goal in self.goals.items():
             if not np.array_equal(goal.angles, goal.robot.home):
@@ -168,14 +168,14 @@ class Jogging(Tool):
 
 
 def approached(shown: Array, wanted: Array, passed: float, fastest: Array) -> Array:
-    """Returns angles that go to the wanted ones smoothly, and are then equal to them."""
-    way = wanted - shown
-    step = np.clip(way * (1.0 - np.exp(-passed / _TIME)), -fastest * passed, fastest * passed)
-    return np.asarray(np.where(np.abs(way) < 1e-5, wanted, shown + step))
+    """Returns the next displayed angles; they equal the requested ones in the end."""
+    error = wanted - shown
+    step = np.clip(error * (1.0 - np.exp(-passed / _TIME)), -fastest * passed, fastest * passed)
+    return np.asarray(np.where(np.abs(error) < 1e-5, wanted, shown + step))
 
 
 def link_number(robot: SerialRobot, label: str) -> int:
-    """Returns the index of the link that a frame of a robot is on: `base`, `link3`, `flange`."""
+    """Returns the index of the link of a frame: `base`, `link3` or `flange`."""
     if label == "base":
         return 0
     if label == "flange":

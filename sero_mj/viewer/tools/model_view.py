@@ -1,4 +1,4 @@
-"""`ModelView`: contacts, inertias, joints and names of the model, and how it is drawn."""
+"""`ModelView`: switches for how the model is drawn: contacts, inertias, joints, names."""
 
 from __future__ import annotations
 
@@ -8,27 +8,32 @@ from ..decor.toggles import PART_NAMES
 from ..session.tool import Tool
 from ..session.widgets import Widgets
 
-_SECOND = 8.6  # where a second widget of a line begins, of the text's height
-_WIDTH = 8.6  # of the list
-# Switch, words, and what they mean.
+# Lengths in units of the text height.
+_SECOND = 8.6  # left edge of the second widget of a line
+_WIDTH = 8.6  # of the drop-down list
+# Switch, label and tooltip.
 _LINES = (
     (
-        ("contacts", "contacts", "where geoms touch; with the forces, where they are known"),
-        ("inertias", "inertias", "boxes of the same mass and inertia; best seen with transparent"),
+        ("contacts", "contacts", "contact points, with their forces if these are known"),
+        (
+            "inertias",
+            "inertias",
+            "boxes of equal mass and inertia; turn on transparent to see them",
+        ),
     ),
     (
-        ("joint_axes", "joints", "the model's joints and their axes"),
-        ("centres_of_mass", "centres of mass", "of every robot or object that moves on its own"),
+        ("joint_axes", "joints", "joints of the model and their axes"),
+        ("centres_of_mass", "centers of mass", "center of mass of each robot or free object"),
     ),
     (
-        ("transparent", "transparent", "of what moves"),
-        ("wireframe", "wireframe", "edges of the triangles that surfaces are made of"),
+        ("transparent", "transparent", "draw moving bodies transparently"),
+        ("wireframe", "wireframe", "edges of the triangles"),
     ),
 )
 
 
 class ModelView(Tool):
-    """The section Model of the panel; its switches are in `Toggles`, as all others are."""
+    """The section Model of the panel; its switches are part of `Toggles`."""
 
     order: ClassVar[int] = 75
 

@@ -1,4 +1,4 @@
-"""`Plots`: torques of the selected joint, and any other signals, over the last seconds."""
+"""`Plots`: plots the torques of the selected joint and other signals over the last seconds."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from ...base.frames import Array
 from ...data.receive.mailbox import Packets
 from ..panels.signal_plots import SignalPlots
 from ..panels.torque_plots import TorquePlots
-from ..session import live_history
 from ..session.binned_history import SPAN
+from ..session.clock import HISTORY_SPAN
 from ..session.keys import Key
 from ..session.signals import PlotSignal, PlotSignals
 from ..session.tool import Action, Shown, Tool
@@ -18,29 +18,32 @@ from ..session.torque_history import TorqueHistory
 from ..session.widgets import Widgets
 
 _AREA = "Plots"
-_FEWEST_ABOVE = 12.0  # height of the torques above other plots, of the text's height
-_SHARE = 0.4  # of the height, for these
+_MIN_TORQUES = 12.0  # minimum height of the torques above other plots, in text heights
+_SHARE = 0.4  # of the height, for the torques
 
 
 class Plots(Tool):
-    """The key p."""
+    """Shows and hides the plots with the key p."""
 
     order: ClassVar[int] = 15
-    keys: ClassVar[Mapping[str, Key]] = {"p": Key("plot", "torques of the selected joint, signals")}
+    keys: ClassVar[Mapping[str, Key]] = {
+        "p": Key("plot", "plots of the selected joint and of signals")
+    }
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
         mirror, clock = shown.mirror, shown.clock
-        # Live sources receive packets between frames; otherwise the clock provides samples.
-        kept = SPAN + live_history.SPAN if clock.is_live and clock.can_go_back else SPAN
+        # Packets of live sources arrive between frames; for other sources, the clock provides
+        # samples.
+        span = SPAN + HISTORY_SPAN if clock.is_live and clock.can_go_back else SPAN
         routes = mirror.routes if mirror.is_live else ()
-        self.history = TorqueHistory(shown.world, routes, kept)
+        self.history = TorqueHistory(shown.world, routes, span)
         self.signals = PlotSignals(mirror, self.history)
         self.plots = SignalPlots(self.signals)
         self._has_joints = self.shows_torques = bool(shown.world.joints.names)
         self.area = _AREA if self.signals.groups else ""
         if mirror.is_live:
-            mirror.listen(self._hear, to_all=True)
+            mirror.listen(self._on_packets, to_all=True)
         self._torques: TorquePlots | None = None
 
     def actions(self) -> Mapping[str, Action]:
@@ -48,29 +51,29 @@ class Plots(Tool):
 
     def _toggle(self) -> str:
         self.shows_area = not self.shows_area
-        return "" if self.area else "nothing to plot"
+        return "" if self.area else "this scene has no signals to plot"
 
     @property
     def active(self) -> Collection[str]:
         return ["plot"] if self.shows_area else []
 
     @property
-    def watches_closely(self) -> bool:
+    def needs_every_state(self) -> bool:
         return bool(self.area and self.shows_area)
 
     def watch(self) -> None:
         self.history.add(self.shown.data)
         self.signals.watch()
 
-    def _hear(self, source: str, packets: Packets) -> None:
+    def _on_packets(self, source: str, packets: Packets) -> None:
         now = self.shown.mirror.sources[source].now()
         self.history.add_packets(self.shown.data, source, packets, now)
 
-    def hear(self, message: Mapping[str, Array]) -> None:
-        """Takes samples of the program, see `session/signals.py`."""
+    def receive(self, message: Mapping[str, Array]) -> None:
+        """Adds samples of the program, see `PlotSignals.add_program`."""
         if not self.shown.clock.is_live and self.shown.clock.is_paused:
-            return  # there is no time to plot them over
-        new = self.signals.hear_program(message)
+            return  # time does not advance
+        new = self.signals.add_program(message)
         if new:
             self.area, self.shows_area = _AREA, True
         for signal in new:
@@ -83,7 +86,7 @@ class Plots(Tool):
         if self._has_joints and self.plots.shown:
             _, self.shows_torques = ui.check("torques of the joint", self.shows_torques)
         if self.signals.follow(self.plots.wanted):
-            self.shown.clock.look_back()
+            self.shown.clock.replay_past()
         clock = self.shown.clock
         self.history.until = clock.time if clock.is_past else None
         if self._has_joints and (self.shows_torques or not self.plots.shown):
@@ -96,7 +99,7 @@ class Plots(Tool):
             self._torques = TorquePlots(shown.world, ui.points, ui.interval)
         height = float("inf")
         if self.plots.shown:
-            height = max(_SHARE * ui.room()[1], _FEWEST_ABOVE)
+            height = max(_SHARE * ui.room()[1], _MIN_TORQUES)
         joint = self._torques.build(ui, self.history, shown.joint, height)
         if joint != shown.joint:
             shown.select(joint)
@@ -110,15 +113,14 @@ class Plots(Tool):
         self.plots.shown = [[*lines] for lines in state[1]]
 
     @property
-    def kept(self) -> Any:
+    def saved_state(self) -> Any:
         if not self.plots.shown:
             return None
         plots = [[[*signal] for signal in lines] for lines in self.plots.shown]
         return {"torques": self.shows_torques, "plots": plots}
 
-    def take_kept(self, kept: Any) -> None:
-        """Plots that again, as far as there are such signals, or a program may have them."""
-        plots = [[PlotSignal(*map(str, signal)) for signal in lines] for lines in kept["plots"]]
+    def restore_saved(self, state: Any) -> None:
+        plots = [[PlotSignal(*map(str, signal)) for signal in lines] for lines in state["plots"]]
         known = [[each for each in lines if self.signals.may_have(each)] for lines in plots]
         self.plots.shown = [lines for lines in known if lines]
-        self.shows_torques = bool(kept["torques"])
+        self.shows_torques = bool(state["torques"])

@@ -1,4 +1,4 @@
-"""`RollingRecorder`: keeps what live sources sent in the last minute: recording, page and film."""
+"""`RollingRecorder`: saves the last minute of live sources as a recording, page and video."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from ...data.drive.record_sources import record_last
 from ...data.record.triggered_recorder import RecordedEvent
 from ..session.background_exports import BackgroundExports
 from ..session.capture import unused_name
-from ..session.live_history import SPAN
+from ..session.clock import HISTORY_SPAN
 from ..session.tool import Action, Shown, Tool
 
 log = logging.getLogger(__name__)
 
-_SIGNALS_RATE = 100.0  # Hz of decoded values: of a minute they would take seconds at more
+_SIGNALS_RATE = 100.0  # decoded values per second, so that a minute is decoded quickly
 
 
 class RollingRecorder(Tool):
-    """Remembers the packets of a mirror's live sources, and writes those of the last minute.
+    """Stores the packets of live sources in memory, and writes those of the last minute.
 
     Attributes:
-        finishes_films: whether `close` waits for the pages and films that are not finished.
+        finishes_videos: whether `close` waits for unfinished pages and videos.
     """
 
-    order: ClassVar[int] = 25  # before what is pulled is kept
+    order: ClassVar[int] = 25  # before the tool that saves pulls
     keys: ClassVar[Mapping[str, tuple[str, str]]] = {
-        "k": ("keep", "keep the last minute of what is live, or what was pushed")
+        "k": ("keep", "save the last minute of live data, or the pushes of a simulation")
     }
-    finishes_films = False
+    finishes_videos = False
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
         mirror = self._mirror = shown.mirror
         self._stack = ExitStack()
-        self._said: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
+        self._messages: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
         self._exports = BackgroundExports()
-        self._paths: deque[Path] = deque()  # of recordings that are to be written
+        self._paths: deque[Path] = deque()  # recordings to be written
         self._view: Sequence[str] = ()
         live = {name: each for name, each in mirror.sources.items() if each.is_live}
         self.is_on = bool(live)
@@ -52,43 +52,46 @@ class RollingRecorder(Tool):
             return
         self._recorder = self._stack.enter_context(
             record_last(
-                live, lambda *_: self._paths.popleft(), mirror.world.scene, SPAN, _SIGNALS_RATE
+                live,
+                lambda *_: self._paths.popleft(),
+                mirror.world.scene,
+                HISTORY_SPAN,
+                _SIGNALS_RATE,
             )
         )
         self._recorder.on_event = self._on_event
 
     def actions(self) -> Mapping[str, Action]:
-        return {"keep": self._keep} if self.is_on else {}
+        return {"keep": self._save} if self.is_on else {}
 
-    def _keep(self) -> str:
+    def _save(self) -> str:
         if self._recorder.error is not None:
-            raise SeroError(f"nothing is kept any more: {self._recorder.error}")
+            raise SeroError(f"the recorder has stopped: {self._recorder.error}")
         if not self._recorder.statistics.packets:
-            return "nothing has come yet that could be kept"
+            return "no packets have been received yet"
         name, folder = self._mirror.world.scene.name, self.shown.folder or Path()
         path = unused_name(folder, name, ".mcap", datetime.now())
         self._paths.append(path)
         self._view = self.shown.render_words()
-        self._recorder.record_now("kept by hand")
-        return f"keeps the last minute: {path.name}"
+        self._recorder.record_now("saved by the user")
+        return f"saving the last minute: {path.name}"
 
     def _on_event(self, event: RecordedEvent) -> None:
         if math.isnan(event.ended):
             return
-        text = f"kept {event.ended - event.began:.1f} s: {event.path.name}"
+        text = f"saved {event.ended - event.began:.1f} s: {event.path.name}"
         before = self._exports.add_page(event.path)
         if self._mirror.world.scene.file is not None:
             seconds = max(event.ended - event.began, 0.1)
             words = [*self._view, "--replay", str(event.path), "--duration", f"{seconds:.2f}"]
             self._exports.add(["render", *words], event.path.with_suffix(".mp4"))
-        text += "; its page is made" + f" after {before} more" * bool(before)
-        self._said.put((text, False))
+        text += "; creating its page" + f" after {before} other files" * bool(before)
+        self._messages.put((text, False))
 
     def next_message(self) -> tuple[str, bool] | None:
-        return self._exports.advance() or (None if self._said.empty() else self._said.get())
+        return self._exports.advance() or (None if self._messages.empty() else self._messages.get())
 
     def close(self) -> None:
-        """Ends it, after recordings are complete, and pages and films, see `finishes_films`."""
         self._stack.close()
         if self.is_on:
-            self._exports.close(finish=self.finishes_films)
+            self._exports.close(finish=self.finishes_videos)

@@ -1,4 +1,4 @@
-"""`UndoTool`: takes back what a user has changed, and does it again."""
+"""`UndoTool`: undoes and redoes the user's changes of a view."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ..session.view_state import ViewSnapshot
 
 State = TypeVar("State")
 
-_RESTS = 0.3  # s without a change after which what was changed is one step
-_MOST = 200
+_PAUSE = 0.3  # s; changes without a longer pause are one step
+_MAX_STEPS = 200
 
 
 class Undo(Generic[State]):
-    """Watches a state from frame to frame; what changes without a rest is one step."""
+    """Watches a state in every frame; changes without a pause are one step."""
 
     def __init__(self, read: Callable[[], State], write: Callable[[State], None]) -> None:
         self._read, self._write = read, write
         self._past: list[State] = []
         self._future: list[State] = []
-        self._kept = self._seen = read()  # that a step leads back to, and that of the last frame
+        self._base = self._last = read()  # state of the last step, and of the last frame
         self._changed = float("-inf")
 
     @property
@@ -32,62 +32,61 @@ class Undo(Generic[State]):
 
     @property
     def is_settled(self) -> bool:
-        return self._read() == self._kept
+        return self._read() == self._base
 
     def watch(self, now: float | None = None) -> None:
-        """Looks at the state; call it in every frame."""
         now = time.monotonic() if now is None else now
         state = self._read()
-        if state != self._seen:
-            self._seen, self._changed = state, now
-        elif state != self._kept and now - self._changed > _RESTS:
+        if state != self._last:
+            self._last, self._changed = state, now
+        elif state != self._base and now - self._changed > _PAUSE:
             self._settle()
 
     def _settle(self) -> None:
-        if self._seen != self._kept:
-            self._past.append(self._kept)
-            del self._past[:-_MOST]
+        if self._last != self._base:
+            self._past.append(self._base)
+            del self._past[:-_MAX_STEPS]
             self._future.clear()
-            self._kept = self._seen
+            self._base = self._last
 
     def undo(self) -> str:
-        """Takes the last step back; returns what to tell the user."""
-        self._seen = self._read()
+        """Reverts the last step; returns a message for the user."""
+        self._last = self._read()
         self._settle()
         done = self._step(self._past, self._future)
-        return "undone; Ctrl+Y does it again" if done else "nothing to undo"
+        return "undone; Ctrl+Y redoes it" if done else "nothing to undo"
 
     def redo(self) -> str:
-        """Does again what was undone; returns what to tell the user."""
-        self._seen = self._read()
+        """Repeats the step that was undone; returns a message for the user."""
+        self._last = self._read()
         self._settle()
-        return "done again" if self._step(self._future, self._past) else "nothing to do again"
+        return "redone" if self._step(self._future, self._past) else "nothing to redo"
 
     def _step(self, source: list[State], target: list[State]) -> bool:
         if not source:
             return False
-        target.append(self._kept)
+        target.append(self._base)
         self._write(source.pop())
-        self._kept = self._seen = self._read()
+        self._base = self._last = self._read()
         return True
 
 
 class UndoTool(Tool):
-    """Ctrl+Z and Ctrl+Y: for camera, switches, selection, and the state of other tools."""
+    """Ctrl+Z and Ctrl+Y: undo and redo of camera, switches, selection and states of tools."""
 
     order: ClassVar[int] = 80
     keys: ClassVar[Mapping[str, tuple[str, str]]] = {
-        "ctrl+z": ("undo", "undo: switches, camera, selection; Ctrl+Y redo"),
+        "ctrl+z": ("undo", "undo switches, camera and selection; Ctrl+Y redo"),
         "ctrl+y": ("redo", ""),
     }
 
     def actions(self) -> Mapping[str, Action]:
-        return {"undo": self._take_back, "redo": self._do_again}
+        return {"undo": self._undo, "redo": self._redo}
 
-    def _take_back(self) -> str:
+    def _undo(self) -> str:
         return self.undo.undo()
 
-    def _do_again(self) -> str:
+    def _redo(self) -> str:
         return self.undo.redo()
 
     @cached_property
@@ -105,8 +104,8 @@ class UndoTool(Tool):
             name: shown.tools.call(tool, lambda tool: tool.state) for name, tool in others
         }
 
-    def _write(self, kept: tuple[ViewSnapshot, dict[str, Any]]) -> None:
-        view, of_tools = kept
+    def _write(self, states: tuple[ViewSnapshot, dict[str, Any]]) -> None:
+        view, of_tools = states
         view.show(self.shown.view_camera, self.shown.toggles)
         tools = self.shown.tools
         for name, state in of_tools.items():

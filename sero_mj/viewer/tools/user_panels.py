@@ -1,6 +1,6 @@
-"""`UserPanelsTool`: shows the widgets that the program of a viewer has added to it.
+"""`UserPanelsTool`: shows the widgets of the program that has opened the viewer.
 
-Their other side is `program/panels.py`, which says what is sent.
+`program/panels.py` is the side of the program.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ..session.widgets import Widgets
 
 
 class UserPanelsTool(Tool):
-    """A section of the panel for each panel of the program."""
+    """Adds one section to the panel for each panel of the program."""
 
     order: ClassVar[int] = 10
 
@@ -24,14 +24,14 @@ class UserPanelsTool(Tool):
         self._placed: dict[Place, WidgetState] = {}
         self._changes: dict[Place, tuple[Any, int]] = {}
 
-    def hear(self, message: Mapping[Place, WidgetState | None]) -> None:
+    def receive(self, message: Mapping[Place, WidgetState | None]) -> None:
         if not self._placed:
             self.shown.shows_panel = True
         now = {**self._placed, **message}
         there = [(place, placed) for place, placed in now.items() if placed is not None]
         self._placed = dict(sorted(there, key=lambda each: each[1].order))
 
-    def answer(self) -> dict[Place, tuple[Any, int]] | None:
+    def reply(self) -> dict[Place, tuple[Any, int]] | None:
         changes, self._changes = self._changes, {}
         return changes or None
 

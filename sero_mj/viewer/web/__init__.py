@@ -1,7 +1,7 @@
-"""The live page: the player of `viewer/player` in browsers, fed by a server of this process.
+"""The live page: browsers run the player of `viewer/player`, and this process serves it.
 
-In: a world that is shown, and its clock. Out: a page on a port; clicks and keys, as in a window.
-Open first: `host.py`. `page_state.py` and `page_panels.py` put what browsers show into
-`sections.py`, `page_input.py` takes their messages, `browsers.py` and `server.py` talk to them,
-and `guard.py` refuses strangers. `start_host.py` serves the start page.
+In: a mirror and its clock. Out: a page on a port, and the user's actions as in a window.
+Open first: `host.py`. `page_state.py` and `page_panels.py` fill `sections.py` with the displayed
+state, `page_input.py` handles messages of browsers, `browsers.py` and `server.py` communicate with
+them, and `guard.py` controls access. `start_host.py` serves the start page.
 """

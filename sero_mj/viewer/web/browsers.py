@@ -1,4 +1,4 @@
-"""`Browsers`: all browsers that show a page, of which one has control."""
+"""`Browsers`: all browsers that show a page; one of them has control."""
 
 from __future__ import annotations
 
@@ -16,42 +16,51 @@ from websockets.exceptions import ConnectionClosed
 from websockets.protocol import State
 
 from .guard import is_local, same_text
-from .messages import MAX_BYTES, Control, Got, Left, MessageReader, MessageSender, PageSize, Said
+from .messages import (
+    MAX_BYTES,
+    Control,
+    Got,
+    Left,
+    MessageReader,
+    MessageSender,
+    PageSize,
+    Received,
+)
 from .sections import Sections, message_of
 
-# Messages on the way to a browser: with more, a slow one would lag behind.
-_MOST_AHEAD = 3
-_MOST_SAID = 2000  # messages that wait to be taken; the next ones wait in their connections
-_MOST_BROWSERS = 64
-_MOST_PER_SECOND = 1000  # messages of a browser; it sends some 150 while a mouse is dragged
-_PAUSE = 0.02  # s, between two looks whether there is room for another message
+# Messages that a browser has not acknowledged; with more, a slow browser would lag behind.
+_MAX_PENDING = 3
+_MAX_QUEUED = 2000  # received messages; more wait in their connections
+_MAX_BROWSERS = 64
+_MAX_PER_SECOND = 1000  # messages of a browser; it sends about 150 during a drag
+_PAUSE = 0.02  # s between checks for space in the queue
 _TOO_BIG, _TRY_LATER = 1009, 1013  # codes of closed websockets
 
 
 class Browsers:
-    """The browsers of a page; used by the server's thread and by that of the page.
+    """The browsers of a page; used by the server's thread and by the page's thread.
 
     Args:
-        sections: the state that they are sent.
-        kinds: the messages that they may send, see `MessageReader`.
+        sections: state of the page.
+        kinds: accepted messages, see `MessageReader`.
 
     Attributes:
-        sent: number of states that were sent to any of them.
+        sent: number of states that were sent to all browsers.
         refused: number of messages that were malformed, or came from a browser without control.
     """
 
     def __init__(self, sections: Sections, kinds: Any) -> None:
         self._sections, self._reader = sections, MessageReader(kinds)
         self._lock = threading.Lock()
-        self._browsers: dict[int, _Browser] = {}  # in the order in which they came
+        self._browsers: dict[int, _Browser] = {}  # in the order of connection
         self._last_id = 0
         self._holder: int | None = None
-        self._said: collections.deque[Said] = collections.deque()
+        self._queue: collections.deque[Received] = collections.deque()
         self.sent = self.refused = 0
         self._put_control()
 
     @property
-    def are_there(self) -> bool:
+    def is_any(self) -> bool:
         return bool(self._browsers)
 
     @property
@@ -64,16 +73,16 @@ class Browsers:
         return None if browser is None else browser.sender.is_local
 
     def is_in_control(self, key: str) -> bool:
-        """Whether a key is that of the browser in control, which only its connection was sent."""
+        """Whether a key is that of the browser in control; only its connection has received it."""
         browser = self._browsers.get(self._holder or 0)
         return browser is not None and same_text(key, browser.key)
 
-    def take(self) -> Iterator[Said]:
-        while self._said:
-            yield self._said.popleft()
+    def take(self) -> Iterator[Received]:
+        while self._queue:
+            yield self._queue.popleft()
 
-    def tell(self, event: dict[str, Any]) -> None:
-        """Sends an event to the browser in control; call `wake` on the server's thread after it."""
+    def send_event(self, event: dict[str, Any]) -> None:
+        """Queues an event for the browser in control; call `wake` on the server's thread next."""
         with self._lock:
             browser = self._browsers.get(self._holder or 0)
         if browser is not None:
@@ -86,8 +95,8 @@ class Browsers:
     # ---- on the server's thread
 
     async def talk(self, connection: ServerConnection) -> None:
-        if len(self._browsers) >= _MOST_BROWSERS:
-            reason = f"{_MOST_BROWSERS} browsers show this page already"
+        if len(self._browsers) >= _MAX_BROWSERS:
+            reason = f"{_MAX_BROWSERS} browsers already show this page"
             await connection.close(_TRY_LATER, reason)
             return
         browser = self._join(connection)
@@ -97,7 +106,7 @@ class Browsers:
                 if len(message) > MAX_BYTES:
                     await connection.close(_TOO_BIG, f"expected at most {MAX_BYTES} bytes")
                     break
-                self._hear(browser, message)
+                self._handle(browser, message)
                 await self._wait_for_room(browser)
         except ConnectionClosed:
             pass
@@ -107,7 +116,7 @@ class Browsers:
 
     async def _wait_for_room(self, browser: _Browser) -> None:
         while (
-            len(self._said) >= _MOST_SAID
+            len(self._queue) >= _MAX_QUEUED
             and browser.id == self._holder
             and browser.connection.state is State.OPEN  # also when the server closes
         ):
@@ -116,7 +125,7 @@ class Browsers:
         if now - browser.second >= 1.0:
             browser.second, browser.messages = now, 0
         browser.messages += 1
-        if browser.messages >= _MOST_PER_SECOND:
+        if browser.messages >= _MAX_PER_SECOND:
             await asyncio.sleep(browser.second + 1.0 - now)
 
     async def _send_all(self, browser: _Browser) -> None:
@@ -124,17 +133,17 @@ class Browsers:
         you = {"id": browser.id, "isLocal": browser.sender.is_local, "key": browser.key}
         try:
             await send(message_of({"you": json.dumps(you)}))
-            browser.ahead += 1
+            browser.pending += 1
             while True:
                 await browser.wake.wait()
                 browser.wake.clear()
                 while browser.events:
                     await send(browser.events.popleft())
-                if browser.ahead >= _MOST_AHEAD:
+                if browser.pending >= _MAX_PENDING:
                     continue
                 message, seen = self._sections.since(seen)
                 if message is not None:
-                    browser.ahead += 1
+                    browser.pending += 1
                     self.sent += 1
                     await send(message)
         except ConnectionClosed:
@@ -154,29 +163,29 @@ class Browsers:
             self._browsers.pop(browser.id, None)
             if self._holder == browser.id:
                 self._holder = next(iter(self._browsers), None)
-                self._said.append(Said(Left(), browser.sender))
+                self._queue.append(Received(Left(), browser.sender))
         self._put_control()
 
     def _put_control(self) -> None:
         self._sections.put("control", {"holder": self._holder, "count": len(self._browsers)})
         self.wake()
 
-    def _hear(self, browser: _Browser, text: str | bytes) -> None:
+    def _handle(self, browser: _Browser, text: str | bytes) -> None:
         message = self._reader.read(text)
         match message:
             case None:
                 self.refused += 1
             case Got():
-                browser.ahead = max(browser.ahead - 1, 0)
+                browser.pending = max(browser.pending - 1, 0)
                 browser.wake.set()
             case Control():
                 if self._holder != browser.id:
                     self._holder = browser.id
-                    # The browser that had it holds no button any more.
-                    self._said.append(Said(Left(), browser.sender))
+                    # The previous browser can no longer release a button.
+                    self._queue.append(Received(Left(), browser.sender))
                     self._put_control()
             case _ if browser.id == self._holder:
-                self._said.append(Said(message, browser.sender))
+                self._queue.append(Received(message, browser.sender))
             case PageSize():  # every browser sends it when it connects
                 pass
             case _:
@@ -190,6 +199,6 @@ class _Browser:
         self.key = secrets.token_urlsafe(16)
         self.wake = asyncio.Event()
         self.wake.set()
-        self.ahead = 0  # messages that were not answered yet
+        self.pending = 0  # messages that the browser has not acknowledged
         self.events: collections.deque[str] = collections.deque(maxlen=100)
-        self.second, self.messages = 0.0, 0  # those since that time, s
+        self.second, self.messages = 0.0, 0  # start of a second, and the messages in it

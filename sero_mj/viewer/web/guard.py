@@ -1,33 +1,33 @@
 """Access control of the page's server.
 
-Two kinds of requests are kept out: those that a website in the user's browser makes, and those of
-other users of this machine, who can connect to every port and send any headers.
+It refuses requests of websites that are open in the user's browser, and of other users of this
+machine, who can connect to every port and send any headers.
 
-Against websites, three headers that they cannot choose are checked on every path:
+Three headers that websites cannot forge are checked on every path:
 
-- `Host` must name this machine; this excludes foreign names that resolve to it (DNS rebinding).
+- `Host` must name this machine. This excludes external names that resolve to it (DNS rebinding).
 - `Origin`, if present, must be that of the page.
-- Requests of other sites are refused, except opening the page itself.
+- Requests of other sites are refused, except for opening the page itself.
 
-Against everyone else there is a token, which a page has by default:
+Other users are refused by a token, which a page has by default:
 
 - The printed link contains it (`?token=`). A script of the page, `access.js`, stores the token in
   the browser's `localStorage`, which belongs to one origin (scheme, name and port), and removes it
-  from the address bar. So a reload, a second tab, and a link to a view need no token.
+  from the address bar. So a reload, a second tab and a link to a view need no token.
 - There is no cookie: browsers send cookies to every port of a host, so another user's server on
   another port would receive it.
 - The page's HTML, scripts and styles contain no secret and need no token. Everything else does: the
-  websockets, the scenes and pictures of the start page, and uploads. The script adds the token to
+  websockets, the scenes and images of the start page, and uploads. The script adds the token to
   their addresses.
-- An upload also needs the key of a connection in control, which only that connection was sent, see
-  `Browsers.is_in_control`. A token alone takes control first, which all browsers see.
+- An upload also needs the key of the connection in control, which only that connection has
+  received, see `Browsers.is_in_control`. Someone who has only the token must take control first,
+  which all browsers display.
 - The server listens on both loopback addresses. Otherwise another user could listen on the other
   one, and browsers that resolve `localhost` to it would send the token there.
-- A token is valid as long as its viewer. A viewer keeps its port while it shows one page after the
-  other, see `Listener`. After that, another user who gets the port receives a token that opens
-  nothing.
+- A token is valid as long as its viewer. A viewer uses the same port for all its pages, see
+  `PageListener`. If another user gets the port after that, a received token is of no use.
 
-Programs send neither `Origin` nor `Sec-Fetch-Site`; they are admitted by Host and token.
+Programs send neither `Origin` nor `Sec-Fetch-Site`; Host and token are sufficient for them.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ from websockets.http11 import Request, Response
 log = logging.getLogger(__name__)
 
 TOKEN_BYTES = 24
-_MOST_TOLD = 10  # refused requests that are logged; all are counted
+_MAX_LOGGED = 10  # refused requests
 _PAGE_PATHS = ("/", "/index.html")
 _FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Real-IP", "Via")  # headers of proxies
-# Of a page: it asks its own server, and nobody else, and runs no script that stands in it.
+# A page only connects to its own server, and runs no inline scripts.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src 'self' data: blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -58,7 +58,7 @@ _POLICY = (
 
 
 def is_loopback(address: str) -> bool:
-    """Whether an IP address can only be reached from this machine."""
+    """Whether an address can only be reached from this machine."""
     try:
         found = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
@@ -70,8 +70,8 @@ def is_loopback(address: str) -> bool:
 def is_local(connection: ServerConnection) -> bool:
     """Whether a connection comes from this machine.
 
-    The near ends of SSH tunnels do, because their users can run programs here. So do notebooks,
-    whose kernel runs here. What a proxy forwards does not, if the proxy says so.
+    SSH tunnels and notebook kernels do: their users can run programs here anyway. Connections that
+    declare a proxy do not.
     """
     request, peer = connection.request, connection.remote_address
     if request is None or not isinstance(peer, tuple) or not is_loopback(str(peer[0])):
@@ -79,9 +79,9 @@ def is_local(connection: ServerConnection) -> bool:
     return not any(name in request.headers for name in _FORWARDED)
 
 
-def same_text(given: str, expected: str) -> bool:
-    """Whether two texts are the same; takes the same time wherever they differ."""
-    return hmac.compare_digest(given.encode("utf-8", "replace"), expected.encode())
+def same_text(text: str, expected: str) -> bool:
+    """Whether two texts are equal, in a time that does not depend on their difference."""
+    return hmac.compare_digest(text.encode("utf-8", "replace"), expected.encode())
 
 
 def make_token() -> str:
@@ -96,7 +96,7 @@ class Guard:
         bound: IP address that the server listens on.
         host: address or name that the user specified for it.
         token: required token, if any.
-        public: paths of the page's own files, which need no token.
+        public: paths of files that need no token.
     """
 
     def __init__(
@@ -130,10 +130,10 @@ class Guard:
             return reason
         if self.token is None:
             return None
-        given = _token_of(query)
-        if given is None and path in self._public:
+        token = _token_of(query)
+        if token is None and path in self._public:
             return None
-        if given is None or not same_text(given, self.token):
+        if token is None or not same_text(token, self.token):
             return (
                 "found no valid token; open the link that was printed where this page "
                 f"was started: http://{headers['Host']}/?token=..."
@@ -145,7 +145,7 @@ class Guard:
             host, origin = headers["Host"], headers.get("Origin")
             site, mode = headers.get("Sec-Fetch-Site", ""), headers.get("Sec-Fetch-Mode", "")
         except (KeyError, MultipleValuesError):
-            return "expected one header Host, and no other one twice"
+            return "expected exactly one Host header, and no duplicate headers"
         if not self._is_own_host(_host_name(host)):
             return f"found Host {host!r}; expected {self._expected()}"
         own = [f"{scheme}://{host.lower()}" for scheme in ("http", "https")]
@@ -170,13 +170,13 @@ class Guard:
 
     def _expected(self) -> str:
         if self._is_private:
-            return "localhost; the page is for this machine only"
+            return "localhost; only this machine can open the page"
         return f"an IP address, or {' or '.join(sorted(self._names))}"
 
     def _refuse(self, path: str, reason: str) -> Response:
         self.refused += 1
-        if self.refused <= _MOST_TOLD:
-            more = " (further ones are not logged)" if self.refused == _MOST_TOLD else ""
+        if self.refused <= _MAX_LOGGED:
+            more = " (further ones are not logged)" if self.refused == _MAX_LOGGED else ""
             log.warning("refused a request for %.60r: %.200s%s", path, reason, more)
         body = f"sero-mj: {reason}\n".encode()
         headers = Headers()
@@ -187,14 +187,12 @@ class Guard:
 
 
 def _host_name(host: str) -> str:
-    """Returns the name in a Host header without its port: `::1` of `[::1]:8080`."""
     if host.startswith("["):
         return host[1:].partition("]")[0]
     return host.partition(":")[0]
 
 
 def _token_of(query: str) -> str | None:
-    """Returns the token of a query; None without one, an empty text if the query is malformed."""
     try:
         fields = urllib.parse.parse_qs(query, keep_blank_values=True, max_num_fields=20)
     except ValueError:

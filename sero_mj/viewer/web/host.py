@@ -1,4 +1,4 @@
-"""`WebHost`: shows a mirror on a web page, drawn by the player in browsers."""
+"""`WebHost`: shows a mirror on a web page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..host.live import LiveHost
 from ..image.image_files import Pixels
 from ..image.image_options import DEFAULT_SIZE
 from ..image.scene_decor import SceneDecor
-from ..player.page import live_page, look_asked_for, player_files
+from ..player.page import live_page, player_files, requested_look
 from .browsers import Browsers
 from .messages import ForScene
 from .page_input import PageInput
@@ -31,22 +31,22 @@ RATE = 60.0  # frames per second
 
 
 class WebHost(LiveHost):
-    """Shows a mirror on a web page, drawn by the player in browsers.
+    """Shows a mirror on a web page, which browsers render with the player.
 
-    Any number of browsers can connect; one at a time has control by mouse, keys and panels.
+    Any number of browsers can connect; one of them has control by mouse, keys and panels.
 
     Args:
-        mirror: an open mirror, driven by the page's clock.
+        mirror: an open mirror, which the page's clock advances.
         camera: see `find_camera`.
         host: address to listen on.
-        port: 0 for the first free one from 8080 on.
+        port: port to listen on; 0 for the first free port from 8080.
         token: see `PageServer`.
         waits: whether recordings and simulations start when the first browser connects.
         folder: see `LiveHost`.
 
     Raises:
         RenderError: the page cannot be served there.
-        UnknownName: no camera of that name.
+        UnknownName: there is no camera of that name.
     """
 
     def __init__(
@@ -64,12 +64,12 @@ class WebHost(LiveHost):
         world = self.world
         self.view = PageView(world, self.navigator)
         self.shows_panel = True
-        self._renderer: HeadlessRenderer | None = None  # of screenshots and films
+        self._renderer: HeadlessRenderer | None = None  # for screenshots and videos
         self.decor = SceneDecor(world, self.toggles)
         self._sections = Sections()
         self._state = PageState(world, self._sections)
         self._use(self.decor)
-        self.decor.add(self._state)  # the last one: it takes what all others have drawn
+        self.decor.add(self._state)  # the last feature: it captures what the others have drawn
         self._is_held = waits and not self.clock.is_live
         self._is_closing = self._is_closed = False
         self.actions.add(
@@ -80,7 +80,7 @@ class WebHost(LiveHost):
         self._input = PageInput(self, self.view, self._panels)
         self._dropped: list[Path] = []
         self.server = PageServer(
-            live_page(look_asked_for(world.scene)),
+            live_page(requested_look(world.scene)),
             player_files(),
             self.browsers.talk,
             "/live",
@@ -109,14 +109,14 @@ class WebHost(LiveHost):
 
     @property
     def is_seen(self) -> bool:
-        return self.browsers.are_there
+        return self.browsers.is_any
 
     @property
     def is_due(self) -> bool:
         return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
 
     def frame(self, *, wait: bool = True) -> bool:
-        """Serves one frame, see `LiveHost.frame`; without waiting only if it is due."""
+        """Serves one frame; without `wait`, only if one is due."""
         if not self.is_open:
             return False
         if not (wait or self.is_due):
@@ -131,9 +131,9 @@ class WebHost(LiveHost):
             path = self._dropped.pop(0)
             if not self.others.open_file(path):
                 drops.discard(path)
-        self._advance(lambda: self.clock.advance(0.0 if self._is_held else passed))
+        self._advance(0.0 if self._is_held else passed)
         self.navigator.advance(self.data)
-        self.decor.lay_out(self.data, self.view.picture(self.data))
+        self.decor.lay_out(self.data, self.view.of_data(self.data))
         self._input.point()
         self._state.put(self.data, self.decor)
         self.view.put(self._sections, self.browsers.holder)
@@ -147,8 +147,8 @@ class WebHost(LiveHost):
         )
         self.server.call(self.browsers.wake)
         self.work = time.monotonic() - begin
-        self.tools.give_picture(self.picture)
-        if not self.tools.takes_pictures:
+        self.tools.distribute_image(self.image)
+        if not self.tools.takes_images:
             self._end_renderer()
         return self.is_open
 
@@ -156,35 +156,35 @@ class WebHost(LiveHost):
 
     @property
     def link(self) -> str:
-        """Address of the page with this view, without the token, which browsers store."""
+        """Address of the page with this view, without the token, which browsers have stored."""
         view = urllib.parse.quote(self.view_state().to_text(), safe="")
         return f"{self.server.plain_url}#view={view}"
 
     def _copy_link(self) -> str:
         self.to_clipboard(self.link)
-        return "copied: a link that opens this view"
+        return "copied a link to this view"
 
     def to_clipboard(self, text: str) -> None:
-        self.browsers.tell({"copy": text})
+        self.browsers.send_event({"copy": text})
 
     # ---- pictures
 
     @property
-    def picture_size(self) -> tuple[int, int]:
+    def image_size(self) -> tuple[int, int]:
         return DEFAULT_SIZE
 
-    def picture(self) -> Pixels:
+    def image(self) -> Pixels:
         from ..image.render import HeadlessRenderer
 
         if self._renderer is None:
-            self._renderer = HeadlessRenderer(self.world, *self.picture_size)
+            self._renderer = HeadlessRenderer(self.world, *self.image_size)
         renderer = self._renderer
         renderer.camera, renderer.toggles = self.navigator.camera, self.toggles
         return renderer.render(self.data).copy()
 
     def _may_upload(self, key: str) -> str | None:
         if self.others.opener is None:
-            return "files are opened by `sero-mj view` alone"
+            return "only `sero-mj view` opens dropped files"
         return None if self.browsers.is_in_control(key) else NOT_IN_CONTROL
 
     def _end_renderer(self) -> None:

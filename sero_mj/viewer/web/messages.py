@@ -1,8 +1,8 @@
-"""Messages that browsers send to a page: each kind with its fields, their types and bounds.
+"""The messages of browsers: each kind with its fields, their types and bounds.
 
-`MessageReader` is the only place that reads a browser's message. A new kind is a class here, in
-one of the unions `ForScene` and `ForStartPage`, and a handler of the page. All kinds except `Got`
-and `Control` act only if they come from the browser in control, see `Browsers`.
+`MessageReader` is the only code that parses them. A new kind is a class here, a member of
+`ForScene` or `ForStartPage`, and a handler of the page. All kinds except `Got` and `Control` are
+ignored unless they come from the browser in control, see `Browsers`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-MAX_BYTES = 2**15  # of a message; only a view in a link is longer than some 100 bytes
+MAX_BYTES = 2**15  # of a message; only a view in a link exceeds about 100 bytes
 MAX_PIXELS = 20_000  # of a page, in either direction
 _MAX_LENGTH = 1e6  # m
 _MAX_DEGREES = 1e6
@@ -20,23 +20,23 @@ _MAX_NUMBER = 1e300
 
 
 class PageMessage(BaseModel):
-    """Base of all messages; unknown fields and values of other types are errors."""
+    """Base of all messages; unknown fields and other types are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 _Pixels = Annotated[int, Field(gt=0, lt=MAX_PIXELS)]
 _Pixel = Annotated[float, Field(gt=-MAX_PIXELS, lt=MAX_PIXELS)]
-_Metres = Annotated[float, Field(gt=-_MAX_LENGTH, lt=_MAX_LENGTH)]
+_Meters = Annotated[float, Field(gt=-_MAX_LENGTH, lt=_MAX_LENGTH)]
 _Degrees = Annotated[float, Field(gt=-_MAX_DEGREES, lt=_MAX_DEGREES)]
 _Index = Annotated[int, Field(ge=0, lt=_MAX_COUNT)]
 _Name = Annotated[str, Field(max_length=300)]
 _Path = Annotated[str, Field(max_length=4096)]
-_Id = Annotated[str, Field(max_length=2000)]  # of a widget: labels, with those around it
+_Id = Annotated[str, Field(max_length=2000)]  # of a widget: its label and scopes
 
 
 class Got(PageMessage):
-    """The browser has received a state, and can receive another one."""
+    """The browser has received a state."""
 
     t: Literal["got"]
 
@@ -48,7 +48,7 @@ class Control(PageMessage):
 
 
 class PageSize(PageMessage):
-    """The size of the picture and the width of the page, pixels."""
+    """Size of the image and width of the page, pixels."""
 
     t: Literal["size"]
     w: _Pixels
@@ -57,18 +57,18 @@ class PageSize(PageMessage):
 
 
 class CameraMessage(PageMessage):
-    """The camera: a camera of the scene, or -1 and a free one."""
+    """The camera; `fixed` is the index of a scene camera, or -1 for a free camera."""
 
     t: Literal["camera"]
     fixed: Annotated[int, Field(ge=-1, lt=_MAX_COUNT)]
-    lookAt: tuple[_Metres, _Metres, _Metres]
+    lookAt: tuple[_Meters, _Meters, _Meters]
     distance: Annotated[float, Field(ge=1e-6, lt=_MAX_LENGTH)]
     azimuth: _Degrees
     elevation: _Degrees
 
 
 class PointerMessage(PageMessage):
-    """The pointer at a pixel, from the upper left corner of the picture."""
+    """The pointer at a pixel, from the upper left corner of the image."""
 
     t: Literal["pointer"]
     kind: Literal["press", "release", "move", "leave"]
@@ -80,7 +80,7 @@ class PointerMessage(PageMessage):
 
 
 class Wheel(PageMessage):
-    """Steps of the wheel, away from the user."""
+    """Wheel notches away from the user."""
 
     t: Literal["wheel"]
     n: _Pixel
@@ -101,7 +101,10 @@ class KeyMessage(PageMessage):
 
 
 class Card(PageMessage):
-    """A click on text over the picture: the item of the text, and the pixel of the pointer."""
+    """A click on a text over the image: kind and index of its item, and the pixel of the pointer.
+
+    With the keyboard, the pixel is the center of the text.
+    """
 
     t: Literal["card"]
     kind: _Index
@@ -112,7 +115,7 @@ class Card(PageMessage):
 
 
 class Widget(PageMessage):
-    """What the user did with a widget of a panel."""
+    """The user has changed a widget of a panel, or pressed it."""
 
     t: Literal["widget"]
     tree: _Name
@@ -126,7 +129,7 @@ class Widget(PageMessage):
 
 
 class Fold(PageMessage):
-    """A section of a panel is folded or unfolded."""
+    """A section of a panel is opened or closed."""
 
     t: Literal["fold"]
     tree: _Name
@@ -135,14 +138,14 @@ class Fold(PageMessage):
 
 
 class CloseArea(PageMessage):
-    """The user closes an area beside the picture."""
+    """The user closes an area beside the image."""
 
     t: Literal["close"]
     area: _Name
 
 
 class ViewMessage(PageMessage):
-    """A view from a link, see `ViewState.from_text`."""
+    """A view of a link, see `ViewState.from_text`."""
 
     t: Literal["view"]
     text: Annotated[str, Field(max_length=20_000)]
@@ -182,22 +185,22 @@ ForStartPage = ForAll | OpenTile | OpenShown
 
 
 class Left(NamedTuple):
-    """The browser in control has gone or lost control; made by the server, not read."""
+    """The browser in control has disconnected or lost control; created by the server."""
 
 
 class MessageSender(NamedTuple):
     """The browser that has sent a message.
 
     Attributes:
-        id: of its connection.
-        is_local: whether the connection comes from this machine, see `is_local` in `guard.py`.
+        id: number of its connection.
+        is_local: whether the connection comes from this machine, see `guard.is_local`.
     """
 
     id: int
     is_local: bool
 
 
-class Said(NamedTuple):
+class Received(NamedTuple):
     """A message with its sender."""
 
     message: PageMessage | Left
@@ -205,7 +208,7 @@ class Said(NamedTuple):
 
 
 class MessageReader:
-    """Reads the messages of `ForScene` or `ForStartPage`."""
+    """Parses the messages of `ForScene` or `ForStartPage`."""
 
     def __init__(self, kinds: Any) -> None:
         self.kinds: tuple[type[PageMessage], ...] = get_args(kinds)
@@ -213,7 +216,7 @@ class MessageReader:
         self._adapter: TypeAdapter[PageMessage] = TypeAdapter(found)
 
     def read(self, message: str | bytes) -> PageMessage | None:
-        # The parser limits nesting; texts that are too long are not parsed.
+        # The parser limits nesting; longer texts are not parsed.
         if not isinstance(message, str) or len(message) > MAX_BYTES:
             return None
         try:

@@ -1,4 +1,4 @@
-"""`PageInput`: what the browser in control says, as clicks, drags and keys of the host."""
+"""`PageInput`: handles the messages of the browser in control as clicks, drags and keys."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .messages import (
     PageMessage,
     PageSize,
     PointerMessage,
-    Said,
+    Received,
     ViewMessage,
     Wheel,
     Widget,
@@ -38,12 +38,12 @@ log = logging.getLogger(__name__)
 
 
 class PageInput:
-    """Acts on messages of the browser in control, and counts those about what does not exist.
+    """Handles the messages of the browser in control.
 
     Attributes:
-        wrong: number of these.
-        sender: browser whose message is handled.
-        is_dragging: whether a tool has the drag, and the camera stays.
+        wrong: number of messages about items that do not exist.
+        sender: browser whose message is being handled.
+        is_dragging: whether a tool handles the drag, so that the camera does not move.
     """
 
     def __init__(self, host: LiveHost, view: PageView, panels: PagePanels) -> None:
@@ -68,45 +68,47 @@ class PageInput:
             Left: self._leave,
         }
 
-    def take(self, said: Iterable[Said]) -> None:
-        for message, sender in said:
+    def take(self, messages: Iterable[Received]) -> None:
+        for message, sender in messages:
             self.sender = sender
             try:
                 self._acts[type(message)](message)
             except (ArithmeticError, LookupError, TypeError, ValueError):
                 self.wrong += 1
-                log.debug("a page's message is wrong: %.200r", message, exc_info=True)
+                log.debug("a message of a page is ignored: %.200r", message, exc_info=True)
 
     def point(self) -> None:
-        """Names what is under the pointer, and lights the handle there."""
+        """Shows the name of the item under the pointer."""
         is_free = not (self._mouse.is_down or self._host.shows_help)
         self.is_on_handle = self._host.pointer.hover(is_free=is_free)
 
     # ---- messages
 
-    def _size(self, said: PageSize) -> None:
-        self._page_view.size = said.w, said.h
-        self._panels.fit(said.page)
-        self._look_again()
+    def _size(self, message: PageSize) -> None:
+        self._page_view.size = message.w, message.h
+        self._panels.fit(message.page)
+        self._update_view()
 
-    def _camera(self, said: CameraMessage) -> None:
-        numbers = (said.distance, said.azimuth, said.elevation)
-        self._page_view.take(said.fixed, said.lookAt, numbers)
-        self._look_again()
+    def _camera(self, message: CameraMessage) -> None:
+        numbers = (message.distance, message.azimuth, message.elevation)
+        self._page_view.take(message.fixed, message.lookAt, numbers)
+        self._update_view()
 
-    def _look_again(self) -> None:
-        """Uses the current camera for the next click."""
-        self._host.decor.view = self._page_view.picture(self._host.data)
+    def _update_view(self) -> None:
+        """Makes the next click use the current camera."""
+        self._host.decor.view = self._page_view.of_data(self._host.data)
 
-    def _pointer(self, said: PointerMessage) -> None:
-        if said.kind == "leave":  # a finger was taken away: what was pressed is not released
+    def _pointer(self, message: PointerMessage) -> None:
+        if message.kind == "leave":  # a finger was lifted or replaced: nothing is released
             self._leave()
             return
-        at = self._pixel(said)
+        at = self._pixel(message)
         pointer = self._host.pointer
         pointer.at = at if self._is_inside(at) else None
-        shift = said.shift or said.ctrl
-        event = Event(said.kind, *at, time.monotonic(), said.button, shift=shift, control=said.ctrl)
+        shift = message.shift or message.ctrl
+        event = Event(
+            message.kind, *at, time.monotonic(), message.button, shift=shift, control=message.ctrl
+        )
         found = self._mouse.take(event)
         if isinstance(found, Clicked):
             self._click(found)
@@ -118,8 +120,8 @@ class PageInput:
             self.is_dragging = False
             pointer.dragging.release()
 
-    def _pixel(self, said: PointerMessage | Card) -> Pixel:
-        return said.x, self._page_view.size[1] - said.y
+    def _pixel(self, message: PointerMessage | Card) -> Pixel:
+        return message.x, self._page_view.size[1] - message.y
 
     def _is_inside(self, at: Pixel) -> bool:
         width, height = self._page_view.size
@@ -131,50 +133,49 @@ class PageInput:
         else:
             self._host.pointer.click(clicked, picked)
 
-    def _wheel(self, said: Wheel) -> None:
+    def _wheel(self, message: Wheel) -> None:
         if self.is_dragging:
             pointer = self._host.pointer
-            pointer.dragging.take(Moved("zoom", 0.0, said.n), pointer.at, None, None)
+            pointer.dragging.take(Moved("zoom", 0.0, message.n), pointer.at, None, None)
 
-    def _hold(self, said: HoldMessage) -> None:
-        del said
+    def _hold(self, message: HoldMessage) -> None:
+        del message
         if self._mouse.is_down and self._mouse.hold(self._host.pointer.dragging.announce):
             self.is_dragging = True
 
-    def _key(self, said: KeyMessage) -> None:
-        if said.key == "escape":
+    def _key(self, message: KeyMessage) -> None:
+        if message.key == "escape":
             if self._host.shows_help:
                 self._host.toggle("shows_help")
             else:
                 self._host.others.dismiss()
             return
-        self._host.actions.press(said.key, is_repeat=said.repeat)
+        self._host.actions.press(message.key, is_repeat=message.repeat)
 
-    def _card(self, said: Card) -> None:
-        picked = picked_of(self._host.world, Kind(said.kind), said.item)
-        self._click(Clicked(*self._pixel(said), time.monotonic(), said.shift), picked)
+    def _card(self, message: Card) -> None:
+        picked = picked_of(self._host.world, Kind(message.kind), message.item)
+        self._click(Clicked(*self._pixel(message), time.monotonic(), message.shift), picked)
 
-    def _widget(self, said: Widget) -> None:
-        if said.tree == REQUEST and not self.sender.is_local:
-            raise ValueError("only a browser on this machine may say what runs on it")
-        self._panels.act(said.tree, said.id, said.value)
+    def _widget(self, message: Widget) -> None:
+        if message.tree == REQUEST and not self.sender.is_local:
+            raise ValueError("only a browser on this machine can allow programs")
+        self._panels.act(message.tree, message.id, message.value)
 
-    def _fold(self, said: Fold) -> None:
-        self._panels.fold(said.tree, said.id, is_open=said.open)
+    def _fold(self, message: Fold) -> None:
+        self._panels.fold(message.tree, message.id, is_open=message.open)
 
-    def _close(self, said: CloseArea) -> None:
+    def _close(self, message: CloseArea) -> None:
         for tool in self._host.tools.areas:
-            if tool.area == said.area:
+            if tool.area == message.area:
                 tool.shows_area = False
 
-    def _view(self, said: ViewMessage) -> None:
+    def _view(self, message: ViewMessage) -> None:
         try:
-            show_state(self._host, ViewState.from_text(said.text))
+            show_state(self._host, ViewState.from_text(message.text))
         except UsageError as error:
             self._host.say(str(error), is_bad=True)
 
-    def _leave(self, said: Left | None = None) -> None:
-        """Releases a button that the browser in control can no longer release."""
-        del said
+    def _leave(self, message: Left | None = None) -> None:
+        del message
         self._mouse, self._host.pointer.at, self.is_dragging = Mouse(), None, False
         self._host.pointer.dragging.release()

@@ -1,4 +1,4 @@
-"""`PagePanels`: the panels of a page, declared as those of windows are, as trees of nodes."""
+"""`PagePanels`: the panels of a page, built as in windows, as trees of nodes."""
 
 from __future__ import annotations
 
@@ -7,43 +7,42 @@ from collections.abc import Callable
 from typing import Any
 
 from ..host.live import LiveHost
-from ..panels import help as help_panel
-from ..panels import request_panel
+from ..panels import dialogs
 from ..panels.dom_widgets import DomWidgets, Node
-from ..panels.status_line import build_time_line
+from ..panels.status_line import build_timeline
 from ..session.keys import help_columns
 from ..session.status_line import status_pieces
 from ..session.tool import Tool, tool_keys
 from .sections import Sections
 
-REQUEST = "request"  # the tree with the dialog of a file that asks to run programs
-_EM = 14.0  # pixels, the height of text in `page.css`
+REQUEST = "request"  # the tree of the dialog about the programs of a file
+_EM = 14.0  # text height in `page.css`, pixels
 _INTERVAL = 1.0 / 15.0  # s between two updates of panels
-_NARROW = 800  # width of a page, pixels, below which it begins without its panel
-# Of the text's height: width of the panel, most width and height of an area, and of its frame.
+_NARROW = 800  # pixels; a narrower page starts without its panel
+# In text heights: width of the panel, maximum width and height of an area, height of its frame.
 _PANEL_WIDTH, _AREA_WIDTH, _AREA_HEIGHT, _FRAME = 23.0, 32.0, 48.0, 4.0
-_TALL = 400.0  # a panel's height, which is scrolled
+_TALL = 400.0  # height of a panel, which scrolls
 
 
 class PagePanels:
-    """Builds the panels of a page some times a second, and puts them into its sections."""
+    """Builds the panels of a page and puts them into its sections."""
 
     def __init__(self, host: LiveHost, sections: Sections) -> None:
         self._host, self._sections = host, sections
         self._trees: dict[str, DomWidgets] = {}
         self._built = float("-inf")
-        self._is_asked = False
+        self._has_input = False
         self._is_narrow, self._width = False, 1280
 
     def act(self, tree: str, id_: str, value: Any) -> None:
         if tree in self._trees:
             self._trees[tree].act(id_, value)
-            self._is_asked = True
+            self._has_input = True
 
     def fold(self, tree: str, id_: str, *, is_open: bool) -> None:
         if tree in self._trees:
             self._trees[tree].fold(id_, is_open=is_open)
-            self._is_asked = True
+            self._has_input = True
 
     def fit(self, width: int) -> None:
         """Hides the panel if the page becomes narrow, and shows it if the page becomes wide."""
@@ -55,30 +54,30 @@ class PagePanels:
     def put(
         self, frame_rate: float, geoms: int, size: tuple[int, int], *, is_local: bool | None = None
     ) -> None:
-        """Puts the panels, less often than pictures, but at once if the user has acted.
+        """Puts the panels, less often than frames, but immediately after user input.
 
         Args:
             frame_rate: frames per second.
             geoms: number of geoms of decor.
-            size: of the picture, pixels.
+            size: size of the image, pixels.
             is_local: whether the browser in control is on this machine; None if there is none.
         """
         host, put, now = self._host, self._sections.put, time.monotonic()
         ongoing = host.tools.ongoing
         put("message", list(host.notice.piece) if host.notice.is_shown else None)
         put("ongoing", None if ongoing is None else list(ongoing))
-        if not self._is_asked and now - self._built < _INTERVAL:
+        if not self._has_input and now - self._built < _INTERVAL:
             return
-        self._built, self._is_asked = now, False
+        self._built, self._has_input = now, False
         put("about", {"title": host.world.scene.name, "geoms": geoms})
         sources = host.mirror.sources.values()
         put("status", [list(piece) for piece in status_pieces(sources, host.clock, frame_rate)])
         self._put_tree("panel", self._host.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
         wide = self._width / _EM
-        self._put_tree("timeLine", host.has_time_line, self._time_line, (wide, 2.0))
-        room = min(help_panel.WIDTH, wide - 2), _TALL
+        self._put_tree("timeLine", host.has_timeline, self._time_line, (wide, 2.0))
+        room = min(dialogs.HELP_WIDTH, wide - 2), _TALL
         self._put_tree("help", host.shows_help, self._help, room)
-        room = min(request_panel.WIDTH, wide - 2), _TALL
+        room = min(dialogs.REQUEST_WIDTH, wide - 2), _TALL
         is_asked = host.others.asks and is_local is not None
         put("request", self._request(room, is_local=bool(is_local)) if is_asked else None)
         areas = host.tools.areas
@@ -108,7 +107,7 @@ class PagePanels:
         def build(ui: DomWidgets) -> None:
             self._host.others.build_dialog(ui, can_allow=is_local)
 
-        return {"title": request_panel.TITLE, "nodes": self._nodes(REQUEST, build, size)}
+        return {"title": dialogs.REQUEST_TITLE, "nodes": self._nodes(REQUEST, build, size)}
 
     def _area(self, tool: Tool, size: tuple[float, float]) -> Node:
         def build(ui: DomWidgets) -> None:
@@ -119,11 +118,11 @@ class PagePanels:
 
     def _panel(self, ui: DomWidgets) -> None:
         self._host.build_panel(ui, unfolds_sources=True)
-        if ui.button("copy a link to this view"):
+        if ui.button("copy link to this view"):
             self._host.actions.perform("link")
 
     def _time_line(self, ui: DomWidgets) -> None:
-        build_time_line(ui, self._host.clock, self._host.tools.ticks)
+        build_timeline(ui, self._host.clock, self._host.tools.ticks)
 
     def _help(self, ui: DomWidgets) -> None:
-        help_panel.build_help(ui, help_columns(tool_keys(), on_page=True))
+        dialogs.build_help(ui, help_columns(tool_keys(), on_page=True))

@@ -1,7 +1,7 @@
-"""`PageState`: what a page draws of a frame, as sections of its state; the browser lays text out.
+"""`PageState`: the displayed state of a frame, as sections of a page.
 
-Poses, values and decor are those of windows. What windows place by pixels (cards, labels, notes)
-goes to the page as text with the place in the world that it belongs to.
+Poses, values and decor are those of windows. Text that windows place in pixels (billboards, labels,
+notes) is sent with its position in the world; the browser lays it out.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from ..image.scene_decor import SceneDecor
 from ..player.capture import capture_pose
 from ..player.encode import METRE_STEP, ROTATION_STEP, arrow_looks, encode
 from ..player.frame import FrameTaker, line_text
-from ..player.items import poses, quaternions_of
+from ..player.packing import poses, quaternions_of
 from .sections import Sections
 
-_KEYS = ["joint_angles"]  # values of joints that the page computes with
-_WORDS = re.compile(r" {2,}")  # between the columns of a line
-_TEXT_DIGITS = 4  # of places of text, m
+_KEYS = ["joint_angles"]  # joint values that the page uses
+_COLUMNS = re.compile(r" {2,}")  # separates the columns of a line
+_TEXT_DIGITS = 4  # of positions of text, m
 
 
 class PageState(FrameTaker):
-    """Puts what a page draws of each frame into its sections.
+    """Puts each displayed frame into the sections of a page.
 
     Attributes:
         count: number of geoms of decor in the last frame.
@@ -41,28 +41,30 @@ class PageState(FrameTaker):
     def __init__(self, world: WorldView, sections: Sections) -> None:
         super().__init__(world, world.joints.revolute)
         self._world, self._sections = world, sections
-        self._depth = 1.0  # of the robots in the picture, m
-        self._shown_cards: list[dict[str, Any]] = []
+        self._depth = 1.0  # median depth of the robots, m
+        self._shown_billboards: list[dict[str, Any]] = []
         self.count = 0
 
     def begin(
         self, data: mujoco.MjData, camera: mujoco.MjvCamera, needed: float, title: str
     ) -> None:
-        """Puts what does not change: shapes, joints and cameras."""
+        """Puts the constant part: shapes, joints and cameras."""
         self._sections.put("valueKeys", _KEYS)
         self._sections.put("run", encode(capture_pose(self._world, data, camera, needed), title))
 
     def lay_out(self, frame: Frame) -> None:
         super().lay_out(frame)
         _, depth = frame.view.project(frame.data.xpos[self.bodies])
-        ahead = depth[depth > frame.view.near]
-        self._depth = float(np.median(ahead)) if len(ahead) else 1.0
-        self._shown_cards = [card for group in self.cards for card in self._cards_of(frame, group)]
+        visible = depth[depth > frame.view.near]
+        self._depth = float(np.median(visible)) if len(visible) else 1.0
+        self._shown_billboards = [
+            card for group in self.billboards for card in self._billboards_of(frame, group)
+        ]
 
     def put(self, data: mujoco.MjData, decor: SceneDecor) -> None:
-        """Puts the frame that decor has drawn last."""
+        """Puts the frame that the decor has drawn last."""
         frame, put = self.frame, self._sections.put
-        if frame is None:  # decor was not drawn: there is no picture yet
+        if frame is None:  # the decor has not been drawn yet
             return
         found, toggles = self.take(data), frame.toggles
         put("time", round(float(frame.data.time), 4))
@@ -71,7 +73,7 @@ class PageState(FrameTaker):
         put("stale", found.stale.astype(np.uint8))
         put("arrowOn", frame.shown.arrows.astype(np.uint8))
         put("arrowLook", arrow_looks(self._world, found.limit))
-        put("cards", self._shown_cards)
+        put("cards", self._shown_billboards)
         put("notes", [lines for _, lines in self.corners])
         hover = toggles.hover
         if hover is not None:
@@ -80,7 +82,7 @@ class PageState(FrameTaker):
         else:
             put("hover", None)
         put("selected", -1 if toggles.selected is None else int(toggles.selected))
-        # Rounded as files are: what trembles by less is not sent.
+        # Rounded as in files, so that tiny changes are not sent.
         places = np.round(found.poses[:, :3] / METRE_STEP) * METRE_STEP
         turns = np.round(found.poses[:, 3:] / ROTATION_STEP).astype(np.int16)
         put("poses", places.astype(np.float32).tobytes() + turns.tobytes())
@@ -93,7 +95,7 @@ class PageState(FrameTaker):
             put("soft", found.soft.vertices.astype(np.float32))
         rows = np.concatenate([found.soft.tendons, decor.drawing.rows(data, toggles)])
         self._put_geoms(*found.geoms, rows)
-        # What is left is said of stale data; the last one is the name beside the pointer.
+        # The remaining panels are notes about stale data; the last one is the name at the pointer.
         notes = decor.panels[: len(decor.panels) - (hover is not None)]
         self._put_labels(frame.view, found.labels, [*self.beside, *notes])
 
@@ -135,7 +137,7 @@ class PageState(FrameTaker):
         )
 
     def _in_world(self, view: ImageView, pixel: Array) -> Array:
-        """Returns the place at a pixel, as far away as the robots."""
+        """Returns the point at a pixel, at the depth of the robots."""
         return view.at(np.asarray(pixel, float), self._depth)
 
     def _sites(self, data: mujoco.MjData) -> bytes:
@@ -144,21 +146,21 @@ class PageState(FrameTaker):
         parts = [state.site_xpos[rows], turns]
         return b"".join(each.astype(np.float32).tobytes() for each in parts)
 
-    def _cards_of(self, frame: Frame, cards: BillboardGroup) -> list[dict[str, Any]]:
+    def _billboards_of(self, frame: Frame, group: BillboardGroup) -> list[dict[str, Any]]:
         joints, found = self._world.joints, []
-        is_of_joint = cards.kind == Kind.BILLBOARD
-        for k, item in enumerate(cards.items.tolist()):
+        is_of_joint = group.kind == Kind.BILLBOARD
+        for k, item in enumerate(group.items.tolist()):
             place = (
                 frame.data.site_xpos[joints.centre_site[item]]
                 if is_of_joint
-                else self._in_world(frame.view, cards.anchors[k])
+                else self._in_world(frame.view, group.anchors[k])
             )
-            title, lines = card_lines(cards.texts[k])
-            share = float(cards.share[k])
+            title, lines = card_lines(group.texts[k])
+            share = float(group.share[k])
             value = float(frame.arrow_values[item]) if is_of_joint else 0.0
             found.append(
                 {
-                    "kind": int(cards.kind),
+                    "kind": int(group.kind),
                     "item": item,
                     "at": _rounded(place),
                     "title": title,
@@ -173,13 +175,13 @@ class PageState(FrameTaker):
 
 
 def card_lines(texts: list[bytes]) -> tuple[str, list[list[str]]]:
-    """Returns the title of a card's text, and label and value of every line.
+    """Returns the title of a billboard, and label and value of each line.
 
-    The first line begins with the title; columns are two spaces apart or more.
+    The first line starts with the title; columns are separated by two spaces or more.
     """
     title, lines = "", []
     for number, text in enumerate(texts):
-        words = _WORDS.split(line_text(text).strip())
+        words = _COLUMNS.split(line_text(text).strip())
         if number == 0 and max(len(words), len(texts)) > 1:
             title = words.pop(0)
         if words:

@@ -1,4 +1,4 @@
-"""`PageView`: the camera of a page: that of the browser in control, which others follow."""
+"""`PageView`: the camera of a page, which the browser in control moves and the others follow."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from ..image.camera import Navigator
 from ..image.framing import stand_back
 from .sections import Sections
 
-_SIZE = (1280, 800)  # of the picture before a browser has told its own, pixels
-_LINE = 20  # height of a line of text of `page.css`, pixels
+_SIZE = (1280, 800)  # size of the image before a browser has reported its own, pixels
+_LINE = 20  # height of a line of text in `page.css`, pixels
 _FONT = Font(_LINE, DEFAULT_FONT.widths * _LINE / DEFAULT_FONT.height)
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 _FIXED = int(mujoco.mjtCamera.mjCAMERA_FIXED)
-_MOST_METRES = 1e6
+_MAX_LENGTH = 1e6  # m
 
 
 class PageView:
-    """The camera of a page, and the size of its picture."""
+    """The camera of a page, and the size of its image."""
 
     def __init__(self, world: WorldView, navigator: Navigator) -> None:
         self._world = world
         self.navigator = navigator
         self.size = _SIZE
         self._scene = mujoco.MjvScene(world.model, maxgeom=0)  # for its camera
-        self._last: tuple[object, ...] = ()  # camera that browsers know of
-        self._serial = 0  # counts how often the host has moved it
+        self._last: tuple[object, ...] = ()  # camera that browsers have received
+        self._serial = 0  # counts camera moves of the server
 
-    def picture(self, data: mujoco.MjData) -> ImageView:
+    def of_data(self, data: mujoco.MjData) -> ImageView:
         scene, camera, (width, height) = self._scene, self.navigator.camera, self.size
         mujoco.mjv_updateCamera(self._world.model, data, camera, scene)
         stand_back(scene, camera, width, height, self.navigator.needed)
         return ImageView.of_scene(scene, width, height, _FONT)
 
     def take(self, fixed: int, look_at: Sequence[float], numbers: Sequence[float]) -> None:
-        """Takes the camera of the browser in control, which is not sent back to it.
+        """Sets the camera of the browser in control, which is not sent back to it.
 
         Args:
-            fixed: index of the scene's camera; -1 for a free one.
+            fixed: index of a scene camera; -1 for a free camera.
             look_at: look-at point (3,), m; ignored while the camera follows a frame.
             numbers: distance in m, azimuth and elevation in degrees.
 
@@ -51,11 +51,11 @@ class PageView:
             ValueError: there is no such camera.
         """
         every = np.array([*look_at, *numbers], float)
-        is_good = every.shape == (6,) and np.isfinite(every).all() and every[3] > 0
-        if not (is_good and np.abs(every).max() < _MOST_METRES):
-            raise ValueError("found no camera")
+        is_valid = every.shape == (6,) and np.isfinite(every).all() and every[3] > 0
+        if not (is_valid and np.abs(every).max() < _MAX_LENGTH):
+            raise ValueError("expected finite camera parameters")
         if not -1 <= fixed < self._world.model.ncam:
-            raise ValueError(f"found camera {fixed}")
+            raise ValueError(f"found camera {fixed}; expected -1 to {self._world.model.ncam - 1}")
         camera = self.navigator.camera
         if self.navigator.following is None:
             camera.lookat[:] = every[:3]
@@ -70,7 +70,7 @@ class PageView:
                 camera.elevation, *looks_at)  # fmt: skip
 
     def put(self, sections: Sections, holder: int | None) -> None:
-        """Puts the camera, which `holder` follows only if the host has moved it."""
+        """Puts the camera; `holder` ignores it unless the server has moved it."""
         camera, key, by = self.navigator.camera, self._key(), holder
         if key != self._last:
             self._last, by = key, None

@@ -1,7 +1,7 @@
-"""`Sections`: the state of a page in named parts, of which a browser is sent what has changed.
+"""`Sections`: the state of a page in named parts; browsers receive the parts that have changed.
 
-A slow browser misses states, but no part: a message has the newest of all that changed since the
-last one. `js/src/sections.js` reads messages.
+A slow browser may miss states, but no part: a message contains the newest value of each part that
+has changed since the last message. `js/src/sections.js` parses messages.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from typing import Any
 import numpy as np
 
 _ALIGNED = 4  # bytes
-_KEPT = 4  # messages, for browsers that have seen the same
+_CACHED = 4  # messages, for browsers with the same version
 
 
 class Sections:
-    """The parts of a page's state; one thread puts them, another one takes messages."""
+    """The parts of a page's state; one thread puts them, and another one takes messages."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._version = 0
-        # Version and contents by name: JSON as text, or bytes.
+        # Version and contents by name: JSON text or bytes.
         self._found: dict[str, tuple[int, str | bytes]] = {}
-        self._messages: dict[tuple[int, int], bytes] = {}  # by what was seen, and is now
+        self._messages: dict[tuple[int, int], bytes] = {}  # by old and new version
 
     @property
     def version(self) -> int:
         return self._version
 
     def put(self, name: str, value: Any) -> None:
-        """Sets a part: an array is sent as its bytes, everything else as JSON."""
+        """Sets a part; arrays and bytes are sent unchanged, everything else as JSON."""
         if isinstance(value, np.ndarray):
             value = value.tobytes()
         content = value if isinstance(value, bytes) else _json(value)
@@ -43,7 +43,7 @@ class Sections:
                 self._found[name] = self._version, content
 
     def since(self, seen: int) -> tuple[bytes | None, int]:
-        """Returns a message with all that changed after a version, or None; and the new version."""
+        """Returns a message with all changes since a version, or None; and the new version."""
         with self._lock:
             now = self._version
             if seen == now:
@@ -54,14 +54,14 @@ class Sections:
                     for name, (version, content) in self._found.items()
                     if version > seen
                 }
-                while len(self._messages) >= _KEPT:
+                while len(self._messages) >= _CACHED:
                     del self._messages[next(iter(self._messages))]
                 self._messages[seen, now] = message_of(changed)
             return self._messages[seen, now], now
 
 
 def message_of(parts: dict[str, str | bytes]) -> bytes:
-    """Returns a message of parts by name: JSON as text, or bytes."""
+    """Returns a message of parts by name: JSON text or bytes."""
     values = [f"{_json(name)}:{part}" for name, part in parts.items() if isinstance(part, str)]
     payloads = {name: part for name, part in parts.items() if isinstance(part, bytes)}
     lengths = _json([[name, len(part)] for name, part in payloads.items()])

@@ -1,6 +1,6 @@
-"""`PageServer`: the server of a page: files, pictures, uploads and a websocket, behind a guard.
+"""`PageServer`: serves the files, images, uploads and websocket of a page, behind a guard.
 
-It runs on a thread of its own; what browsers say is kept until the page asks.
+It runs on its own thread; messages of browsers are queued until the page takes them.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ log = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
 ANY_ADDRESS = ("", "0.0.0.0", "::")
-_FIRST_PORT, _MOST_PORTS = 8080, 100
-_BACKLOG = 128  # connections that wait to be accepted
-_MAX_PART = 2**20  # bytes of an uploaded file in one message; see `messages` for all others
-_REQUEST_TIMEOUT = 10.0  # s for a connection's request
+_FIRST_PORT, _MAX_PORTS = 8080, 100
+_BACKLOG = 128  # connections
+_MAX_PART = 2**20  # bytes of an uploaded file per message; `messages` limits other messages
+_REQUEST_TIMEOUT = 10.0  # s
 _STATIC = Path(__file__).with_name("static")
 _TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -44,44 +44,43 @@ _TYPES = {
     ".json": "application/json",
 }
 _SHARED = ("access.js", "uploads.js", "uploads.css")  # of all pages
-_WHICH = "/sero-mj/page"  # answers which page is served, to who has its token
-# Where browsers may find `localhost`, by where the server listens.
+_WHICH = "/sero-mj/page"  # returns which page is served; needs the token
+# Other addresses of `localhost` in browsers, by the address of the server.
 _TWINS = {"127.0.0.1": "::1", "::1": "127.0.0.1", "0.0.0.0": "::1"}
 
 Talk = Callable[[ServerConnection], Awaitable[None]]
 
 
 class PageAnswer(NamedTuple):
-    """The body of an answer.
+    """The body of a response.
 
     Attributes:
-        ending: file name ending, which gives the type, such as `.html`.
-        is_kept: whether browsers may store it, and ask whether it has changed.
+        ending: file extension, which determines the type, such as `.html`.
+        is_cached: whether browsers may cache it and validate it by its ETag.
     """
 
     body: bytes
     ending: str
-    is_kept: bool = False
+    is_cached: bool = False
 
 
 class PageServer:
     """Serves a page until it is closed.
 
     Args:
-        page: HTML, without secrets.
+        page: HTML without secrets.
         files: files of the page by name, without secrets.
         talk: called with every connection to the websocket at `socket_path`.
-        socket_path: path of the websocket.
         may_upload: see `take_files`.
         on_file: called with each file that was dropped on the page.
-        find: answers other paths, from path and query; None for one that does not exist.
-        host: address to listen on.
-        port: 0 for the first free one from 8080 on; or a listener, which outlives the page.
-        token: secret token that the page needs, or whether it gets one.
+        find: returns the response for another path and its query, or None.
+        port: port to listen on; 0 for the first free port from 8080; or a listener, which outlives
+            the page.
+        token: token of the page, or whether it has one.
 
     Raises:
         RenderError: the page cannot be served there.
-        UsageError: a page for other machines without a token.
+        UsageError: a page for other machines has no token.
     """
 
     def __init__(
@@ -115,7 +114,7 @@ class PageServer:
         self.guard = Guard(self.address, host, self.token, self._files)
         if self.token is None:
             log.warning(
-                "the page at port %d has no token: every user of this machine can see and "
+                "the page at port %d has no token: every user of this machine can view and "
                 "control it", self.port,
             )  # fmt: skip
         self._page = page.encode()
@@ -153,7 +152,7 @@ class PageServer:
     def call(self, act: Callable[[], object]) -> None:
         """Runs a function on the server's thread soon."""
         if self.loop is not None:
-            with contextlib.suppress(RuntimeError):  # it has just ended
+            with contextlib.suppress(RuntimeError):  # the loop has just ended
                 self.loop.call_soon_threadsafe(act)
 
     def close(self) -> None:
@@ -175,7 +174,7 @@ class PageServer:
                     max_size=_MAX_PART,
                     process_request=self._request,
                     process_response=self._response,
-                    # A slow link takes any time for an answer, see `_Connection`.
+                    # A slow link may take any time to receive a response, see `_Connection`.
                     open_timeout=None,
                     create_connection=_Connection,
                     extensions=[DEFLATE],
@@ -202,7 +201,7 @@ class PageServer:
         headers = Headers()
         headers["Content-Type"] = _TYPES[found.ending]
         headers["Content-Length"] = str(len(found.body))
-        if not found.is_kept:
+        if not found.is_cached:
             headers["Cache-Control"] = "no-store"
         return Response(200, "OK", headers, found.body)
 
@@ -210,7 +209,7 @@ class PageServer:
         if path in ("/", "/index.html"):
             return PageAnswer(self._page, ".html")
         if path in self._files:
-            return PageAnswer(self._files[path], Path(path).suffix, is_kept=True)
+            return PageAnswer(self._files[path], Path(path).suffix, is_cached=True)
         if path == _WHICH:
             return PageAnswer(json.dumps({"page": self._path}).encode(), ".json")
         return self._find(path, query)
@@ -224,7 +223,7 @@ class PageServer:
 
 
 class _Connection(ServerConnection):
-    """A connection that may take any time to receive an answer, but not to send its request."""
+    """A connection with a timeout for sending its request, but not for receiving the response."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
@@ -237,14 +236,14 @@ class _Connection(ServerConnection):
 
 @functools.cache
 def static_text(name: str) -> str:
-    """Returns a file of this folder's pages."""
+    """Returns a file of the folder `static`."""
     return (_STATIC / name).read_text("utf-8")
 
 
 class PageListener:
     """Sockets that listen at an address while pages are served there one after the other.
 
-    Between two pages no other process can get the port, and with it the token that browsers send
+    Between two pages, no other process can take the port and receive the token that browsers send
     there. Connections wait until the next page is served.
 
     Raises:
@@ -253,7 +252,9 @@ class PageListener:
 
     def __init__(self, host: str = LOOPBACK, port: int = 0) -> None:
         if not (isinstance(port, int) and 0 <= port < 65536):
-            raise RenderError(f"port {shown(port)}: expected 1 to 65535, or 0 for any")
+            raise RenderError(
+                f"port {shown(port)}: expected 1 to 65535, or 0 for the first free port"
+            )
         check_address(host)
         self.sockets = listen(host, port)
 
@@ -266,11 +267,11 @@ def listen(host: str, port: int) -> list[socket.socket]:
     """Returns sockets at an address and, for `localhost`, at its other IP version.
 
     Raises:
-        RenderError: there are none.
+        RenderError: no port is free, or the address cannot be used.
     """
     family, *_, address = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM,
                                              flags=socket.AI_PASSIVE)[0]  # fmt: skip
-    wanted = [port] if port else range(_FIRST_PORT, _FIRST_PORT + _MOST_PORTS)
+    wanted = [port] if port else range(_FIRST_PORT, _FIRST_PORT + _MAX_PORTS)
     error: OSError | None = None
     for number in wanted:
         found: list[socket.socket] = []
@@ -285,7 +286,7 @@ def listen(host: str, port: int) -> list[socket.socket]:
             return found
     where = f"{host}:{port}" if port else host
     assert error is not None
-    raise RenderError(f"no page at {where}: {error.strerror}") from error
+    raise RenderError(f"cannot serve a page at {where}: {error.strerror}") from error
 
 
 def _listening(family: int, address: tuple[Any, ...]) -> socket.socket:
@@ -293,7 +294,7 @@ def _listening(family: int, address: tuple[Any, ...]) -> socket.socket:
     try:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         found.bind(address)
-        # At once: until somebody listens, others can bind the same port.
+        # Immediately: until a process listens, others can bind the same port.
         found.listen(_BACKLOG)
     except OSError:
         found.close()
@@ -321,8 +322,8 @@ def check_address(host: str) -> str:
             trial.bind(address)
     except (OSError, UnicodeError) as error:
         raise RenderError(
-            f"no page at {host!r}: this machine has no such address ({error}); "
-            f"{LOOPBACK} is for browsers here, 0.0.0.0 for those everywhere"
+            f"cannot serve a page at {host!r}: this machine has no such address ({error}); use "
+            f"{LOOPBACK} for browsers on this machine, or 0.0.0.0 for all browsers"
         ) from error
     return str(address[0])
 

@@ -22,8 +22,8 @@ from ..host.start_page import (
     PortMonitor,
     StartPage,
 )
-from ..panels.message import Message as Notice
 from ..session.recent_views import RecentView
+from ..session.status_line import Message as Notice
 from .browsers import Browsers
 from .messages import ForStartPage, Left, MessageSender, OpenShown, OpenTile, PageMessage
 from .sections import Sections
@@ -31,20 +31,20 @@ from .server import PageAnswer, PageListener, PageServer, static_text
 from .uploads import NOT_IN_CONTROL, drops
 
 _LIVE, _TILES, _PICTURES = "/sero-mj/start", "/sero-mj/tiles", "/sero-mj/pictures/"
-_EVERY = 0.4  # s between two reports of what is awaited
-_LOOKS = 0.05  # s between two looks at messages of browsers
+_REPORT_INTERVAL = 0.4  # s between updates of the expected packets
+_POLL_INTERVAL = 0.05  # s between checks for messages
 
 
 class StartHost:
-    """Serves a page with all that can be opened, until something is opened.
+    """Serves the start page until something is opened.
 
-    Any number of browsers can connect; one at a time has control, and can open something.
+    Any number of browsers can connect; the one that has control can open something.
 
     Args:
-        opener: opens what was chosen.
-        listening: receives the data that sources wait for.
+        opener: opens the chosen view or file.
+        listening: monitors the ports of sources.
         host: address to listen on.
-        port: 0 for the first free one from 8080 on.
+        port: port to listen on; 0 for the first free port from 8080.
         token: see `PageServer`.
 
     Raises:
@@ -65,14 +65,14 @@ class StartHost:
         self._sections = Sections()
         self.browsers = Browsers(self._sections, ForStartPage)
         self.sender = MessageSender(0, is_local=False)
-        # One for each kind of `ForStartPage`, except those that `Browsers` handles.
+        # A handler for each kind of `ForStartPage` that `Browsers` does not handle.
         self._acts: dict[type[PageMessage | Left], Callable[[Any], None]] = {
             OpenTile: self._open_tile,
             OpenShown: self._open_shown,
             Left: lambda message: None,
         }
         self._reported = float("-inf")
-        self._told = Notice()
+        self._notice = Notice()
         own = {name: static_text(name).encode() for name in ("start.js", "start.css")}
         self.server = PageServer(
             static_text("start.html"),
@@ -88,13 +88,13 @@ class StartHost:
         )
 
     def run(self) -> Mirror | None:
-        """Returns what shows the chosen scene, or None when the server has ended."""
+        """Returns the mirror of the chosen scene, or None if the server has ended."""
         while self.server.is_running:
             for message, sender in self.browsers.take():
                 self.sender = sender
                 self._acts[type(message)](message)
             self._report()
-            if self._page.open_next(_LOOKS):
+            if self._page.open_next(_POLL_INTERVAL):
                 return self._page.chosen
         return None
 
@@ -115,9 +115,9 @@ class StartHost:
             return PageAnswer(json.dumps(self._described(words)).encode(), ".json")
         tiles, number = self._page.tiles, path.removeprefix(_PICTURES)
         if path.startswith(_PICTURES) and number.isdecimal() and int(number) < len(tiles):
-            picture = tiles[int(number)].picture
+            image = tiles[int(number)].image
             try:
-                return PageAnswer(picture.read_bytes() if picture else b"", ".jpg")
+                return PageAnswer(image.read_bytes() if image else b"", ".jpg")
             except OSError:
                 return None
         return None
@@ -138,7 +138,7 @@ class StartHost:
                             "number": numbers[id(tile)],
                             "title": tile.title,
                             "about": tile.about,
-                            "has_picture": tile.picture is not None,
+                            "has_picture": tile.image is not None,
                         }
                         for tile in section.tiles
                     ],
@@ -153,23 +153,23 @@ class StartHost:
             self._page.choose(tiles[message.number].view)
 
     def _open_shown(self, message: OpenShown) -> None:
-        shown = {view.scene: view for each in self._page.awaited() for view in each.shown}
+        shown = {view.scene: view for each in self._page.expected() for view in each.shown}
         if message.scene in shown:
             self._page.choose(shown[message.scene])
 
     def _report(self) -> None:
         now = time.monotonic()
-        told = self._page.notice
-        if told != self._told:
-            self._told = told
-            notice = {"text": told.text, "isBad": told.is_bad, "seconds": told.until - now}
-            self._sections.put("notice", notice)
-        elif now - self._reported < _EVERY:
+        notice = self._page.notice
+        if notice != self._notice:
+            self._notice = notice
+            content = {"text": notice.text, "isBad": notice.is_bad, "seconds": notice.until - now}
+            self._sections.put("notice", content)
+        elif now - self._reported < _REPORT_INTERVAL:
             return
-        elif not told.is_shown:
-            self._sections.put("notice", None)  # for browsers that come later
+        elif not notice.is_shown:
+            self._sections.put("notice", None)  # for browsers that connect later
         self._reported = now
-        self._sections.put("awaited", [_as_json(each) for each in self._page.awaited()])
+        self._sections.put("awaited", [_as_json(each) for each in self._page.expected()])
         self.server.call(self.browsers.wake)
 
     def close(self) -> None:
@@ -182,11 +182,11 @@ class StartHost:
         self.close()
 
 
-def _as_json(awaited: ExpectedPackets) -> dict[str, Any]:
+def _as_json(packets: ExpectedPackets) -> dict[str, Any]:
     return {
-        "text": awaited.text,
-        "expected": awaited.expected,
-        "command": awaited.command,
-        "mood": awaited.mood,
-        "shown": [view.scene for view in awaited.shown],
+        "text": packets.text,
+        "expected": packets.packets,
+        "command": packets.command,
+        "mood": packets.mood,
+        "shown": [view.scene for view in packets.shown],
     }

@@ -1,8 +1,8 @@
-"""Files that are dropped on a page: the script that sends them, and where they are stored.
+"""Files that are dropped on a page: receiving and storing them.
 
-Browsers send contents without paths. So a robot whose meshes are files of their own is dropped as
-a folder, or together with them. A drop is stored until this process ends, until it turns out that
-its file cannot be opened, or until it is no longer shown and another drop needs its space.
+Browsers send contents without paths. Robots with separate mesh files must be dropped as a folder,
+or together with the meshes. A drop is deleted when this process ends, when its file cannot be
+opened, or when it is no longer shown and another drop needs the space.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from ...base.paths import (
     scene_endings,
 )
 
-FILES = "/sero-mj/files"  # where the script sends them
-MOST_BYTES, MOST_FILES = 500_000_000, 2000  # of all drops of this process, together
-_LONGEST_PATH, _DEEPEST_PATH = 400, 20
+FILES = "/sero-mj/files"  # path of the upload websocket
+MAX_BYTES, MAX_FILES = 500_000_000, 2000  # of all drops of this process
+_MAX_PATH, _MAX_DEPTH = 400, 20
 NOT_IN_CONTROL = "another browser has control of this page; take control, then drop the files again"
-_PATIENCE = 60.0  # s for the next part of a file
+_TIMEOUT = 60.0  # s for the next part of a file
 
-# Returns why an upload with the key of a connection is refused; None if it may go on.
+# Returns why an upload with the key of a connection is refused, or None.
 MayUpload = Callable[[str], str | None]
 
 
 def is_for_files(request: Request) -> bool:
-    """Whether a request comes from the script that uploads files."""
+    """Whether a request comes from the upload script."""
     return request.path.partition("?")[0] == FILES
 
 
@@ -49,13 +49,13 @@ class _Size(NamedTuple):
 
 
 class Drops:
-    """All files that were dropped on pages of this process, with one limit for all of them."""
+    """All files that were dropped on pages of this process, with a common limit."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._sizes: dict[Path, _Size] = {}  # by folder, the oldest first
+        self._sizes: dict[Path, _Size] = {}  # by folder, oldest first
         self._shown: set[Path] = set()  # folders
-        self._arriving: set[Path] = set()  # or not shown yet
+        self._arriving: set[Path] = set()  # folders that are being received, or not shown yet
 
     @property
     def size(self) -> tuple[int, int]:
@@ -63,10 +63,10 @@ class Drops:
         return sum(each.files for each in sizes), sum(each.bytes for each in sizes)
 
     def reserve(self, files: int, size: int) -> Path:
-        """Returns a new folder for a drop, and deletes drops that are not shown if space is needed.
+        """Returns a new folder for a drop; deletes drops that are not shown if space is needed.
 
         Raises:
-            UsageError: the drops that are shown or arrive leave too little space.
+            UsageError: the drops that are shown or being received leave too little space.
         """
         with self._lock:
             while not self._has_space(files, size):
@@ -75,9 +75,9 @@ class Drops:
                     stored = sum(each.bytes for each in self._sizes.values()) / 1e6
                     raise UsageError(
                         f"no space for {files} files of {size / 1e6:.0f} MB: this viewer already "
-                        f"stores {len(self._sizes)} drops of {stored:.0f} MB, and at most "
-                        f"{MOST_FILES} files of {MOST_BYTES / 1e6:.0f} MB together. "
-                        "Close it and start it again, or open the file with `sero-mj view FILE`"
+                        f"stores {len(self._sizes)} drops of {stored:.0f} MB; the limit is "
+                        f"{MAX_FILES} files of {MAX_BYTES / 1e6:.0f} MB together. "
+                        "Restart the viewer, or open the file with `sero-mj view FILE`"
                     )
                 self._remove(next(each for each in self._sizes if each in unused))
             folder = make_temporary_folder()
@@ -86,20 +86,20 @@ class Drops:
             return folder
 
     def discard(self, path: Path | str) -> None:
-        """Deletes the drop that a file belongs to, if it belongs to one and is not shown."""
+        """Deletes the drop of a file, unless it is shown."""
         with self._lock:
             for folder in self._folders([path]) - self._shown:
                 self._remove(folder)
 
     def show(self, *paths: Path | str) -> None:
-        """Sets which files are shown from now on; all other drops may be deleted."""
+        """Sets which files are shown; all other drops may be deleted."""
         with self._lock:
             self._shown = self._folders(paths)
             self._arriving.clear()
 
     def _has_space(self, files: int, size: int) -> bool:
         stored, space = self.size
-        return stored + files <= MOST_FILES and space + size <= MOST_BYTES
+        return stored + files <= MAX_FILES and space + size <= MAX_BYTES
 
     def _folders(self, paths: Sequence[Path | str]) -> set[Path]:
         parents = {parent for path in paths for parent in Path(path).parents}
@@ -117,10 +117,11 @@ drops = Drops()
 async def take_files(
     connection: Any, may_upload: MayUpload, on_file: Callable[[Path], None]
 ) -> None:
-    """Stores the files that the script sends by a connection, and answers with errors.
+    """Stores the files that the upload script sends, or sends back an error.
 
     Args:
-        connection: of `websockets`; its first message lists the files, the others are contents.
+        connection: a connection of `websockets`; its first message lists the files, the others are
+            contents.
         may_upload: called with the key of the first message, also while contents arrive.
         on_file: called with the file to open.
     """
@@ -132,7 +133,7 @@ async def take_files(
         else:
             on_file(path)
             await connection.send(json.dumps({"opening": path.name}))
-    except (ConnectionClosed, TimeoutError):  # the page was closed meanwhile
+    except (ConnectionClosed, TimeoutError):  # the page was closed
         return
 
 
@@ -152,7 +153,7 @@ async def _take(connection: Any, may_upload: MayUpload) -> Path:
             try:
                 await _take_file(connection, folder / name, size, check)
             except OSError as error:
-                raise UsageError(f"{name}: cannot be kept: {error.strerror}") from error
+                raise UsageError(f"{name}: cannot be stored: {error.strerror}") from error
             except ValueError as error:
                 raise UsageError(f"{name}: {error}") from error
         check()
@@ -170,13 +171,13 @@ async def _take_file(connection: Any, file: Path, size: int, check: Callable[[],
             part = await _next(connection)
             check()
             if not isinstance(part, bytes) or len(part) > left:
-                raise ValueError(f"found other contents than its {size} bytes")
+                raise ValueError(f"expected contents of {size} bytes")
             stream.write(part)
             left -= len(part)
 
 
 async def _next(connection: Any) -> str | bytes:
-    message: str | bytes = await asyncio.wait_for(connection.recv(), _PATIENCE)
+    message: str | bytes = await asyncio.wait_for(connection.recv(), _TIMEOUT)
     return message
 
 
@@ -198,8 +199,8 @@ class Listed(NamedTuple):
     """The list of files of a drop.
 
     Attributes:
-        key: of the connection in control.
-        sizes: bytes of each file, by its path below the folder of the drop.
+        key: key of the connection in control.
+        sizes: size of each file, bytes, by its path in the folder of the drop.
     """
 
     key: str
@@ -207,47 +208,47 @@ class Listed(NamedTuple):
 
 
 def read_list(message: str | bytes) -> Listed:
-    """Returns the list of files that a message has, or raises UsageError."""
+    """Returns the list of files of a message, or raises UsageError."""
     try:
         listed = _Listed.model_validate_json(message)
     except (ValidationError, UnicodeEncodeError):
-        raise UsageError("found no list of files; expected paths and sizes") from None
-    if len(listed.files) > MOST_FILES:
-        raise UsageError(f"found {len(listed.files)} files; at most {MOST_FILES} are taken")
+        raise UsageError("expected a list of files with paths and sizes") from None
+    if len(listed.files) > MAX_FILES:
+        raise UsageError(f"found {len(listed.files)} files; expected at most {MAX_FILES}")
     found = {_checked(entry.path): entry.size for entry in listed.files}
     if not found or min(found.values()) < 0:
-        raise UsageError("found no file; drop a robot, a scene or a recording")
-    if sum(found.values()) > MOST_BYTES:
-        size, most = sum(found.values()) / 1e6, MOST_BYTES / 1e6
+        raise UsageError("the drop contains no file; drop a robot, a scene or a recording")
+    if sum(found.values()) > MAX_BYTES:
+        size, most = sum(found.values()) / 1e6, MAX_BYTES / 1e6
         raise UsageError(
-            f"found {size:.0f} MB; a page takes at most {most:.0f}: `sero-mj view FILE` opens it"
+            f"found {size:.0f} MB; expected at most {most:.0f}: open it with `sero-mj view FILE`"
         )
     return Listed(listed.key, found)
 
 
 def _checked(text: str) -> PurePosixPath:
     path = PurePosixPath(text)
-    is_good = 0 < len(path.parts) <= _DEEPEST_PATH and len(text) <= _LONGEST_PATH
-    is_good = is_good and text.isprintable()
-    if not is_good or ".." in path.parts or path.is_absolute() or set(r"\:") & set(text):
-        raise UsageError(f"found the path {text[:80]!r}; expected a plain one")
+    is_valid = 0 < len(path.parts) <= _MAX_DEPTH and len(text) <= _MAX_PATH
+    is_valid = is_valid and text.isprintable()
+    if not is_valid or ".." in path.parts or path.is_absolute() or set(r"\:") & set(text):
+        raise UsageError(f"found the path {text[:80]!r}; expected a relative path without '..'")
     return path
 
 
 def main_file(paths: Sequence[PurePosixPath]) -> PurePosixPath:
-    """Returns which of several files to open: the one that is nearest to their folder.
+    """Returns which of several files to open: the one nearest to the top folder.
 
-    Of several there, the one that is named as a robot's file or as its folder, else the only TOML
-    file, which names the others.
+    If there are several, it is the one that is named as a robot's file or as its folder, or the
+    only TOML file.
 
     Raises:
-        UsageError: there is none, or several.
+        UsageError: there is no such file, or more than one.
     """
     endings = (".toml", *robot_endings(), *scene_endings(), ".mcap")
     found = [path for path in paths if path.suffix.lower() in endings]
     if not found:
         names = ", ".join(path.name for path in paths[:3]) + ", ..." * (len(paths) > 3)
-        raise UsageError(f"found {names}; expected a file that ends in {', '.join(endings)}")
+        raise UsageError(f"found {names}; expected a file with the extension {', '.join(endings)}")
     depth = min(len(path.parts) for path in found)
     nearest = [path for path in found if len(path.parts) == depth]
     named = [
@@ -261,5 +262,5 @@ def main_file(paths: Sequence[PurePosixPath]) -> PurePosixPath:
         chosen = tables
     if len(chosen) > 1:
         names = " and ".join(path.name for path in chosen[:3])
-        raise UsageError(f"found {names}; drop one of them, or its folder")
+        raise UsageError(f"found {names}; drop only one of them, or its folder")
     return chosen[0]

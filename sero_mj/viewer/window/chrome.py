@@ -1,4 +1,4 @@
-"""`Chrome`: status line, time line, areas, panel and help of a window."""
+"""`Chrome`: status line, timeline, areas, panel and help of a window."""
 
 from __future__ import annotations
 
@@ -10,21 +10,20 @@ import mujoco
 from imgui_bundle import ImVec2, imgui
 
 from ..host.live import LiveHost
-from ..panels import help as help_panel
-from ..panels import request_panel
+from ..panels import dialogs
 from ..panels.robot_panel import build_handle
-from ..panels.status_line import build_status_line, build_time_line
+from ..panels.status_line import build_status_line, build_timeline
 from ..session.keys import Row
 from ..session.status_line import Piece
 from .glfw_window import GlWindow
 from .imgui_layer import ImguiLayer
 
 _HINT = "H help"
-# Below the picture's upper edge, in lines of the window's text.
+# Distances from the upper edge of the image, in lines of the window's text.
 _MESSAGE_TOP, _ONGOING_TOP, _HANDLE_TOP = 2.5, 0.5, 0.8
-_BESIDE_HANDLE = 2.0  # that numbers and notes leave to it at the left edge, likewise
-_PANEL = 21.5  # width, of the text's height
-_TALLEST = 0.97  # of the window's height
+_BESIDE_HANDLE = 2.0  # width of the panel button, in lines
+_PANEL = 21.5  # width of the panel, in text heights
+_MAX_PANEL = 0.97  # height of the panel, of the window
 _FLAGS = imgui.WindowFlags_
 _STILL = _FLAGS.no_move | _FLAGS.no_resize | _FLAGS.no_collapse | _FLAGS.no_saved_settings
 _PANEL_FLAGS = _STILL | _FLAGS.no_nav
@@ -36,10 +35,10 @@ _HANDLE_FLAGS = _BAR_FLAGS | _FLAGS.no_background | _FLAGS.always_auto_resize
 
 
 class Chrome(ImguiLayer):
-    """What a window shows besides its picture.
+    """The user interface of a window around and over its image.
 
     Attributes:
-        covered: width of what covers the left edge of the picture, pixels.
+        covered: width of the panel at the left edge of the image, pixels.
     """
 
     def __init__(self, gl: GlWindow, host: LiveHost, columns: Sequence[Sequence[Row]]) -> None:
@@ -54,7 +53,7 @@ class Chrome(ImguiLayer):
             size,
             self._line,
             has_status=host.shows_status,
-            has_time=host.shows_status and host.has_time_line,
+            has_time=host.shows_status and host.has_timeline,
             has_area=bool(host.tools.areas),
         )
 
@@ -66,17 +65,12 @@ class Chrome(ImguiLayer):
         self,
         size: tuple[int, int],
         places: Places,
-        picture: mujoco.MjrRect,
+        image: mujoco.MjrRect,
         pieces: Sequence[Piece],
     ) -> None:
-        """Builds everything for a frame.
+        self.frame(size, lambda: self._build(places, image, pieces))
 
-        Args:
-            places: of the window's parts.
-        """
-        self.frame(size, lambda: self._build(places, picture, pieces))
-
-    def _build(self, places: Places, picture: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
+    def _build(self, places: Places, image: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
         host, ui = self._host, self.widgets
         if places.area is not None and host.tools.areas:
             first = host.tools.areas[0]
@@ -84,19 +78,19 @@ class Chrome(ImguiLayer):
                 host.tools.call(first, lambda tool: tool.build_area(ui))
         if places.time is not None:
             with self._part("time", places.time, 0.45, 0.1):
-                build_time_line(ui, host.clock, host.tools.ticks)
+                build_timeline(ui, host.clock, host.tools.ticks)
         if places.status is not None:
             over = (places.status.height - self.text_height) / 2 / self.text_height
             with self._part("status", places.status, 0.55, over):
                 build_status_line(ui, pieces, _HINT)
-        top = self.size[1] - picture.bottom - picture.height
+        top = self.size[1] - image.bottom - image.height
         if host.notice.is_shown:
-            self._note("message", host.notice.piece, picture, top + _MESSAGE_TOP * self._line)
+            self._note("message", host.notice.piece, image, top + _MESSAGE_TOP * self._line)
         ongoing = host.tools.ongoing
         if ongoing is not None:
-            self._note("ongoing", ongoing, picture, top + _ONGOING_TOP * self._line)
+            self._note("ongoing", ongoing, image, top + _ONGOING_TOP * self._line)
         if host.shows_panel:
-            self._panel(places.picture.bottom if places.area is None else places.area.bottom)
+            self._panel(places.image.bottom if places.area is None else places.area.bottom)
         else:
             self._handle()
         if host.shows_help:
@@ -119,13 +113,13 @@ class Chrome(ImguiLayer):
         yield
         imgui.end()
 
-    def _note(self, name: str, piece: Piece, picture: mujoco.MjrRect, top: float) -> None:
-        room = picture.width - self.covered - self._line
+    def _note(self, name: str, piece: Piece, image: mujoco.MjrRect, top: float) -> None:
+        room = image.width - self.covered - self._line
         padding = 2 * imgui.get_style().window_padding.x
         wide = min(imgui.calc_text_size(piece[0]).x + padding + 1, max(room, 1.0))
-        middle = picture.left + (self.covered + picture.width) / 2
+        middle = image.left + (self.covered + image.width) / 2
         imgui.set_next_window_pos(ImVec2(round(middle - wide / 2), round(top)))
-        imgui.set_next_window_size(ImVec2(wide, 0.0))  # as high as it has to be
+        imgui.set_next_window_size(ImVec2(wide, 0.0))  # height of the text
         imgui.begin(name, None, _NOTE_FLAGS)
         self.widgets.text(*piece)
         imgui.end()
@@ -144,10 +138,10 @@ class Chrome(ImguiLayer):
     def _panel(self, bottom: float) -> None:
         width, height = self.size
         margin = round(0.4 * self.text_height)
-        room = max(_TALLEST * (height - bottom) - margin, 100.0)
+        room = max(_MAX_PANEL * (height - bottom) - margin, 100.0)
         wide = round(min(_PANEL * self.text_height, 0.6 * width))
         imgui.set_next_window_pos(ImVec2(margin, margin))
-        imgui.set_next_window_size(ImVec2(wide, 0.0))  # as high as what is in it, up to
+        imgui.set_next_window_size(ImVec2(wide, 0.0))  # height of the contents, limited below
         imgui.set_next_window_size_constraints(ImVec2(wide, 0.0), ImVec2(wide, room))
         title = self._host.world.scene.name
         shown, is_open = imgui.begin(f"{title}###panel", True, _PANEL_FLAGS)
@@ -160,24 +154,24 @@ class Chrome(ImguiLayer):
 
     def _help(self) -> None:
         host = self._host
-        shown, is_open = self._dialog(f"{help_panel.TITLE}###help", help_panel.WIDTH)
+        shown, is_open = self._dialog(f"{dialogs.HELP_TITLE}###help", dialogs.HELP_WIDTH)
         if shown:
-            help_panel.build_help(self.widgets, self._columns)
+            dialogs.build_help(self.widgets, self._columns)
         is_pressed = imgui.is_window_hovered() and imgui.is_mouse_clicked(0)
         host.shows_help = is_open and not (is_pressed and not imgui.is_any_item_hovered())
         imgui.end()
 
     def _request(self) -> None:
         others = self._host.others
-        shown, is_open = self._dialog(f"{request_panel.TITLE}###request", request_panel.WIDTH)
+        shown, is_open = self._dialog(f"{dialogs.REQUEST_TITLE}###request", dialogs.REQUEST_WIDTH)
         if shown:
-            others.build_dialog(self.widgets, can_allow=True)  # its user sits at this machine
+            others.build_dialog(self.widgets, can_allow=True)  # the user of a window is local
         if not is_open:
             others.dismiss()
         imgui.end()
 
     def _dialog(self, title: str, width: float) -> tuple[bool, bool]:
-        """Begins a dialog in the middle of the window, which scrolls if the window is too small."""
+        """Begins a centered dialog, which scrolls if the window is too small."""
         wide, high = self.size
         margin = round(0.4 * self.text_height)
         width = min(width * self.text_height, wide - 2 * margin)
@@ -190,13 +184,13 @@ class Chrome(ImguiLayer):
         return shown, bool(is_open)
 
 
-# Heights and widths in lines of the window's text.
+# Heights of status line and timeline; these and all lengths below in lines of the window's text.
 _STATUS, _TIME = 1.6, 1.3
-_AREA_SHARE = 0.34  # fraction of the width for the area beside the picture
-_STRIP_SHARE = 0.36  # fraction of the height for the area below the picture, in a narrow window
-_NARROW = 46.0  # in a narrower window the area is below the picture
-_LEAST_STRIP = 10.0  # minimum height
-_LEAST_AREA = 20.0  # minimum width
+_AREA_SHARE = 0.34  # fraction of the width for the area beside the image
+_STRIP_SHARE = 0.36  # fraction of the height for the area below the image, in a narrow window
+_NARROW = 46.0  # in a narrower window, the area is below the image
+_MIN_STRIP = 10.0  # height
+_MIN_AREA = 20.0  # width
 
 
 class Rect(NamedTuple):
@@ -209,9 +203,9 @@ class Rect(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where the parts of a window are; None for one that is not shown."""
+    """The parts of a window; None for a hidden one."""
 
-    picture: Rect
+    image: Rect
     area: Rect | None
     time: Rect | None
     status: Rect | None
@@ -220,7 +214,12 @@ class Places(NamedTuple):
 def arrange(
     size: tuple[int, int], text: int, *, has_status: bool, has_time: bool, has_area: bool
 ) -> Places:
-    """Returns the places of a window's parts, which do not cover each other."""
+    """Returns the parts of a window, which do not overlap.
+
+    Args:
+        size: size of the window, pixels.
+        text: height of a line of text, pixels.
+    """
     width, whole = size
     low = round(_STATUS * text) if has_status else 0
     high = round(_TIME * text) if has_time else 0
@@ -230,10 +229,10 @@ def arrange(
     if not has_area:
         return Places(Rect(0, bottom, width, height), None, line, status)
     if width < _NARROW * text:
-        strip = round(min(max(_STRIP_SHARE * height, _LEAST_STRIP * text), 0.5 * height))
-        picture = Rect(0, bottom + strip, width, max(height - strip, 1))
-        return Places(picture, Rect(0, bottom, width, strip), line, status)
-    beside = round(max(_AREA_SHARE * width, _LEAST_AREA * text))
+        strip = round(min(max(_STRIP_SHARE * height, _MIN_STRIP * text), 0.5 * height))
+        image = Rect(0, bottom + strip, width, max(height - strip, 1))
+        return Places(image, Rect(0, bottom, width, strip), line, status)
+    beside = round(max(_AREA_SHARE * width, _MIN_AREA * text))
     left = width - beside
     area = Rect(left, bottom, beside, height)
     return Places(Rect(0, bottom, left, height), area, line, status)

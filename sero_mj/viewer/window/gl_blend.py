@@ -1,4 +1,4 @@
-"""Pixels in the current OpenGL context: `Blender` lays them over its picture."""
+"""Draws pixels into the current OpenGL context."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import glfw
 from ..image.image_files import Pixels
 from ..image.typesetting import PlacedPanel
 
-# Of gl.h.
+# Constants of gl.h.
 _ALL_ATTRIBUTES = 0x000FFFFF
 _BLEND, _ONE, _ONE_MINUS_ALPHA = 0x0BE2, 1, 0x0303
 _OFF = (0x0B71, 0x0DE1, 0x0B60, 0x0BC0, 0x0C11)  # depth, 2D texture, fog, alpha and scissor tests
@@ -21,9 +21,9 @@ _TEXTURE, _MIN_FILTER, _MAG_FILTER, _LINEAR = 0x0DE1, 0x2801, 0x2800, 0x2601
 
 
 class Blender:
-    """Lays panels over the picture in a window, or the red of another picture.
+    """Draws panels over the image of a window, or replaces its red channel.
 
-    OpenGL's functions come from GLFW, which has those of every platform's windows.
+    GLFW provides the OpenGL functions on every platform.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Blender:
         )
 
     def draw_red(self, pixels: Pixels, left: int, bottom: int) -> None:
-        """Replaces the red of the picture."""
+        """Replaces the red channel of the image."""
         self._push(_ALL_ATTRIBUTES)
         for name in (*_OFF, _BLEND):
             self._disable(name)
@@ -55,12 +55,12 @@ class Blender:
         self._pop()
 
     def draw(self, panels: Sequence[PlacedPanel], left: int = 0, bottom: int = 0) -> None:
-        """Lays panels over the picture."""
+        """Draws panels over the image."""
         self._push(_ALL_ATTRIBUTES)
         for name in _OFF:
             self._disable(name)
         self._enable(_BLEND)
-        self._blend(_ONE, _ONE_MINUS_ALPHA)  # colours are premultiplied
+        self._blend(_ONE, _ONE_MINUS_ALPHA)  # colors are premultiplied
         self._zoom(1.0, -1.0)  # from the top row down
         for placed in panels:
             height, width = placed.pixels.shape[:2]
@@ -70,7 +70,7 @@ class Blender:
 
 
 def make_texture(pixels: Pixels) -> int:
-    """Returns the name of a new texture with these pixels, (height, width, 3), uint8."""
+    """Returns the name of a new texture of pixels (height, width, 3), uint8."""
     integer, unsigned = ctypes.c_int, ctypes.c_uint
     name = unsigned()
     _function("glGenTextures", integer, ctypes.c_void_p)(1, ctypes.addressof(name))
@@ -90,5 +90,5 @@ def make_texture(pixels: Pixels) -> int:
 
 def _function(name: str, *arguments: Any) -> Callable[..., None]:
     address = ctypes.cast(glfw.get_proc_address(name), ctypes.c_void_p).value
-    assert address is not None  # all are of OpenGL 1.4, and MuJoCo needs a later one
+    assert address is not None  # all are part of OpenGL 1.4, and MuJoCo needs 2.1
     return ctypes.CFUNCTYPE(None, *arguments)(address)

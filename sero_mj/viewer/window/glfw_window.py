@@ -1,4 +1,4 @@
-"""The native window: GLFW, its events, and its OpenGL contexts."""
+"""`GlWindow`: a GLFW window with its events and OpenGL contexts."""
 
 from __future__ import annotations
 
@@ -48,14 +48,13 @@ class GlWindow:
     """A window with an OpenGL context for a world.
 
     Args:
-        size: of the window in screen coordinates; limited by that of the screen.
-        full_screen: whether it covers the screen.
+        size: size of the window in screen coordinates, limited by that of the screen.
 
     Attributes:
-        context: for the scene.
-        typesetter: of the window's own text; its size depends on the screen, not on the picture.
-        on_key: is called with key, action and modifiers as GLFW has them, before all else.
-        on_character: is called with every character that is typed.
+        context: context that renders the scene.
+        typesetter: typesetter of the window's own text, whose size depends on the screen.
+        on_key: called with key, action and modifiers of GLFW, before other handlers.
+        on_character: called with each typed character.
 
     Raises:
         RenderError: there is no display, or no OpenGL.
@@ -90,9 +89,9 @@ class GlWindow:
     def _make_contexts(self) -> None:
         world = self._world
         height = _HUD_TEXT * glfw.get_window_content_scale(self._window)[1]
-        self.typesetter = self._of_picture = Typesetter(round(height))
+        self.typesetter = self._of_image = Typesetter(round(height))
         self.blender = Blender()
-        # Rendering goes to the window's buffer; the other is for pictures in less time.
+        # The scene is rendered into the window's buffer; quick frames use the offscreen buffer.
         with offscreen_size(world.model, 16, 16, samples=0):
             self.context = mujoco.MjrContext(world.model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, self.context)
@@ -104,7 +103,7 @@ class GlWindow:
         glfw.set_scroll_callback(window, self._on_scroll)
         glfw.set_key_callback(window, self._on_key)
         glfw.set_char_callback(window, self._on_char)
-        on_drop: Any = self._on_drop  # of paths, whatever its annotation says
+        on_drop: Any = self._on_drop  # it receives paths, unlike its annotation
         glfw.set_drop_callback(window, on_drop)
 
     @property
@@ -126,8 +125,8 @@ class GlWindow:
     def events(self) -> list[Event]:
         """Returns the events since the last call.
 
-        GLFW does not tell when they happened. They are spread over the time since the last call, so
-        that clicks during a hitch are not taken for a double click.
+        GLFW does not report their times. They are spread evenly over the time since the last call,
+        so that two clicks during a slow frame are not taken for a double click.
         """
         last, self._polled = self._polled, time.monotonic()
         glfw.poll_events()
@@ -135,18 +134,18 @@ class GlWindow:
         return spread_times(events, last, self._polled)
 
     def typesetter_of(self, width: int, height: int) -> Typesetter:
-        """Returns the typesetter of panels in a picture of that size, pixels.
+        """Returns the typesetter of panels in an image of that size, pixels.
 
-        Its text is at least as large as the window's own, whose size depends on the screen's scale.
+        Its text is at least as large as the window's own.
         """
         line = max(line_height(self._world, width, height), self.typesetter.font.height)
-        if line != self._of_picture.font.height:
-            self._of_picture = Typesetter(line)
-        return self._of_picture
+        if line != self._of_image.font.height:
+            self._of_image = Typesetter(line)
+        return self._of_image
 
     @property
     def clipboard(self) -> str:
-        with _glfw_errors():  # there may be a picture
+        with _glfw_errors():  # the clipboard may contain an image
             text: Any = glfw.get_clipboard_string(self._window)
         return str((text or b"").decode("utf-8", "replace"))
 
@@ -156,7 +155,7 @@ class GlWindow:
     def render_quickly(self, rect: mujoco.MjrRect, scene: mujoco.MjvScene) -> None:
         """Renders into a rectangle of the window without multisampling and shadows.
 
-        Without a GPU that is in a fraction of the time.
+        Without a GPU, this takes a fraction of the time.
         """
         context, shadow = self.context, mujoco.mjtRndFlag.mjRND_SHADOW
         here = self._offscreen(rect)
@@ -169,9 +168,9 @@ class GlWindow:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, context)
 
     def read(self, rect: mujoco.MjrRect) -> Pixels:
-        """Returns what is rendered in a rectangle, (height, width, 3), uint8, top row first.
+        """Returns the rendered pixels of a rectangle, (height, width, 3), uint8, top row first.
 
-        The window's buffer has several samples of a pixel, of which reading it directly takes one.
+        The window's buffer is multisampled; blitting it resolves the samples, reading it does not.
         """
         here = self._offscreen(rect)
         mujoco.mjr_blitBuffer(rect, here, 1, 0, self.context)
@@ -237,7 +236,7 @@ class GlWindow:
         }
 
     def _on_button(self, window: Any, button: int, action: int, mods: int) -> None:
-        # The position of the press, not that of the pointer when the event is handled.
+        # The position of the press; the pointer may have moved since.
         x, y = self._at or glfw.get_cursor_pos(window)
         kind = "press" if action == glfw.PRESS else "release"
         shift = bool(mods & (glfw.MOD_SHIFT | glfw.MOD_CONTROL))
@@ -261,7 +260,7 @@ class GlWindow:
         if key in (glfw.KEY_Q, glfw.KEY_W) and mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
             self.request_close()
         elif mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
-            # By the letter on the key, which is another one on other keyboards.
+            # By the letter on the key, which depends on the keyboard layout.
             letter = (glfw.get_key_name(key, code) or "").lower()
             if letter == "z" and mods & glfw.MOD_SHIFT:
                 letter = "y"
@@ -270,7 +269,7 @@ class GlWindow:
             self._add("key", key=_NAMED_KEYS[key], is_repeat=self._is_repeat)
 
     def _on_drop(self, window: Any, paths: Sequence[str]) -> None:
-        if paths:  # several of them are one thing too much
+        if paths:  # only the first file is opened
             self._add("drop", key=str(paths[0]))
 
     def _on_char(self, window: Any, code: int) -> None:
@@ -281,7 +280,7 @@ class GlWindow:
 
 
 def spread_times(events: Sequence[Event], begin: float, end: float) -> list[Event]:
-    """Returns events with times at equal distances from after `begin` to `end`, s."""
+    """Returns events with times at equal intervals after `begin` up to `end`, s."""
     step = (end - begin) / max(len(events), 1)
     return [replace(each, time=begin + step * (i + 1)) for i, each in enumerate(events)]
 
@@ -306,15 +305,17 @@ def _start_glfw() -> None:
     with _glfw_errors() as errors:
         if glfw.init():
             return
-    reason = errors[-1] if errors else "GLFW does not start"
-    raise RenderError(f"no window can be opened: {reason}; is there a display?")
+    reason = errors[-1] if errors else "GLFW does not initialize"
+    raise RenderError(f"cannot open a window: {reason}; is there a display?")
 
 
 def _check(size: Any) -> None:
     try:
         width, height = (int(side) for side in size)
     except (TypeError, ValueError):
-        raise RenderError(f"window size {shown(size)}: expected width and height") from None
+        raise RenderError(
+            f"window size {shown(size)}: expected width and height in pixels"
+        ) from None
     check_size("window", width, height)
 
 
@@ -328,6 +329,4 @@ def _make_window(size: tuple[int, int], title: str) -> Any:
             if window:
                 return window
     reason = errors[-1] if errors else "no OpenGL"
-    raise RenderError(
-        f"no window can be opened: {reason}; `sero-mj render` makes pictures without one"
-    )
+    raise RenderError(f"cannot open a window: {reason}; `sero-mj render` needs no window")

@@ -17,30 +17,30 @@ from ..decor.toggles import Toggles
 from ..host.live import LiveHost
 from ..image.image_files import Pixels
 from ..image.image_options import DEFAULT_SIZE
+from ..image.picking import Pixel
 from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.keys import help_columns
 from ..session.status_line import status_pieces
 from ..session.tool import tool_keys
-from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
 from .glfw_window import GlWindow
 from .viewport import Pane, Viewport
 
-_RESTS = 0.3  # s without motion or action after which frames have full quality
-_SAME_VIEW = 1e-6  # m, and of the unit vector of its direction
+_REST = 0.3  # s without motion or input, after which frames have full quality
+_SAME_VIEW = 1e-6  # tolerance of position, m, and direction of the camera
 
 
 class Pace:
-    """Decides when frames are drawn at reduced quality: while the user acts, on a slow machine.
+    """Reduces the quality of frames while the user acts, if rendering is slow.
 
     Attributes:
-        slow: time from which a frame of full quality counts as slow, s.
+        slow: a full-quality frame that takes longer is slow, s.
     """
 
     def __init__(self) -> None:
         self.slow = 0.04
-        self._time = 0.0  # of a frame of full quality, s
+        self._time = 0.0  # mean duration of full-quality frames, s
         self._view: tuple[float, ...] = ()
-        self._moved = float("-inf")  # when the view did, or the user did anything
+        self._moved = float("-inf")  # time of the last motion or input
 
     def took(self, seconds: float) -> None:
         self._time += 0.15 * (seconds - self._time)
@@ -52,27 +52,24 @@ class Pace:
         if self._view and not np.allclose(view, self._view, rtol=0.0, atol=_SAME_VIEW):
             self._moved = now
         self._view = view
-        return self._time > self.slow and now - self._moved < _RESTS
+        return self._time > self.slow and now - self._moved < _REST
 
 
 class Window(LiveHost):
     """Shows a mirror in a window.
 
-    It never waits for a packet: every frame shows the latest one.
-
-    Args:
-        full_screen: whether it covers the screen.
+    Every frame shows the latest packet; it never waits for one.
 
     Attributes:
-        is_quick: whether the last frame was drawn without multisampling and shadows, since the
-            view moves, or the user acts, and the machine is slow.
+        is_quick: whether the last frame was rendered without multisampling and shadows.
 
     Raises:
         RenderError: there is no display, no OpenGL or no Dear ImGui.
-        UnknownName: no camera of that name.
+        UnknownName: there is no camera of that name.
     """
 
     decor: Viewport
+    is_window = True
 
     def __init__(
         self,
@@ -84,11 +81,11 @@ class Window(LiveHost):
         folder: Path | None = None,
         make_viewport: Callable[[WorldView, Toggles, mujoco.MjrContext], Viewport] = Viewport,
     ) -> None:
-        try:  # here, so that who renders pictures loads no user interface
+        try:  # not at the top: rendering images needs no user interface
             from .chrome import Chrome
-        except ImportError as error:  # of a library of the system, say
+        except ImportError as error:  # for example of a system library
             raise RenderError(
-                f"no window can be opened: {error}; `sero-mj view --web` shows a page"
+                f"cannot open a window: {error}; `sero-mj view --web` serves a page instead"
             ) from error
         super().__init__(mirror, folder, camera)
         world = self.world
@@ -99,10 +96,8 @@ class Window(LiveHost):
         self.decor.needed = self.navigator.needed
         self._mouse = Mouse()
         self.actions.add({"full_screen": self.gl.toggle_full_screen})
-        self.gamepad = Gamepad(self, self.camera_control.move)
         columns = help_columns(tool_keys())
-        columns.append([("Gamepad", ""), *PAD_STICKS.items(),
-                        *((name, words) for name, (_, words) in PAD_KEYS.items())])  # fmt: skip
+        columns += [[*rows] for rows in self.tools.call_all(lambda tool: tool.help_rows()) if rows]
         self._chrome = Chrome(self.gl, self, columns)
         self._pace, self.is_quick = Pace(), False
         self._last = self._end = time.monotonic()  # start and end of the last frame
@@ -137,15 +132,14 @@ class Window(LiveHost):
             if event.kind != "move" or self._mouse.is_down:
                 self._pace.act(begin)
             self._take(event, height)
-        self.gamepad.update()
-        self._advance(lambda: self.clock.advance(passed))
+        self._advance(passed)
         self.navigator.advance(self.data)
         chrome = self._chrome
         places = chrome.places((width, height))
-        rect = mujoco.MjrRect(*places.picture)
+        rect = mujoco.MjrRect(*places.image)
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
-        is_kept = self.tools.takes_pictures
-        covered = 0.0 if is_kept else chrome.covered  # pictures are as without chrome
+        is_taken = self.tools.takes_images
+        covered = 0.0 if is_taken else chrome.covered  # saved images have no panel
         self.decor.update(self.data, self.navigator.camera, Pane(rect, typesetter, covered))
         self._place_pointer()
         at = self._mouse.position
@@ -158,38 +152,47 @@ class Window(LiveHost):
         drawn = time.monotonic()
         self.work = drawn - begin
         view = self.decor.view
-        assert view is not None  # it has just been updated
+        assert view is not None  # set by `update` above
         is_quick = self._pace.is_quick((*view.position, *view.forward), drawn)
-        self.is_quick = is_quick and not is_kept
+        self.is_quick = is_quick and not is_taken
         self._draw()
         self.gl.swap()
         self._end = time.monotonic()
         if not self.is_quick:
             self._pace.took(self._end - drawn)
-        # Limits the frame rate where swapping does not wait for the screen's refresh.
+        # Limits the frame rate if swapping does not wait for the screen's refresh.
         if wait:
             self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (self._end - begin))
         return not self.gl.is_closing
 
     def _draw(self) -> None:
         self.decor.render(self.gl, quickly=self.is_quick)
-        self.tools.give_picture(lambda: self.gl.read(self.decor.rect))
+        self.tools.distribute_image(lambda: self.gl.read(self.decor.rect))
         self._chrome.draw()
 
     @property
-    def picture_size(self) -> tuple[int, int]:
+    def image_size(self) -> tuple[int, int]:
         return int(self.decor.rect.width), int(self.decor.rect.height)
 
-    def picture(self) -> Pixels:
+    def image(self) -> Pixels:
         rect = self.decor.rect
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
         self.decor.update(self.data, self.navigator.camera, Pane(rect, typesetter))
         self.decor.render(self.gl)
         return self.gl.read(rect)
 
+    def _pixel(self, at: Pixel | None) -> Pixel | None:
+        """Returns a pixel of the window as one of the image, of either eye; None outside it."""
+        if at is None:
+            return None
+        rect = self.decor.rect
+        x, y = at[0] - rect.left, at[1] - rect.bottom
+        if not (0 <= x < rect.width and 0 <= y < rect.height):
+            return None
+        return x % self.decor.width, y
+
     def _place_pointer(self) -> None:
-        at = self._mouse.position
-        self.pointer.at = None if at is None else self.decor.to_picture(*at)
+        self.pointer.at = self._pixel(self._mouse.position)
 
     def _take(self, event: Event, height: int) -> None:
         if event.kind == "drop":
@@ -214,8 +217,7 @@ class Window(LiveHost):
 
     def _move(self, moved: Moved, height: int) -> None:
         view = self.decor.view
-        places = (moved.pulls_from, moved.pressed)
-        begin, pressed = (None if at is None else self.decor.to_picture(*at) for at in places)
+        begin, pressed = self._pixel(moved.pulls_from), self._pixel(moved.pressed)
         pointer = self.pointer
         if view is None or pointer.dragging.take(moved, pointer.at, begin, pressed):
             return
@@ -227,7 +229,7 @@ class Window(LiveHost):
         self.camera_control.move(moved.how, moved.right / height, down)
 
     def _click(self, clicked: Clicked) -> None:
-        at = self.decor.to_picture(clicked.x, clicked.y)
+        at = self._pixel((clicked.x, clicked.y))
         if self.shows_help:
             self.shows_help = False
         elif at is not None:

@@ -1,4 +1,4 @@
-"""`ImguiLayer`: widgets in a window, with their share of mouse and keys."""
+"""`ImguiLayer`: Dear ImGui in a window, with its share of mouse and keyboard."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ..session.widgets import Widgets
 from .glfw_window import GlWindow
 from .style import set_style
 
-# Fits the OpenGL 2.1 that MuJoCo needs, and all later ones.
+# For OpenGL 2.1, which MuJoCo needs, and later versions.
 _GLSL = "#version 120"
-_TEXT = 0.84  # height of its text, of that of the window's own
+_TEXT = 0.84  # text height, relative to the window's own text
 _KEYS = {
     glfw.KEY_TAB: imgui.Key.tab,
     glfw.KEY_BACKSPACE: imgui.Key.backspace,
@@ -42,11 +42,11 @@ _MODIFIERS = {
 
 
 class ImguiLayer:
-    """Dear ImGui in the window's own OpenGL context, which is left as it was found."""
+    """Dear ImGui in the window's own OpenGL context, whose state it restores."""
 
     def __init__(self, gl: GlWindow) -> None:
         self._gl = gl
-        self.size = gl.size  # asked for once a frame, for that is a question to the display
+        self.size = gl.size  # queried once per frame, because it is a request to the display
         self.text_height = round(_TEXT * gl.typesetter.font.height)
         self._context, self._plots = imgui.create_context(), implot.create_context()
         io = imgui.get_io()
@@ -59,12 +59,12 @@ class ImguiLayer:
         platform.platform_set_clipboard_text_fn = lambda _, text: gl.set_clipboard(text)
         gl.on_key, gl.on_character = self._key, io.add_input_character
         self.widgets: Widgets = ImguiWidgets(imgui, implot)
-        # Left, top, width and height of what takes the mouse.
+        # Left, top, width and height of the ImGui windows that take the mouse.
         self._rects: list[tuple[float, float, float, float]] = []
-        self._at = (-1.0, -1.0)  # of the pointer, pixels from the upper left corner
-        self._is_held = False  # whether the button was pressed over it
-        self._released: list[int] = []  # buttons, of which it is told a frame later
-        self._is_open_above = False  # a list to choose from, say
+        self._at = (-1.0, -1.0)  # position of the pointer, pixels from the upper left corner
+        self._is_held = False  # whether the button was pressed over an ImGui window
+        self._released: list[int] = []  # buttons, passed to ImGui one frame later
+        self._has_popup = False  # for example a drop-down list
         self._last = time.monotonic()
 
     @property
@@ -72,7 +72,7 @@ class ImguiLayer:
         return bool(imgui.get_io().want_text_input)
 
     def take(self, event: Event) -> bool:
-        """Takes an event; returns whether it is its own, and nobody else's."""
+        """Handles an event; returns whether it belongs to the user interface only."""
         if event.kind == "key":
             return self.takes_keys
         io = imgui.get_io()
@@ -87,13 +87,13 @@ class ImguiLayer:
             return self._is_held
         is_press = event.kind == "press"
         if is_press and not self._is_over(x, y):
-            imgui.set_window_focus(None)  # who was typing has ended
+            imgui.set_window_focus(None)  # a text field loses the focus
             return False
         was_held, self._is_held = self._is_held, is_press
         if is_press:
             io.add_mouse_button_event(event.button, True)
         elif was_held:
-            # What is dragged goes to where the button was released, before it is let go of.
+            # A dragged widget first moves to where the button was released.
             self._released.append(event.button)
         return is_press or was_held
 
@@ -101,7 +101,7 @@ class ImguiLayer:
         return self._is_over(x, self.size[1] - y)
 
     def _is_over(self, x: float, y: float) -> bool:
-        return self._is_open_above or any(
+        return self._has_popup or any(
             left <= x < left + width and top <= y < top + height
             for left, top, width, height in self._rects
         )
@@ -117,8 +117,7 @@ class ImguiLayer:
         """Builds the widgets of a frame, which `draw` draws.
 
         Args:
-            build: builds windows of Dear ImGui, and says of those that take the mouse, by
-                `take_mouse`, where they are.
+            build: builds ImGui windows and calls `take_mouse` in those that take the mouse.
         """
         now = time.monotonic()
         io = imgui.get_io()
@@ -132,7 +131,7 @@ class ImguiLayer:
         self._released.clear()
         self._rects.clear()
         build()
-        self._is_open_above = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
+        self._has_popup = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
         imgui.render()
 
     def take_mouse(self) -> None:

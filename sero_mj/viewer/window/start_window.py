@@ -13,7 +13,7 @@ from PIL import Image
 from ...data.drive.mirror import Mirror
 from ...robots.assemble.world import World
 from ...robots.declared.scene import Scene
-from ..host import start_page as page_texts
+from ..host import start_page as texts
 from ..host.start_page import ExpectedPackets, Opener, PortMonitor, Section, StartPage, Tile
 from .gl_blend import make_texture
 from .glfw_window import GlWindow
@@ -28,21 +28,17 @@ _FLAGS = (
 # Lengths in units of the text's height.
 _TILE, _WIDEST = 13.5, 22.0  # widths of tiles
 _GAP, _SIDE, _MARGIN = 1.0, 23.0, 1.6
-_HEAD = 4.4  # height above tiles, without a message of several lines
-_ASPECT = 0.625  # height of a picture over its width
-_LARGE, _SMALL = 1.6, 0.86  # heights of the title, and of texts below pictures
-_NARROW = 52.0  # width of a window with the side column below
+_HEAD = 4.4  # height above the tiles if the message has one line
+_ASPECT = 0.625  # height of an image over its width
+_LARGE, _SMALL = 1.6, 0.86  # heights of the title, and of the texts below images
+_NARROW = 52.0  # in a narrower window, the side column is below the tiles
 _BACKGROUND = (0.05, 0.06, 0.08, 1.0)
-_RIM = 3.0  # width of what is lit around a picture, pixels
-_WAIT, _IDLE = 0.05, 0.25  # s between two frames, while the pointer moves and else
+_RIM = 3.0  # width of the highlight around an image, pixels
+_WAIT, _IDLE = 0.05, 0.25  # s between frames, with and without events
 
 
 class StartWindow:
-    """Shows what can be opened, until something is.
-
-    Args:
-        full_screen: whether it covers the screen.
-    """
+    """Shows the start page until something is opened."""
 
     def __init__(
         self,
@@ -53,9 +49,7 @@ class StartWindow:
         full_screen: bool = False,
     ) -> None:
         self.page = StartPage(opener, listening)
-        self.gl = GlWindow(
-            World(Scene(floor=False)), size, page_texts.TITLE, full_screen=full_screen
-        )
+        self.gl = GlWindow(World(Scene(floor=False)), size, texts.TITLE, full_screen=full_screen)
         self._layer = ImguiLayer(self.gl)
         self._textures: dict[Path, int | None] = {}
         self._typed = self._search = ""
@@ -82,7 +76,7 @@ class StartWindow:
             mujoco.mjr_rectangle(mujoco.MjrRect(0, 0, *size), *_BACKGROUND)
             self._layer.draw()
             gl.swap()
-        if is_opening:  # and its name is shown now
+        if is_opening:  # this frame shows the message
             return not page.open_next(0.0)
         if not page.is_opening:
             gl.wait(_WAIT if events else _IDLE)
@@ -121,18 +115,18 @@ class StartWindow:
     def _head(self) -> None:
         ui, notice = self._layer.widgets, self.page.notice
         imgui.push_font(None, _LARGE * self._layer.text_height)
-        ui.text(page_texts.TITLE, "title")
+        ui.text(texts.TITLE, "title")
         imgui.pop_font()
         ui.same_line()
-        ui.text(page_texts.TAGLINE, "dim")
+        ui.text(texts.TAGLINE, "dim")
         ui.width(min(_SIDE, ui.room()[0]))
-        self._search = ui.search("##search", self._search, page_texts.SEARCH_HINT)
+        self._search = ui.search("##search", self._search, texts.SEARCH_HINT)
         if notice.is_shown:
             ui.same_line()
             ui.text(notice.text, "bad" if notice.is_bad else "good")
-        # One line has its place whether there is one or not, so that nothing moves.
-        low = _HEAD * self._layer.text_height
-        imgui.set_cursor_pos_y(max(imgui.get_cursor_pos_y(), low))
+        # The line of the message is reserved, so that nothing moves.
+        bottom = _HEAD * self._layer.text_height
+        imgui.set_cursor_pos_y(max(imgui.get_cursor_pos_y(), bottom))
 
     def _section(self, section: Section) -> None:
         unit = self._layer.text_height
@@ -148,7 +142,7 @@ class StartWindow:
 
     def _tile(self, label: str, tile: Tile, wide: float) -> None:
         size = ImVec2(wide, _ASPECT * wide)
-        texture = self._texture(tile.picture) if imgui.is_rect_visible(size) else None
+        texture = self._texture(tile.image) if imgui.is_rect_visible(size) else None
         imgui.begin_group()
         imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(_RIM, _RIM))
         if texture is None:
@@ -168,25 +162,25 @@ class StartWindow:
         if is_chosen:
             self.page.choose(tile.view)
 
-    def _texture(self, picture: Path | None) -> int | None:
-        if picture is None:
+    def _texture(self, path: Path | None) -> int | None:
+        if path is None:
             return None
-        if picture not in self._textures:
+        if path not in self._textures:
             try:
-                with Image.open(picture) as image:
+                with Image.open(path) as image:
                     pixels = np.ascontiguousarray(image.convert("RGB"))
-                self._textures[picture] = make_texture(pixels)
-            except OSError:  # damaged, or gone meanwhile
-                self._textures[picture] = None
-        return self._textures[picture]
+                self._textures[path] = make_texture(pixels)
+            except OSError:  # damaged or deleted
+                self._textures[path] = None
+        return self._textures[path]
 
     def _files(self) -> None:
         ui = self._layer.widgets
         ui.title("Open a file")
-        ui.text(page_texts.DROP_HINT, "dim")
+        ui.text(texts.DROP_HINT, "dim")
         ui.width(0.0)
         entered = imgui.InputTextFlags_.enter_returns_true
-        hint = "or type its path, Enter"
+        hint = "or type its path and press Enter"
         typed, self._typed = imgui.input_text_with_hint("##path", hint, self._typed, entered)
         if typed and self._typed.strip():
             self.page.choose(Path(self._typed.strip()).expanduser())
@@ -195,24 +189,24 @@ class StartWindow:
     def _data(self) -> None:
         ui = self._layer.widgets
         ui.title("Data")
-        for awaited in self.page.awaited():
-            self._awaited(awaited)
-        ui.text(page_texts.MORE_HINT, "dim")
+        for expected in self.page.expected():
+            self._expected(expected)
+        ui.text(texts.MORE_HINT, "dim")
 
-    def _awaited(self, awaited: ExpectedPackets) -> None:
+    def _expected(self, expected: ExpectedPackets) -> None:
         ui, unit = self._layer.widgets, self._layer.text_height
-        ui.text(awaited.text, awaited.mood)
-        ui.scope(awaited.where)
+        ui.text(expected.text, expected.mood)
+        ui.scope(expected.where)
         imgui.indent(unit)
-        ui.text(awaited.expected, "dim")
-        for view in awaited.shown:
+        ui.text(expected.packets, "dim")
+        for view in expected.shown:
             if ui.button(f"show {Path(view.scene).name}"):
                 self.page.choose(view)
-        if awaited.command:
-            ui.text(f"try {awaited.command}", "dim")
+        if expected.command:
+            ui.text(f"try {expected.command}", "dim")
             ui.same_line()
             if imgui.small_button("copy"):
-                ui.copy(awaited.command)
+                ui.copy(expected.command)
         imgui.unindent(unit)
         ui.end_scope()
 

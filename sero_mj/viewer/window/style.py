@@ -1,4 +1,4 @@
-"""The look of Dear ImGui in windows: typeface, colours, distances."""
+"""Fonts, colors and spacing of Dear ImGui in windows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _GROUND = (0.07, 0.09, 0.12)
 _RAISED, _HOVERED, _PRESSED = (0.16, 0.20, 0.25), (0.21, 0.27, 0.34), (0.26, 0.34, 0.43)
 _ACCENT = (0.30, 0.60, 0.86)
 _BRIGHT = (0.52, 0.76, 0.96)
-_COLOURS = {
+_COLORS = {
     "text": (*_TEXT, 1.0),
     "text_disabled": (*_DIM, 1.0),
     "window_bg": (*_GROUND, 0.94),
@@ -41,7 +41,7 @@ _COLOURS = {
 }
 
 
-_PLOT_COLOURS = {
+_PLOT_COLORS = {
     "frame_bg": (0.0, 0.0, 0.0, 0.0),
     "plot_bg": (0.10, 0.12, 0.16, 1.0),
     "plot_border": (0.32, 0.36, 0.42, 1.0),
@@ -54,22 +54,22 @@ _PLOT_COLOURS = {
 
 
 def set_style(height: float) -> None:
-    """Gives the current contexts of imgui and implot the fonts and colours of the window."""
+    """Sets fonts and colors of the current contexts of imgui and implot."""
     io, style = imgui.get_io(), imgui.get_style()
     font = files("sero_mj.viewer") / "fonts" / "Inter-Medium.ttf"
     io.fonts.add_font_from_file_ttf(str(Path(str(font))), height)
-    for more in more_fonts():  # for characters that the fonts before it do not have
+    for more in more_fonts():  # for characters that are missing in the previous fonts
         merged = imgui.ImFontConfig()
         merged.merge_mode = True
         io.fonts.add_font_from_file_ttf(more, height, merged)
     imgui.style_colors_dark()
-    for name, rgba in _COLOURS.items():
+    for name, rgba in _COLORS.items():
         style.set_color_(getattr(imgui.Col_, name), ImVec4(*rgba))
     style.window_rounding = style.popup_rounding = 0.4 * height
     style.frame_rounding = style.grab_rounding = style.scrollbar_rounding = 0.25 * height
     style.window_border_size = 0.0
     style.window_min_size = ImVec2(1.0, 1.0)
-    # Whole pixels: else what is as high as its contents seems to be a little too low.
+    # Whole pixels, or windows that fit their contents would be slightly too low.
     style.window_padding = ImVec2(round(0.7 * height), round(0.6 * height))
     style.frame_padding = ImVec2(round(0.4 * height), round(0.2 * height))
     style.item_spacing = ImVec2(round(0.45 * height), round(0.3 * height))
@@ -78,6 +78,6 @@ def set_style(height: float) -> None:
     style.grab_min_size = round(0.6 * height)
     style.scrollbar_size = round(0.6 * height)
     plots = implot.get_style()
-    for name, rgba in _PLOT_COLOURS.items():
+    for name, rgba in _PLOT_COLORS.items():
         plots.set_color_(getattr(implot.Col_, name), ImVec4(*rgba))
     plots.legend_padding = ImVec2(0.0, round(0.3 * height))

@@ -1,4 +1,4 @@
-"""Pictures of a world in a rectangle of a window, for one eye or for two."""
+"""`Viewport`: draws a world in a rectangle of a window, for one eye or two."""
 
 from __future__ import annotations
 
@@ -14,22 +14,20 @@ from ..decor.toggles import Toggles
 from ..image.added_surroundings import added_surroundings
 from ..image.framing import bounding_sphere, stand_back
 from ..image.image_options import EYE_DISTANCE, Stereo
-from ..image.picking import Pixel
 from ..image.scene_decor import SceneDecor
 from ..image.stereo import check_stereo, each_eye, looked_at
 from ..image.typesetting import Typesetter
 from ..session.status_line import Piece
 from .glfw_window import GlWindow
 
-_MORE = 2000  # additional capacity for geoms that MuJoCo adds to those of the model
+_MORE = 2000  # capacity for geoms that MuJoCo adds to those of the model
 
 
 class Pane(NamedTuple):
-    """The part of a window that shows a picture.
+    """The part of a window that shows the image.
 
     Attributes:
-        typesetter: of the panels.
-        covered: width of what covers its left edge, pixels; numbers stay beside it.
+        covered: width of the panel at its left edge, pixels; text is placed beside it.
     """
 
     rect: mujoco.MjrRect
@@ -38,13 +36,17 @@ class Pane(NamedTuple):
 
 
 class Viewport(SceneDecor):
-    """The picture of a world in a rectangle of a window."""
+    """The image of a world in a rectangle of a window.
+
+    Attributes:
+        width: width of the image for one eye, pixels.
+    """
 
     def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
         super().__init__(world, toggles, with_text=False)
         self.needed = 0.0
         self._surroundings = added_surroundings(world, context)
-        self.rect = mujoco.MjrRect(0, 0, 1, 1)
+        self.rect, self.width = mujoco.MjrRect(0, 0, 1, 1), 1
         self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
         self._typesetter: Typesetter | None = None
 
@@ -60,18 +62,16 @@ class Viewport(SceneDecor):
             self._surroundings.add(scene)
         rect, self._typesetter, covered = pane
         self.rect = rect
+        self.width = self._width_of(rect)
         stand_back(scene, camera, self.width, rect.height, self.needed)
         inset = (min(covered, 0.6 * self.width), 0.0, 0.0, 0.0)
         view = ImageView.of_scene(scene, self.width, rect.height, pane.typesetter.font, inset)
         self.draw(data, view, scene)
 
-    @property
-    def width(self) -> int:
-        """Width of what one eye sees, pixels."""
-        return int(self.rect.width)
+    def _width_of(self, rect: mujoco.MjrRect) -> int:
+        return int(rect.width)
 
     def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
-        """Renders the picture in a window."""
         if quickly:
             gl.render_quickly(self.rect, self._scene)
         else:
@@ -82,23 +82,16 @@ class Viewport(SceneDecor):
         if self._typesetter is not None:
             gl.blender.draw(self._typesetter.place(self.panels), left, self.rect.bottom)
 
-    def to_picture(self, x: float, y: float) -> Pixel | None:
-        x, y = x - self.rect.left, y - self.rect.bottom
-        if not (0 <= x < self.rect.width and 0 <= y < self.rect.height):
-            return None
-        return x % self.width, y
-
 
 class StereoViewport(Viewport):
-    """See `Viewport`; it is always drawn in full.
+    """A viewport with one image per eye, always in full quality.
 
     Args:
-        stereo: `side-by-side` for a half of the picture for each eye, or `anaglyph` for red-cyan
-            glasses.
-        eye_distance: between the eyes, m.
+        stereo: `side-by-side` for half of the image per eye, or `anaglyph` for red-cyan glasses.
+        eye_distance: distance between the eyes, m.
 
     Raises:
-        RenderError: no such stereo, or the distance is out of range.
+        RenderError: there is no such stereo mode, or the distance is out of range.
     """
 
     def __init__(
@@ -113,11 +106,10 @@ class StereoViewport(Viewport):
         super().__init__(world, toggles, context)
         self._is_anaglyph, self._eye_distance = stereo == "anaglyph", eye_distance
         self._centre = bounding_sphere(world)[0]
-        self._distance = 1.0  # m, of what the camera looks at
+        self._distance = 1.0  # distance of the look-at point, m
 
-    @property
-    def width(self) -> int:
-        return super().width // (1 if self._is_anaglyph else 2)
+    def _width_of(self, rect: mujoco.MjrRect) -> int:
+        return int(rect.width) // (1 if self._is_anaglyph else 2)
 
     def update(self, data: mujoco.MjData, camera: mujoco.MjvCamera, pane: Pane) -> None:
         super().update(data, camera, pane)
@@ -130,7 +122,7 @@ class StereoViewport(Viewport):
         for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
             half = mujoco.MjrRect(starts[eye], rect.bottom, self.width, rect.height)
             mujoco.mjr_render(half, scene, gl.context)
-            # MuJoCo sets all colours where something is reflected, so no mask holds meanwhile.
+            # Not with a color mask: MuJoCo resets it when it renders reflections.
             if self._is_anaglyph and eye == 0:
                 red = gl.read(rect)
         if self._is_anaglyph:

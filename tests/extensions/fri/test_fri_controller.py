@@ -290,7 +290,7 @@ def test_the_scene_shows_what_the_controller_tells(lwr: SerialRobot) -> None:
         (["lwr_fri", "--loss", "1.5"], "--loss: found '1.5'; expected a share from 0 to 1"),
         (["lwr_fri", "--seed", "-1"], "--seed: found '-1'; expected a whole number from 0"),
         (["lwr_fri", "--structure", "7F"], "--structure: FRI fixes it; leave it out"),
-        (["lwr_udp", "--loss", "0.1"], '--loss is for a scene whose source is of kind = "fri"'),
+        (["lwr_udp", "--loss", "0.1"], '--loss needs a source of kind = "fri"'),
     ],
 )
 def test_send_rejects_arguments(capsys: Any, arguments: list[str], message: str) -> None:

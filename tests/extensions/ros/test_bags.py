@@ -83,9 +83,9 @@ def test_packets_are_those_of_the_messages_in_the_robot_s_order(bag: Path) -> No
         assert recording.sources["joint_states"].count == COUNT
         assert recording.read_attachment(DESCRIPTION) == b"<robot name='x'/>"
     with replay:
-        replay.keep_all()
+        replay.start_history()
         replay.advance_to(100.0)
-        packets = replay.take_all()
+        packets = replay.take_history()
     assert packets is not None
     found = packets.values["joint_angles"]
     # The first one was there when it was opened.
@@ -205,7 +205,7 @@ def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys
     status, _, told = run(capsys, *command, "b_joint_stats")
     assert status == 2 and "; did you mean 'b_joint_states'?" in told
     assert run(capsys, *command, "b_joint_states")[0] == 0
-    with pytest.raises(UsageError, match="scene 'lwr_udp' has sources of its own, udp, which are"):
+    with pytest.raises(UsageError, match=r"scene 'lwr_udp' has its own sources \(udp\)"):
         replay_instead(load_scene("lwr_udp"), bag, None, "b_joint_states")
     assert Replay(file=bag, source="b_joint_states").recorded.count == COUNT
     assert Replay(file=bag, topics={"joint_states": "/a/joint_states"}).recorded.name == "replay"
@@ -225,11 +225,11 @@ def test_why_messages_make_no_packets_is_told(
     with replay:
         assert replay.counters.last_fault == f"joint {UR[0]} is named twice"
     caplog.clear()
-    with pytest.raises(RecordingError, match="has no good packet that leads to"):
+    with pytest.raises(RecordingError, match="has no valid packet for"):
         read_run(bag, scene=load_scene("ur5e"))
     assert caplog.records[-1].args == (
         bag,
-        f"a message of /joint_states is left out: joint {UR[0]} is named twice",
+        f"a message of /joint_states was skipped: joint {UR[0]} is named twice",
     )
 
 
@@ -283,7 +283,9 @@ def test_what_is_whole_of_a_cut_bag_is_read(
         assert found == expected[: len(found)]
         assert cut * COUNT - 40 < len(found) <= COUNT
         assert before == expected[10]
-        assert fault.startswith("was not closed" if cut > 0.99 else "is cut off or damaged at byte")
+        assert fault.startswith(
+            "was not closed" if cut > 0.99 else "is truncated or damaged at byte"
+        )
 
 
 def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
@@ -293,7 +295,7 @@ def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
     path.write_bytes(data)
     with open_recording(path) as recording:
         found = list(recording.packets("joint_states"))
-        assert "is damaged (its checksum is wrong) and left out" in recording.faults[0]
+        assert "is damaged (its checksum is wrong) and skipped" in recording.faults[0]
     times = np.diff([time for time, _ in found])
     assert 20 * STEP < 1e9 * times.max() < 40 * STEP and len(found) > 120
 
@@ -301,9 +303,9 @@ def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "why"),
     [
-        ("mcap", "is cut off or damaged at byte 43 .*; nothing before that can be read"),
+        ("mcap", "is truncated or damaged at byte 43 .*; no message before that can be read"),
         ("db3", r"is cut off \(.*\): \d+ of \d+ bytes are missing; what is left may be saved"),
-        ("bag", "is cut off or damaged .*, so its index cannot be read; rosbag reindex"),
+        ("bag", "is truncated or damaged .*, so its index cannot be read; `rosbag reindex`"),
     ],
 )
 def test_of_a_bag_of_which_nothing_is_whole_it_is_said(kind: str, why: str, tmp_path: Path) -> None:
@@ -372,7 +374,7 @@ os._exit(0)
             assert recording.sources["joint_states"].count == 200
             assert recording.duration == pytest.approx(1.99)
             (told,) = recording.faults
-        assert "drive.db3-wal is read as well; it has 200 messages, of 2.0 s" in told
+        assert "drive.db3-wal are included; 200 messages of 2.0 s can be read" in told
     _, out, _ = run(capsys, "export", str(folder), str(tmp_path / "drive.csv"))
     assert f"note: {folder}: {told}" in out and "200 rows" in out
     assert {each.name: each.read_bytes() for each in folder.iterdir()} == before
@@ -389,8 +391,8 @@ def test_what_a_cut_bag_has_is_told_by_commands_for_runs(
         count = recording.sources["joint_states"].count
     assert run(capsys, "plot", str(path), "-o", str(tmp_path / "cut.pdf"))[0] == 0
     (told,) = [each.getMessage() for each in caplog.records]
-    assert told.startswith(f"{path}: is cut off or damaged at byte ")
-    assert told.endswith(f"; it has {count} messages, of {(count - 1) * STEP / 1e9:.1f} s")
+    assert told.startswith(f"{path}: is truncated or damaged at byte ")
+    assert told.endswith(f"; {count} messages of {(count - 1) * STEP / 1e9:.1f} s can be read")
 
 
 def test_a_bag_of_ros_1_that_was_not_closed_says_what_writes_its_index(tmp_path: Path) -> None:
@@ -401,7 +403,9 @@ def test_a_bag_of_ros_1_that_was_not_closed_says_what_writes_its_index(tmp_path:
     for name in ("drive.bag", "drive.bag.active"):
         path = tmp_path / name
         path.write_bytes(data)
-        with pytest.raises(RecordingError, match=f"so it has no index; `rosbag reindex {path}`"):
+        with pytest.raises(
+            RecordingError, match=f"so it has no index; create it with `rosbag reindex {path}`"
+        ):
             open_recording(path)
 
 
@@ -475,7 +479,7 @@ file = "xarm"
     status, said, _ = run(capsys, "check", str(file))
     assert status == 0 and f"none of whose {COUNT} packets can be used" in " ".join(said.split())
     status, _, told = run(capsys, "render", str(file), "-o", str(tmp_path / "seen.png"))
-    assert status == 2 and "no message has the joints that are wanted" in told
+    assert status == 2 and "no message has the required joints" in told
 
 
 ARM = [f"joint{i}" for i in range(1, 7)]
@@ -510,7 +514,9 @@ def test_commands_for_runs_find_the_robot_of_a_bag(tmp_path: Path, capsys: Any) 
     path = write_bag(tmp_path / "shipped", {"/joint_states": states()})
     status, said, told = run(capsys, "compare", str(path), str(path))
     assert status == 0 and "fr3_joint7" in said
-    chosen = f"note: {path} does not describe its robot; fr3 has the joints that it names"
+    chosen = (
+        f"note: {path} does not describe its robot; showing fr3, which has the same joint names"
+    )
     assert told.splitlines() == [chosen] * 2
     other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
     status, _, told = run(capsys, "plot", str(other), "-o", str(tmp_path / "other.pdf"))
@@ -523,7 +529,7 @@ def test_a_robot_is_led_by_the_topic_with_its_joints(tmp_path: Path, capsys: Any
     for name, source in (("fr3", "fr3_joint_states"), ("ur5e", None)):
         scene = load_scene(name)
         if source is None:
-            with pytest.raises(UsageError, match=r"several sources: .* --source joint_states, say"):
+            with pytest.raises(UsageError, match=r"several sources: .* --source joint_states"):
                 replay_instead(scene, both, None)
         else:
             replay_instead(scene, both, None)
@@ -544,7 +550,7 @@ def test_meshes_that_a_described_robot_lacks_are_told_once(
     (told,) = [each.getMessage() for each in caplog.records if "mesh" in each.getMessage()]
     assert told == (
         "arm.urdf: 7 mesh files were not found; collision shapes are shown instead; "
-        "--package arm=DIR says where it is: package://arm/l0.stl, package://arm/l1.stl, "
+        "set its folder with --package arm=DIR: package://arm/l0.stl, package://arm/l1.stl, "
         "package://arm/l2.stl and 4 more"
     )
 
@@ -564,7 +570,9 @@ def test_check_and_status_take_a_bag_as_view_does(kind: str, tmp_path: Path, cap
         assert status == 0 and "received" in out
     other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
     status, _, told = run(capsys, "check", str(other))
-    assert status == 2 and "found no scene that shows it" in told and "--replay other" in told
+    assert (
+        status == 2 and "no scene found that has its sources" in told and "--replay other" in told
+    )
 
 
 UR = [
@@ -584,13 +592,13 @@ def test_of_several_robots_with_these_joints_none_is_taken_unasked(
 ) -> None:
     bag = write_bag(tmp_path / "ur", {"/joint_states": ur_states(UR)})
     picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
-    fits = f"{bag}: its joints are those of ur10e, ur5e, and it does not describe its robot"
+    fits = f"{bag} does not describe its robot, and ur10e, ur5e have its joints"
     for command, how in (
         (["render", str(bag), *picture], f"sero-mj view ur10e --replay {bag}"),
         (["compare", str(bag), str(bag)], "--scene ur10e"),
     ):
         status, _, told = run(capsys, *command)
-        assert status == 2 and f"{fits}; choose one: {how}" in told
+        assert status == 2 and f"{fits}. Choose one: {how}" in told
     with open_recording(bag) as recording:
         assert isinstance(recording, Bag)
         assert list(scenes_of_bag(recording, "", wanted=["ur5e"])) == ["ur5e"]
@@ -608,7 +616,7 @@ def test_columns_are_called_by_joints_in_the_order_of_the_robot(
     bag, table = write_bag(tmp_path / "ur", {"/joint_states": messages}), tmp_path / "ur.csv"
     status, said, _ = run(capsys, "export", str(bag), str(table))
     assert status == 0 and "joints in the order of ur10e and ur5e, 1 malformed packet" in said
-    assert f"a message of /joint_states is left out: joint {UR[0]} is named twice" in said
+    assert f"a message of /joint_states was skipped: joint {UR[0]} is named twice" in said
     _, columns = read_csv(table)
     assert list(columns)[1:7] == [f"joint_angles[{name}]" for name in own]
     wrist = columns["joint_angles[wrist_2_joint]"]
@@ -622,7 +630,7 @@ def test_columns_are_called_by_joints_in_the_order_of_the_robot(
     assert pan[1:] == pytest.approx(columns["joint_angles[shoulder_pan_joint]"][1:])
     elsewhere = [str(bag), str(table), "--overwrite", "--scene", "fr3"]
     status, _, told = run(capsys, "export", *elsewhere)
-    assert status == 2 and "--scene fr3: its joints are fr3_joint1, " in told
+    assert status == 2 and "--scene fr3: found joints fr3_joint1, " in told
 
 
 def test_messages_without_names_are_those_of_a_robot_that_is_named(
@@ -630,7 +638,7 @@ def test_messages_without_names_are_those_of_a_robot_that_is_named(
 ) -> None:
     messages = [(k * STEP, joint_state([], angles(k))) for k in range(COUNT)]
     bag = write_bag(tmp_path / "bare", {"/joint_states": messages})
-    why = f"{bag}: the messages of /joint_states do not name their joints; with a scene of"
+    why = f"{bag}: the messages of /joint_states do not name their joints. If the scene"
     picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
     for command in (
         ["render", str(bag), *picture],
@@ -691,7 +699,7 @@ def test_json_whose_end_is_missing_is_read_as_far_as_it_is_whole(tmp_path: Path)
     bag = json_bag(tmp_path / "hand.mcap", {"/state": entries})
     bag.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
     with open_recording(bag) as recording:
-        assert "is cut off or damaged" in recording.faults[0]
+        assert "is truncated or damaged" in recording.faults[0]
         found = [np.frombuffer(packet)[1] for _, packet in recording.packets("state")]
         assert found == [*range(len(found))] and COUNT // 4 < len(found) < COUNT
         assert recording.sources["state"].count == len(found)

@@ -14,7 +14,7 @@ from ros_tools import JOINT_STATE, STORE, encoded, joint_state
 from sero_mj.data.receive.routed_joints import RoutedJoint
 from sero_mj.extensions.ros.dds import Ros2
 from sero_mj.extensions.ros.joined_packets import JOINT_STATES, JoinedPackets, prefix_before
-from sero_mj.extensions.ros.messages import MOST_BYTES, MalformedMessage, decode
+from sero_mj.extensions.ros.messages import MAX_BYTES, MalformedMessage, decode
 from sero_mj.extensions.ros.network import robots_with
 from sero_mj.extensions.ros.ros_source import Listener
 
@@ -32,10 +32,10 @@ class Heard(Listener):
         self.source.reset()
         super().__init__(self.source)
         self.said: list[str] = []
-        self._joined._tell = self.said.append
+        self._joined._report = self.said.append
 
     def tell(self, *given: Any) -> None:
-        self.hear([(JOINT_STATES, each if isinstance(each, bytes) else encoded(each), b"")
+        self.take([(JOINT_STATES, each if isinstance(each, bytes) else encoded(each), b"")
                    for each in given])  # fmt: skip
 
     @property
@@ -54,9 +54,9 @@ class Heard(Listener):
         (joint_state(ARM, (np.nan, 2)), "joint_angles[0] is nan"),
         (joint_state(ARM, (1, np.inf)), "joint_angles[1] is inf"),
         (encoded(GOOD)[:-3], "smaller"),
-        (encoded(GOOD)[:20], "no sensor_msgs/msg/JointState"),
-        (b"", "no sensor_msgs/msg/JointState"),
-        (b"\0\1\0\0" + b"\xff" * 100, "no sensor_msgs/msg/JointState"),
+        (encoded(GOOD)[:20], "not a sensor_msgs/msg/JointState"),
+        (b"", "not a sensor_msgs/msg/JointState"),
+        (b"\0\1\0\0" + b"\xff" * 100, "not a sensor_msgs/msg/JointState"),
         (
             encoded(joint_state([f"j{i}" for i in range(60_000)], np.zeros(60_000))),
             "bytes; expected",
@@ -113,7 +113,7 @@ def test_names_that_differ_are_told(names: tuple[str, ...], said: str) -> None:
 def test_joints_that_no_message_has_are_told_once_others_could_have_them() -> None:
     def said_by(messages: list[tuple[float, tuple[str, ...]]]) -> list[str]:
         said: list[str] = []
-        joined = JoinedPackets([RoutedJoint(name) for name in ARM], {}, tell=said.append)
+        joined = JoinedPackets([RoutedJoint(name) for name in ARM], {}, report=said.append)
         for when, names in messages:
             joined.take(JOINT_STATES, joint_state(names, np.ones(len(names))), when)
         return said
@@ -219,8 +219,8 @@ def test_decoding_agrees_with_the_bytes_written_by_hand() -> None:
 
 
 def test_a_message_may_not_be_endless() -> None:
-    with pytest.raises(MalformedMessage, match=f"expected at most {MOST_BYTES}"):
-        decode(bytes(MOST_BYTES + 1), JOINT_STATE)
+    with pytest.raises(MalformedMessage, match=f"expected at most {MAX_BYTES}"):
+        decode(bytes(MAX_BYTES + 1), JOINT_STATE)
 
 
 @pytest.mark.parametrize(

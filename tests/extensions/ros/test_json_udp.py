@@ -58,20 +58,20 @@ def test_joints_are_matched_by_their_names(hand: JsonUdp) -> None:
 @pytest.mark.parametrize(
     ("message", "why"),
     [
-        (b"{", "no JSON: "),
-        (b"{\xff", "no JSON: byte 1 is not of UTF-8; it begins with the bytes 7b ff"),
-        (b"{\x00", "no JSON: Expecting property name enclosed in double quotes"),
-        (b"[" * 50_000, "no JSON: "),
-        ([1], "found a list; expected an object in JSON"),
+        (b"{", "not JSON: "),
+        (b"{\xff", "not JSON: byte 1 is not UTF-8; it begins with the bytes 7b ff"),
+        (b"{\x00", "not JSON: Expecting property name enclosed in double quotes"),
+        (b"[" * 50_000, "not JSON: "),
+        ([1], "found a list; expected a JSON object"),
         ({"q": [1]}, "found the keys q; expected name, position, velocity and effort, or joints"),
-        ({"name": "1", "position": [1]}, "its names of joints are not a list of texts"),
-        ({"joints": [{"position": 1}]}, "its names of joints are not a list of texts"),
-        ({"name": ["1"], "position": ["x"]}, "position is no list of numbers"),
-        ({"name": ["1"], "position": 1}, "position is no list of numbers"),
-        ({"name": ["1"], "position": [10**400]}, "position is no list of numbers"),
+        ({"name": "1", "position": [1]}, "joint names are not a list of strings"),
+        ({"joints": [{"position": 1}]}, "joint names are not a list of strings"),
+        ({"name": ["1"], "position": ["x"]}, "position is not a list of numbers"),
+        ({"name": ["1"], "position": 1}, "position is not a list of numbers"),
+        ({"name": ["1"], "position": [10**400]}, "position is not a list of numbers"),
         ({"name": ["1"], "position": [1, 2]}, "found 2 values of joint_angles for 1 names"),
         ({"name": ["1", "1"], "position": [1, 2]}, "joint 1 is named twice"),
-        ({"position": [1], "header": {"stamp": {"sec": "now"}}}, "its time stamp is not in"),
+        ({"position": [1], "header": {"stamp": {"sec": "now"}}}, "the time stamp is not in"),
     ],
     ids=lambda each: str(each)[:24],
 )
@@ -104,7 +104,7 @@ def test_a_packet_is_sent_as_the_message_that_makes_it(velocity: float) -> None:
 def test_it_has_no_topics_and_needs_joints() -> None:
     with raises_with(key="commands", reason="unknown key"):
         JsonUdp(port=0, commands="/commands")
-    with pytest.raises(SourceError, match="joints: no route says which"):
+    with pytest.raises(SourceError, match="joints: no route leads to a robot"):
         JsonUdp(port=0).open()
     assert JsonUdp(port=0, joints=NAMES).of_messages.joint_names == NAMES
 

@@ -96,7 +96,7 @@ def test_transforms_of_links_tell_joints_and_base(sent: Any, robot: Path) -> Non
     routes = {"joint_angles": "joint_angles", "base_frame": "base_frame"}
     listener, said = heard(robot, routes, joint_states="tf", odometry="tf")
     for t in np.linspace(0.0, 5.0, 40):
-        listener.hear([(FRAMES, encoded(transforms(sent(t))), b"")])
+        listener.take([(FRAMES, encoded(transforms(sent(t))), b"")])
     values, expected = latest(listener), values_at(5.0)
     names = ["turn", "slide", "finger-a"]  # the turns of the continuous one are counted
     assert values["joint_angles"].tolist() == pytest.approx([expected[name] for name in names])
@@ -109,13 +109,13 @@ def test_transforms_that_are_unknown_yet_leave_the_robot_as_declared(robot: Path
     listener, _ = heard(robot, routes, joint_states="tf", odometry="tf", root="map")
     home = load_scene(robot).robots["arm"].home[:3]
     turned = edges(ARM, {"turn": 0.5}, ("continuous",))
-    listener.hear([(FRAMES, encoded(transforms([*turned, ("odom", "map", np.eye(4))])), b"")])
+    listener.take([(FRAMES, encoded(transforms([*turned, ("odom", "map", np.eye(4))])), b"")])
     values = latest(listener)
     assert values["joint_angles"].tolist() == pytest.approx([0.5, *home[1:]])
     np.testing.assert_array_equal(values["base_frame"][0], np.eye(4))
     on_map = [("map", "foot", platform(1.0)), ("foot", "base_link", platform(0.5))]
     for sent in (on_map, turned):  # packets come with the joints
-        listener.hear([(FRAMES, encoded(transforms(sent)), b"")])
+        listener.take([(FRAMES, encoded(transforms(sent)), b"")])
     assert listener._source.receive_trigger == 2
     np.testing.assert_allclose(latest(listener)["base_frame"][0], platform(1.0) @ platform(0.5))
 
@@ -123,9 +123,9 @@ def test_transforms_that_are_unknown_yet_leave_the_robot_as_declared(robot: Path
 def test_transforms_of_another_robot_and_circles_are_told_and_survived(robot: Path) -> None:
     listener, said = heard(robot, {"joint_angles": "joint_angles"}, joint_states="tf")
     circle = [("a", "b", np.eye(4)), ("b", "a", np.eye(4)), ("a", "base_link", np.eye(4))]
-    listener.hear([(FRAMES, encoded(transforms(circle)), b"")])
+    listener.take([(FRAMES, encoded(transforms(circle)), b"")])
     wrong = frame(rotation_from_rpy(np.array([1.0, 0, 0])))
-    listener.hear([(FRAMES, encoded(transforms([("base_link", "upper", wrong)])), b"")])
+    listener.take([(FRAMES, encoded(transforms([("base_link", "upper", wrong)])), b"")])
     assert len(said) == 1 and said[0].startswith("the transform of upper is")
     assert np.isfinite(latest(listener)["joint_angles"]).all()
 
@@ -147,10 +147,10 @@ def test_odometry_and_poses_are_poses(tmp_path: Path) -> None:
     robot.write_text(ARM.replace("  <link", f"{footprint}<link", 1))
     routes = {"base_frame": "base_frame", "joint_angles": "joint_angles", "flange_check": "pose"}
     listener, _ = heard(robot, routes, odometry="/odom", pose="/mocap")
-    listener.hear([(JOINT_STATES, encoded(joint_state(["turn"], [0.3])), b"")])
+    listener.take([(JOINT_STATES, encoded(joint_state(["turn"], [0.3])), b"")])
     np.testing.assert_array_equal(latest(listener)["base_frame"][0], np.eye(4))
     message = odometry(platform(1.0), "base_link", (0.5, 0.1, 0.0))
-    listener.hear([(ODOMETRY, encoded(message), b""),
+    listener.take([(ODOMETRY, encoded(message), b""),
                    (POSE, encoded(pose_stamped(platform(2.0))), b""),
                    (JOINT_STATES, encoded(joint_state(["turn"], [0.4])), b"")])  # fmt: skip
     values = latest(listener)
@@ -161,7 +161,7 @@ def test_odometry_and_poses_are_poses(tmp_path: Path) -> None:
     np.testing.assert_allclose(values["pose"][0], platform(2.0), atol=1e-12)
     broken = odometry(platform(1.0), "base_link")
     broken.pose.pose.orientation.w = 5.0
-    listener.hear([(ODOMETRY, encoded(broken), b"")])
+    listener.take([(ODOMETRY, encoded(broken), b"")])
     assert "no unit quaternion" in listener._source.layout.fault
 
 
@@ -277,7 +277,7 @@ def test_the_table_of_a_bag_without_joint_states_is_that_of_its_robot(
     path, table = write_bag(tmp_path / "drive", topics), tmp_path / "drive.csv"
     if kind == "tf" and not is_described:
         status, said, _ = run(capsys, "export", str(path), str(table))
-        assert status == 0 and said.endswith("of a robot; --scene names it\n")
+        assert status == 0 and said.endswith("if --scene names the robot\n")
     of_robot = () if is_described else ("--scene", str(robot))
     status, said, told = run(capsys, "export", str(path), str(table), "--overwrite", *of_robot)
     assert status == 0 and f"{COUNT} rows" in said, told

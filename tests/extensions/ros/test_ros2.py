@@ -443,7 +443,7 @@ def test_wrong_declarations_name_their_key(fields: dict[str, Any], key: str) -> 
 
 
 def test_it_is_told_that_no_route_says_which_joints_are_wanted() -> None:
-    with pytest.raises(SourceError, match="joints: no route says which"):
+    with pytest.raises(SourceError, match="joints: no route leads to a robot"):
         Ros2(domain=DOMAIN).open()
 
 

@@ -1,4 +1,4 @@
-// Light or dark, which the browser keeps for all pages.
+// Light or dark, which the browser stores for all pages.
 const isDark = matchMedia("(prefers-color-scheme: dark)");
 const setLook = (look) => {
   document.documentElement.dataset.look = look;
@@ -36,7 +36,7 @@ search.oninput = async () => {
   const answer = await fetch(url);
   if (answer.status === 403) return lock();
   const page = await answer.json();
-  if (words !== search.value) return; // more was typed meanwhile
+  if (words !== search.value) return; // the text has changed since
   document.querySelector("h1").textContent = page.title;
   search.placeholder = page.search;
   for (const [id, key] of [["tagline", "tagline"], ["hint", "drop"], ["more", "more"]]) {
@@ -65,7 +65,7 @@ search.oninput();
 
 let shownData = "";
 function showData(awaited) {
-  if (JSON.stringify(awaited) === shownData) return; // so that buttons stay under the pointer
+  if (JSON.stringify(awaited) === shownData) return; // so that buttons do not move under the pointer
   shownData = JSON.stringify(awaited);
   const list = document.getElementById("data");
   list.replaceChildren();
@@ -101,7 +101,7 @@ line.onmessage = ({ data }) => {
   if (json.awaited) showData(json.awaited);
   if (json.notice) drops.tell(json.notice.text, json.notice.isBad, json.notice.seconds);
 };
-// What was chosen is soon served at this address.
+// The chosen scene is soon served at this address.
 const SOON = 20; // s
 line.onclose = async () => {
   const begin = performance.now();
@@ -113,7 +113,7 @@ line.onclose = async () => {
       await access.unlocked();
     } else if (page !== "") return location.reload();
     else if (!isTold && performance.now() - begin > 1000 * SOON) {
-      drops.tell("sero-mj has ended", true, 3600);
+      drops.tell("sero-mj is not running", true, 3600);
       isTold = true;
     }
     await new Promise((done) => setTimeout(done, 250));
@@ -123,6 +123,6 @@ for (const id of ["files", "folder"]) {
   document.getElementById(id).onchange = ({ target }) => {
     const path = (file) => file.webkitRelativePath || file.name;
     drops.take([...target.files].map((file) => ({ path: path(file), file })));
-    target.value = ""; // the same may be chosen again
+    target.value = ""; // so that the same file can be chosen again
   };
 }

@@ -1,4 +1,4 @@
-// Files that are dropped on the page, folders with all that is in them, are sent to its server.
+// Sends dropped files, and folders with their contents, to the page's server.
 const CHUNK = 262144; // bytes
 // `may` returns whether this browser is in control, and `key` the key of its connection.
 var drops = { may: () => true, key: () => "", told: "" };
@@ -29,7 +29,7 @@ drops.inside = async function (entry) { // all files of a folder, or the file
     return [{ path: entry.fullPath.replace(/^\//, ""), file }];
   }
   const reader = entry.createReader(), found = [];
-  for (;;) { // a reader hands out some at a time
+  for (;;) { // a reader returns some entries at a time
     const some = await new Promise((done, failed) => reader.readEntries(done, failed));
     if (some.length === 0) return found;
     for (const each of some) found.push(...await drops.inside(each));

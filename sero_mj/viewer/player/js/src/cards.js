@@ -1,4 +1,4 @@
-/** Cards: real text beside the robots, with leaders to what they tell of, laid out in every picture. */
+/** Billboards: text beside the robots, with leaders to its items, laid out in every frame. */
 
 import * as THREE from "three";
 import { stacked } from "./layout.js";
@@ -8,16 +8,16 @@ import { made, write } from "./page.js";
 /** @typedef {{key: string, title: string, lines: [label: string, value: string][],
  *   sign: "" | "positive" | "negative", isStale: boolean, at: THREE.Vector3, load: number,
  *   isChosen: boolean}} Content
- *   at: what the leader goes to, m; load: the higher, the sooner it is shown where room is scarce */
+ *   at: end of the leader, m; load: priority if there is little space */
 /** @typedef {{content: Content, box: HTMLButtonElement, title: HTMLElement, lines: HTMLElement[][],
  *   path: SVGPathElement, dot: SVGCircleElement, side: number, at: {x: number, y: number},
  *   width: number, height: number, longest: number}} Card */
 
 const SVG = "http://www.w3.org/2000/svg";
-const GAP = 6; // pixels between cards
-const HYSTERESIS = 12; // pixels, by which a joint has to be beside the middle to change sides
+const GAP = 6; // pixels between billboards
+const HYSTERESIS = 12; // pixels; joints nearer to the center do not change sides
 
-/** All cards. */
+/** All billboards. */
 export class Cards {
   /**
    * @param {HTMLElement} room @param {SVGElement} leaders
@@ -46,7 +46,7 @@ export class Cards {
       longest: 0 };
   }
 
-  /** Makes the cards those that are wanted, and writes what they say. @param {Content[]} contents */
+  /** Creates, updates and removes billboards. @param {Content[]} contents */
   #write(contents) {
     const wanted = new Set(contents.map(({ key }) => key));
     for (const [key, card] of this.cards) {
@@ -68,7 +68,7 @@ export class Cards {
     const look = `card ${content.lines.length > 1 ? "many" : ""} ${content.isStale ? "stale" : content.sign}`
       + (content.isChosen ? " chosen" : "");
     if (box.className !== look) box.className = look;
-    // Of another shape it is measured anew, also where it has become smaller.
+    // If its shape has changed, it is measured again, even if it has become smaller.
     const isOther = lines.length !== content.lines.length || title.hidden === Boolean(content.title);
     if (isOther) card.longest = card.width = 0;
     while (lines.length > content.lines.length) lines.pop()?.[0].remove();
@@ -91,10 +91,10 @@ export class Cards {
   }
 
   /**
-   * Places cards in columns beside the robots.
+   * Places billboards in columns beside the robots.
    * @param {Stage} stage @param {Content[]} contents @param {number} top free pixels
    * @param {(left: number, right: number) => number} endOf
-   *   where a column between these has to end, pixels
+   *   returns the lower end of a column between these, pixels
    */
   layOut(stage, contents, top, endOf) {
     this.#write(contents);
@@ -146,8 +146,8 @@ export class Cards {
   }
 
   /**
-   * The side of each card is that of its joint in the picture; columns are about equally long.
-   * @param {Card[]} cards @param {number} middle @param {number} room cards in a column
+   * Places each billboard on the side of its joint; both columns are about equally long.
+   * @param {Card[]} cards @param {number} middle @param {number} room billboards per column
    */
   #chooseSides(cards, middle, room) {
     for (const card of cards) {
@@ -162,7 +162,7 @@ export class Cards {
     }
   }
 
-  /** Measures anew, for another size of text. */
+  /** Measures all billboards again, for another text size. */
   forgetSizes() {
     for (const card of this.cards.values()) {
       card.width = 0;
@@ -176,7 +176,7 @@ function show({ box, path, dot }, isShown) {
   for (const each of [box, path, dot]) each.style.display = isShown ? "" : "none";
 }
 
-/** As many as there is room for, those of the highest load; others are hidden. @param {Card[]} shown @param {number} most */
+/** The billboards with the highest load that fit; others are hidden. @param {Card[]} shown @param {number} most */
 function mostLoaded(shown, most) {
   if (shown.length <= most) return shown;
   const sorted = [...shown].sort((a, b) => b.content.load - a.content.load);

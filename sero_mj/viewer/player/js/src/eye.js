@@ -6,9 +6,9 @@
 const DEGREES = 180 / Math.PI;
 
 /**
- * By how much farther away a camera stands in a narrow picture; 1 in others.
- * @param {number} aspect width over height of pictures that distances are meant for
- * @param {number} width @param {number} height of the picture, pixels
+ * Factor of the camera's distance in a narrow image; 1 in wide images.
+ * @param {number} aspect width over height of images at which distances are unchanged
+ * @param {number} width @param {number} height of the image, pixels
  */
 export const standingBack = (aspect, width, height) => Math.max(aspect * height / Math.max(width, 1), 1);
 

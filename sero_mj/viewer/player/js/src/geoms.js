@@ -2,7 +2,7 @@
 
 /** @typedef {import("./data.js").Run} Run */
 
-/** Kinds of items, `Kind` in Python: arrows and cards of joints, and smart arrows. */
+/** Kinds of items, `Kind` in Python: arrows and billboards of joints, and smart arrows. */
 export const ARROW = 1, BILLBOARD = 2, VECTOR = 5;
 
 /** As many geoms as `count` says. */

@@ -1,4 +1,4 @@
-/** A plot of a panel: lines in colours that the server says, with gaps, and limits. */
+/** A plot of a panel: colored lines with gaps, and limits. */
 
 import uPlot from "uplot";
 import { fixed } from "./data.js";

@@ -1,28 +1,27 @@
-/** Pointer, wheel and keys over the picture of a live page, as messages for its server. */
+/** Pointer, wheel and keys over the image of a live page, as messages to its server. */
 
 import { isTakenBy, nameOf } from "./keys.js";
 
-/** @typedef {{x: number, y: number}} Pixel of the picture, from its upper left corner */
+/** @typedef {{x: number, y: number}} Pixel of the image, from its upper left corner */
 
 /**
  * What input needs of its page.
  * @typedef {{send: (message: object) => void, canAct: () => boolean, isDragging: () => boolean,
  *   isOnHandle: (at: Pixel, tolerance: number) => boolean, isOnSomething: (at: Pixel) => boolean, setTurning: (isOn: boolean) => void,
  *   localKey: (name: string) => boolean, wake: () => void}} Page
- *   canAct: whether the server listens to us; setTurning: whether drags turn the camera;
- *   localKey: does what a key does here without a server
+ *   canAct: whether this browser is in control; setTurning: whether drags rotate the camera;
+ *   localKey: performs the action of a key that needs no server
  */
 
-const HOLD = 500; // ms, that a finger is held still
-const STILL = 8; // pixels, that it may move
-const TOLERANCE = 4, FINGER = 12; // pixels beside a handle, of a mouse and of a finger
-const STEP = 100, LINES = 3; // pixels of the screen, or lines, of a step of a wheel
+const HOLD = 500; // ms; a finger that is still for longer grabs a link
+const STILL = 8; // pixels; a finger that moves less is still
+const TOLERANCE = 4, FINGER = 12; // pixels around a handle, for a mouse and for a finger
+const STEP = 100, LINES = 3; // pixels of the screen, or lines, per notch of a wheel
 /** As the server numbers buttons, by the browser's number. */
 const BUTTONS = [0, 2, 1];
 
 /**
- * By how many steps a wheel has been turned, away from the user: the same on every screen, and
- * however the page is zoomed.
+ * Notches of a wheel event away from the user, independent of the screen and of the page's zoom.
  * @param {{deltaMode: number, deltaY: number}} event @param {number} ratio pixels of the screen by those of the page
  */
 export const stepsOf = ({ deltaMode, deltaY }, ratio) => -deltaY * (deltaMode ? 1 / LINES : ratio / STEP);
@@ -39,22 +38,22 @@ export class Input {
     this.fingers = new Set();
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.hold = undefined;
-    this.from = { x: 0, y: 0 }; // of a finger
+    this.from = { x: 0, y: 0 }; // where a finger was put down
     this.isPressed = false;
-    this.isOver = false; // whether the server knows of a pointer over the picture
+    this.isOver = false; // whether the server has a pointer over the image
     /** @type {[keyof HTMLElementEventMap, (event: any) => void][]} */
     const listeners = [["pointerdown", (event) => this.#press(event)], ["pointermove", (event) => this.#move(event)],
       ["pointerup", (event) => this.#release(event)], ["pointercancel", (event) => this.#cancel(event)],
       ["pointerenter", (event) => this.#enter(event)], ["pointerleave", (event) => this.#leave(event)]];
-    // Before the controls of the camera, which are told whether to turn.
+    // Before the camera controls, which depend on `setTurning`.
     for (const [name, listener] of listeners) canvas.addEventListener(name, listener, { capture: true, passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     addEventListener("keydown", (event) => this.#key(event));
-    // Wherever the pointer is by then: what is dragged has the wheel.
+    // Anywhere on the page: during a drag, the wheel belongs to the dragged item.
     addEventListener("wheel", (event) => this.#wheel(event), { capture: true, passive: false });
   }
 
-  /** The pixel of an event, of its element's middle if a key has clicked. @param {MouseEvent} event @returns {Pixel} */
+  /** The pixel of an event; the center of its element if a key has caused the click. @param {MouseEvent} event @returns {Pixel} */
   pixelOf({ clientX, clientY, detail, type, target }) {
     const { left, top } = this.canvas.getBoundingClientRect();
     if (type !== "click" || detail) return { x: clientX - left, y: clientY - top };
@@ -71,7 +70,7 @@ export class Input {
       shift: event.shiftKey || event.ctrlKey || event.metaKey, ctrl: event.ctrlKey || event.metaKey });
   }
 
-  /** Tells where the pointer has moved to, if it has. */
+  /** Sends the last move of the pointer, if any. */
   flush() {
     const event = this.moved;
     this.moved = null;
@@ -119,11 +118,11 @@ export class Input {
     if (!this.isPressed) return;
     this.isPressed = false;
     this.#tell("release", event);
-    // The controls are told first that the pointer is gone.
+    // After the camera controls have handled the event.
     setTimeout(() => this.page.setTurning(true));
   }
 
-  /** What was begun is none: a second finger has come, or the browser takes the finger. @param {PointerEvent} event */
+  /** Cancels a drag: there is a second finger, or the browser handles the finger. @param {PointerEvent} event */
   #cancel(event) {
     this.fingers.delete(event.pointerId);
     clearTimeout(this.hold);
@@ -132,7 +131,7 @@ export class Input {
     this.isPressed = false;
   }
 
-  /** Something that was over the picture has gone, and the mouse rests there. @param {PointerEvent} event */
+  /** An element that covered the mouse pointer has disappeared. @param {PointerEvent} event */
   #enter(event) {
     if (event.pointerType === "mouse") this.#move(event);
   }

@@ -1,4 +1,4 @@
-/** What the cards of a run in a file say: values of its joints, and of smart arrows. */
+/** The billboards of a recorded run: values of joints and smart arrows. */
 
 import { textOf, valueOf } from "./data.js";
 import { BILLBOARD, VECTOR } from "./geoms.js";
@@ -8,20 +8,20 @@ import { BILLBOARD, VECTOR } from "./geoms.js";
 
 const TORQUES = ["torques", "torque_error"];
 
-/** The cards of a run; their keys are kind and item. */
+/** The billboards of a run; their keys are kind and item. */
 export class JointCards {
   /** @param {Run} run */
   constructor(run) {
     this.run = run;
-    const areSome = run.joints.some((joint) => joint.card); // else all are, when they are asked for
+    const areSome = run.joints.some((joint) => joint.card); // otherwise all joints have one
     this.joints = [...run.joints.keys()].filter((j) => (run.joints[j].card || !areSome) && run.joints[j].lines.length);
     this.chosen = -1;
     this.vector = -1; // smart arrow that was clicked on
-    this.quantity = ""; // what arrows were told to show; that of the file when empty
+    this.quantity = ""; // quantity of the arrows; empty for that of the file
   }
 
   /**
-   * What they say at a frame.
+   * The contents at a frame.
    * @param {import("./stage.js").Stage} stage @param {number} frame @returns {Content[]}
    */
   at(stage, frame) {
@@ -35,7 +35,7 @@ export class JointCards {
     return found;
   }
 
-  /** The lines of a joint; a torque that nobody has chosen is what arrows show. @param {number} joint */
+  /** The lines of a joint; a torque that is not declared is the quantity of the arrows. @param {number} joint */
   #linesOf(joint) {
     const { lines, details, follows } = this.run.joints[joint];
     const isTorque = follows && lines.length === 1 && TORQUES.includes(lines[0].key);

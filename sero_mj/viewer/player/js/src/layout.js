@@ -1,4 +1,4 @@
-/** Heights of cards in a column: none overlap, and all are as near to their places as can be. */
+/** Positions of billboards in a column: close to their items, without overlap. */
 
 /**
  * The middles of boxes, one below the other.

@@ -1,4 +1,4 @@
-/** Light or dark: as it was asked for where the page was made, as its user has chosen, else as the browser has it. */
+/** Light or dark: as requested for the page, as chosen by the user, or as set in the browser. */
 
 /** @typedef {import("./view.js").Look} Look */
 
@@ -12,5 +12,5 @@ const asked = lookIn(document.documentElement.dataset.look); // before it is wha
 /** The look to open a page in. @param {Look | null} [chosen] by its user, before */
 export const lookToOpen = (chosen = null) => asked ?? chosen ?? (isDark.matches ? "dark" : "light");
 
-/** Calls when the browser has another look, unless one was asked for. @param {() => void} act */
+/** Calls a function when the browser's look changes, unless the page requests one. @param {() => void} act */
 export const onOtherLook = (act) => isDark.addEventListener("change", () => { if (!asked) act(); });

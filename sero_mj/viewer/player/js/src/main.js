@@ -1,4 +1,4 @@
-/** The player: of a run in a file, of a live page, or of a cell of a notebook. */
+/** Starts the player of a file, a live page or a notebook cell. */
 
 import { decode, inflate } from "./data.js";
 import { fromNotebook } from "./notebook.js";
@@ -13,7 +13,7 @@ async function fromFile() {
   return new Player(new Recording(decode(await inflate(text))));
 }
 
-/** Begins, and says so for tests. */
+/** Starts the player, and marks the page as ready for tests. */
 async function main() {
   const { live, cell } = document.documentElement.dataset;
   const player = cell ? await fromNotebook(cell) : live === undefined ? await fromFile() : new Player();

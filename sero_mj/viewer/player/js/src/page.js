@@ -1,4 +1,4 @@
-/** Short words for what pages do with their elements. */
+/** Helpers for HTML elements. */
 
 /** @template {Element} [T=HTMLElement] @param {string} id */
 export const byId = (id) => /** @type {T} */ (/** @type {unknown} */ (document.getElementById(id)));
@@ -21,12 +21,12 @@ export function made(tag, text, attributes = {}) {
   return element;
 }
 
-/** Writes a text, if it is another one. @param {Element} element @param {string} text */
+/** Writes a text if it has changed. @param {Element} element @param {string} text */
 export function write(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Sets an attribute, if it is another one. @param {Element} element @param {string} name @param {string} value */
+/** Sets an attribute if it has changed. @param {Element} element @param {string} name @param {string} value */
 export function mark(element, name, value) {
   if (element.getAttribute(name) !== value) element.setAttribute(name, value);
 }

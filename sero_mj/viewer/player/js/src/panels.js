@@ -1,8 +1,8 @@
 /**
- * Trees of widgets as elements: the server says what a panel has, and what users do there goes back.
+ * Trees of widgets as HTML elements: the server sends the nodes of a panel, and receives user input.
  *
- * A tree comes anew whenever something in it has changed. Elements of widgets that are still there
- * stay what they are, so that focus, caret, scroll position and open lists do.
+ * A tree is sent again whenever it has changed. Elements of widgets that still exist are reused, so
+ * that focus, caret, scroll position and open lists stay.
  */
 
 import { WIDGETS } from "./widgets.js";
@@ -12,11 +12,11 @@ import { made } from "./page.js";
 /** @typedef {import("./widgets.js").Widget} Widget */
 
 /**
- * What widgets of a tree need.
+ * The context of the widgets of a tree.
  * @typedef {{send: (message: object) => void, list: (room: HTMLElement) => List}} Context
  */
 
-/** The key of a node: its id, or the number of those of its kind without one. @param {Node[]} nodes */
+/** The key of a node: its id, or its number among the nodes of its kind without an id. @param {Node[]} nodes */
 export function keysOf(nodes) {
   /** @type {Record<string, number>} */
   const counts = {};
@@ -27,7 +27,7 @@ export function keysOf(nodes) {
   });
 }
 
-/** Nodes in lines, each with those that stand beside its first one. @param {Node[]} nodes */
+/** The nodes of each line. @param {Node[]} nodes */
 export function linesOf(nodes) {
   /** @type {number[][]} */
   const lines = [];
@@ -39,7 +39,7 @@ export function linesOf(nodes) {
 }
 
 /**
- * Makes elements the children of another one, in their order; those that are in order stay in place.
+ * Makes elements the children of another one in their order; elements that are in order are not moved.
  * @param {HTMLElement} room @param {HTMLElement[]} wanted
  */
 export function arrange(room, wanted) {
@@ -93,19 +93,19 @@ class List {
   /** @param {string} key */
   #element(key) { return /** @type {Widget} */ (this.widgets.get(key)).element; }
 
-  /** Ends what its widgets have begun. */
+  /** Disposes of its widgets. */
   dispose() {
     for (const widget of this.widgets.values()) widget.dispose?.();
   }
 }
 
-/** Sets widths, and where in their line widgets begin. @param {Node[]} nodes @param {Widget[]} widgets */
+/** Sets widths and left edges of the widgets of a line. @param {Node[]} nodes @param {Widget[]} widgets */
 function place(nodes, widgets) {
-  let begin = 0; // em, of the widget before
+  let begin = 0; // left edge of the previous widget, em
   nodes.forEach(({ width, same, left }, k) => {
     const { element, sized = element } = widgets[k];
     element.classList.toggle("rest", width === 0);
-    // Words on a button may need more than in windows.
+    // The label of a button may need more width than in windows.
     sized.style[element.tagName === "BUTTON" ? "minWidth" : "width"] = width ? `${width}em` : "";
     element.style.marginLeft = typeof same === "number" && same > 0 ? `${same}em` : "";
     if (!left) return;
@@ -117,7 +117,7 @@ function place(nodes, widgets) {
 /** A tree. */
 export class Tree {
   /**
-   * @param {HTMLElement} room @param {string} name as the server calls it
+   * @param {HTMLElement} room @param {string} name of the tree in messages
    * @param {(message: object) => void} send
    */
   constructor(room, name, send) {

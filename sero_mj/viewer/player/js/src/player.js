@@ -14,8 +14,8 @@ import { View, tell } from "./view.js";
 /** @typedef {import("./transport.js").Transport} Transport */
 /** @typedef {import("./eye.js").View & {by: unknown, serial: number, fixed: number}} Seen */
 
-const LOOK = "sero-mj look"; // where the browser keeps it
-// Of JSON sections, those that are seen in the picture.
+const LOOK = "sero-mj look"; // key in localStorage
+// JSON sections that affect the image.
 const IN_PICTURE = ["labels", "cards", "camera", "lookAt", "selected", "shading"];
 
 /** The page. */
@@ -27,7 +27,7 @@ export class Player {
     this.waiting = { json: new Map(), bytes: new Map() };
     this.unanswered = 0; // messages that are not shown yet: the server sends few more
     this.serial = -1; // of the last camera that the server has moved
-    /** The latest of the sections that are asked for later. @type {Record<string, any>} */
+    /** The latest values of sections that are read later. @type {Record<string, any>} */
     this.now = {};
     this.recording = transport instanceof Recording ? transport : null;
     /** @type {State | Recording | null} */
@@ -90,7 +90,7 @@ export class Player {
       this.#tellSize();
     };
     transport.onframe = () => this.view.wake();
-    transport.onclose = () => tell("server", "The viewer has gone. This page connects again as soon as it is back.");
+    transport.onclose = () => tell("server", "The viewer is not running. This page reconnects when it runs again.");
     transport.onlocked = () => tell("server", accessOf().locked);
     transport.onmessage = (message) => {
       if (typeof message === "string") this.#event(JSON.parse(message));
@@ -191,7 +191,7 @@ export class Player {
     this.#frame(0);
   }
 
-  /** @param {number} passed ms since the last picture */
+  /** @param {number} passed ms since the last frame */
   #frame(passed) {
     this.recording?.advance(passed);
     this.#take();
@@ -280,7 +280,7 @@ export class Player {
     document.body.classList.toggle("watching", Boolean(you && control && !isInControl));
     const isShared = (control?.count ?? 1) > 1;
     byId("control").hidden = !isShared && isInControl;
-    byId("who").textContent = isInControl ? `in control · ${control?.count} see this` : "another browser is in control";
+    byId("who").textContent = isInControl ? `in control · ${control?.count} browsers` : "another browser is in control";
     byId("take").hidden = isInControl;
     byId("follow").hidden = isInControl || this.isFollowing;
     this.#showRequest();
@@ -290,13 +290,13 @@ export class Player {
     }
     this.wasInControl = true;
     this.isFollowing = true;
-    if (isShared && this.isTurned) this.#tellCamera(); // others see what we do
+    if (isShared && this.isTurned) this.#tellCamera(); // other browsers follow this one
     const view = new URLSearchParams(location.hash.slice(1)).get("view");
     if (view && !this.hasAsked) this.transport.send(JSON.stringify({ t: "view", text: view }));
     this.hasAsked = true;
   }
 
-  /** The dialog of a file that asks to run programs, for who can answer it. */
+  /** The dialog about programs of a file, for the browser that can answer it. */
   #showRequest() {
     const { request } = this.now;
     if (request) byId("asks").textContent = request.title;
@@ -329,21 +329,21 @@ export class Player {
 /** @param {unknown} error */
 function misunderstood(error) {
   console.warn("from the server:", error);
-  tell("message", "This page does not understand its server: reload it.");
+  tell("message", "This page does not match its server. Reload it.");
 }
 
 /** @param {import("./view.js").Look} look */
 function keep(look) {
   try {
     localStorage.setItem(LOOK, look);
-  } catch { /* the browser keeps nothing */ }
+  } catch { /* the browser stores nothing */ }
 }
 
 /** The look that the user has chosen on a page of this server; null for none. */
 function keptLook() {
   try {
     return lookIn(localStorage.getItem(LOOK));
-  } catch { // it keeps nothing
+  } catch { // the browser stores nothing
     return null;
   }
 }

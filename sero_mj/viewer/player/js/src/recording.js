@@ -1,4 +1,4 @@
-/** A recorded run in a page: the transport that sends its player what a server sends of a live run. */
+/** The transport of a recorded run: it sends the player the sections that a server sends of a live run. */
 
 import { addStraight } from "./arrows.js";
 import { Clock, SPEEDS } from "./clock.js";
@@ -12,9 +12,9 @@ import { torquePlot } from "./torque_plot.js";
 /** @typedef {{joint?: number, body?: string, kind?: number, item?: number}} Picked */
 
 const KEYS = [
-  ["drag", "turn; with the right button, move"],
+  ["drag", "rotate the view; with the right button, pan"],
   ["wheel", "zoom"],
-  ["click", "name and numbers of an arrow, link or card"],
+  ["click", "show name and values of an arrow, link or billboard"],
   ["space", "play or pause"],
   [". ,", "one frame forward, back"],
   ["→ ←", "1 s forward, back"],
@@ -22,10 +22,10 @@ const KEYS = [
   ["backspace, end", "to the start, to the end"],
   ["e w", "next, previous mark"],
   ["] [", "next, previous joint"],
-  ["a b d l", "arrows, billboards, doubles, legend"],
-  ["q", "arrows show torque, or its error"],
-  ["p", "plot"],
-  ["t", "panel"],
+  ["a b d l", "arrows, billboards, doubles, legend on or off"],
+  ["q", "arrows show torque or torque error"],
+  ["p", "plot on or off"],
+  ["t", "panel on or off"],
   ["0 … 9", "initial view, cameras"],
   ["h", "this help"],
 ];
@@ -33,8 +33,8 @@ const KEYS = [
 const WORDS = { cmd: "commanded", msr: "measured", err: "difference", limit: "limit", share: "of the limit" };
 const NAMES = { arrows: "arrows", numbers: "billboards", doubles: "doubles", legend: "legend", shadows: "shadows" };
 const EVERY = 66; // ms between two updates of panels
-const NARROW = 700; // width of a page, pixels, whose time line has two rows
-const WIDE = 1100; // width of a page, pixels, that begins with its panel
+const NARROW = 700; // pixels; in a narrower page, the timeline has two rows
+const WIDE = 1100; // pixels; a wider page starts with its panel
 const CLICK = 4; // pixels between press and release of a click
 
 /** @typedef {import("./transport.js").Transport} Transport */
@@ -65,7 +65,7 @@ export class Recording {
     /** @type {{x: number, y: number} | null} */
     this.pressed = null;
     this.sent = -Infinity; // ms, when panels were sent
-    this.isAsked = true; // whether panels have changed by more than the time
+    this.isAsked = true; // whether more than the time has changed in the panels
     /** @type {import("./stage.js").Stage | null} */
     this.stage = null;
     /** @type {Transport["onmessage"]} */
@@ -89,13 +89,13 @@ export class Recording {
   /** @param {Record<string, any>} json sections */
   #send(json) { this.onmessage({ json: new Map(Object.entries(json)), bytes: new Map() }); }
 
-  /** Something is another one: the picture, panels, or both. */
+  /** Marks the image and the panels as changed. */
   #change() {
     this.isAsked = true;
     this.onframe();
   }
 
-  // ---- what the user does
+  // ---- user input
 
   /** @param {string | ArrayBuffer} message */
   send(message) {
@@ -174,7 +174,7 @@ export class Recording {
     this.#change();
   }
 
-  /** Lets round arrows show the next of the quantities that they can. */
+  /** Makes round arrows show the next available quantity. */
   nextQuantity() {
     const { arrows, values } = this.run, { quantities } = arrows;
     if (!quantities.length) return;
@@ -205,7 +205,7 @@ export class Recording {
     if (count) this.select({ joint: (this.chosen + places + count) % count });
   }
 
-  /** The joint whose torque comes nearest to its limit; else the first. */
+  /** The joint whose torque is closest to its limit, or the first joint. */
   #mostLoaded() {
     const { joints, frames } = this.run;
     let [best, most] = [joints.length ? 0 : -1, 0];
@@ -225,7 +225,7 @@ export class Recording {
     this.#change();
   }
 
-  /** Shows name and numbers of what was clicked on. @param {Picked | null} picked */
+  /** Shows name and values of the clicked item. @param {Picked | null} picked */
   select(picked) {
     this.selected = picked;
     this.cards.vector = picked?.kind === VECTOR ? picked.item ?? -1 : -1;
@@ -233,9 +233,9 @@ export class Recording {
     this.#change();
   }
 
-  // ---- what the player shows
+  // ---- output
 
-  /** Goes on, and sends panels where they have changed. @param {number} passed ms since the last picture */
+  /** Advances the time, and sends panels that have changed. @param {number} passed ms since the last frame */
   advance(passed) {
     const { clock } = this, now = performance.now();
     if (clock.isPlaying) {
@@ -251,7 +251,7 @@ export class Recording {
       details: this.#details(), notes: this.switches.legend ? this.#notes() : [] });
   }
 
-  /** What is drawn now. @param {import("./stage.js").Stage} stage @returns {import("./view.js").Moment} */
+  /** The current state to draw. @param {import("./stage.js").Stage} stage @returns {import("./view.js").Moment} */
   moment(stage) {
     const { run, clock, switches, geoms } = this, { frame } = clock;
     const areSome = run.joints.some((joint) => joint.arrow.on);
@@ -268,7 +268,7 @@ export class Recording {
     };
   }
 
-  /** Texts in the corner: notes, and what arrows mean. */
+  /** Texts in the corner: notes and legend. */
   #notes() {
     const { run, switches, clock: { frame } } = this, line = run.arrows.quantities[this.quantity]?.line ?? "";
     const noted = run.notes.texts[run.notes.at[frame]], meant = run.legend.texts[run.legend.at[frame]];
@@ -276,7 +276,7 @@ export class Recording {
     return [noted ? [noted] : [], legend].filter((block) => block.length);
   }
 
-  /** Whether there is anything that a switch would hide. @param {string} key */
+  /** Whether a switch has an effect. @param {string} key */
   #has(key) {
     const { run } = this, hasJoints = run.joints.length > 0;
     if (key === "doubles") return run.bodies.some((body) => body.double >= 0);
@@ -293,7 +293,7 @@ export class Recording {
     const names = quantities.map((/** @type {{name: string}} */ { name }) => name);
     const shown = [{ k: "choose", id: "quantity", s: "", aria: "arrows show", index: this.quantity, names, width: 9 },
       { k: "label", s: "arrows show", same: true }];
-    return [{ k: "header", id: "Shown", s: "Shown", open, nodes: quantities.length ? [...shown, ...nodes] : nodes }];
+    return [{ k: "header", id: "Shown", s: "Display", open, nodes: quantities.length ? [...shown, ...nodes] : nodes }];
   }
 
   /** @returns {Node[]} */
@@ -303,9 +303,9 @@ export class Recording {
       text: `${now.toFixed(2)} s / ${end.toFixed(2)} s`, ticks: this.ticks };
     const buttons = [
       { k: "button", id: "pause", s: clock.isPlaying ? "pause" : "play", width: 3.4 },
-      { k: "button", id: "start", s: "|<", tip: "to the start", same: true },
+      { k: "button", id: "start", s: "|<", tip: "go to the start", same: true },
       { k: "button", id: "back", s: "<", tip: "one frame back", same: true },
-      { k: "button", id: "on", s: ">", tip: "one frame on", same: true },
+      { k: "button", id: "on", s: ">", tip: "one frame forward", same: true },
       { k: "choose", id: "speed", s: "", aria: "speed", same: true, width: 4.6, index: SPEEDS.indexOf(clock.speed),
         names: SPEEDS.map((speed) => `x ${speed}`) },
       { k: "check", id: "loop", s: "loop", on: clock.isLooping, same: true },
@@ -329,7 +329,7 @@ export class Recording {
     return [{ k: "title", s: "Mouse and keys" }, { k: "table", id: "keys", widths: [9, 0], rows }];
   }
 
-  /** Name and numbers of what is selected; null for nothing. */
+  /** Name and values of the selected item, or null. */
   #details() {
     const { run, selected, clock: { frame } } = this;
     if (!selected) return null;
@@ -354,7 +354,7 @@ export class Recording {
   }
 }
 
-/** What stands below the title: what it is, and how it went. @param {import("./data.js").Run} run */
+/** The text below the title: size of the run, and its expectations. @param {import("./data.js").Run} run */
 function statusOf({ joints, frames, fps, marks, silent }) {
   const own = joints.filter((joint) => joint.double < 0).length;
   const about = [...(own ? [`${own} joints`] : []), frames > 1 ? `${((frames - 1) / fps).toFixed(1)} s` : "a pose"];
@@ -367,7 +367,7 @@ function statusOf({ joints, frames, fps, marks, silent }) {
 }
 
 /**
- * The marks of a run as ticks; those that take some time have their text on them where there is room.
+ * The marks of a run as ticks; marks with a duration are labeled if there is space.
  * @param {import("./data.js").Run} run
  * @returns {[number, string, string, number, string][]}
  */

@@ -1,4 +1,4 @@
-/** The picture: camera, surroundings, and what stands in them. */
+/** The scene: camera, surroundings and robots. */
 
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -14,7 +14,7 @@ import { BACKDROP, Surroundings } from "./surroundings.js";
 
 /** @typedef {import("./data.js").Run} Run */
 
-const SLOW = 60; // ms a picture, above which shadows are left out, then the doubles' depth
+const SLOW = 60; // ms per frame, above which shadows are omitted, then the doubles' depth
 
 /** What draws on a canvas; raises an error without WebGL 2. @param {HTMLCanvasElement} canvas */
 export function rendererOf(canvas) {
@@ -58,7 +58,7 @@ export class Stage {
     this.scene.add(this.robots.group, this.arrows.mesh, this.items.group, this.soft.group,
       this.surroundings.group, this.camera);
     this.size = { width: 1, height: 1 };
-    this.spent = 0; // ms of a picture, smoothed
+    this.spent = 0; // smoothed time per frame, ms
     this.hasShadows = true;
     this.chooseCamera(run.eye.fixed);
   }
@@ -176,8 +176,8 @@ export class Stage {
   }
 
   /**
-   * Leaves out what is expensive where pictures take long.
-   * @param {number} spent ms since the last picture, while they follow each other
+   * Omits expensive effects if frames take long.
+   * @param {number} spent ms since the last frame, while frames follow each other
    */
   notePace(spent) {
     this.spent += 0.1 * (Math.min(spent, 500) - this.spent);

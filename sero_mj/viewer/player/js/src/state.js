@@ -1,4 +1,4 @@
-/** What a page shows of a live run: a run of one frame, whose arrays the server's sections overwrite. */
+/** The state of a live page: a run of one frame, whose arrays are overwritten by the server's sections. */
 
 import { decode } from "./data.js";
 import * as THREE from "three";
@@ -36,7 +36,7 @@ export class State {
   }
 
   /**
-   * What is drawn now.
+   * The current state to draw.
    * @param {unknown} _ @param {Record<string, any>} now the latest JSON sections @returns {import("./view.js").Moment}
    */
   moment(_, now) {
@@ -119,7 +119,7 @@ export class State {
     return true;
   }
 
-  /** Places of the joints in the world, where they are fixed to no body that is drawn. @param {Reader} reader */
+  /** Positions of the joints in the world, for models whose joints have no sites. @param {Reader} reader */
   #sites(reader) {
     const joints = this.run.joints.length;
     this.sites ??= { positions: new Float32Array(3 * joints), turns: new Float32Array(4 * joints) };
@@ -130,7 +130,7 @@ export class State {
 }
 
 /**
- * Cards as the server writes them; their keys are kind and item.
+ * Billboards as sent by the server; their keys are kind and item.
  * @param {SentCard[]} cards @param {number} selected joint; -1 for none @returns {import("./cards.js").Content[]}
  */
 function contentsOf(cards, selected) {

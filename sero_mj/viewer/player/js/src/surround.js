@@ -1,4 +1,4 @@
-/** What stands around the picture of a page: panels, plots, messages, and who is in control. */
+/** The user interface around the image of a page: panels, plots, messages, and control. */
 
 import { byId, made, mark, write } from "./page.js";
 import { Tree } from "./panels.js";
@@ -48,7 +48,7 @@ class Dialog {
   }
 }
 
-/** Areas beside the picture, each with a title and a button that closes it. */
+/** Areas beside the image, each with a title and a close button. */
 class Areas {
   /** @param {HTMLElement} room @param {Send} send */
   constructor(room, send) {
@@ -98,7 +98,7 @@ export class Surround {
     this.timeLine = new Room(byId("timeline"), "timeLine", send);
     this.help = new Dialog("helptext", "keys", "help", send, "h");
     byId("close").addEventListener("click", this.help.close);
-    /** What a file asks to run. */
+    /** The programs that a file requests to run. */
     this.request = new Dialog("request", "actions", "request", send, "escape");
     this.areas = new Areas(byId("areas"), send);
   }

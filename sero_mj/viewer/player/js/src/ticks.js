@@ -1,25 +1,25 @@
-/** Ticks on a time line: what happened when. What is near the time that is shown is told above it. */
+/** Marks on a timeline. The text of marks near the displayed time is shown above it. */
 
 import { boxesOf, byId, made, mark, write } from "./page.js";
 
 /**
- * What happened at a time, or for some time.
+ * A mark at a time, or for a duration.
  * @typedef {{begin: number, end: number, text: string, kind: string, label?: string}} Tick
- *   text: with its time, where that is not beside it; label: on what takes some time, where there is room
+ *   text: with its time; label: shown on marks with a duration if there is space
  */
 
 
-const NEAR = 0.012; // of the time line
-const AFTER = 0.5; // s for which what has just happened is told
+const NEAR = 0.012; // fraction of the timeline
+const AFTER = 0.5; // s after a mark, while its text is shown
 const MOST_LINES = 3;
-const OF_TICK = 3; // pixels that a tick is wide
-const SHORTEST = 40; // pixels, of a label that is cut
-const BESIDE = 8; // pixels between boxes at the foot of the picture
-const NARROW = 280; // pixels, in which nothing is told
+const OF_TICK = 3; // width of a mark, pixels
+const SHORTEST = 40; // minimum width of a cut label, pixels
+const BESIDE = 8; // pixels between boxes at the lower edge of the image
+const NARROW = 280; // pixels; a narrower space shows no text
 
 /**
- * The ticks that are told: the nearest one, with what happened at the same time.
- * @param {Tick[]} ticks @param {number} at what is shown, s @param {number} length of the time line, s
+ * The marks whose text is shown: the nearest one, and others at the same time.
+ * @param {Tick[]} ticks @param {number} at displayed time, s @param {number} length of the timeline, s
  * @returns {Tick[]}
  */
 export function toldAt(ticks, at, length) {
@@ -37,15 +37,15 @@ export function toldAt(ticks, at, length) {
   return told;
 }
 
-/** What tells ticks apart. @param {Tick} tick */
+/** A key that identifies a mark. @param {Tick} tick */
 const keyOf = ({ begin, end, kind, text }) => JSON.stringify([begin, end, kind, text]);
 
-/** The lines of a text, without what would be too many. @param {string[]} lines */
+/** The first lines of a text. @param {string[]} lines */
 const few = (lines) => lines.length <= MOST_LINES ? lines
   : [...lines.slice(0, MOST_LINES - 1), `and ${lines.length - MOST_LINES + 1} more`];
 
 /**
- * Where a label is that no tick stands on: the first gap that is long enough, or the longest.
+ * The gap between marks for a label: the first one that is long enough, or the longest one.
  * @param {number} needed @param {number[]} edges ascending; pixels
  * @returns {[begin: number, length: number]}
  */
@@ -55,7 +55,7 @@ export function gapFor(needed, edges) {
   return gaps.find(([, length]) => length >= needed) ?? gaps.reduce((a, b) => b[1] > a[1] ? b : a);
 }
 
-/** Where there is room at the foot of the picture, beside legend and details or above them; pixels. */
+/** The space at the lower edge of the image, beside legend and details or above them, pixels. */
 function roomAbove() {
   const stage = byId("stage").getBoundingClientRect();
   const room = { left: stage.left + BESIDE, right: stage.right - BESIDE, up: 0, foot: stage.bottom }, whole = { ...room };
@@ -67,9 +67,9 @@ function roomAbove() {
   return room.right - room.left < NARROW ? whole : room;
 }
 
-/** The ticks of a time line, as buttons that go there. */
+/** The marks of a timeline, as buttons that seek. */
 export class Ticks {
-  /** @param {HTMLElement} room over the time line @param {(time: number) => void} onSeek */
+  /** @param {HTMLElement} room over the timeline @param {(time: number) => void} onSeek */
   constructor(room, onSeek) {
     this.room = room;
     this.onSeek = onSeek;
@@ -79,10 +79,10 @@ export class Ticks {
     this.buttons = new Map();
     this.bubble = made("div", "", { class: "told", hidden: "" });
     room.append(this.bubble);
-    this.low = 0; // s, ends of the time line
+    this.low = 0; // ends of the timeline, s
     this.high = 1;
-    this.told = ""; // what is told now
-    this.tallest = 0; // pixels, of what was told until now
+    this.told = ""; // text that is shown
+    this.tallest = 0; // maximum height of the text so far, pixels
     new ResizeObserver(() => {
       this.tallest = 0;
       this.#label();
@@ -94,7 +94,7 @@ export class Ticks {
     return Math.min(Math.max((time - this.low) / (this.high - this.low || 1), 0), 1);
   }
 
-  /** Buttons that are still there stay what they are. @param {Tick[]} ticks @param {number} low @param {number} high s */
+  /** Updates the buttons; those of unchanged marks are reused. @param {Tick[]} ticks @param {number} low @param {number} high s */
   update(ticks, low, high) {
     [this.ticks, this.low, this.high] = [ticks.map((tick) => ({ ...tick })), low, high];
     const before = this.buttons;
@@ -113,12 +113,12 @@ export class Ticks {
     this.#label();
   }
 
-  /** Places labels where they are not covered; a tick whose label has no room has none. */
+  /** Places labels in gaps between marks, and hides labels without space. */
   #label() {
     const { ticks, room: { clientWidth: width } } = this;
     const begins = ticks.map(({ begin }) => width * this.#share(begin));
     const inOrder = [...begins].sort((a, b) => a - b);
-    let free = -Infinity; // where the last label ends
+    let free = -Infinity; // right edge of the last label
     for (const [k, tick] of width ? ticks.entries() : []) {
       const words = this.buttons.get(keyOf(tick))?.querySelector("span");
       if (!words) continue;
@@ -147,16 +147,16 @@ export class Ticks {
     return button;
   }
 
-  /** Tells what is near a time. @param {number} at s */
+  /** Shows the text of marks near a time. @param {number} at s */
   tell(at) {
     const told = toldAt(this.ticks, at, this.high - this.low), { bubble } = this;
     this.told = few(told.map(({ text }) => text)).join("\n");
     bubble.hidden = !told.length;
     if (!told.length) return;
-    const isBelow = this.room.closest("#timeline") !== null; // below the picture
+    const isBelow = this.room.closest("#timeline") !== null; // below the image
     write(bubble, this.told);
     mark(bubble, "class", `told ${(told.find(({ kind }) => kind === "failed") ?? told[0]).kind}`);
-    // Beside its tick, and never beyond the ends of the time line.
+    // Beside its mark, within the timeline.
     const share = this.#share(told[0].begin);
     bubble.style.left = `${100 * share}%`;
     bubble.style.transform = `translateX(${-100 * share}%)`;
@@ -167,8 +167,8 @@ export class Ticks {
   }
 
   /**
-   * Moves what is told to where it has room.
-   * @param {number} share of the time line @param {ReturnType<typeof roomAbove>} room
+   * Moves the text to where it has space.
+   * @param {number} share of the timeline @param {ReturnType<typeof roomAbove>} room
    */
   #move(share, { left: first, right: last, up, foot }) {
     const { bubble } = this, { left, width, top } = this.room.getBoundingClientRect();

@@ -1,14 +1,14 @@
-/** What connects a live page with its server: a websocket that is opened anew when it ends. */
+/** The connection of a live page to its server: a websocket that reconnects. */
 
 /**
- * What brings the state of a run to its page: a websocket, a notebook's channel, or a recording.
+ * The source of a page's state: a websocket, a notebook's channel, or a recording.
  * @typedef {{open: () => void, send: (message: string | ArrayBuffer) => void, onopen: () => void,
  *   onmessage: (message: ArrayBuffer | string | import("./sections.js").Sections) => void, onclose: () => void,
  *   onlocked: () => void, onother: () => void, onframe?: () => void, hadControl: () => boolean,
  *   noteControl: (isInControl: boolean) => void}} Transport
  *   onopen: it is there, and the state comes from the start; onclose: it is gone;
  *   onlocked: it needs a token that this browser does not have; onother: another page is served there now;
- *   onframe: the picture has changed; hadControl, noteControl: whether this tab was in control of the connection before
+ *   onframe: the image has changed; hadControl, noteControl: whether this tab was in control of the connection before
  */
 
 /**

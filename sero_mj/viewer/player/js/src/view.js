@@ -1,4 +1,4 @@
-/** The picture of a page, what is written over it, and when to draw. */
+/** The image of a page, the texts over it, and when to draw. */
 
 import { Cards } from "./cards.js";
 import { Labels } from "./labels.js";
@@ -12,7 +12,7 @@ import { Stage, rendererOf } from "./stage.js";
  * What a page does.
  * @typedef {{frame: (passed: number) => void, card: (key: string, event: MouseEvent) => void,
  *   turn: (isUser: boolean) => void, look: (look: Look) => void, resize: () => void}} Acts
- *   frame: draws, so many ms after the last picture, or 0 after a rest;
+ *   frame: draws; `passed` is the time since the last frame, ms, or 0 after a pause;
  *   turn: the camera has turned
  */
 
@@ -24,7 +24,7 @@ import { Stage, rendererOf } from "./stage.js";
  *   sites?: {positions: Float32Array, turns: Float32Array} | null}} Moment
  */
 
-/** The picture of a page. */
+/** The image of a page. */
 export class View {
   /** @param {Acts} acts */
   constructor(acts) {
@@ -35,9 +35,9 @@ export class View {
     /** @type {Stage | null} */
     this.current = null;
     this.calls = 0;
-    this.before = 0; // ms, of the last picture; 0 after a rest
+    this.before = 0; // time of the last frame, ms; 0 after a pause
     this.isAwake = false;
-    this.isDirty = true; // whether the picture is another one
+    this.isDirty = true; // whether the image has changed
     this.isUsers = false; // whether it is the user who turns the camera
     /** @type {Look} */
     this.look = "light";
@@ -46,7 +46,7 @@ export class View {
 
   /** The stage of the run that is shown. */
   get stage() {
-    if (!this.current) throw new Error("nothing is shown yet");
+    if (!this.current) throw new Error("nothing has been drawn yet");
     return this.current;
   }
 
@@ -74,14 +74,14 @@ export class View {
     const canvas = this.renderer.domElement;
     byId("look").addEventListener("click", () => this.setLook(this.look === "dark" ? "light" : "dark"));
     new ResizeObserver(() => this.resize()).observe(byId("stage"));
-    // Cards are over the picture, but not what the wheel turns.
+    // Billboards cover the image, but the wheel still zooms it.
     byId("cards").addEventListener("wheel", (event) => {
       event.preventDefault();
       canvas.dispatchEvent(new WheelEvent("wheel", event));
     }, { passive: false });
     canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
-      tell("graphics", "The browser has taken the graphics away; the picture comes back when it gives them back.");
+      tell("graphics", "The browser has suspended WebGL. The image returns when it is available again.");
     });
     canvas.addEventListener("webglcontextrestored", () => {
       tell("graphics", "");
@@ -108,7 +108,7 @@ export class View {
     this.wake();
   }
 
-  /** Calls `frame` soon, once. @param {boolean} isDirty whether the picture is to be drawn */
+  /** Calls `frame` soon, once. @param {boolean} isDirty whether the image has changed */
   wake(isDirty = true) {
     this.isDirty ||= isDirty;
     if (this.isAwake) return;
@@ -144,7 +144,7 @@ export class View {
 /** What is wrong now, by what it concerns. @type {Map<string, string>} */
 const troubles = new Map();
 
-/** Says over the picture what is wrong. @param {string} what it concerns @param {string} text empty for nothing any more */
+/** Shows a problem over the image. @param {string} what topic @param {string} text empty to remove it */
 export function tell(what, text) {
   if (text) troubles.set(what, text);
   else troubles.delete(what);

@@ -1,11 +1,11 @@
-/** The kinds of widgets, each as elements that are made once and then updated. */
+/** The kinds of widgets, as elements that are created once and then updated. */
 
 import { Graph } from "./graph.js";
 import { made, mark, write } from "./page.js";
 import { Ticks } from "./ticks.js";
 
 /**
- * What the server says of a widget; see the kinds for what else they have.
+ * A widget as sent by the server; each kind uses some of the keys.
  * @typedef {{k: string, id?: string, s?: string, aria?: string, tip?: string, off?: boolean,
  *   width?: number, same?: number | boolean, left?: number, mood?: string, open?: boolean,
  *   nodes?: Node[], widths?: number[], rows?: Node[][][], lit?: boolean, text?: string, hint?: string,
@@ -15,14 +15,14 @@ import { Ticks } from "./ticks.js";
  */
 /** @typedef {[at: number, kind: string, text: string, end?: number, label?: string]} Tick */
 /** @typedef {{element: HTMLElement, sized?: HTMLElement, update: (node: Node) => void,
- *   graph?: Graph, dispose?: () => void}} Widget sized: the part that a width is for; else all of it */
+ *   graph?: Graph, dispose?: () => void}} Widget sized: element that gets the width; default: all of it */
 /** @typedef {import("./panels.js").Context} Context */
 
-const ECHO = 1000; // ms, in which the server is to know what the user has changed
+const ECHO = 1000; // ms; the server confirms a change within this time
 
 /**
- * A value that users change: what they have set stands until the server says the same, and while
- * they are at it nothing overwrites it.
+ * A value that users change. Their value is shown until the server confirms it, and nothing overwrites
+ * it during the input.
  * @template T
  */
 export class Held {
@@ -33,13 +33,13 @@ export class Held {
     this.isHeld = false;
   }
 
-  /** Notes what the user has set. @param {T} value */
+  /** Stores the value that the user has set. @param {T} value */
   set(value) {
     this.wanted = value;
     this.since = performance.now();
   }
 
-  /** What is to be shown where the server has said a value. @param {T} value @returns {T} */
+  /** The value to show, from that of the server. @param {T} value @returns {T} */
   shown(value) {
     if (this.wanted === undefined) return value;
     const isOver = this.wanted === value || performance.now() - this.since > ECHO;
@@ -48,8 +48,8 @@ export class Held {
   }
 }
 
-const STEPS = 100; // of a slider by its keys, at least
-const DRAGGED = 0.1; // step of what is dragged, of those
+const STEPS = 100; // minimum number of keyboard steps of a slider
+const DRAGGED = 0.1; // step of a drag, relative to a keyboard step
 /** @type {Record<string, number>} */
 const PLACES = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp: 10, PageDown: -10 };
 
@@ -65,7 +65,7 @@ export function rounded(value, step) {
   return Number((Math.round(value / step) * step).toFixed(digits));
 }
 
-/** What all controls have: words, a tip, and whether they take input. @param {HTMLElement} control @param {Node} node */
+/** Sets label, tooltip and whether a control is disabled. @param {HTMLElement} control @param {Node} node */
 function common(control, { s, aria, hint, tip, off }) {
   const words = s ? "" : aria ?? hint ?? "";
   if (words) mark(control, "aria-label", words);
@@ -78,7 +78,7 @@ function explain(element, tip) {
   if (element.title !== (tip ?? "")) element.title = tip ?? "";
 }
 
-/** A control with its words beside it. @param {HTMLElement} control @param {string} kind */
+/** A control with a label beside it. @param {HTMLElement} control @param {string} kind */
 function labelled(control, kind) {
   const element = made("label", "", { class: kind }), words = made("span", "");
   element.append(control, words);
@@ -91,7 +91,7 @@ function labelled(control, kind) {
   return { element, say };
 }
 
-/** Words. @param {keyof HTMLElementTagNameMap} tag @param {string} kind @returns {() => Widget} */
+/** A text. @param {keyof HTMLElementTagNameMap} tag @param {string} kind @returns {() => Widget} */
 const words = (tag, kind) => () => {
   const element = /** @type {HTMLElement} */ (made(tag, ""));
   return { element, update: ({ s, mood, tip }) => {
@@ -226,7 +226,7 @@ const choose = ({ id }, { send }) => {
 const slide = ({ id }, { send }) => {
   const box = made("input", "", { type: "range", step: "any" }), said = made("output", "");
   const track = made("span", "", { class: "track" }), over = made("span", "", { class: "ticks" });
-  const rail = made("span", "", { class: "rail" }); // as long as what is dragged, without its text
+  const rail = made("span", "", { class: "rail" }); // the slider without its text
   const { element, say } = labelled(box, "slide");
   element.prepend(track);
   rail.append(box, over);
@@ -241,7 +241,7 @@ const slide = ({ id }, { send }) => {
   const ticks = new Ticks(over, set);
   box.addEventListener("pointerdown", () => {
     held.isHeld = true;
-    said.style.width = `${said.offsetWidth}px`; // a longer text would move what is dragged
+    said.style.width = `${said.offsetWidth}px`; // a longer text would move the knob
     held.set(box.valueAsNumber);
   });
   for (const end of ["pointerup", "pointercancel", "blur"]) {
@@ -253,14 +253,14 @@ const slide = ({ id }, { send }) => {
   box.addEventListener("input", () => {
     const { valueAsNumber: value } = box, [low, high] = [Number(box.min), Number(box.max)];
     const round = rounded(value, DRAGGED * stepOf(low, high));
-    set(value === low || value === high ? value : Math.min(Math.max(round, low), high)); // ends need not be round
+    set(value === low || value === high ? value : Math.min(Math.max(round, low), high)); // the ends may have more digits
   });
   box.addEventListener("keydown", (event) => {
     const places = PLACES[event.key], { ctrlKey, altKey, metaKey } = event;
     if (!places || ctrlKey || altKey || metaKey) return;
     event.preventDefault();
     const step = stepOf(Number(box.min), Number(box.max));
-    box.value = String(rounded(box.valueAsNumber + places * step, step)); // as far as there is room
+    box.value = String(rounded(box.valueAsNumber + places * step, step)); // limited by the range
     set(box.valueAsNumber);
   });
   return { element, sized: track, update: (node) => {
@@ -313,7 +313,7 @@ const number = ({ id }, { send }) => {
   } };
 };
 
-/** The number in a text that has words as well, with as many decimals. @param {string} text @param {number} value */
+/** The number in a text, with its decimals. @param {string} text @param {number} value */
 function plain(text, value) {
   return /-?\d+(\.\d+)?(e[-+]?\d+)?/i.exec(text)?.[0] ?? String(value);
 }
@@ -335,7 +335,7 @@ const plot = ({ id }, { send }) => {
     dispose: () => graph.dispose() };
 };
 
-/** How widgets of every kind are made. @type {Record<string, (node: Node, context: Context) => Widget>} */
+/** Functions that create widgets, by kind. @type {Record<string, (node: Node, context: Context) => Widget>} */
 export const WIDGETS = {
   text: words("p", "text"), label: words("span", "words"), title: words("h3", "title"),
   header: folding("header"), tree: folding("tree"),

@@ -1,4 +1,4 @@
-"""`ShownRun`: what was shown in the last minute, as a run that a notebook keeps."""
+"""`ShownRun`: the last displayed minute as a run, which a notebook stores."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..decor.feature import Frame
-from ..player.capture import FrameCapturer
-from ..player.encode import encode
-from ..player.frame import CapturedFrame
-from ..player.page import packed
-from ..session.tool import Shown, Tool
+from ...viewer.decor.feature import Frame
+from ...viewer.player.capture import FrameCapturer
+from ...viewer.player.encode import encode
+from ...viewer.player.frame import CapturedFrame
+from ...viewer.player.page import packed
+from ...viewer.session.tool import Shown, Tool
 
-SPAN = 60.0  # s
+SPAN = 60.0  # s of the stored run
 _FPS = 20.0
-_LONGEST_REST = 0.5  # s that nothing changes; the rest of it is left out
-_INTERVAL = 10.0  # s between two runs
+_MAX_REST = 0.5  # s; longer periods without a change are shortened to this
+_INTERVAL = 10.0  # s between two stored runs
 
 
 class ShownRun(Tool):
-    """Captures what is shown, once its program has asked for it."""
+    """Captures displayed frames after the notebook has sent `begin`."""
 
     order: ClassVar[int] = 80
 
@@ -31,22 +31,22 @@ class ShownRun(Tool):
         super().__init__(shown)
         self._capturer: FrameCapturer | None = None
         self._frames: deque[tuple[float, CapturedFrame]] = deque()
-        self._taken = 0.0  # when the last frame was, s of `time.monotonic`
-        self._time = 0.0  # of the run, s
-        self._sent = 0.0  # when the last run was, s of `time.monotonic`
+        self._taken = 0.0  # time of the last frame, on the clock of `time.monotonic`
+        self._time = 0.0  # in the run, s
+        self._sent = 0.0  # time of the last run, on the clock of `time.monotonic`
         self._is_new = False
         self._thread: threading.Thread | None = None
-        self._run: str | None = None  # that is ready
+        self._run: str | None = None  # the finished run
 
-    def hear(self, message: str) -> None:
-        """Begins (`begin`), or makes the run at once (`now`), which is then the next answer."""
+    def receive(self, message: str) -> None:
+        """Starts capturing (`begin`), or makes `reply` return the run immediately (`now`)."""
         if message == "now":
             self._sent, self._is_new = 0.0, bool(self._frames)
         elif self._capturer is None:
             self._capturer = FrameCapturer(self.shown.world, self.shown.view_camera)
 
     def draw(self, frame: Frame) -> None:
-        """Captures a state that is another one."""
+        """Captures the frame if it differs from the last one."""
         now = time.monotonic()
         passed = now - self._taken
         if self._capturer is None or passed < 1.0 / _FPS - 1e-3:
@@ -55,13 +55,13 @@ class ShownRun(Tool):
         if self._frames and _are_equal(found, self._frames[-1][1]):
             return
         self._taken, self._is_new = now, True
-        self._time += min(passed, _LONGEST_REST) if self._frames else 0.0
+        self._time += min(passed, _MAX_REST) if self._frames else 0.0
         self._frames.append((self._time, found))
         while self._time - self._frames[0][0] > SPAN:
             self._frames.popleft()
 
-    def answer(self) -> str | None:
-        """Returns the run, packed as in pages, when there is a new one."""
+    def reply(self) -> str | None:
+        """Returns a new run, packed as in pages, or None."""
         run, self._run = self._run, None
         is_making = self._thread is not None and self._thread.is_alive()
         if run is None and self._is_new and not is_making:
@@ -93,7 +93,7 @@ def _are_equal(one: CapturedFrame, other: CapturedFrame) -> bool:
         and same(one.stale, other.stale)
         and all(same(each, other.values[key]) for key, each in one.values.items())
         and same(one.soft.vertices, other.soft.vertices)
-        and one.cards == other.cards
+        and one.arrow_texts == other.arrow_texts
         and one.note == other.note
         and one.legend == other.legend
     )

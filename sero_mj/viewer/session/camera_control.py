@@ -1,4 +1,4 @@
-"""`CameraControl`: what the user of a window or page does with its camera."""
+"""`CameraControl`: moves the camera of a window or page."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from ..image.scene_decor import SceneDecor
 
 
 class CameraControl:
-    """Moves the camera of a window or page, unless a photo that is drawn over fixes it.
+    """Moves the camera, unless a photo in the background fixes it.
 
     Args:
         decor: returns the decor, whose view is that of the last frame.
-        say: shows a message.
     """
 
     def __init__(
@@ -30,17 +29,17 @@ class CameraControl:
         self._navigator, self._data, self._decor, self._say = navigator, data, decor, say
 
     def choose(self, number: int) -> str:
-        """Selects a camera by number, 1 for the first, 0 for the initial view."""
+        """Selects a camera by number: 1 for the first one, 0 for the initial view."""
         return self._decor().fixed or self._navigator.choose(number)
 
     def follow(self, frame: str | None) -> str:
-        """Starts following a frame, or stops; returns a message for the user."""
+        """Follows a frame, or stops if `frame` is None; returns a message for the user."""
         return self._decor().fixed or self._navigator.follow(self._data, frame)
 
-    def centre(self, point: Array) -> None:
-        """Makes a point (3,), m, the look-at point."""
+    def center(self, point: Array) -> None:
+        """Sets the look-at point (3,), m."""
         decor = self._decor()
-        assert decor.view is not None  # there is a picture of the point
+        assert decor.view is not None  # the point was picked in an image
         if decor.fixed:
             self._say(decor.fixed)
             return
@@ -48,7 +47,13 @@ class CameraControl:
         self._navigator.camera.lookat = point
 
     def move(self, how: str, right: float, down: float) -> None:
-        """Turns, pans or zooms (`orbit`, `pan`, `zoom`) by heights of the picture or notches."""
+        """Rotates, pans or zooms the camera.
+
+        Args:
+            how: `orbit`, `pan` or `zoom`.
+            right: fraction of the image height; ignored for `zoom`.
+            down: fraction of the image height; wheel notches for `zoom`.
+        """
         view, navigator = self._decor().view, self._navigator
         if view is None or self._decor().fixed:
             return

@@ -1,13 +1,16 @@
-"""`MendedMcap`: an MCAP file whose end is missing, as one that rosbags reads.
+"""Bags that were not closed, in a form that rosbags can read.
 
-rosbags wants an end with an index. Here an index of the whole chunks stands behind the last whole
-record, as if it were in the file.
+`RepairedMcap` is an MCAP file whose end is missing: an index of the complete chunks follows the
+last complete record, as if it were in the file. `with_log` adds the log beside an SQLite database.
 """
 
 from __future__ import annotations
 
 import io
 import os
+import shutil
+import sqlite3
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Footer, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from ...base.paths import open_file
+from ...base.paths import make_temporary_folder, open_file
 from ...data.record.mcap_reader import (
     BROKEN,
     RECORD_HEAD,
@@ -30,19 +33,20 @@ from ...data.record.mcap_reader import (
     walk_records,
 )
 
-_REMEMBERED = 8  # files; each is opened several times until it is shown
-_NUMBER = 2  # bytes of the number with which schemas, channels and messages begin
+_CACHED = 8  # files; each one is opened several times before it is shown
+_LOGS = ("-wal", "-journal")  # appended to the name of the database
+_NUMBER = 2  # bytes of the number at the start of schemas, channels and messages
 _INDEX_HEAD, _INDEX_ENTRY = 15, 16  # bytes of the index of a channel's messages in a chunk
 
 
-class MendedMcap:
-    """A path in the sense of rosbags (`RPath`); raises OSError if it cannot be read."""
+class RepairedMcap:
+    """A path for rosbags (`RPath`); raises OSError if the file cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self._path, self.suffix, self.stem = path, ".mcap", path.stem
         status = path.stat()
-        found = _whole_part(path, status.st_size, status.st_mtime_ns)
-        self._end, self._behind = found.end, found.behind
+        found = _complete_part(path, status.st_size, status.st_mtime_ns)
+        self._end, self._appended = found.end, found.appended
         self.faults, self.has_topics = list(found.faults), bool(found.channels)
 
     def __str__(self) -> str:
@@ -55,13 +59,13 @@ class MendedMcap:
         return False
 
     def open(self, *_: Any, **__: Any) -> BinaryIO:
-        return io.BufferedReader(_Joined(open_file(self._path), self._end, self._behind))
+        return io.BufferedReader(_Joined(open_file(self._path), self._end, self._appended))
 
 
 class _Joined(io.RawIOBase):
-    def __init__(self, file: BinaryIO, end: int, behind: bytes) -> None:
+    def __init__(self, file: BinaryIO, end: int, appended: bytes) -> None:
         super().__init__()
-        self._file, self._end, self._behind, self._at = file, end, behind, 0
+        self._file, self._end, self._appended, self._at = file, end, appended, 0
 
     def readable(self) -> bool:
         return True
@@ -70,7 +74,11 @@ class _Joined(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        begins = {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._end + len(self._behind)}
+        begins = {
+            os.SEEK_SET: 0,
+            os.SEEK_CUR: self._at,
+            os.SEEK_END: self._end + len(self._appended),
+        }
         self._at = max(begins[whence] + offset, 0)
         return self._at
 
@@ -80,7 +88,7 @@ class _Joined(io.RawIOBase):
             found = self._file.read(min(len(buffer), self._end - self._at))
         else:
             begin = self._at - self._end
-            found = self._behind[begin : begin + len(buffer)]
+            found = self._appended[begin : begin + len(buffer)]
         buffer[: len(found)] = found
         self._at += len(found)
         return len(found)
@@ -91,9 +99,9 @@ class _Joined(io.RawIOBase):
 
 
 @dataclass
-class _WholePart:
+class _CompletePart:
     end: int = len(MCAP0_MAGIC)
-    behind: bytes = b""
+    appended: bytes = b""
     faults: list[str] = field(default_factory=list)
     schemas: dict[bytes, bytes] = field(default_factory=dict)  # number to record
     channels: dict[bytes, bytes] = field(default_factory=dict)
@@ -109,7 +117,7 @@ class _WholePart:
         try:
             self._index_chunk(read_record(file, offset, length).getvalue(), offset, length)
         except BROKEN as error:
-            why = f"is damaged ({mcap_reason(error)}) and left out"
+            why = f"is damaged ({mcap_reason(error)}) and skipped"
             self.faults.append(f"the chunk at byte {offset} {why}")
 
     def _index_chunk(self, record: bytes, offset: int, length: int) -> None:
@@ -122,7 +130,7 @@ class _WholePart:
                 counts[channel] = counts.get(channel, 0) + 1
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.note(opcode, data[begin:end])
-        # rosbags takes the numbers of messages from the places of their indices.
+        # rosbags derives message counts from the positions of the message indices.
         places, at = {}, offset + length
         for channel, count in counts.items():
             self.counts[channel] = self.counts.get(channel, 0) + count
@@ -167,9 +175,9 @@ class _WholePart:
         return bytes(built.end())
 
 
-@lru_cache(_REMEMBERED)
-def _whole_part(path: Path, size: int, changed: int) -> _WholePart:
-    found, is_whole = _WholePart(), False
+@lru_cache(_CACHED)
+def _complete_part(path: Path, size: int, changed: int) -> _CompletePart:
+    found, is_whole = _CompletePart(), False
     with open_file(path) as file:
         try:
             for opcode, offset, length in walk_records(file, size):
@@ -183,7 +191,39 @@ def _whole_part(path: Path, size: int, changed: int) -> _WholePart:
                     found.note(opcode, file.read(length))
                 found.end = offset + length
         except BROKEN:
-            pass  # up to here, then
+            pass  # the part up to here is complete
     found.faults.append(fault_of_end(found.end, size, is_whole=is_whole))
-    found.behind = found.make_end()
+    found.appended = found.make_end()
     return found
+
+
+def log_of(file: Path) -> Path | None:
+    """Returns the log of a database with messages that the database lacks, or None."""
+    for log in (file.with_name(f"{file.name}{ending}") for ending in _LOGS):
+        if log.is_file() and log.stat().st_size:
+            return log
+    return None
+
+
+def with_log(file: Path, log: Path) -> Path:
+    """Returns a temporary copy of a database that includes its log.
+
+    rosbags opens databases as immutable, and therefore without their log.
+
+    Raises:
+        OSError: the database cannot be read, or there is no space for the copy.
+        sqlite3.Error: the database is damaged.
+    """
+    states = [each.stat() for each in (file, log)]
+    changed = tuple((each.st_size, each.st_mtime_ns) for each in states)
+    return _copied(file.resolve(), log.resolve(), changed)
+
+
+@lru_cache(_CACHED)
+def _copied(file: Path, log: Path, changed: tuple[tuple[int, int], ...]) -> Path:
+    folder = make_temporary_folder()
+    for each in (file, log):
+        shutil.copyfile(each, folder / each.name)
+    with closing(sqlite3.connect(folder / file.name)) as database:
+        database.execute("PRAGMA journal_mode = DELETE").fetchall()  # SQLite includes the log first
+    return folder / file.name

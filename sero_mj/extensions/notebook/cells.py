@@ -1,9 +1,9 @@
-"""A page in a cell of a notebook, by the kernel's own channel: browsers need no port and no proxy.
+"""`Cells`: the page of a viewer in notebook cells, over the kernel's own channel.
 
-The cell has two outputs: the page in a frame, and beside it, hidden, the run of what was shown in
-the last minute. Once saved, the notebook holds both; without a kernel the page plays the run.
-A page's messages go through an anywidget, `player/js/src/bridge.js`, to a connection with the
-viewer's server, one for every browser that shows the cell.
+Browsers need no port and no proxy. A cell has two outputs: a frame with the page, and a hidden
+element with the run of the last minute. A saved notebook contains both; without a kernel, the page
+plays the run. An anywidget, `player/js/src/bridge.js`, forwards the messages of each browser that
+displays the cell to its own connection with the viewer's server.
 """
 
 from __future__ import annotations
@@ -23,35 +23,35 @@ from typing import Any
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from ..player.page import cell_page
-from .server import socket_url
+from ...robots.declared.scene import Scene
+from ...viewer.player.page import cell_page, requested_look
+from ...viewer.program.process import ViewerProcess
+from ...viewer.web.server import socket_url
 
+_RUN = "shown_run"  # the tool that captures the run
 _HEIGHT = 600  # pixels
-_FIRST = "first"  # the connection that waits for the first page, see `bridge.js`
-_ALIVE = 5.0  # s between two messages that say that this kernel is there
-_GONE = 15.0  # s that a page may say nothing; it says something every 4 s
-_TICK = 0.05  # s to wait for a page's answer; a busy kernel does not hear it
+_FIRST = "first"  # the connection of the first page, see `bridge.js`
+_ALIVE = 5.0  # s between messages that report that the kernel is running
+_GONE = 15.0  # s without a message after which a page is closed; it sends one every 4 s
+_TICK = 0.05  # s to wait for a message; a busy kernel receives none from its pages
 _GOT = '{"t":"got"}'  # the answer of a page to a message
-_LAST_RUN = 3.0  # s to wait for the run, before a viewer is closed
+_LAST_RUN = 3.0  # s to wait for the last run when a viewer is closed
 
 Send = Callable[[Mapping[str, Any], Sequence[bytes]], None]
 
 
-def in_notebook() -> bool:
-    """Whether this program is the kernel of a notebook."""
+def _in_notebook() -> bool:
     return getattr(_shell(), "kernel", None) is not None
 
 
-def has_channel() -> bool:
-    """Whether anywidget, which carries the messages of pages, is installed."""
+def _has_channel() -> bool:
     return find_spec("anywidget") is not None
 
 
-def show_address(title: str, url: str) -> None:
-    """Shows in the cell the address of a page, and what to install to show the page itself."""
+def _show_address(title: str, url: str) -> None:
     _display(
         f'<p>{html.escape(title)} is at <a href="{url}" target="_blank">{url}</a>; '
-        "<code>pip install 'sero-mj[notebook]'</code> shows it here.</p>",
+        "run <code>pip install 'sero-mj[notebook]'</code> to display it here.</p>",
         text=f"{title} is at {url}",
     )
 
@@ -78,38 +78,42 @@ _kernel = functools.cache(_Kernel)
 
 
 class Cells:
-    """The cells of a notebook that show a viewer.
+    """The notebook cells that display a viewer.
 
     Args:
-        title: title of the page.
-        look: see `look_asked_for`.
         url: address of the page on this machine.
-        tell: sends a message to the tool `shown_run` of the viewer.
     """
 
-    def __init__(self, title: str, look: str, url: str, tell: Callable[[str], object]) -> None:
-        self._title, self._look, self._url, self._tell = title, look, url, tell
+    def __init__(self, scene: Scene, url: str, process: ViewerProcess) -> None:
+        self._title, self._look, self._url = scene.name, requested_look(scene), url
+        self._process = process
         self._cells: list[_Cell] = []
-        self._is_last = threading.Event()
+        self._has_run = threading.Event()
 
     def show(self) -> None:
-        self._cells.append(_Cell(self._title, self._look, self._url))
-        self._tell("begin")
+        if not _in_notebook():
+            print(f"{self._title} is at {self._url}")
+        elif not _has_channel():
+            _show_address(self._title, self._url)
+        else:
+            self._process.answers[_RUN] = self._store
+            self._cells.append(_Cell(self._title, self._look, self._url))
+            self._process.tell(_RUN, "begin")
 
-    def keep(self, run: str) -> None:
+    def _store(self, run: str) -> None:
         for cell in self._cells:
-            cell.keep(run)
-        self._is_last.set()
+            cell.store(run)
+        self._has_run.set()
 
-    def keep_last(self) -> None:
-        """Saves the run up to now. Call this before closing the viewer."""
-        self._is_last.clear()
-        self._tell("now")
-        self._is_last.wait(_LAST_RUN)
+    def store_last(self) -> None:
+        if self._cells:
+            self._has_run.clear()
+            self._process.tell(_RUN, "now")
+            self._has_run.wait(_LAST_RUN)
 
-    def close(self, *, tells: bool = True) -> None:
+    def close(self, *, is_exit: bool = False) -> None:
         for cell in self._cells:
-            cell.close(tells=tells)
+            cell.close(is_exit=is_exit)
 
 
 class _Cell:
@@ -119,22 +123,22 @@ class _Cell:
         self._visitors: dict[str, _Visitor] = {}
         self._bridge = _bridge(self._id)
         self._bridge.on_msg(self._hear)
-        self.keep("", is_update=False)
+        self.store("", is_update=False)
         page = html.escape(cell_page(self._id, title, look))
         _display(
             f'<iframe srcdoc="{page}" width="100%" height="{_HEIGHT}" style="border:0" '
             f'title="{html.escape(title)}"></iframe>',
-            text=f"{title}, live in a notebook that shows HTML",
+            text=f"{title}: displayed live in notebooks that support HTML",
         )
         self._open(_FIRST)
 
-    def keep(self, run: str, *, is_update: bool = True) -> None:
-        kept = f'<div hidden data-sero-mj-run="{self._id}">{run}</div>'
-        _display(kept, display_id=f"sero-mj {self._id}", update=is_update)
+    def store(self, run: str, *, is_update: bool = True) -> None:
+        stored = f'<div hidden data-sero-mj-run="{self._id}">{run}</div>'
+        _display(stored, display_id=f"sero-mj {self._id}", update=is_update)
 
-    def close(self, *, tells: bool) -> None:
+    def close(self, *, is_exit: bool) -> None:
         for visitor in [*self._visitors.values()]:
-            visitor.close(tells=tells)
+            visitor.close(is_exit=is_exit)
         self._visitors.clear()
 
     def _hear(self, _: Any, message: Any, __: Any) -> None:
@@ -162,8 +166,10 @@ class _Visitor:
         self._url, self._send = url, send
         self._kernel, self._heard = kernel, time.monotonic()
         self._lock = threading.Lock()
-        self._ahead = 0  # messages that nobody has answered
-        self._owed = 0  # answers of the page that were given before they came
+        self._unanswered = 0  # messages
+        self._answered_early = (
+            0  # messages acknowledged here before the page's acknowledgment arrived
+        )
         self._socket: ClientConnection | None = None
         self.is_gone = False
         threading.Thread(target=self._run, name="sero-mj cell", daemon=True).start()
@@ -174,10 +180,10 @@ class _Visitor:
             self.close()
         elif kind == "say" and isinstance(text, str):
             with self._lock:
-                is_given = text == _GOT and self._owed > 0
-                self._owed -= is_given
-                self._ahead -= text == _GOT and not is_given
-            if not is_given:
+                is_late = text == _GOT and self._answered_early > 0
+                self._answered_early -= is_late
+                self._unanswered -= text == _GOT and not is_late
+            if not is_late:
                 self._say(text)
 
     def _say(self, text: str) -> None:
@@ -185,8 +191,8 @@ class _Visitor:
             with suppress(WebSocketException):
                 self._socket.send(text)
 
-    def close(self, *, tells: bool = True) -> None:
-        if not tells:
+    def close(self, *, is_exit: bool = False) -> None:
+        if is_exit:  # the kernel sends nothing any more
             self._send = lambda message, buffers: None
         if self._socket is not None:
             self._socket.close()
@@ -203,18 +209,18 @@ class _Visitor:
         self._send({"kind": "closed"}, [])
 
     def _carry(self, socket: ClientConnection) -> None:
-        told, kernel = time.monotonic(), self._kernel
+        reported, kernel = time.monotonic(), self._kernel
         while kernel.is_busy or time.monotonic() - max(self._heard, kernel.freed) < _GONE:
             try:
                 message = socket.recv(timeout=_TICK)
             except TimeoutError:
                 self._answer()
-                if time.monotonic() - told > _ALIVE:
-                    told = time.monotonic()
+                if time.monotonic() - reported > _ALIVE:
+                    reported = time.monotonic()
                     self._send({"kind": "alive"}, [])
                 continue
             with self._lock:
-                self._ahead += isinstance(message, bytes)
+                self._unanswered += isinstance(message, bytes)
             if isinstance(message, bytes):
                 self._send({"kind": "message"}, [message])
             else:
@@ -222,10 +228,10 @@ class _Visitor:
 
     def _answer(self) -> None:
         with self._lock:
-            is_owed = self._ahead > 0
-            self._ahead -= is_owed
-            self._owed += is_owed
-        if is_owed:
+            is_answered = self._unanswered > 0
+            self._unanswered -= is_answered
+            self._answered_early += is_answered
+        if is_answered:
             self._say(_GOT)
 
 
