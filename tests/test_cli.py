@@ -208,7 +208,7 @@ def test_interrupting_a_film_keeps_what_was_filmed(tmp_path) -> None:
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 130
-    frames = re.search(r"film.mp4 holds the (\d+) frames so far", err)
+    frames = re.search(r"film.mp4 has the first (\d+) frames", err)
     assert frames, err
     assert "Traceback" not in err
     with av.open(str(film)) as container:

@@ -149,7 +149,7 @@ class Shell:
 
     def _check(self, command: str, status: int, said: str) -> None:
         assert status == 0, f"{command}\n{said}"
-        assert "no good packet" not in said or "--wait 0" in command
+        assert "no valid packet" not in said or "--wait 0" in command
 
 
 @pytest.mark.thorough

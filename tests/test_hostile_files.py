@@ -1,4 +1,4 @@
-"""Files that would take all time or memory: pipes, endless devices, keys and sums."""
+"""Files that would take unlimited time or memory: pipes, infinite devices, keys and sums."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ ROBOT = '[robots.{}]\ndh_convention = "craig"\ndh_params = [[0, 0, 0, 0.2]]\n'
 
 @pytest.fixture(autouse=True)
 def bounded() -> Iterator[None]:
-    """Ends what takes all memory, or hangs, before it ends the machine."""
+    """Ends a process that takes all memory or hangs, before it ends the machine."""
     import resource
 
     def late(*_: Any) -> None:
         raise TimeoutError("it hangs")
 
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    # Over what the tests before have left of threads' stacks and models.
+    # In addition to stacks and models that remain from previous tests.
     resource.setrlimit(resource.RLIMIT_DATA, (_data_bytes() + 4 * 2**30, before[1]))
     handler = signal.signal(signal.SIGALRM, late)
     signal.alarm(20)
@@ -69,7 +69,7 @@ def bounded() -> Iterator[None]:
 
 
 def _data_bytes() -> int:
-    """How much data this process has; 0 where Linux does not say it."""
+    """Returns the size of this process's data, or 0 if Linux does not report it."""
     try:
         status = Path("/proc/self/status").read_text()
     except OSError:
@@ -79,7 +79,7 @@ def _data_bytes() -> int:
 
 @pytest.fixture
 def pipe(tmp_path: Path) -> Path:
-    """A pipe that nobody writes to."""
+    """Returns a pipe that nobody writes to."""
     os.mkfifo(tmp_path / "pipe.mcap")
     return tmp_path / "pipe.mcap"
 
@@ -93,7 +93,9 @@ def endless(tmp_path: Path) -> Callable[[str], Path]:
     return link
 
 
-def test_only_files_of_a_bounded_length_are_opened(tmp_path: Path, pipe: Path) -> None:
+def test_files_above_the_size_limit_and_special_files_are_not_opened(
+    tmp_path: Path, pipe: Path
+) -> None:
     (tmp_path / "long").write_bytes(b"")
     os.truncate(tmp_path / "long", 10**12)  # sparse
     with pytest.raises(OSError, match=r"has 1000000\.0 MB; expected at most 1 MB"):
@@ -108,7 +110,7 @@ def test_only_files_of_a_bounded_length_are_opened(tmp_path: Path, pipe: Path) -
     assert read_file(tmp_path / "short", 3) == b"abc"
 
 
-def test_a_pipe_is_no_recording(pipe: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pipe_is_rejected_as_recording(pipe: Path, capsys: pytest.CaptureFixture[str]) -> None:
     expected = f"{pipe}: cannot be read: is a pipe; expected a file"
     for opened in (Recording, read_run):
         with pytest.raises(RecordingError) as found:
@@ -129,8 +131,8 @@ def test_a_pipe_is_no_recording(pipe: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.parametrize("name", ["x.toml", "x.urdf", "x.x3d", "x.png", "x"])
-def test_a_pipe_is_called_one_wherever_a_file_is_expected(tmp_path: Path, name: str) -> None:
-    """It was said to be missing, with its own name as the nearest one."""
+def test_pipe_is_reported_where_a_file_is_expected(tmp_path: Path, name: str) -> None:
+    """A pipe used to be reported as missing, with its own name as the suggestion."""
     os.mkfifo(tmp_path / name)
     expected = f"{tmp_path / name}: cannot be read: is a pipe; expected a file"
     for find in (find_scene, find_scenario, find_model, find_group_model):
@@ -140,7 +142,7 @@ def test_a_pipe_is_called_one_wherever_a_file_is_expected(tmp_path: Path, name: 
 
 
 @pytest.mark.extensions
-def test_pipes_are_no_photos_videos_and_points(pipe: Path) -> None:
+def test_pipes_are_rejected_as_photos_videos_and_points(pipe: Path) -> None:
     from sero_mj.extensions.photo.calibration import read_points
     from sero_mj.extensions.photo.footage import Video, read_photo
 
@@ -155,7 +157,7 @@ def test_pipes_are_no_photos_videos_and_points(pipe: Path) -> None:
 
 @needs_posix
 @pytest.mark.skipif(sys.platform != "linux", reason="blocks are no files there")
-def test_a_pipe_is_no_shared_memory(block: str) -> None:
+def test_pipe_is_rejected_as_shared_memory(block: str) -> None:
     os.mkfifo(f"/dev/shm/{block}")
     try:
         with (
@@ -172,7 +174,7 @@ def test_a_pipe_is_no_shared_memory(block: str) -> None:
 
 
 @pytest.mark.extensions
-def test_endless_meshes_pieces_and_tables_are_refused(
+def test_infinite_meshes_mjcf_files_and_tables_are_rejected(
     tmp_path: Path, endless: Callable[[str], Path]
 ) -> None:
     endless("mesh.stl"), endless("piece.xml")
@@ -195,8 +197,8 @@ def test_endless_meshes_pieces_and_tables_are_refused(
 
 
 @pytest.mark.parametrize("key", ["a.", 'a . "b" .', "'a'.", "[a.", "x = { a."])
-def test_keys_with_thousands_of_dots_are_refused(tmp_path: Path, key: str) -> None:
-    """They took the square of their length in memory."""
+def test_keys_with_thousands_of_dots_are_rejected(tmp_path: Path, key: str) -> None:
+    """Such keys took memory quadratic in their length."""
     file = tmp_path / "x.toml"
     start, dotted = (key[:-2], key[-2:]) if key[-2] == "a" else ("", key)
     file.write_text(f"b = 1\n{start}{dotted * 20_000}c = 1\n")
@@ -219,10 +221,10 @@ def test_keys_with_thousands_of_dots_are_refused(tmp_path: Path, key: str) -> No
         ("['{}'], [1, 2], true,\n", "2000000 values"),
     ],
 )
-def test_files_of_endless_keys_and_values_are_refused_before_they_are_read(
+def test_files_with_too_many_keys_or_values_are_rejected_before_they_are_read(
     tmp_path: Path, many: str, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of 9 MB, they took minutes and gigabytes before a section was found to be unknown."""
+    """Files of 9 MB took minutes and gigabytes before an unknown section was reported."""
     file = tmp_path / "x.toml"
     rows = 600_000 if what.endswith(" values") else 101_000
     file.write_text("x = [\n" + "".join(many.format(i) for i in range(rows)))
@@ -232,7 +234,7 @@ def test_files_of_endless_keys_and_values_are_refused_before_they_are_read(
         read_toml(file)
 
 
-def test_what_only_looks_like_keys_is_not_counted(tmp_path: Path) -> None:
+def test_text_that_looks_like_keys_is_not_counted(tmp_path: Path) -> None:
     file = tmp_path / "x.toml"
     rows = "  [1.5],\n" * 60_000 + "  ['a.b', 2.5, # c = d\n],\n" * 60_000
     text = "[x]\na = b\n" * 60_000
@@ -241,7 +243,7 @@ def test_what_only_looks_like_keys_is_not_counted(tmp_path: Path) -> None:
     assert read_toml(file).keys() == {dots, "path", "text"}
 
 
-def test_long_arrays_and_texts_are_read_in_time(tmp_path: Path) -> None:
+def test_long_arrays_and_texts_are_read_quickly(tmp_path: Path) -> None:
     file = tmp_path / "x.toml"
     rows = "  [1, 2, 3, 4, 5, 6, 7],\n" * 20_000
     word = "a" * 1_000_000
@@ -253,7 +255,7 @@ def test_long_arrays_and_texts_are_read_in_time(tmp_path: Path) -> None:
     assert time.process_time() - begin < 5.0
 
 
-def test_expressions_of_thousands_of_terms_are_refused() -> None:
+def test_expressions_of_thousands_of_terms_are_rejected() -> None:
     text = " + ".join(["udp.values0"] * 20_000)
     begin = time.process_time()
     with pytest.raises(RouteError) as found:
@@ -266,7 +268,7 @@ def test_expressions_of_thousands_of_terms_are_refused() -> None:
     assert parse(" + ".join(["udp.values0"] * 900))
 
 
-def test_scenes_of_thousands_of_robots_are_refused_before_they_are_built(
+def test_scenes_of_too_many_robots_are_rejected_before_they_are_built(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = SerialRobot(dh_convention="craig", dh_params=[[0, 0, 0, 0.2]])
@@ -290,7 +292,7 @@ def test_scenes_of_thousands_of_robots_are_refused_before_they_are_built(
     assert str(found.value) == f"{file}:2: lights: found 101; expected at most 100"
 
 
-def test_models_of_groups_in_each_other_do_not_multiply(tmp_path: Path) -> None:
+def test_nested_group_models_do_not_multiply(tmp_path: Path) -> None:
     """Eight files of ten groups each would be 100 million robots."""
     for depth in range(8):
         (tmp_path / f"m{depth}").mkdir()
@@ -315,7 +317,7 @@ def test_doubles_of_large_groups_do_not_multiply(tmp_path: Path) -> None:
     ]
 
 
-def test_long_routes_and_endless_children_are_refused(tmp_path: Path) -> None:
+def test_too_long_routes_and_too_many_children_are_rejected(tmp_path: Path) -> None:
     file = tmp_path / "x.toml"
     children = 'children = [{ name = "c", shape = "sphere" },' + "{}," * 2000 + "]\n"
     file.write_text(ROBOT.format("a") + children + f"[routes]\n'x.y' = \"{'+1' * 100_000}\"\n")
@@ -327,7 +329,7 @@ def test_long_routes_and_endless_children_are_refused(tmp_path: Path) -> None:
     ]
 
 
-def test_endless_meshes_in_a_piece_of_mjcf_are_refused(
+def test_infinite_meshes_in_mjcf_are_rejected(
     tmp_path: Path, endless: Callable[[str], Path]
 ) -> None:
     endless("mesh.stl")
@@ -341,7 +343,7 @@ def test_endless_meshes_in_a_piece_of_mjcf_are_refused(
         as_spec(text, tmp_path)
 
 
-def test_a_urdf_of_so_many_links_that_it_would_take_minutes_is_refused(tmp_path: Path) -> None:
+def test_urdf_of_too_many_links_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "chain.urdf"
     links = "".join(f"<link name='l{k}'/>" for k in range(10_001))
     path.write_text(f"<robot name='r'>{links}</robot>")
@@ -350,9 +352,7 @@ def test_a_urdf_of_so_many_links_that_it_would_take_minutes_is_refused(tmp_path:
 
 
 @pytest.mark.parametrize("how", ["geoms", "replicate", "include"])
-def test_mjcf_of_so_many_elements_that_it_would_take_minutes_is_refused(
-    how: str, tmp_path: Path
-) -> None:
+def test_mjcf_of_too_many_elements_is_rejected(how: str, tmp_path: Path) -> None:
     many = "<geom size='1'/>" * 20_001
     geoms = {
         "geoms": many,

@@ -1,6 +1,6 @@
-"""Packets that are wrong in every way: counted by cause, never applied in part, never a crash.
+"""Malformed packets are counted by cause, never applied in part, and never crash.
 
-`SERO_MJ_PACKETS=1000000 pytest tests/test_hostile_packets.py` attacks with a million.
+`SERO_MJ_PACKETS=1000000 pytest tests/test_hostile_packets.py` tests with a million packets.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from sero_mj.robots.declared.scene import Scene
 
 COUNT = int(os.environ.get("SERO_MJ_PACKETS", examples(20_000)))
 CAUSES = ("wrong_size", "wrong_constant", "not_finite", "not_frames")
-KEPT = 400  # bytes of a packet that a row holds
+KEPT = 400  # bytes of a packet in a row
 
 
 def as_rows(packets: list[bytes]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -39,7 +39,7 @@ def as_rows(packets: list[bytes]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def check(intake: Intake, packets: list[bytes], expected: Counter[str]) -> None:
-    """One batch, against the slow opinion on each packet."""
+    """Checks a batch against the slow reference for each packet."""
     reasons = [cause(packet) for packet in packets]
     good = [packet for packet, why in zip(packets, reasons, strict=True) if not why]
     expected.update(why for why in reasons if why)
@@ -61,7 +61,7 @@ def check(intake: Intake, packets: list[bytes], expected: Counter[str]) -> None:
     )
 
 
-def test_wrong_packets_are_counted_by_cause_and_good_ones_applied_whole() -> None:
+def test_malformed_packets_are_counted_by_cause_and_valid_ones_applied_whole() -> None:
     random, expected = np.random.default_rng(5), Counter[str]()
     intake = Intake(Structure(TEXT))
     assert intake.layout.size == FORMAT.size
@@ -79,14 +79,14 @@ def test_wrong_packets_are_counted_by_cause_and_good_ones_applied_whole() -> Non
 
 @settings(max_examples=examples(200), deadline=None)
 @given(st.lists(st.binary(max_size=KEPT) | st.binary(min_size=216, max_size=216), max_size=8))
-def test_any_bytes_are_sorted_as_the_slow_opinion_has_them(packets: list[bytes]) -> None:
+def test_any_bytes_are_classified_like_the_slow_reference(packets: list[bytes]) -> None:
     if packets:
         check(Intake(Structure(TEXT)), packets, Counter())
 
 
 @settings(max_examples=examples(500), deadline=None)
 @given(st.text(alphabet="0123456789FVMTxfdhHiIqQ?<>!=:., sizeabc_-+e\n", max_size=40) | st.text())
-def test_any_text_is_a_structure_or_an_error_that_points_into_it(text: str) -> None:
+def test_any_text_is_a_structure_or_an_error_with_a_position(text: str) -> None:
     try:
         items = parse(text)
     except StructureError as error:
@@ -101,9 +101,8 @@ def test_any_text_is_a_structure_or_an_error_that_points_into_it(text: str) -> N
 
 
 def without_blanks(packet: bytes) -> bytes:
-    """The packet with good numbers in place of NaN where that means `no data`.
-
-    That is the frame, of which a flange check shows that, and the vector, which is not routed.
+    """Returns the packet with finite numbers in place of NaN where NaN means "no data": the frame,
+    which a flange check shows, and the vector, which is not routed.
     """
     if len(packet) != FORMAT.size:
         return packet
@@ -114,7 +113,7 @@ def without_blanks(packet: bytes) -> bytes:
     return packet[:76] + np.eye(4).tobytes() + packet[204:]
 
 
-def test_a_socket_survives_every_length_ten_senders_and_noise() -> None:
+def test_socket_handles_every_length_ten_senders_and_noise() -> None:
     random = np.random.default_rng(8)
     robot = SerialRobot(name="arm", dh_convention="craig", dh_params=[[0.0, 0.1, 0, 0.1]] * 7)
     source = UdpReceiver(name="udp", udpport=0, structure=TEXT)
@@ -129,7 +128,7 @@ def test_a_socket_survives_every_length_ten_senders_and_noise() -> None:
         try:
             for k, packet in enumerate(packets):
                 senders[k % 10].sendto(packet, ("127.0.0.1", source.port))
-                if k % 100 == 99:  # no more than the kernel keeps
+                if k % 100 == 99:  # not more than the kernel buffers
                     assert until(lambda k=k: source.counters.received == k + 1)
                     mirror.advance()
                     assert np.isfinite(mirror.data.qpos).all()
@@ -149,7 +148,7 @@ def test_a_socket_survives_every_length_ten_senders_and_noise() -> None:
 
 
 @pytest.mark.skipif("SERO_MJ_ATHERIS" not in os.environ, reason="by hand, with atheris installed")
-def test_atheris_finds_nothing(tmp_path: Path) -> None:
+def test_atheris_finds_no_crash(tmp_path: Path) -> None:
     import subprocess
     import sys
 

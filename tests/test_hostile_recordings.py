@@ -1,4 +1,4 @@
-"""Recordings that were made to harm: an error or a fault that says what was found, at once."""
+"""Malicious recordings: an error or a fault that reports what was found, quickly."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def pack(record: McapRecord) -> bytes:
 
 
 def make(path: Path, *chunks: Chunk, **declaration: Any) -> Path:
-    """A recording with two packets, and then with these chunks, which has no index."""
+    """Writes a recording with two packets, then these chunks, which have no index."""
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start()
@@ -57,7 +57,7 @@ def make(path: Path, *chunks: Chunk, **declaration: Any) -> Path:
             writer.finish()
             return path
         writer.flush()
-        # The library writes channels into chunks; ours stand outside of them as well.
+        # The library writes channels into chunks; ours are also outside of them.
         record = next(iter(writer._Writer__channels.values()))  # type: ignore[attr-defined]
         file.write(pack(record))
         for chunk in chunks:
@@ -131,7 +131,7 @@ print(*recording.faults, sep="\\n")
 
 
 @pytest.mark.parametrize("bomb", BOMBS)
-def test_a_chunk_that_is_a_bomb_is_left_out(tmp_path: Path, bomb: str) -> None:
+def test_decompression_bomb_is_skipped(tmp_path: Path, bomb: str) -> None:
     make_chunk, expected = BOMBS[bomb]
     path = make(tmp_path / "a.mcap", make_chunk())
     done = subprocess.run(
@@ -183,7 +183,7 @@ def test_many_small_bombs_take_little_memory_each(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_a_recording_declares_wrongly_is_told(
+def test_wrong_declarations_in_a_recording_are_reported(
     tmp_path: Path, declaration: dict[str, Any], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = make(tmp_path / "a.mcap", **declaration)
@@ -195,8 +195,8 @@ def test_what_a_recording_declares_wrongly_is_told(
     assert f"sero-mj: source: {path}: {expected}" in capsys.readouterr().err
 
 
-def test_a_right_one_of_this_making_is_read(tmp_path: Path) -> None:
-    """So that none of the others is refused for another reason."""
+def test_valid_recording_of_the_same_writer_is_read(tmp_path: Path) -> None:
+    """This shows that the others are rejected for the right reason."""
     path = make(tmp_path / "a.mcap")
     assert Replay(file=path).decode(PACKET)["values0"].tolist() == [0.25, -0.5]  # type: ignore[index]
     with Recording(path) as recording:

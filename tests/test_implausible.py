@@ -1,4 +1,4 @@
-"""Numbers that are finite and that no robot can have are counted, and never applied."""
+"""Finite but physically implausible values are counted and never applied."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ GOOD: dict[str, Any] = {
     "push": [[1.0, 2.0, 3.0]],
     "shown": np.eye(4)[None],
     "count": [2, 3],
-    "raw": [1e300],  # is not routed, so anything goes
+    "raw": [1e300],  # is not routed, so any value is valid
 }
 
 
@@ -51,12 +51,12 @@ def at(x: float) -> Any:
     return T[None]
 
 
-# Event, its largest values that are applied, and others that are not.
+# Event, its largest values that are applied, and values that are rejected.
 LIMITS: tuple[tuple[str, list[Any], list[Any]], ...] = (
     ("angles", [[math.degrees(0.99e6), 0.0]], [[1e308, 0.0], [0.0, math.degrees(-1.01e6)]]),
     ("torques", [[-1e9, 1e9]], [[1.0, 1e300], [-1.01e9, 0.0]]),
     ("pose", [at(1e6)], [at(1e300), at(-1.01e6)]),
-    ("push", [[[1e6, 0.0, 0.0]]], [[[0.0, 1.01e6, 0.0]]]),  # routed times 1000
+    ("push", [[[1e6, 0.0, 0.0]]], [[[0.0, 1.01e6, 0.0]]]),  # the route multiplies by 1000
     ("shown", [at(-1e6)], [at(1e300)]),
     ("count", [[10**15, 0]], [[10**15 + 1, 0], [0, -(2**63)]]),
 )
@@ -136,13 +136,13 @@ def test_implausible_packets_are_counted_and_not_applied(kind: Any) -> None:
 @pytest.mark.parametrize(
     ("event", "value"), [(event, value) for event, values, _ in LIMITS for value in values]
 )
-def test_what_is_large_and_possible_is_applied(event: str, value: Any) -> None:
+def test_large_but_plausible_values_are_applied(event: str, value: Any) -> None:
     with udp() as (mirror, send):
         send(packet(**{event: value}))
         assert until(mirror.advance), mirror.sources["robot"].counters
 
 
-def test_replayed_packets_are_judged_as_they_were_when_they_came(tmp_path: Path) -> None:
+def test_replayed_packets_are_classified_as_when_received(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with udp() as (mirror, send), record_sources(mirror.sources, path):
         counters = mirror.sources["robot"].counters
@@ -158,7 +158,7 @@ def test_replayed_packets_are_judged_as_they_were_when_they_came(tmp_path: Path)
         np.testing.assert_allclose(mirror.data.qpos, [math.pi / 2, math.radians(0.5)])
 
 
-def test_infinity_where_nan_is_no_data_is_no_data() -> None:
+def test_infinity_counts_as_no_data_where_nan_does() -> None:
     with udp() as (mirror, send):
         send(packet(torques=[math.inf, 3.0]))
         assert until(mirror.advance)
@@ -174,7 +174,7 @@ def test_infinity_where_nan_is_no_data_is_no_data() -> None:
         ("marker.frame", at(1e7)[0]),
     ],
 )
-def test_a_program_cannot_move_anything_by_them(target: str, value: Any) -> None:
+def test_implausible_inputs_set_by_a_program_are_rejected(target: str, value: Any) -> None:
     world = World(scene_of("robot", UdpReceiver(name="robot", structure=STRUCTURE)))
     data = world.make_data()
     with raises_with(DeclarationError, key=target):
@@ -190,7 +190,7 @@ def test_a_program_cannot_move_anything_by_them(target: str, value: Any) -> None
         ("push.vector", [0.0, 0.0, 1e10]),
     ],
 )
-def test_a_program_that_sets_them_blanks_what_is_displayed(target: str, value: Any) -> None:
+def test_implausible_display_values_set_by_a_program_are_blanked(target: str, value: Any) -> None:
     world = World(scene_of("robot", UdpReceiver(name="robot", structure=STRUCTURE)))
     data = world.make_data()
     world.set_input(data, target, value)
@@ -199,7 +199,7 @@ def test_a_program_that_sets_them_blanks_what_is_displayed(target: str, value: A
     assert np.nanmax(np.abs(shown), initial=0.0) < 1e6
 
 
-def test_packets_of_random_doubles_move_nothing_out_of_sight() -> None:
+def test_packets_of_random_doubles_move_nothing_out_of_view() -> None:
     random = np.random.default_rng(3)
     with udp() as (mirror, send):
         source = mirror.sources["robot"]

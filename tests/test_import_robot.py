@@ -1,4 +1,4 @@
-"""`sero-mj import`: a robot folder in our format that is the same robot as its URDF."""
+"""`sero-mj import` writes a robot folder in our format for the same robot as in its URDF."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MESHES = """<visual><origin xyz="0 0 0.3"/><geometry>
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Robots with meshes in a package that only an option leads to."""
+    """Returns robots with meshes in a package that is found only through an option."""
     package = tmp_path / "far" / "away"
     (package / "visual").mkdir(parents=True)
     trimesh.creation.box((1, 1, 1)).export(package / "box.stl")
@@ -60,7 +60,7 @@ def run(*arguments: str) -> int:
 
 
 def same(one: SerialRobot, other: SerialRobot) -> None:
-    """Checks that both are the same robot; positions to 1e-9 m."""
+    """Asserts that both are the same robot; positions to 1e-9 m."""
     assert one.names == other.names and one.types == other.types
     assert (one.carriers is None) == (other.carriers is None)
     for q in np.random.default_rng(0).uniform(-2, 2, (10, one.n)):
@@ -90,13 +90,13 @@ def same(one: SerialRobot, other: SerialRobot) -> None:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_an_imported_robot_is_the_same(folder: Path, name: str, capsys) -> None:
+def test_imported_robot_is_the_same(folder: Path, name: str, capsys) -> None:
     option = f"arm_meshes={folder / 'far' / 'away'}"
     assert run("import", f"{name}.urdf", "--out", "my_arm", "--package", option) == 0
     robot = SerialRobot.from_model(str(folder / "my_arm"))
     packages = {"arm_meshes": folder / "far" / "away"}
     same(robot, SerialRobot.from_urdf(folder / f"{name}.urdf", packages))
-    # The file itself and the folder are all that it takes.
+    # The file and its folder suffice.
     os.environ[PACKAGES_VARIABLE] = ""
     (folder / "far").rename(folder / "gone")
     files = {path.relative_to(folder / "my_arm" / "meshes").as_posix()
@@ -125,7 +125,7 @@ def test_an_imported_robot_is_the_same(folder: Path, name: str, capsys) -> None:
     assert "sero-mj send my_arm.toml" in out
 
 
-def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
+def test_fk_and_check_accept_urdf_files(folder: Path, capsys) -> None:
     option = f"arm_meshes={folder / 'far' / 'away'}"
     assert run("check", "tree.urdf", "--package", option) == 0
     assert "robot   tree: 4 joints" in capsys.readouterr().out
@@ -172,18 +172,18 @@ def test_unreadable_imports_are_reported(folder: Path, capsys, arguments, messag
     assert not (folder / "tree").exists()
 
 
-def test_a_urdf_file_can_end_in_xml(folder: Path, capsys) -> None:
+def test_urdf_file_can_have_the_suffix_xml(folder: Path, capsys) -> None:
     (folder / "arm").mkdir()
     (folder / "tree.urdf").rename(folder / "arm" / "robot.xml")
     option = f"arm_meshes={folder / 'far' / 'away'}"
     assert run("check", "arm/robot.xml", "--package", option) == 0
     out = capsys.readouterr().out
-    assert "robot   arm: 4 joints" in out  # after its folder, since `robot` tells nothing
+    assert "robot   arm: 4 joints" in out  # named after its folder, since `robot` is not specific
     assert "flange: on link" in out
     assert run("import", "arm/robot.xml", "--out", "mine", "--package", option) == 0
 
 
-def test_fk_takes_scenes(capsys) -> None:
+def test_fk_accepts_scenes(capsys) -> None:
     fig7 = str(Path(__file__).with_name("fig7.x3d"))
     assert run("check", "--fk", fig7, "--joint-angles", "0,0.5,0,0,0,0,0") == 0
     assert "T_base_flange of lwr, by its DH table" in capsys.readouterr().out
@@ -191,7 +191,7 @@ def test_fk_takes_scenes(capsys) -> None:
     assert "T_base_flange of arm" in capsys.readouterr().out
     file = paths.scenes_dir() / "lwr_udp.toml"
     assert run("check", "--fk", str(file)) == 0
-    # One that another robot carries, as in the command's own help.
+    # A robot that another one carries, as in the command's help.
     assert (
         run("check", "--fk", "justin", "--of", "justin_left_arm", "--joint-angles", "0,0,0,0,0,0,0")
         == 0
@@ -210,7 +210,7 @@ def test_fk_takes_scenes(capsys) -> None:
         assert message in capsys.readouterr().err
 
 
-def test_an_imported_mjcf_is_the_same(folder: Path, capsys) -> None:
+def test_imported_mjcf_is_the_same(folder: Path, capsys) -> None:
     (folder / "source" / "meshes").mkdir(parents=True)
     trimesh.creation.box((0.1, 0.1, 0.4)).export(folder / "source" / "meshes" / "wedge.stl")
     given = 'vertex="0 0 0  0.2 0 0  0 0.1 0  0 0 0.3  0.2 0 0.3"'
@@ -235,7 +235,7 @@ def test_an_imported_mjcf_is_the_same(folder: Path, capsys) -> None:
     assert run("check", "legs.toml") == 0
 
 
-def test_a_robot_file_keeps_a_planar_base_and_the_frames_of_links(folder: Path) -> None:
+def test_robot_file_stores_a_planar_base_and_link_frames(folder: Path) -> None:
     root = (
         '<link name="odom"/><joint name="drive" type="planar"><parent link="odom"/>'
         '<child link="base_link"/><axis xyz="0 0.6 0.8"/></joint>'
@@ -251,7 +251,7 @@ def test_a_robot_file_keeps_a_planar_base_and_the_frames_of_links(folder: Path) 
         np.testing.assert_allclose(other.link_poses[link][1], T, atol=1e-12)
 
 
-def test_a_chain_is_imported_in_either_convention(folder: Path) -> None:
+def test_chain_is_imported_in_either_convention(folder: Path) -> None:
     option = f"arm_meshes={folder / 'far' / 'away'}"
     robots = []
     for name in ("craig", "standard"):
@@ -283,7 +283,7 @@ UR = """<robot name="ur" xmlns:xacro="http://www.ros.org/wiki/xacro">
 </robot>"""
 
 
-def test_xacro_takes_arguments(folder: Path, capsys) -> None:
+def test_xacro_accepts_arguments(folder: Path, capsys) -> None:
     pytest.importorskip("xacro")
     path = write(folder, UR, "ur.urdf.xacro")
     assert run("check", "ur.urdf.xacro") == 2
@@ -315,7 +315,7 @@ def test_xacro_takes_arguments(folder: Path, capsys) -> None:
     ):
         with raises_with(key="robots.x.arguments", **told):
             load_scene(write(folder, f"[robots.x]\n{wrong}", "wrong.toml"))
-    # Last, as an option holds for all that is read after it.
+    # Last, because an option applies to everything read after it.
     assert run("check", "ur.urdf.xacro", "--arg", "ur_type=ur10e") == 0
     assert "reach 0.6 m" in capsys.readouterr().out
     for file in ("tree.urdf", "ur.urdf.xacro"):
@@ -326,7 +326,7 @@ def test_xacro_takes_arguments(folder: Path, capsys) -> None:
 
 
 @pytest.mark.gl
-def test_an_imported_robot_looks_the_same(folder: Path) -> None:
+def test_imported_robot_looks_the_same(folder: Path) -> None:
     option = f"arm_meshes={folder / 'far' / 'away'}"
     assert run("import", "tree.urdf", "--out", "my_arm", "--package", option) == 0
     pictures = []

@@ -1,4 +1,4 @@
-"""What is at a pixel and what a click does, against a render of the segmentation."""
+"""Picking and clicks, against a rendered segmentation."""
 
 import mujoco
 import numpy as np
@@ -44,7 +44,7 @@ def world() -> World:
 
 
 def label_at(renderer: HeadlessRenderer, data, pixels) -> dict[tuple[int, int], tuple[str, int]]:
-    """Oracle: renders every geom in a flat colour of its own and reads the colours back."""
+    """Renders every geom in its own flat color and reads the colors back, as the oracle."""
     inner = renderer._renderer
     renderer.render(data)
     scene, buffer = inner.scene, renderer.decor.buffer
@@ -62,7 +62,7 @@ def label_at(renderer: HeadlessRenderer, data, pixels) -> dict[tuple[int, int], 
         geom.segid = len(owners) - 1
         geom.transparent = 0
         owners.append(owner)
-    # Leaders lie between eye and robot and cannot be clicked; the oracle must not see them.
+    # Leaders are between eye and robot and are not clickable, so the oracle must not see them.
     for i in range(first, scene.ngeom):
         if scene.geoms[i].type == mujoco.mjtGeom.mjGEOM_TRIANGLE and not buffer.kinds[i - first]:
             scene.geoms[i].segid = -1
@@ -79,10 +79,10 @@ def label_at(renderer: HeadlessRenderer, data, pixels) -> dict[tuple[int, int], 
 
 
 def compare(world: World, camera: str) -> tuple[int, int, set[str]]:
-    """Picks random pixels of random poses from random sides.
+    """Picks random pixels of random poses from random directions.
 
-    Returns:
-        how many were asked, how many differ from the oracle, and what was seen.
+    Returns the number of picks, the number of differences from the oracle, and the kinds that were
+    picked.
     """
     rng = np.random.default_rng(0)
     data, placer = world.make_data(), Placer(world)
@@ -103,7 +103,7 @@ def compare(world: World, camera: str) -> tuple[int, int, set[str]]:
             for (x, y), (kind, item) in expected.items():
                 around = ids[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
                 if (around != around[0, 0]).any():
-                    continue  # on an edge either answer is right
+                    continue  # on an edge both answers are right
                 picked = renderer.pick(data, x, y)
                 asked += 1
                 wrong += not is_right(world, picked, kind, item)
@@ -112,7 +112,7 @@ def compare(world: World, camera: str) -> tuple[int, int, set[str]]:
 
 
 def is_right(world: World, picked: Picked | None, kind: str, item: int) -> bool:
-    """Whether what was picked is what the oracle says."""
+    """Returns whether the picked item equals the oracle's."""
     if not kind or picked is None:
         return not kind and picked is None
     if kind != "geom":
@@ -129,11 +129,11 @@ def is_right(world: World, picked: Picked | None, kind: str, item: int) -> bool:
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_picking_agrees_with_a_render_of_the_segmentation(world) -> None:
+def test_picking_agrees_with_a_rendered_segmentation(world) -> None:
     asked, wrong, seen = compare(world, "150,-15,2.0")
     assert {"geom", "ARROW", "BILLBOARD", "AXES"} <= seen
     assert asked > 200 * examples(12)
-    assert wrong / asked < 0.005  # between two surfaces that are a pixel apart
+    assert wrong / asked < 0.005  # between two surfaces a pixel apart
 
 
 @pytest.mark.thorough
@@ -158,7 +158,7 @@ def test_picking_agrees_for_doubles_smart_arrows_and_received_frames() -> None:
 
 
 @given(st.integers(0, 2**31))
-def test_rays_meet_boxes_where_mujoco_says(seed: int) -> None:
+def test_rays_hit_boxes_where_mujoco_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
     centre, half = rng.uniform(-1, 1, 3), rng.uniform(0.05, 0.6, 3)
     quat = rng.normal(size=4)
@@ -172,7 +172,7 @@ def test_rays_meet_boxes_where_mujoco_says(seed: int) -> None:
     expected = mujoco.mju_rayGeom(centre, mat, half, origin, direction, box, None)
     inside = (np.abs(mat.reshape(3, 3).T @ (origin - centre)) <= half).all()
     if inside:
-        assert got == 0.0  # MuJoCo says where the ray leaves
+        assert got == 0.0  # MuJoCo returns where the ray leaves
     elif expected < 0:
         assert got == np.inf
     else:
@@ -180,7 +180,7 @@ def test_rays_meet_boxes_where_mujoco_says(seed: int) -> None:
 
 
 @given(st.integers(0, 2**31), st.sampled_from([0.0, 0.05, 0.3]))
-def test_rays_meet_triangles_where_planes_do_and_pass_beside_by_the_margin(seed, margin) -> None:
+def test_rays_hit_triangles_or_pass_within_the_margin(seed, margin) -> None:
     rng = np.random.default_rng(seed)
     corner, edges, origin = rng.uniform(-1, 1, 3), rng.uniform(-1, 1, (3, 2)), rng.uniform(-3, 3, 3)
     direction = corner + edges @ rng.uniform(-0.3, 0.9, 2) - origin
@@ -191,7 +191,7 @@ def test_rays_meet_triangles_where_planes_do_and_pass_beside_by_the_margin(seed,
         assert got == pytest.approx(expected, abs=1e-6)
     if min(u, v, 1 - u - v) < -1e-9 and not margin:
         assert got == np.inf
-    # By points all over it: the nearest to the ray is within the margin, or none is.
+    # Sampled points: the one nearest to the ray is within the margin, or none is.
     steps = np.linspace(0, 1, 60)
     points = corner + [edges @ (a, b) for a in steps for b in steps if a + b <= 1 + 1e-9]
     along = (points - origin) @ direction
@@ -206,7 +206,7 @@ def scene_of_frame(world: World, toggles, view, data):
     return decor.draw(data, toggles, view)
 
 
-def test_a_finger_hits_what_is_near_and_a_mouse_does_not(world) -> None:
+def test_touch_picks_near_items_and_a_mouse_does_not(world) -> None:
     data, view = world.make_data(), view_at()
     toggles = toggles_of(world)
     toggles.billboards[:] = toggles.arrows[:] = False
@@ -227,7 +227,7 @@ def picked(world: World, kind: str, joint: int) -> Picked:
     return Picked(kind, "", "lwr", joint, 1.0)  # type: ignore[arg-type]
 
 
-def test_a_click_on_a_link_toggles_its_joints_billboard_and_with_shift_all(world) -> None:
+def test_click_on_a_link_toggles_its_billboard_and_with_shift_all(world) -> None:
     toggles = toggles_of(world)
     toggles.billboards[:] = False
     click(world, toggles, picked(world, "link", 3))
@@ -238,7 +238,7 @@ def test_a_click_on_a_link_toggles_its_joints_billboard_and_with_shift_all(world
     assert toggles.billboards.all()
 
 
-def test_a_click_on_a_billboard_hides_it_with_its_details(world) -> None:
+def test_click_on_a_billboard_hides_it_with_its_details(world) -> None:
     toggles = toggles_of(world)
     toggles.details[2] = True
     click(world, toggles, picked(world, "billboard", 2))
@@ -246,7 +246,7 @@ def test_a_click_on_a_billboard_hides_it_with_its_details(world) -> None:
     assert toggles.billboards.sum() == 6
 
 
-def test_without_touch_sensor_a_robot_ignores_clicks_but_its_arrows_do_not() -> None:
+def test_robot_without_touch_sensor_ignores_clicks_except_on_arrows() -> None:
     world = world_of(enable_touch_sensor=False, torques=np.full(7, 9.0), show_arrows=True)
     toggles = toggles_of(world)
     click(world, toggles, picked(world, "link", 3))
@@ -255,7 +255,7 @@ def test_without_touch_sensor_a_robot_ignores_clicks_but_its_arrows_do_not() -> 
     assert toggles.details[3]
 
 
-def test_a_click_on_an_arrow_brings_up_its_precise_numbers() -> None:
+def test_click_on_an_arrow_shows_its_precise_values() -> None:
     world = world_of(
         torques=[0, 0, 30.0, 0, 0, 0, 0], commanded_torques=np.full(7, 28.0), show_arrows=True
     )
@@ -283,7 +283,7 @@ def test_a_click_on_an_arrow_brings_up_its_precise_numbers() -> None:
     ]
 
 
-def test_a_joint_without_limit_says_so_in_its_details() -> None:
+def test_details_of_a_joint_without_limit_show_none() -> None:
     robot = SerialRobot(dh_convention="craig", torques=[1.0])
     world = World(Scene(robots=[robot], floor=False))
     toggles = toggles_of(world)
@@ -295,7 +295,7 @@ def test_a_joint_without_limit_says_so_in_its_details() -> None:
     assert labels[3] == "    limit  none"
 
 
-def test_a_click_on_axes_shows_their_name_and_another_hides_it(world) -> None:
+def test_click_on_axes_shows_their_name_and_a_second_one_hides_it(world) -> None:
     toggles = toggles_of(world)
     toggles.billboards[:] = toggles.arrows[:] = False
     frame = world.frames.names.index("lwr/link6")
@@ -307,7 +307,7 @@ def test_a_click_on_axes_shows_their_name_and_another_hides_it(world) -> None:
     assert not toggles.frame_names.any()
 
 
-def test_names_of_frames_at_one_place_stand_under_each_other(world) -> None:
+def test_names_of_coincident_frames_are_stacked(world) -> None:
     toggles = toggles_of(world)
     toggles.billboards[:] = toggles.arrows[:] = False
     for name in ("lwr/link5", "lwr/link6", "lwr/link7"):  # the wrist
@@ -319,7 +319,7 @@ def test_names_of_frames_at_one_place_stand_under_each_other(world) -> None:
     assert (np.diff(np.sort(heights)) > view.font.height).all()
 
 
-def test_every_key_does_what_the_table_says(world) -> None:
+def test_every_key_does_what_the_key_table_describes(world) -> None:
     toggles = toggles_of(world)
     for key, field in (("a", "arrows"), ("b", "billboards"), ("x", "axes"), ("n", "frame_names")):
         before = getattr(toggles, field).any()
@@ -333,7 +333,7 @@ def test_every_key_does_what_the_table_says(world) -> None:
 
 
 @pytest.mark.gl
-def test_objects_and_the_floor_and_the_sky() -> None:
+def test_objects_are_picked_and_floor_and_sky_are_not() -> None:
     ball = Object(name="ball", shape="sphere", size=[0.2], frame={"xyz": [0, 0, 0.5]})
     world = World(Scene(objects=[ball]))
     data = world.make_data()

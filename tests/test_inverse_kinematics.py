@@ -1,4 +1,4 @@
-"""Inverse kinematics against forward kinematics: by DH tables, and by the compiled model."""
+"""Inverse kinematics against forward kinematics, with DH tables and the compiled model."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def flange_place(robot: sero_mj.SerialRobot):
 
 
 @pytest.mark.parametrize("name", ["lwr", "panda", "puma560", "scara", "stanford", "hit_finger"])
-def test_the_jacobian_is_the_slope_of_the_compiled_model(name: str) -> None:
+def test_jacobian_equals_finite_differences_of_the_compiled_model(name: str) -> None:
     robot = sero_mj.SerialRobot.from_model(name)
     world = sero_mj.World(sero_mj.Scene(robots=[robot]))
     data = world.make_data()
@@ -54,7 +54,7 @@ def test_the_jacobian_is_the_slope_of_the_compiled_model(name: str) -> None:
         assert jacobian[3:, k] == pytest.approx([turn[2, 1], turn[0, 2], turn[1, 0]], abs=1e-5)
 
 
-def test_random_poses_are_reached_and_limits_kept(lwr: sero_mj.SerialRobot) -> None:
+def test_random_poses_are_reached_within_the_limits(lwr: sero_mj.SerialRobot) -> None:
     place, limits = flange_place(lwr), lwr.position_limits
     rng = np.random.default_rng(5)
     for _ in range(30):
@@ -71,7 +71,7 @@ def test_random_poses_are_reached_and_limits_kept(lwr: sero_mj.SerialRobot) -> N
             assert found.at_limit.any()
 
 
-def test_the_null_space_is_held_on_a_closed_way(lwr: sero_mj.SerialRobot) -> None:
+def test_null_space_is_held_on_a_closed_path(lwr: sero_mj.SerialRobot) -> None:
     place = flange_place(lwr)
     start, _ = place(BENT)
     angles = BENT
@@ -86,18 +86,18 @@ def test_the_null_space_is_held_on_a_closed_way(lwr: sero_mj.SerialRobot) -> Non
     assert np.abs(drifted - BENT).max() > 5 * np.abs(held - BENT).max()
 
 
-def test_what_is_too_far_is_approached_and_said(lwr: sero_mj.SerialRobot) -> None:
+def test_unreachable_pose_is_approached_and_reported(lwr: sero_mj.SerialRobot) -> None:
     place = flange_place(lwr)
     far = frame(np.eye(3), [2.0, 0.0, 0.31])
     found = reach(place, far, BENT, lwr.position_limits, turns=False)
     assert not found.is_there
     assert found.angle == 0.0
-    # As far out as it reaches from its shoulder, 0.31 m up, along the line to the goal.
+    # Fully stretched from its shoulder, 0.31 m up, along the line to the goal.
     arm = 0.40 + 0.39 + 0.078
     assert found.distance == pytest.approx(2.0 - arm, abs=0.02)
 
 
-def test_a_joint_at_its_limit_is_named(lwr: sero_mj.SerialRobot) -> None:
+def test_joint_at_its_limit_is_named(lwr: sero_mj.SerialRobot) -> None:
     place, limits = flange_place(lwr), lwr.position_limits.copy()
     limits[1] = -0.1, 0.65
     goal, _ = place(BENT + 0.4 * np.eye(7)[1])
@@ -106,7 +106,7 @@ def test_a_joint_at_its_limit_is_named(lwr: sero_mj.SerialRobot) -> None:
     assert found.at_limit[1] and found.angles[1] == 0.65 and not found.is_there
 
 
-def test_coupled_joints_follow_and_keep_their_limits(lwr: sero_mj.SerialRobot) -> None:
+def test_coupled_joints_follow_within_their_limits(lwr: sero_mj.SerialRobot) -> None:
     robot = lwr.model_copy(update={"couplings": {"A3": Coupling(to="A2", ratio=-2.0, offset=0.1)}})
     limits = independent_limits(robot)
     low, high = (robot.position_limits[3] - 0.1) / -2.0

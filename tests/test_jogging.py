@@ -1,4 +1,4 @@
-"""Robots that are moved by hand: without a screen, in a window, and what their joints then hold."""
+"""Jogging: without a screen, in a window, and the resulting gravity torques."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def settle(mirror: Mirror, jogging: Jogging, seconds: float = 2.0) -> None:
 
 
 def weigh(mirror: Mirror, jogging: Jogging) -> None:
-    """Waits until the model of gravity is compiled."""
+    """Waits until the gravity model is compiled."""
     end = time.monotonic() + 20
     while not mirror.data.userdata[mirror.world.flags["lwr.torques"]] > 0:
         assert time.monotonic() < end
         settle(mirror, jogging, 0.1)
 
 
-def test_gravity_torques_are_those_of_the_controllers_model() -> None:
+def test_gravity_torques_equal_those_of_the_controller_model() -> None:
     robot = sero_mj.SerialRobot.from_model("lwr")
     model = Compiler().robot_model(robot)
     known = GravityTorques({"lwr": robot})
@@ -56,14 +56,14 @@ def test_gravity_torques_are_those_of_the_controllers_model() -> None:
         assert known.of({"lwr": angles})["lwr"] == pytest.approx(model.gravity(), abs=1e-9)
 
 
-def test_a_carrier_holds_what_is_mounted_on_it() -> None:
+def test_carrier_holds_the_robots_mounted_on_it() -> None:
     arm = sero_mj.SerialRobot.from_model("lwr")
     finger = sero_mj.SerialRobot.from_model("hit_finger", name="finger", mount="lwr/flange")
     both = GravityTorques({"lwr": arm, "finger": finger})
     alone = GravityTorques({"lwr": arm})
     angles = {"lwr": BENT, "finger": np.zeros(finger.n)}
     more = both.of(angles)["lwr"] - alone.of({"lwr": BENT})["lwr"]
-    # J^T m g by the numpy Jacobian, at the finger's centre of mass.
+    # J^T m g by the NumPy Jacobian at the finger's center of mass.
     world = sero_mj.World(sero_mj.Scene(robots=[arm, finger]), dynamic=True)
     data = world.make_data()
     data.qpos[world.robots["lwr"].qpos] = BENT
@@ -76,13 +76,13 @@ def test_a_carrier_holds_what_is_mounted_on_it() -> None:
     assert more == pytest.approx(9.80665 * mass * J[2], abs=2e-3)
 
 
-def test_what_floats_holds_nothing() -> None:
+def test_floating_robot_has_no_gravity_torques() -> None:
     robot = sero_mj.SerialRobot.from_model("lwr", free_base=True)
     with raises_with(key="robots.lwr", reason="has a free base: it holds nothing"):
         GravityTorques({"lwr": robot})
 
 
-def test_roll_pitch_and_yaw_come_back() -> None:
+def test_roll_pitch_and_yaw_round_trip() -> None:
     rng = np.random.default_rng(1)
     for rpy in [*rng.uniform(-1.5, 1.5, (20, 3)), [0.3, np.pi / 2, 0.0], [0.3, -np.pi / 2, 0.0]]:
         rotation = rotation_from_rpy(np.array(rpy))
@@ -90,7 +90,7 @@ def test_roll_pitch_and_yaw_come_back() -> None:
         assert again == pytest.approx(rotation, abs=1e-9)
 
 
-def test_shown_angles_go_smoothly_and_arrive() -> None:
+def test_shown_angles_move_smoothly_and_arrive() -> None:
     shown, fastest = np.zeros(2), np.array([4.0, 1.0])
     wanted = np.array([1.0, 0.01])
     steps = []
@@ -103,7 +103,7 @@ def test_shown_angles_go_smoothly_and_arrive() -> None:
     assert np.min(steps) >= 0.0
 
 
-def test_joints_stay_within_their_limits_and_say_so() -> None:
+def test_joints_stop_at_their_limits_and_report_them() -> None:
     goal = JointGoal(sero_mj.SerialRobot.from_model("lwr"), BENT)
     goal.set_joint(1, 3.0)
     assert goal.trouble == "A2 is at its limit of 120 deg"
@@ -119,7 +119,7 @@ def test_joints_stay_within_their_limits_and_say_so() -> None:
         assert (
             goal.trouble.startswith("expected a finite number") and np.isfinite(goal.angles).all()
         )
-    # Typed poses that are out of reach change nothing.
+    # Typed poses out of reach change nothing.
     goal.set_all(BENT)
     goal.move_flange(np.eye(4), frame(np.eye(3), [2.0, 0, 0.3]), at_once=True)
     assert goal.angles == pytest.approx(BENT)
@@ -135,7 +135,7 @@ def test_joints_stay_within_their_limits_and_say_so() -> None:
     assert found == pytest.approx(there, abs=1e-3)
 
 
-def test_only_what_has_no_data_is_moved_by_hand() -> None:
+def test_only_robots_without_data_can_be_jogged() -> None:
     def jogged(name: str) -> list[str]:
         mirror = Mirror(sero_mj.load_scene(name))
         return [*Jogging(Shown(mirror)).goals]
@@ -145,7 +145,7 @@ def test_only_what_has_no_data_is_moved_by_hand() -> None:
     assert len(jogged("models/justin/group.toml")) > 10
 
 
-def test_gravity_is_shown_and_the_legend_says_whose_it_is() -> None:
+def test_gravity_torques_are_shown_and_named_in_the_legend() -> None:
     mirror = lwr_mirror(show_arrows=True, show_billboards=True)
     world, toggles = mirror.world, Toggles(mirror.world)
     jogging = Jogging(Shown(mirror, toggles=toggles))
@@ -163,7 +163,7 @@ def test_gravity_is_shown_and_the_legend_says_whose_it_is() -> None:
     texts = [line for panels in decor.panels for lines in panels.texts for line in lines]
     assert b"round arrows: gravity torque of the model" in texts
     assert any(b"Nm" in text for text in texts)
-    # Torques of a program are its own.
+    # Torques set by a program are not replaced.
     world.set_input(mirror.data, "lwr.torques", np.arange(7.0))
     settle(mirror, jogging, 0.1)
     assert mirror.data.userdata[world.slots["lwr.torques"]].tolist() == [*range(7)]
@@ -181,7 +181,7 @@ def test_declared_torques_are_not_replaced() -> None:
     assert not toggles.modelled.any() and jogging.held._compiling is None
 
 
-def test_what_a_program_sets_is_taken_over() -> None:
+def test_pose_set_by_a_program_is_taken_over() -> None:
     mirror = lwr_mirror()
     jogging = Jogging(Shown(mirror))
     jogging.goals["lwr"].set_all(BENT)
@@ -192,7 +192,7 @@ def test_what_a_program_sets_is_taken_over() -> None:
     assert jogging.goals["lwr"].angles == pytest.approx(-BENT)
 
 
-def test_a_pose_that_a_program_keeps_setting_cannot_be_moved_by_hand() -> None:
+def test_pose_that_a_program_sets_repeatedly_cannot_be_jogged() -> None:
     mirror = lwr_mirror()
     jogging = Jogging(Shown(mirror))
 
@@ -211,7 +211,7 @@ def test_a_pose_that_a_program_keeps_setting_cannot_be_moved_by_hand() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("link", [3, 5, 7])
-def test_a_dragged_link_comes_along_and_lets_go(link: int) -> None:
+def test_dragged_link_follows_the_pointer_until_released(link: int) -> None:
     mirror = lwr_mirror(joint_angles=BENT)
     world, data = mirror.world, mirror.data
     mirror.advance(0.0)
@@ -250,13 +250,13 @@ def test_a_dragged_link_comes_along_and_lets_go(link: int) -> None:
     assert toggles.handles is None and jogging.goals["lwr"].trouble == ""
 
 
-def test_the_panel_has_limits_units_poses_and_copies() -> None:
+def test_jogging_panel_has_limits_units_poses_and_copies() -> None:
     mirror = lwr_mirror(joint_angles=BENT)
     world = mirror.world
     jogging = Jogging(Shown(mirror))
     jogging.build(ScriptedWidgets({"##A2": 90.0, "##unit": "rad"}))
     assert jogging.goals["lwr"].angles[1] == pytest.approx(np.pi / 2)
-    jogging.build(ScriptedWidgets({"##E1 typed": -0.25}))  # rad now
+    jogging.build(ScriptedWidgets({"##E1 typed": -0.25}))  # now in rad
     assert jogging.goals["lwr"].angles[2] == -0.25
     jogging.build(ScriptedWidgets({"##A2 typed": 9.0}))
     ui = ScriptedWidgets()
@@ -281,7 +281,7 @@ def test_the_panel_has_limits_units_poses_and_copies() -> None:
         assert ui.copied == text
 
 
-def test_copied_poses_are_read_back(tmp_path: Path) -> None:
+def test_copied_poses_can_be_read_back(tmp_path: Path) -> None:
     file = tmp_path / "lwr.toml"
     file.write_text(as_toml("lwr", BENT).replace("]\n", ']\nmodel = "lwr"\n', 1), "utf-8")
     assert sero_mj.load_scene(file).robots["lwr"].joint_angles == pytest.approx(BENT)
@@ -296,7 +296,7 @@ def test_copied_poses_are_read_back(tmp_path: Path) -> None:
     assert shlex.split(as_command(own, "lwr", BENT))[2] == str(file)
 
 
-def test_robots_that_branch_have_their_joints_by_limb() -> None:
+def test_branched_robots_list_their_joints_by_limb() -> None:
     from humanoid import humanoid
 
     mirror = Mirror(sero_mj.Scene(robots=[humanoid()], floor=False))
@@ -327,7 +327,7 @@ def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
         window.tool("mouseup", 1)
         share = -10 / (right - left - 2 * 7)  # the grab has a width
         window.until(f"abs(w.data.qpos[1] - {share * np.deg2rad(240)}) < 0.15")
-        # A typed number.
+        # A typed value.
         x, y = window.middle("##A3 typed")
         window.tool("mousemove", round(x), round(y), "click", 1)
         window.settle()
@@ -363,7 +363,7 @@ def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
-def test_a_pose_is_taken_back_and_copied_with_what_holds_it(tmp_path: Path) -> None:
+def test_pose_is_undone_and_copied_with_its_gravity_torques(tmp_path: Path) -> None:
     with screen() as display, Driven(display, tmp_path, "lwr") as window:
         window.ask("w.tools['jogging'].goals['lwr'].set_joint(1, 0.5)")
         window.until("abs(w.data.qpos[1] - 0.5) < 1e-9")

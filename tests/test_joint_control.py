@@ -39,7 +39,7 @@ def target_at(angles: Array) -> Target:
 
 @settings(deadline=None, max_examples=examples(50))
 @given(seeds, st.integers(1, 9), st.floats(0.05, 1.5))
-def test_every_mode_has_the_ratio_that_was_asked_for(seed: int, n: int, ratio: float) -> None:
+def test_every_mode_has_the_requested_damping_ratio(seed: int, n: int, ratio: float) -> None:
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(2, n, n))
     mass, stiffness = a @ a.T + 0.1 * np.eye(n), b @ b.T + 0.1 * np.eye(n)
@@ -56,7 +56,7 @@ def test_every_mode_has_the_ratio_that_was_asked_for(seed: int, n: int, ratio: f
         assert np.abs(roots - pole).min() < 1e-4 * max(1.0, abs(pole))
 
 
-def test_ratios_that_differ_still_only_take_energy() -> None:
+def test_different_damping_ratios_only_dissipate_energy() -> None:
     rng = np.random.default_rng(3)
     for _ in range(50):
         a = rng.normal(size=(7, 7))
@@ -69,7 +69,7 @@ def test_ratios_that_differ_still_only_take_energy() -> None:
 
 
 @given(st.floats(0.1, 100), st.floats(0.0, 1.9), st.floats(1e-4, 1e-2), st.floats(0.9, 1.1))
-def test_the_longest_time_step_is_that_of_the_formula(
+def test_longest_stable_time_step_equals_the_formula(
     mass: float, ratio: float, timestep: float, factor: float
 ) -> None:
     # w^2 t^2 + 4 z w t = 4, solved for w t.
@@ -86,7 +86,7 @@ def test_the_longest_time_step_is_that_of_the_formula(
     assert (found == 0) == (factor > 1)
 
 
-def test_gains_that_a_time_step_cannot_hold_are_refused_with_the_joint() -> None:
+def test_gains_unstable_at_the_time_step_are_rejected_with_the_joint() -> None:
     model = lwr_model()
     JointPosition().make(model, 1e-3).check(START)
     with raises_with(
@@ -105,7 +105,7 @@ def test_gains_that_a_time_step_cannot_hold_are_refused_with_the_joint() -> None
     JointPosition(stiffness=667.0).make(model, 0.02).check(START)
     with pytest.raises(DeclarationError):
         JointPosition(stiffness=700.0).make(model, 0.02).check(START)
-    # It is true: the robot would have gone wild.
+    # The error is right: the simulation would be unstable.
     loop = Loop(0.02)
     loop.data.qvel[:] = 1e-3
     control, target = JointPosition().make(loop.robot, 0.02), target_at(START)
@@ -116,13 +116,13 @@ def test_gains_that_a_time_step_cannot_hold_are_refused_with_the_joint() -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize(("ratio", "overshoot"), [(0.7, 0.046), (0.4, 0.254), (1.0, 0.0)])
-def test_a_small_step_overshoots_as_its_ratio_says(
+def test_small_step_overshoots_as_its_ratio_predicts(
     joint: int, ratio: float, overshoot: float
 ) -> None:
     loop = Loop(2.5e-4)
     control = JointImpedance(stiffness=1000.0, damping=ratio).make(loop.robot, 2.5e-4)
     target = target_at(START)
-    # Along a mode, or the others would be seen in it as well.
+    # Along one mode, otherwise the others would contribute.
     loop.robot.update(START, np.zeros(7))
     mass = loop.robot.mass().copy()
     _, modes = np.linalg.eig(np.linalg.solve(mass, control.stiffness))
@@ -142,7 +142,7 @@ def energies(loop: Loop, angles: Array, stiffness: Array) -> float:
 
 @settings(deadline=None, max_examples=examples(6))
 @given(seeds, st.floats(0, 1.5))
-def test_an_impedance_never_makes_energy(seed: int, ratio: float) -> None:
+def test_impedance_never_adds_energy(seed: int, ratio: float) -> None:
     rng = np.random.default_rng(seed)
     step = 1e-4
     loop = Loop(step, rng.uniform(-1.5, 1.5, 7))
@@ -157,7 +157,7 @@ def test_an_impedance_never_makes_energy(seed: int, ratio: float) -> None:
     for _ in range(50):
         loop.run(0.006, lambda sensed, out: control.torques(sensed, target, out))
         now = energies(loop, target.angles, control.stiffness)
-        assert now <= last + 3e-3 * first  # what the integrator makes at this step
+        assert now <= last + 3e-3 * first  # integration error at this time step
         last = now
     if ratio > 0.3:
         assert last < first
@@ -171,7 +171,7 @@ def test_gravity_compensation_does_not_drift_in_a_minute() -> None:
     assert np.abs(angles[-1] - START).max() < 1e-9
 
 
-def test_gravity_compensation_keeps_a_push_and_damping_ends_it() -> None:
+def test_motion_after_a_push_continues_without_damping_and_ends_with_it() -> None:
     for damping, moves in ((0.0, True), ([10.0] * 7, False)):
         loop = Loop()
         loop.data.qvel[:] = 0.1
@@ -181,7 +181,7 @@ def test_gravity_compensation_keeps_a_push_and_damping_ends_it() -> None:
 
 
 @pytest.mark.parametrize("feed_forward", [True, False])
-def test_a_moving_target_is_followed_with_its_own_torques(feed_forward: bool) -> None:
+def test_moving_target_is_followed_with_feed_forward_torques(feed_forward: bool) -> None:
     loop = Loop()
     control = JointPosition(stiffness=2000.0, feed_forward=feed_forward).make(loop.robot, 1e-3)
     target, w, swing = target_at(START), 4.0, np.linspace(0.2, 0.5, 7)
@@ -199,7 +199,7 @@ def test_a_moving_target_is_followed_with_its_own_torques(feed_forward: bool) ->
     assert worst[0] < 3e-4 if feed_forward else worst[0] > 3e-3
 
 
-def test_torque_control_adds_gravity_to_what_is_asked_or_not() -> None:
+def test_torque_control_adds_gravity_if_declared() -> None:
     loop = Loop()
     target, out = Target(7), np.zeros(7)
     target.torques[:] = np.arange(7)
@@ -210,7 +210,7 @@ def test_torque_control_adds_gravity_to_what_is_asked_or_not() -> None:
 
 
 @pytest.mark.parametrize("on_motor", [True, False])
-def test_an_elastic_joint_is_held_by_its_motor_s_angle(on_motor: bool) -> None:
+def test_elastic_joint_is_held_by_its_motor_angle(on_motor: bool) -> None:
     xml = """<mujoco><option timestep=".0005"/><worldbody><body>
       <joint name="r/A" axis="0 1 0" armature=".4"/><inertial pos="0 0 0" mass=".01"
         diaginertia="1e-5 1e-5 1e-5"/>
@@ -237,7 +237,7 @@ def test_an_elastic_joint_is_held_by_its_motor_s_angle(on_motor: bool) -> None:
 
 
 class Fixed:
-    """A user's controller."""
+    """A user-defined controller."""
 
     def __init__(self, *torques: float) -> None:
         self.wanted = np.array(torques)
@@ -252,7 +252,7 @@ def limited(*torques: float, **more: Any) -> tuple[LimitedController, Fixed]:
     return LimitedController(fixed, np.array([100.0, 30.0]), 1e-3, **fields), fixed
 
 
-def test_limits_hold_and_say_which_joints_they_hold() -> None:
+def test_limits_hold_and_saturated_joints_are_marked() -> None:
     control, fixed = limited(120.0, -29.0)
     sensed, target, out = Sensed(2), Target(2), np.zeros(2)
     control.torques(sensed, target, out)
@@ -263,7 +263,7 @@ def test_limits_hold_and_say_which_joints_they_hold() -> None:
     assert (out.tolist(), control.saturated.tolist()) == ([100.0, -30.0], [False, True])
 
 
-def test_rates_are_limited_from_the_first_torques_on() -> None:
+def test_torque_rates_are_limited_after_the_first_torques() -> None:
     control, fixed = limited(50.0, -20.0, rates=np.array([1000.0, 5000.0]))
     sensed, target, out = Sensed(2), Target(2), np.zeros(2)
     control.torques(sensed, target, out)
@@ -280,7 +280,7 @@ def test_rates_are_limited_from_the_first_torques_on() -> None:
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(*[st.floats(-1e3, 1e3)] * 2), min_size=2, max_size=30))
-def test_no_torque_is_ever_beyond_a_limit(rows: list[tuple[float, float]]) -> None:
+def test_no_torque_ever_exceeds_a_limit(rows: list[tuple[float, float]]) -> None:
     rates = np.array([2e4, 4e4])
     control, fixed = limited(0.0, 0.0, rates=rates)
     sensed, target, out = Sensed(2), Target(2), np.zeros(2)
@@ -298,7 +298,7 @@ def test_no_torque_is_ever_beyond_a_limit(rows: list[tuple[float, float]]) -> No
     ("bad", "joint", "found"),
     [((1, np.nan), "A2", "nan"), ((np.inf, 1), "A1", "inf"), ((0, -np.inf), "A2", "-inf")],
 )
-def test_what_is_no_torque_stops_with_robot_joint_and_time(
+def test_invalid_torque_stops_with_robot_joint_and_time(
     bad: tuple[float, float], joint: str, found: str
 ) -> None:
     control, _ = limited(*bad)
@@ -311,7 +311,7 @@ def test_what_is_no_torque_stops_with_robot_joint_and_time(
     assert str(caught.value) == f"lwr/{joint} at 1.2345 s: {expected}"
 
 
-def test_limits_of_zero_name_the_joint() -> None:
+def test_zero_limit_names_the_joint() -> None:
     with pytest.raises(DeclarationError) as error:
         LimitedController(
             Fixed(0, 0),
@@ -358,13 +358,13 @@ STIFFNESSES = "0 to 5000 Nm/rad; kind = 'joint_position' can be stiffer"
         ),
     ],
 )
-def test_wrong_gains_are_told(fields: dict[str, Any], problem: Problem) -> None:
+def test_invalid_gains_are_rejected(fields: dict[str, Any], problem: Problem) -> None:
     with pytest.raises(DeclarationError) as caught:
         JointImpedance(**fields)
     assert caught.value.problems == [problem]
 
 
-def test_gains_that_do_not_fit_the_robot_are_told() -> None:
+def test_gains_of_the_wrong_size_are_rejected() -> None:
     expected = "7, one per joint, or one for all"
     with raises_with(key="stiffness", found=6, of="entries", expected=expected):
         JointImpedance(stiffness=[1.0] * 6).make(lwr_model(), 1e-3)

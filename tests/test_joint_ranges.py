@@ -1,4 +1,4 @@
-"""Finite ranges of joints that have no limits, and what uses them."""
+"""Finite display ranges of joints without limits, and their users."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LIMIT = {"revolute": 'lower="-2.4" upper="2.4"', "continuous": ""}
 
 
 def gen3_like(tmp_path: Path, effort: str = 'effort="39"') -> Path:
-    """An arm with the joints of a Kinova Gen3: 1, 3, 5 and 7 are continuous."""
+    """Returns an arm with the joints of a Kinova Gen3: 1, 3, 5 and 7 are continuous."""
     text, below = '<robot name="gen3"><link name="base"/>', "base"
     for i in range(1, 8):
         kind, axis = ("continuous", "0 0 1") if i % 2 else ("revolute", "0 1 0")
@@ -55,7 +55,7 @@ def gen3_like(tmp_path: Path, effort: str = 'effort="39"') -> Path:
         ("revolute", (-INF, INF), 7.0, (7.0 - np.pi, 7.0 + np.pi)),
     ],
 )
-def test_a_range_is_finite_and_contains_the_home_position(
+def test_display_range_is_finite_and_contains_the_home_position(
     kind: str, limits: tuple[float, float], home: float, expected: tuple[float, float]
 ) -> None:
     robot = SerialRobot(
@@ -66,10 +66,10 @@ def test_a_range_is_finite_and_contains_the_home_position(
         joint_angles=[home],
     )
     np.testing.assert_allclose(robot.display_ranges, [expected])
-    np.testing.assert_array_equal(robot.position_limits, [limits])  # as declared, for the physics
+    np.testing.assert_array_equal(robot.position_limits, [limits])  # as declared, for physics
 
 
-def test_a_robot_without_limits_has_ranges_too() -> None:
+def test_robot_without_limits_has_display_ranges() -> None:
     robot = SerialRobot(
         dh_params=[[0, 0, 0, 0.2]] * 2,
         dh_convention="craig",
@@ -81,19 +81,19 @@ def test_a_robot_without_limits_has_ranges_too() -> None:
 @pytest.mark.parametrize(
     ("coupling", "limits", "expected"),
     [
-        # The coupled joint would be at its limit before the driving one is.
+        # The coupled joint reaches its limit before the driving one does.
         ({"ratio": 2.0}, [[-2, 2], [-1, 3]], [[-0.5, 1.5], [-1, 3]]),
         ({"ratio": -0.5, "offset": 0.2}, [[-2, 2], [0, 1]], [[-1.6, 0.4], [0, 1]]),
-        # One without limits follows as far as the driving joint goes, and the reverse.
+        # A joint without limits follows over the whole range of the driving joint, and vice versa.
         ({"ratio": 3.0}, [[-2, 2], [-INF, INF]], [[-2, 2], [-6, 6]]),
         ({"ratio": 3.0}, [[-INF, INF], [-6, 3]], [[-2, 1], [-6, 3]]),
         ({"ratio": 1.0}, None, [[-np.pi, np.pi]] * 2),
-        # Limits that leave no range are wrong.
+        # Limits that leave no range are invalid.
         ({"ratio": -1.0}, [[0, 1], [0, 1]], [[0, 1], [-1, 0]]),
         ({"ratio": 1.0}, [[0, 1], [2, 3]], [[0, 1], [0, 1]]),
     ],
 )
-def test_a_driving_joint_keeps_the_limits_of_its_coupled_joints(
+def test_driving_joint_respects_the_limits_of_its_coupled_joints(
     coupling: dict[str, float], limits: object, expected: list[list[float]]
 ) -> None:
     robot = SerialRobot(
@@ -108,7 +108,7 @@ def test_a_driving_joint_keeps_the_limits_of_its_coupled_joints(
         assert (q >= robot.display_ranges[:, 0]).all() and (q <= robot.display_ranges[:, 1]).all()
 
 
-def test_a_placeholder_limit_does_not_make_a_robot_a_thousand_kilometres_long() -> None:
+def test_placeholder_limit_does_not_extend_the_reach() -> None:
     table = {"dh_params": [[0, 0, 0, 0.2]], "dh_convention": "craig", "joint_types": ["prismatic"]}
     free = SerialRobot(**table)
     robot = SerialRobot(**table, position_limits=[[-1e6, 1e6]])
@@ -126,7 +126,7 @@ def test_example_motions_of_continuous_joints_are_smooth_and_finite(tmp_path: Pa
         np.testing.assert_allclose((after - before) / (2 * step), motion.at(t)[1], atol=1e-6)
 
 
-def test_sliders_and_starts_are_within_the_ranges_and_the_joint_is_still_free(
+def test_sliders_and_start_poses_are_within_the_ranges_but_joints_are_free(
     tmp_path: Path,
 ) -> None:
     (robot,) = load_scene(gen3_like(tmp_path)).robots.values()
@@ -143,7 +143,7 @@ def test_sliders_and_starts_are_within_the_ranges_and_the_joint_is_still_free(
 
 @pytest.mark.extensions
 @pytest.mark.parametrize("action", ["torque", "impedance"])
-def test_an_agent_begins_anywhere_and_its_spaces_are_finite(tmp_path: Path, action: str) -> None:
+def test_learning_environment_starts_within_finite_spaces(tmp_path: Path, action: str) -> None:
     from sero_mj.extensions.learning.gymnasium_env import GymnasiumEnvironment
     from sero_mj.extensions.learning.make import make_environment
 
@@ -162,7 +162,7 @@ def test_an_agent_begins_anywhere_and_its_spaces_are_finite(tmp_path: Path, acti
 
 
 @pytest.mark.extensions
-def test_a_continuous_joint_is_observed_beyond_its_range(tmp_path: Path) -> None:
+def test_continuous_joint_is_observed_beyond_its_range(tmp_path: Path) -> None:
     from sero_mj.extensions.learning.make import make_environment
 
     environment = make_environment(
@@ -172,7 +172,7 @@ def test_a_continuous_joint_is_observed_beyond_its_range(tmp_path: Path) -> None
 
 
 @pytest.mark.extensions
-def test_a_joint_without_torque_limit_is_named_where_torques_are_actions(tmp_path: Path) -> None:
+def test_joint_without_torque_limit_is_named_for_torque_actions(tmp_path: Path) -> None:
     from sero_mj.extensions.learning.make import make_environment
 
     path = gen3_like(tmp_path, effort="")

@@ -1,4 +1,4 @@
-"""Routes to some joints of a robot, by names of joints and limbs: what gets where, and faults."""
+"""Routes to some joints of a robot, by names of joints and limbs, and their errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.runs.run_recording import read_run
 
 UDP = {"kind": "udp", "structure": "2F7F3F1F"}
-# A fork: a stem of one joint, and two branches; the second has a joint that follows another.
+# A fork: a stem of one joint and two branches; the second branch has a coupled joint.
 FORK = {
     "joint_frames": [np.eye(4)] * 5,
     "joint_names": ["stem", "l_hip", "l_knee", "r_hip", "r_knee"],
@@ -45,7 +45,7 @@ def scene_of(routes: dict[str, Any], robot: SerialRobot | None = None, **fields:
 
 
 def applied(scene: Scene, **events: Any) -> tuple[World, Any]:
-    """The world after packets with these events; a name `other_values0` is of source `other`."""
+    """Returns the world after packets with these events; `other_values0` is of source `other`."""
     packets: dict[str, dict[str, np.ndarray]] = {}
     for name, values in events.items():
         source, _, event = name.rpartition("_")
@@ -70,7 +70,7 @@ def problems_of(
     return [str(problem) for problem in wire(scene_of(routes, robot, **fields)).problems]
 
 
-def test_named_joints_get_the_values_in_that_order_and_others_keep_their_pose() -> None:
+def test_named_joints_get_the_values_in_their_order_and_others_are_unchanged() -> None:
     routes = {"fork.joint_angles": {"from": "udp.values0", "joints": ["r_knee", "stem"]}}
     world, data = applied(
         scene_of(routes, fork(joint_angles=[0.1, 0.2, 0.3, 0.4, 0.5])), values0=[7, 8]
@@ -78,14 +78,14 @@ def test_named_joints_get_the_values_in_that_order_and_others_keep_their_pose() 
     assert angles(world, data) == [8, 0.2, 0.3, 0.4, 7]
 
 
-def test_torques_of_joints_that_are_not_named_are_no_data() -> None:
+def test_torques_of_unnamed_joints_are_no_data() -> None:
     routes = {"fork.torques": {"from": "udp.values0 * mNm", "joints": ["l_knee", "r_hip"]}}
     world, data = applied(scene_of(routes), values0=[5, 6])
     found = data.userdata[world.slots["fork.torques"]]
     np.testing.assert_array_equal(found, [np.nan, np.nan, 0.005, 0.006, np.nan])
 
 
-def test_a_limb_is_routed_in_the_key_and_among_joints() -> None:
+def test_limb_is_routed_in_the_key_and_among_joints() -> None:
     routes = {
         "fork.l_leg.joint_angles": "udp.values0",
         "fork.r_leg.joint_angles": "udp.values2[0:2]",
@@ -96,8 +96,8 @@ def test_a_limb_is_routed_in_the_key_and_among_joints() -> None:
     assert data.userdata[world.slots["fork.torques"]][[3, 4, 0]].tolist() == [3, 4, 5]
 
 
-def test_limbs_of_several_sources_move_alone() -> None:
-    """A source that is silent holds nobody up, and one number is for all joints."""
+def test_limbs_of_several_sources_move_independently() -> None:
+    """A silent source does not block the others, and a single number applies to all joints."""
     scene = scene_of(
         {
             "fork.joint_angles": [
@@ -117,7 +117,7 @@ def test_limbs_of_several_sources_move_alone() -> None:
     assert angles(world, data) == [0.5, 1, 2, 3, 4]
 
 
-def test_coupled_joints_follow_unless_they_are_named_themselves() -> None:
+def test_coupled_joints_follow_unless_they_are_named() -> None:
     couplings = {"r_knee": {"to": "r_hip", "ratio": -2.0, "offset": 0.1}}
     routes = {"fork.joint_angles": {"from": "udp.values0", "joints": ["stem", "r_hip"]}}
     world, data = applied(scene_of(routes, fork(couplings=couplings)), values0=[1, 2])
@@ -132,7 +132,7 @@ def test_coupled_joints_follow_unless_they_are_named_themselves() -> None:
     np.testing.assert_array_equal(found, [np.nan, np.nan, np.nan, 3, np.nan])
 
 
-def test_a_double_gets_the_joints_of_its_robot() -> None:
+def test_double_has_the_joint_names_of_its_robot() -> None:
     scene = scene_of(
         {"goal.r_leg.joint_angles": "udp.values0"},
         fork(joint_angles=[0.1] * 5),
@@ -143,7 +143,7 @@ def test_a_double_gets_the_joints_of_its_robot() -> None:
     np.testing.assert_array_equal(found, [0.1, 0.1, 0.1, 1, 2])
 
 
-def test_a_group_has_the_joints_of_its_robots_with_their_names_before() -> None:
+def test_group_has_the_joints_of_its_robots_with_prefixed_names() -> None:
     robots = [fork(), fork().model_copy(update={"name": "twin"})]
     routes = {
         "both.joint_angles": [
@@ -156,7 +156,7 @@ def test_a_group_has_the_joints_of_its_robots_with_their_names_before() -> None:
     assert angles(world, data, "twin") == [1, 2, 3, 4, 5]
 
 
-def test_what_is_wrong_is_told_once_each() -> None:
+def test_each_error_is_reported_once() -> None:
     two = {"from": "udp.values0", "joints": ["l_kneee", "l_hip", "foot", "foot"]}
     place = "routes.fork.joint_angles: "
     assert problems_of({"fork.joint_angles": two}) == [
@@ -211,7 +211,7 @@ def test_what_is_wrong_is_told_once_each() -> None:
         ([{"from": 1, "joints": ["a"]}, 3], "found 3 among tables"),
     ],
 )
-def test_a_table_that_says_something_else_is_refused(table: Any, message: str) -> None:
+def test_invalid_route_table_is_rejected(table: Any, message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         scene_of({"fork.joint_angles": table})
     assert message in str(caught.value)
@@ -237,7 +237,7 @@ structure = "3F2F3F"
 """.replace("{}", "{ xyz = [0.0, 0.1, 0.3], rpy = [1.5708, 0.0, 0.0] }")
 
 
-def test_a_file_has_tables_and_check_prints_them(
+def test_file_contains_route_tables_and_check_prints_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "fork.toml"
@@ -259,8 +259,8 @@ def test_a_file_has_tables_and_check_prints_them(
     assert list(scene.routes) == ["fork.torques"]
 
 
-def test_packets_that_are_played_have_the_same_layout(tmp_path: Path) -> None:
-    """What a sender makes comes back as the pose that it played."""
+def test_sent_packets_have_the_routed_layout(tmp_path: Path) -> None:
+    """The packets of a sender are received as the motion that it played."""
     file = tmp_path / "fork.toml"
     file.write_text(SCENE, "utf-8")
     scene = load_scene(file)
@@ -278,7 +278,7 @@ def test_packets_that_are_played_have_the_same_layout(tmp_path: Path) -> None:
     assert np.isnan(torques[[1, 2]]).all()
 
 
-def test_recordings_name_the_joints_and_where_they_come_from() -> None:
+def test_recordings_name_the_joints_and_their_origins() -> None:
     routes = {"fork.joint_angles": {"from": "udp.values0 * deg", "joints": ["r_knee", "stem"]}}
     scene = scene_of(routes)
     wiring = wire(scene)
@@ -292,7 +292,7 @@ def test_recordings_name_the_joints_and_where_they_come_from() -> None:
     np.testing.assert_allclose(found["fork.joint_angles"], [np.pi / 2, 0, 0, 0, np.pi])
 
 
-def test_limbs_are_unbranched_and_named_by_what_is_common() -> None:
+def test_limbs_are_unbranched_and_named_by_common_prefixes() -> None:
     robot = humanoid()
     limbs = {name: [robot.names[i] for i in joints] for name, joints in robot.limb_joints.items()}
     assert list(limbs) == [
@@ -304,7 +304,7 @@ def test_limbs_are_unbranched_and_named_by_what_is_common() -> None:
     assert SerialRobot.from_model("lwr").limb_joints == {"A1-A6": [*range(7)]}
 
 
-def test_names_of_limbs_differ_and_followers_belong_to_their_drive() -> None:
+def test_limb_names_are_unique_and_coupled_joints_belong_to_their_driver() -> None:
     names = ["j1", "j2", "grip", "tip_a", "tip_b", "x_1", "x_2", "x_3", "x_4"]
     carriers = [0, 1, 2, 2, 2, 0, 6, 0, 8]
     followed = {"tip_a": "grip", "tip_b": "tip_a"}
@@ -313,7 +313,7 @@ def test_names_of_limbs_differ_and_followers_belong_to_their_drive() -> None:
     }  # fmt: skip
 
 
-def test_declared_limbs_count_and_faults_in_them_are_told() -> None:
+def test_declared_limbs_are_used_and_their_errors_reported() -> None:
     robot = fork(limbs={"legs": ["l_hip", "r_hip", "r_knee"]})
     assert robot.limb_joints == {"stem": [0], "legs": [1, 3, 4], "l_knee": [2]}
     with pytest.raises(DeclarationError) as caught:

@@ -1,4 +1,4 @@
-"""Robots whose joints have frames of their own and may branch, against the compiled model."""
+"""Robots whose joints have their own frames and may branch, against the compiled model."""
 
 import mujoco
 import numpy as np
@@ -25,7 +25,7 @@ def random_frame(rng, scale=0.3):
 
 
 def random_parents(rng, names):
-    """Depth-first: each joint is on the base or on the way to the one before."""
+    """Depth-first: each joint is on the base, or on the path to the previous joint."""
     parents, branch = [], ["base"]
     for name in names:
         at = rng.integers(len(branch))
@@ -51,7 +51,7 @@ def values_of(robot, seed):
 
 
 def by_hand(robot, q):
-    """T_world_i by the definition of joint frames, link by link."""
+    """Returns T_world_i by the definition of joint frames, link by link."""
     frames = [robot.base_frame]
     for i in range(robot.n):
         moved = np.eye(4)
@@ -87,7 +87,7 @@ def test_frames_and_flange_equal_those_of_the_compiled_model(seed, mirrored):
     np.testing.assert_allclose(J, np.vstack([linear, angular])[:, part.dofs], atol=1e-9)
 
 
-def test_a_mirrored_tree_is_the_mirror_image_in_its_base():
+def test_mirrored_tree_is_the_mirror_image_in_its_base():
     S = np.diag([1.0, -1.0, 1.0, 1.0])
     robot, q = tree_robot(5), values_of(tree_robot(5), 5)
     mirrored = robot.model_copy(update={"mirrored": True})
@@ -96,7 +96,7 @@ def test_a_mirrored_tree_is_the_mirror_image_in_its_base():
     )
 
 
-def test_a_craig_table_is_the_chain_of_its_own_frames():
+def test_craig_table_equals_the_chain_of_its_joint_frames():
     rows = np.random.default_rng(3).uniform(-1, 1, (6, 4))
     root = random_frame(np.random.default_rng(4))
     table = SerialRobot(dh_convention="craig", dh_params=rows, dh_base_frame=root)
@@ -111,7 +111,7 @@ def test_a_craig_table_is_the_chain_of_its_own_frames():
 
 
 @pytest.mark.parametrize("convention", ["craig", "standard"])
-def test_a_table_may_stand_on_a_frame_of_the_base_and_branch(convention):
+def test_table_can_have_a_base_frame_and_branches(convention):
     root, rows = random_frame(np.random.default_rng(8)), [[0.5, 0.2, 0.1, 0.3]] * 4
     robot = SerialRobot(
         name="tree", dh_convention=convention, dh_params=rows, dh_base_frame=root,
@@ -133,7 +133,7 @@ def test_a_table_may_stand_on_a_frame_of_the_base_and_branch(convention):
     np.testing.assert_allclose(off_axis, 0.0, atol=1e-9)
 
 
-def test_gravity_torques_of_a_tree_are_those_of_its_masses():
+def test_gravity_torques_of_a_tree_follow_from_its_masses():
     rng = np.random.default_rng(11)
     masses = rng.uniform(0.5, 3, 8)
     centers = rng.uniform(-0.1, 0.1, (8, 3))
@@ -174,7 +174,7 @@ def test_links_without_mass_and_joints_without_limits_can_be_simulated():
     assert np.isfinite(data.qpos).all()
 
 
-def test_links_have_shapes_and_meshes_in_frames_of_their_own():
+def test_links_have_shapes_and_meshes_in_their_own_frames():
     at = frame(rotation_from_rpy([0, 0, 0.3]), [0.1, 0.2, 0.3])
     box = {"shape": "box", "size": [0.1, 0.2, 0.4], "frame": at, "color": "red"}
     tube = {"shape": "cylinder", "size": [0.05, 0.3]}
@@ -195,7 +195,7 @@ def test_links_have_shapes_and_meshes_in_frames_of_their_own():
     np.testing.assert_allclose(dynamic.geom_size[touching][0, :2], [0.05, 0.15])
 
 
-def test_doubles_of_trees_stand_where_their_joints_have_them():
+def test_doubles_of_trees_are_at_their_joint_angles():
     robot = tree_robot(2)
     scene = Scene(robots=[robot], doubles=[Double(name="goal", of="tree")])
     world, q = World(scene), values_of(robot, 2)
@@ -276,13 +276,13 @@ def test_arrows_fit_the_links():
         ),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_told(fields, problem):
+def test_invalid_trees_are_rejected(fields, problem):
     with pytest.raises(DeclarationError) as caught:
         SerialRobot(**fields)
     assert caught.value.problems == [problem]
 
 
-def test_many_poses_at_once():
+def test_batched_poses_equal_single_ones():
     robot = tree_robot(4)
     q = np.random.default_rng(0).uniform(-1, 1, (5, 2, 7))
     many = robot.kinematics.frames(q)

@@ -1,4 +1,4 @@
-"""Rollin' Justin, SpaceJustin and telepresence: models of groups, packets, motion, a push."""
+"""Rollin' Justin, SpaceJustin and telepresence: group models, packets, motion, and a push."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def toml(model: str, file: str) -> dict[str, Any]:
 
 
 def frame(table: dict[str, Any]) -> Array:
-    """A frame as files have it, put together by turns."""
+    """Returns a frame as in files, composed of rotations."""
     roll, pitch, yaw = (
         np.deg2rad(table["rpy_deg"]) if "rpy_deg" in table else table.get("rpy", [0] * 3)
     )
@@ -52,7 +52,7 @@ def rows(model: str) -> Array:
 
 
 def links(model: str, q: Array) -> list[Array]:
-    """Frames of base, links and flange of a model's robot in its base, by its table alone."""
+    """Returns frames of base, links and flange of a model in its base, from its table alone."""
     found = [np.eye(4)]
     for (alpha, a, theta, d), angle in zip(rows(model), q, strict=True):
         found.append(chain(found[-1], rot(0, alpha), move(a), rot(2, theta + angle), move(z=d)))
@@ -61,7 +61,7 @@ def links(model: str, q: Array) -> list[Array]:
 
 
 def members(model: str) -> dict[str, dict[str, Any]]:
-    """Robots of a group's model with those of its groups, as its files have them."""
+    """Returns the robots of a group model and of its groups, as in its files."""
     own = toml(model, "group.toml")
     found = {name: {**table, "outer": None} for name, table in own["robots"].items()}
     for group, table in own.get("groups", {}).items():
@@ -71,7 +71,7 @@ def members(model: str) -> dict[str, dict[str, Any]]:
 
 
 def all_links(model: str, q: dict[str, Array]) -> dict[str, list[Array]]:
-    """Frames of all links of all robots in the world, each left one as the image of a right one."""
+    """Returns frames of all links in the world; each left link mirrors the right one."""
     found: dict[str, list[Array]] = {}
     for name, table in members(model).items():
         outer = table["outer"] or {}
@@ -113,7 +113,7 @@ def test_frames_are_products_of_the_tables_in_the_files(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", ["dlr_hand2", "hit_hand2"])
-def test_the_fingers_of_a_hand_that_stands_alone_do_not_touch_its_palm(model: str) -> None:
+def test_fingers_of_a_hand_alone_do_not_touch_its_palm(model: str) -> None:
     world = World(load_scene(model), dynamic=True)
     data = world.make_data()
     before = data.qpos.copy()
@@ -121,7 +121,7 @@ def test_the_fingers_of_a_hand_that_stands_alone_do_not_touch_its_palm(model: st
         mujoco.mj_step(world.model, data)
         assert data.ncon == 0
     assert np.abs(data.qpos - before).max() < 0.01
-    # Farther out they do: a link with three joints between is no neighbour.
+    # Links farther out do: a link three joints away is not adjacent.
     robots = [part for part in world.robots.values() if part.robot.mount is None]
     near, far = (world.model.body(f"{robots[1].robot.name}/link{i}").id for i in (2, 3))
     excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in world.model.exclude_signature}
@@ -129,7 +129,7 @@ def test_the_fingers_of_a_hand_that_stands_alone_do_not_touch_its_palm(model: st
     assert {(base, near), (near, base)} & excluded and not {(base, far), (far, base)} & excluded
 
 
-def test_joints_are_as_many_as_are_published() -> None:
+def test_joint_counts_equal_the_published_ones() -> None:
     counts = {
         model: np.sum([(r.n, r.coupled.k) for r in load_scene(model).robots.values()], axis=0)
         for model in ("justin", "space_justin", "dlr_hand2", "hit_hand2")
@@ -140,7 +140,7 @@ def test_joints_are_as_many_as_are_published() -> None:
     }  # fmt: skip
 
 
-def test_weight_and_gravity_torques_are_those_of_the_parts() -> None:
+def test_mass_and_gravity_torques_equal_those_of_the_links() -> None:
     scene = load_scene(models_dir() / "justin" / "group.toml")
     world = World(Scene(robots=[*scene.robots.values()], floor=False), dynamic=True)
     data = world.make_data()
@@ -151,7 +151,7 @@ def test_weight_and_gravity_torques_are_those_of_the_parts() -> None:
     }
     assert [*palms] == ["justin_left_hand_thumb", "justin_right_hand_thumb"]
     parts = {name: robot_dynamics(robot) for name, robot in scene.robots.items()}
-    # The platform is fixed in the world, so that its mass does not matter.
+    # The platform is fixed in the world, so its mass does not matter.
     total = sum(part.masses.sum() for part in parts.values()) - parts["justin_torso"].masses[0]
     total += sum(palm.mass[0] for palm in palms.values())
     moving = world.model.body_mass.sum() - world.model.body("justin_torso/").mass[0]
@@ -161,7 +161,7 @@ def test_weight_and_gravity_torques_are_those_of_the_parts() -> None:
         energy = 0.0
         for name, frames in all_links("justin", q).items():
             part = parts[f"justin_{name}"]
-            # Centres are in frames that are themselves mirrored, as the masses' are.
+            # Centers are in frames that are mirrored, as those of the masses are.
             for T, mass, centre in zip(frames[:-1], part.masses, part.centers, strict=True):
                 energy += mass * 9.81 * (T @ [*centre, 1])[2]
             if f"justin_{name}" in palms:
@@ -184,7 +184,7 @@ def test_weight_and_gravity_torques_are_those_of_the_parts() -> None:
 
 
 @pytest.mark.thorough
-def test_one_packet_has_all_angles_torques_and_the_platforms_pose() -> None:
+def test_one_packet_contains_all_angles_torques_and_the_platform_pose() -> None:
     scene = load_scene("justin")
     scene.sources["udp"]["port"] = 0
     layout = MotionPackets(scene).structure
@@ -210,7 +210,7 @@ def test_one_packet_has_all_angles_torques_and_the_platforms_pose() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["justin", "space_justin"])
-def test_nothing_goes_through_itself_for_a_minute_of_motion(name: str) -> None:
+def test_no_links_collide_during_a_minute_of_motion(name: str) -> None:
     scene = load_scene(name)
     robots = [*scene.robots.values()]
     world = World(Scene(robots=robots, floor=False), dynamic=True)
@@ -229,7 +229,7 @@ def test_nothing_goes_through_itself_for_a_minute_of_motion(name: str) -> None:
     assert np.max(swings) > 0.2  # and yet it moves
 
 
-def test_wheels_roll_where_the_platform_goes_without_slip() -> None:
+def test_wheels_roll_with_the_platform_without_slip() -> None:
     sender = import_script(scenes_dir() / "justin_sender.py")
     scene = load_scene("justin")
     world = World(scene)
@@ -247,10 +247,10 @@ def test_wheels_roll_where_the_platform_goes_without_slip() -> None:
         for name in wheels:
             T = world.frame(data, f"{name}/link2")
             if name in before and k > 3001:
-                at = np.array([*T[:2, 3], 0.0, 1.0])  # of the tyre's lowest point
+                at = np.array([*T[:2, 3], 0.0, 1.0])  # of the tire's lowest point
                 slip = (at - before[name] @ np.linalg.solve(T, at))[:3] / dt
                 speed = np.linalg.norm(T[:2, 3] - before[name][:2, 3]) / dt
-                # Steering turns the tyre on the spot that it stands on; that is no slip.
+                # Steering rotates the tire about its contact point, which is not slip.
                 assert np.linalg.norm(slip) < 0.02 * speed + 1e-3
                 travelled += speed * dt
             before[name] = T
@@ -258,7 +258,7 @@ def test_wheels_roll_where_the_platform_goes_without_slip() -> None:
 
 
 @pytest.mark.thorough
-def test_one_pushed_arm_has_wide_arrows_and_the_others_thin_ones() -> None:
+def test_pushed_arm_has_wide_arrows_and_the_others_thin_ones() -> None:
     simulation = Simulation(read_scenario("justin_push"))
     for _ in simulation.run():
         pass
@@ -275,7 +275,7 @@ def test_one_pushed_arm_has_wide_arrows_and_the_others_thin_ones() -> None:
     assert pushed > 2 * max(share.values())
 
 
-def test_a_controller_of_a_group_is_that_of_its_robots_without_one() -> None:
+def test_group_controller_applies_to_robots_without_their_own() -> None:
     scene = load_scene("justin")
     tables = {
         "justin": {"kind": "joint_impedance", "stiffness": 500},
@@ -292,7 +292,7 @@ def test_a_controller_of_a_group_is_that_of_its_robots_without_one() -> None:
         Scenario(scene, controllers={"justinn": {"kind": "gravity_compensation"}})
 
 
-def test_names_of_a_group_of_all_are_not_repeated_on_cards() -> None:
+def test_group_name_shared_by_all_is_omitted_on_billboards() -> None:
     owners = ["justin_head", "justin_left_arm", "justin_right_arm"]
     found = titles([["tilt"], ["A1"], ["A1"]], owners, [True] * 3)
     assert found == ["head tilt", "left_arm A1", "right_arm A1"]
@@ -300,7 +300,7 @@ def test_names_of_a_group_of_all_are_not_repeated_on_cards() -> None:
     assert other == ["justin_head tilt", "just_an_arm A1"]
 
 
-def test_only_axes_that_are_shown_show_their_names() -> None:
+def test_only_visible_axes_show_their_names() -> None:
     world = World(load_scene("space_justin"))
     data = world.make_data()
     shown = Toggles(world).shown(data).frame_names
@@ -310,7 +310,7 @@ def test_only_axes_that_are_shown_show_their_names() -> None:
 
 
 @pytest.mark.thorough
-def test_the_haptic_device_moves_the_arms_of_space_justin() -> None:
+def test_haptic_device_moves_the_arms_of_space_justin() -> None:
     scene = load_scene("telepresence")
     scene.sources["udp"]["port"] = 0
     layout = MotionPackets(scene).structure

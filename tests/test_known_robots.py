@@ -1,4 +1,4 @@
-"""Shipped robots that others know: published poses and dynamics, and a second route to each."""
+"""Well-known robots: published poses and dynamics, and a second computation of each."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ QN = np.array([0, math.pi / 4, -math.pi, 0, math.pi / 4, 0])  # the Puma's nomin
 
 
 def puma(q):
-    """Craig's table of the Puma (ROBOTS.md 4.2, 4): the same frames by the other convention."""
+    """Craig's table of the Puma (ROBOTS.md 4.2, 4): the same frames in the other convention."""
     rows = [
         (0, 0, 0.67183), (HALF_PI, 0, 0), (0, 0.4318, 0.15005),
         (-HALF_PI, 0.0203, 0.4318), (HALF_PI, 0, 0), (-HALF_PI, 0, 0),
@@ -35,7 +35,7 @@ def puma(q):
 
 
 def panda(q):
-    """The bodies of mujoco_menagerie's panda.xml: position, and a turn by quat about x."""
+    """The bodies of mujoco_menagerie's panda.xml: position and a rotation about x by quat."""
     bodies = [
         (0, 0, 0.333, 0), (0, 0, 0, -HALF_PI), (0, -0.316, 0, HALF_PI), (0.0825, 0, 0, HALF_PI),
         (-0.0825, 0.384, 0, -HALF_PI), (0, 0, 0, HALF_PI), (0.088, 0, 0, HALF_PI),
@@ -45,7 +45,7 @@ def panda(q):
 
 
 def universal(d1, a2, a3, d4, d5, d6):
-    """The frames of a UR by UR's own standard table."""
+    """The frames of a UR from its published standard table."""
 
     def frames(q):
         rows = [(0, d1, HALF_PI), (a2, 0, 0), (a3, 0, 0), (0, d4, HALF_PI), (0, d5, -HALF_PI),
@@ -63,7 +63,7 @@ UR10E = universal(0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655)
 
 
 def iiwa(q):
-    """The arm as KUKA draws it: turns about the vertical and the horizontal axis by turns."""
+    """The arm in KUKA's drawing: alternating rotations about vertical and horizontal axes."""
     return chain(
         move(z=0.36), rot(2, q[0]), rot(1, q[1]), move(z=0.42), rot(2, q[2]), rot(1, -q[3]),
         move(z=0.4), rot(2, q[4]), rot(1, q[5]), move(z=0.152), rot(2, q[6]),
@@ -71,7 +71,7 @@ def iiwa(q):
 
 
 def scara(q):
-    """A planar arm of two links, and a tip that points down."""
+    """A planar arm of two links with a flange that points down."""
     a, b = q[0], q[0] + q[1]
     x = 0.325 * math.cos(a) + 0.275 * math.cos(b)
     y = 0.325 * math.sin(a) + 0.275 * math.sin(b)
@@ -104,7 +104,7 @@ BY_HAND = {
 
 
 @pytest.mark.parametrize(("name", "by_hand"), BY_HAND.items())
-def test_table_and_model_agree_with_another_route_at_random_poses(name, by_hand):
+def test_table_and_model_agree_with_a_second_computation_at_random_poses(name, by_hand):
     robot = SerialRobot.from_model(name)
     world = World(Scene(robots=[robot]))
     data = world.make_data()
@@ -139,14 +139,14 @@ def test_table_and_model_agree_with_another_route_at_random_poses(name, by_hand)
         # UR's table at zero: x = a2 + a3, y = -(d4 + d6), z = d1 - d5.
         ("ur5e", [0] * 6, [-0.8172, -0.2329, 0.0628], [[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
         ("ur10e", [0] * 6, [-1.18425, -0.2907, 0.06085], [[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
-        # Stretched, it reaches 600 mm, for which it is named; its quill moves 210 mm.
+        # Stretched, it reaches 600 mm, as its name says. Its quill moves 210 mm.
         ("scara", [0] * 4, [0.6, 0, 0.387], np.diag([1, -1, -1])),
         ("scara", [0, 0, 0.21, 0], [0.6, 0, 0.177], np.diag([1, -1, -1])),
         # The zero pose of the standard and the modified table in robotics-toolbox-matlab.
         ("stanford", [0] * 6, [0, 0.154, 0.675], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
     ],
 )
-def test_flange_stands_at_the_published_pose(name, q, position, rotation):
+def test_flange_is_at_the_published_pose(name, q, position, rotation):
     robot = SerialRobot.from_model(name)
     pose = robot.fwd_kin_base_to_flange(q)
     np.testing.assert_allclose(pose[:3, 3], position, atol=5e-5)
@@ -162,7 +162,8 @@ def test_shipped_pose_is_within_the_limits(name):
 
 
 # petercorke/robotics-toolbox-python, docs/notebooks/icra2021.ipynb and tests/test_DHRobot.py:
-# what holds the Puma at its nominal pose, Nm, and its inertia matrix there with the motors', kg m2.
+# gravity torques of the Puma at its nominal pose, Nm, and its inertia matrix there with motors, kg
+# m2.
 PUMA_GRAVITY = [0, 31.6398804, 6.03513802, 0, 0.0282528, 0]
 PUMA_INERTIA = [
     [3.65937541, -0.404361246, 0.100613648, -2.51695583e-3, 0, 0],
@@ -183,7 +184,7 @@ def puma_world():
     return world, data
 
 
-def test_puma_needs_the_published_torques_against_gravity(puma_world):
+def test_puma_gravity_torques_equal_the_published_ones(puma_world):
     _, data = puma_world
     np.testing.assert_allclose(data.qfrc_bias, PUMA_GRAVITY, atol=1e-6)
     robot = SerialRobot.from_model("puma560")
@@ -191,29 +192,30 @@ def test_puma_needs_the_published_torques_against_gravity(puma_world):
     np.testing.assert_allclose(by_hand, PUMA_GRAVITY, atol=1e-6)
 
 
-def test_puma_has_the_published_inertia_matrix(puma_world):
+def test_puma_inertia_matrix_equals_the_published_one(puma_world):
     world, data = puma_world
     found = np.zeros((6, 6))
     mujoco.mj_fullM(world.model, data, found)
-    # Joint 1 carries what link 3 was given to be a possible body, at most 0.00375 kg m2; motor
+    # Joint 1 carries the tensor added to link 3 to make it physical, at most 0.00375 kg m2. Motor
     # inertias are rounded to 1e-5.
     tolerance = np.full((6, 6), 1e-5)
     tolerance[0, 0] = 0.0038
     assert (np.abs(found - PUMA_INERTIA) <= tolerance).all(), found - PUMA_INERTIA
-    assert found[0, 0] != pytest.approx(PUMA_INERTIA[0][0], abs=1e-4)  # it is not as published
+    # Differs from the published value.
+    assert found[0, 0] != pytest.approx(PUMA_INERTIA[0][0], abs=1e-4)
 
 
-def test_puma_follows_the_published_torques_of_a_motion(puma_world):
-    # tests/test_DHRobot.py, test_rne: unit velocities and accelerations at the nominal pose,
-    # friction included, less what they are without gravity and what motor and friction add.
+def test_puma_torques_of_a_motion_equal_the_published_ones(puma_world):
+    # tests/test_DHRobot.py, test_rne: unit velocities and accelerations at the nominal pose, with
+    # friction, minus gravity torques and the torques of motors and friction.
     robot = SerialRobot.from_model("puma560")
     published = np.array([29.1421, 56.5044, 16.3528, 1.26448, 1.12392, 0.519648])  # velocity 1
     ones = np.ones(6)
     dynamics = robot_dynamics(robot)
     links = inverse_dynamics(robot, dynamics, QN, velocities=ones)
     viscous = dynamics.viscous_friction
-    # RTB takes the Coulomb friction of this direction (motors 1 and 3 turn the other way round);
-    # the file has the mean of both.
+    # RTB uses the Coulomb friction of this direction (motors 1 and 3 rotate the other way). The
+    # file has the mean of both directions.
     gears = np.array([62.6111, 107.815, 53.7063, 76.0364, 71.923, 76.686])
     one_way = gears * [0.395, 0.126, 0.132, 11.2e-3, 9.26e-3, 3.96e-3]
     np.testing.assert_allclose(links + viscous + one_way, published, atol=4e-3)
@@ -221,14 +223,14 @@ def test_puma_follows_the_published_torques_of_a_motion(puma_world):
     np.testing.assert_allclose(dynamics.coulomb_friction, (one_way + other_way) / 2, rtol=1e-3)
 
 
-def test_panda_holds_itself_as_its_masses_say():
+def test_panda_gravity_torques_follow_from_its_masses():
     robot = SerialRobot.from_model("panda")
     world = World(Scene(robots=[robot]), dynamic=True)
     data = world.make_data()
     mujoco.mj_forward(world.model, data)
     dynamics = robot_dynamics(robot)
 
-    # A second route: the gradient of the potential energy, by finite differences.
+    # A second computation: the gradient of the potential energy by finite differences.
     def energy(q):
         T = robot.dh.frames(q)[1:]
         centers = T[:, :3, 3] + np.einsum("nij,nj->ni", T[:, :3, :3], dynamics.centers[1:])
@@ -242,7 +244,7 @@ def test_panda_holds_itself_as_its_masses_say():
 
 
 @pytest.mark.parametrize("name", SHAPED)
-def test_meshes_stand_on_the_floor_and_end_at_the_flange(name):
+def test_meshes_begin_at_the_floor_and_end_at_the_flange(name):
     world = World(load_scene(name), dynamic=True)
     model, data = world.model, world.make_data()
     mujoco.mj_forward(model, data)

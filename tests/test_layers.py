@@ -1,4 +1,4 @@
-"""The data moves one way: who may import whom, and what `import sero_mj` costs."""
+"""Layers: which folders may import which, and what `import sero_mj` loads."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import sero_mj
 
 PACKAGE = Path(sero_mj.__file__).parent
 EXTENSIONS = tuple(sorted(file.parent.name for file in PACKAGE.glob("extensions/*/__init__.py")))
-# The folders of the README, top to bottom, and `load.py`; the package itself is above all.
+# The folders of the README, top to bottom, and `load.py`. The package itself is above all.
 ORDER = (
     "",
     "base",
@@ -51,11 +51,11 @@ ORDER = (
     *(f"extensions.{name}" for name in EXTENSIONS),
     "extensions",
 )
-# Extensions that import others; what two of them need is in the core.
+# Extensions that import others. Code that two extensions need is in the core.
 BETWEEN: dict[str, tuple[str, ...]] = {}
 FOLDERS = [folder for folder in ORDER if folder not in ("", "load", "__main__")]
 PARENTS = ("robots", "data", "viewer")  # folders without files
-# What the independent check and the packet layer must do without.
+# Modules that the independent check and the packet layer must not import.
 NO_MUJOCO = (
     *("extensions.x3d.reader", "extensions.x3d.wrl", "robots.kinematics.dh", "base.frames"),
     *("robots.declared.shapes", "data.receive", "data.record.replay"),
@@ -65,10 +65,10 @@ HOMES: dict[str, str] = sero_mj._HOME
 
 
 def read_package(folder: Path = PACKAGE) -> dict[str, str]:
-    """Module name below `sero_mj` to source; a package has its folder's name."""
+    """Returns source by module name below `sero_mj`; a package has its folder's name."""
     sources = {}
     for file in sorted(folder.rglob("*.py")):
-        if file.parent.name == "snippets":  # for programs of users
+        if file.parent.name == "snippets":  # for user programs
             continue
         parts = list(file.relative_to(folder).with_suffix("").parts)
         if parts[-1] == "__init__":
@@ -79,7 +79,7 @@ def read_package(folder: Path = PACKAGE) -> dict[str, str]:
 
 @cache
 def imported_names(module: str, source: str, *, is_package: bool) -> list[tuple[int, str]]:
-    """Line and full dotted name of every import in a module; `?` for a computed name."""
+    """Returns line and dotted name of every import in a module; `?` for a computed name."""
     found: list[tuple[int, str]] = []
     for node in nodes_of(source):
         if isinstance(node, ast.Import):
@@ -99,12 +99,14 @@ def imported_names(module: str, source: str, *, is_package: bool) -> list[tuple[
 
 @cache
 def packages(modules: tuple[str, ...]) -> set[str]:
-    """Those of the modules that others are in."""
+    """Returns the modules that contain others."""
     return {""} | {outer for module in modules if (outer := module.rpartition(".")[0])}
 
 
 def imports_of(module: str, modules: dict[str, str]) -> list[tuple[int, str]]:
-    """Line and module of every import: ours as `.name` below `sero_mj`, others' by full name."""
+    """Returns line and module of every import: ours as `.name` below `sero_mj`, others by full
+    name.
+    """
     return resolved(module, modules[module], tuple(modules))
 
 
@@ -115,10 +117,10 @@ def resolved(module: str, source: str, modules: tuple[str, ...]) -> list[tuple[i
     for line, full in imported_names(module, source, is_package=is_package):
         name = full
         if full in ("sero_mj", "sero_mj.*"):
-            name = "?"  # any public name may be taken from it
+            name = "?"  # any public name may be imported from it
         elif full.startswith("sero_mj."):
             name = full.removeprefix("sero_mj.")
-            name = HOMES.get(name, name)  # a public name is where it comes from
+            name = HOMES.get(name, name)  # the module that defines the public name
             while name and name not in modules:
                 name = name.rpartition(".")[0]  # an attribute of a module
             name = f".{name}"
@@ -139,13 +141,13 @@ def rank(module: str) -> int:
 
 
 def violations(modules: dict[str, str]) -> list[str]:
-    """Imports against the direction, circles, and imports that hide."""
+    """Returns imports against the direction, cycles, and hidden imports."""
     wrong: list[str] = []
     graph: dict[str, set[str]] = {}
     for module in modules:
         graph[module] = set()
         if not module:
-            continue  # it exports lazily: that is checked by itself
+            continue  # it exports lazily, which another test checks
         for line, name in imports_of(module, modules):
             target = name.removeprefix(".")
             if name == "?":
@@ -163,7 +165,7 @@ def violations(modules: dict[str, str]) -> list[str]:
 
 
 def is_other_extension(module: str, target: str) -> bool:
-    """Whether a module imports an extension, and is not of it."""
+    """Returns whether a module imports an extension it does not belong to."""
     parent, own, to = "extensions", folder_of(module), folder_of(target)
     if not to.startswith(f"{parent}.") or own == to:
         return False
@@ -171,7 +173,7 @@ def is_other_extension(module: str, target: str) -> bool:
 
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """One path round for every circle that a depth-first search meets."""
+    """Returns one path for each import cycle that a depth-first search finds."""
     found: list[list[str]] = []
     done: set[str] = set()
 
@@ -189,7 +191,7 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
 
 
 def reachable(start: str, modules: dict[str, str]) -> dict[str, list[str]]:
-    """The modules that an import of `start` may load, and what each of them takes from others."""
+    """Returns the modules that an import of `start` may load, and their third-party imports."""
     todo, seen = [start], {}
     while todo:
         module = todo.pop()
@@ -206,10 +208,10 @@ def test_every_file_is_in_a_folder_of_the_design() -> None:
     assert nowhere == {"", *PARENTS}
 
 
-def test_every_import_goes_up_or_beside_without_circles() -> None:
+def test_every_import_goes_up_or_sideways_without_cycles() -> None:
     modules = read_package()
     assert violations(modules) == []
-    # It has really read them: so many imports of our own there are at least.
+    # The files were really read: there are at least this many imports of our modules.
     found = [name for module in modules for _, name in imports_of(module, modules)]
     assert sum(name.startswith(".") for name in found) > 100
 
@@ -278,7 +280,7 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
         ),
     ],
 )
-def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> None:
+def test_rule_detects_violations(module: str, line: str, found: str) -> None:
     modules = read_package()
     modules[module] += f"\n{line}\n"
     assert any(found in wrong for wrong in violations(modules)), violations(modules)
@@ -294,24 +296,24 @@ def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> 
         ("data.drive.place", "from ... import SerialRobot"),
         ("cli.plot", "from .arguments import port"),
         ("__main__", "import sero_mj.viewer.image.backend"),
-        ("base.errors", "import mujoco.viewer, decor"),  # somebody else's decor
+        ("base.errors", "import mujoco.viewer, decor"),  # a third-party decor feature
     ],
 )
-def test_the_rule_allows_what_keeps_it(module: str, line: str) -> None:
+def test_rule_allows_valid_imports(module: str, line: str) -> None:
     modules = read_package()
     modules[module] += f"\n{line}\n"
     assert violations(modules) == []
 
 
 @pytest.mark.parametrize("name", NO_MUJOCO)
-def test_what_checks_mujoco_and_what_reads_packets_does_without_it(name: str) -> None:
+def test_mujoco_checks_and_packet_readers_do_not_import_mujoco(name: str) -> None:
     modules = read_package()
     for start in [module for module in modules if f"{module}.".startswith(f"{name}.")]:
         for module, others in reachable(start, modules).items():
             assert not set(others) & set(MUJOCO), f"{start} imports MuJoCo through {module}"
 
 
-def test_mujoco_is_found_wherever_it_is_imported() -> None:
+def test_mujoco_imports_are_detected_anywhere() -> None:
     modules = read_package()
     for module, line in (
         ("base.frames", "def f():\n    import mujoco.viewer"),
@@ -323,7 +325,7 @@ def test_mujoco_is_found_wherever_it_is_imported() -> None:
 
 
 def loaded_after(*modules: str) -> set[str]:
-    """Top-level packages that a fresh interpreter has loaded after importing these."""
+    """Returns top-level packages that a fresh interpreter has loaded after importing these."""
     code = f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r})\n"
     code += "".join(f"import {module}\n" for module in modules)
     code += "print(*{name.split('.')[0] for name in sys.modules})"
@@ -348,7 +350,7 @@ def test_reading_packets_and_checking_kinematics_load_no_mujoco() -> None:
     assert not loaded & set(MUJOCO)
 
 
-def test_the_lazy_names_are_those_that_type_checkers_see() -> None:
+def test_lazy_names_equal_those_seen_by_type_checkers() -> None:
     tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
     (guarded,) = [
         node
@@ -359,26 +361,26 @@ def test_the_lazy_names_are_those_that_type_checkers_see() -> None:
     for node in guarded.body:
         assert isinstance(node, ast.ImportFrom)
         for alias in node.names:
-            assert alias.asname == alias.name  # else it is no export to mypy
+            assert alias.asname == alias.name  # otherwise mypy does not see an export
             assert alias.name not in seen
             seen[alias.name] = node.module
     assert seen == HOMES
 
 
 @pytest.mark.parametrize("name", sorted(HOMES))
-def test_a_lazy_name_is_the_thing_in_its_home(name: str) -> None:
+def test_lazy_name_is_the_object_in_its_module(name: str) -> None:
     home = import_module(f"sero_mj.{HOMES[name]}")
     assert getattr(sero_mj, name) is getattr(home, name)
     assert getattr(home, name).__module__ == home.__name__
     assert name in dir(sero_mj)
 
 
-def test_a_name_that_is_not_there_is_told() -> None:
+def test_missing_name_raises_attribute_error() -> None:
     with pytest.raises(AttributeError, match=r"^module 'sero_mj' has no attribute 'Miror'$"):
         sero_mj.Miror  # noqa: B018
 
 
-def test_the_view_knows_no_simulation_and_a_simulation_the_view_in_one_folder() -> None:
+def test_viewer_does_not_import_simulate_and_simulate_imports_viewer_in_tools_only() -> None:
     modules = read_package()
     found = []
     for module in modules:
@@ -394,7 +396,7 @@ def test_the_view_knows_no_simulation_and_a_simulation_the_view_in_one_folder() 
     assert found == []
 
 
-def test_the_readme_s_map_is_the_order_that_imports_keep() -> None:
+def test_readme_map_lists_folders_in_import_order() -> None:
     text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
     mapped = re.findall(r"^\| `([\w/]+)` \| ", text.partition("## Packages")[2], re.MULTILINE)
     folders = [folder for folder in FOLDERS if not folder.startswith("extensions.")]

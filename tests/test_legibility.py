@@ -1,4 +1,4 @@
-"""Billboards read back from rendered pictures by an OCR program: what is drawn can be read."""
+"""Billboards read back from rendered images by an OCR program."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.image.render import HeadlessRenderer
 
 POSES = examples(44)  # and as many cameras
-MOST_WRONG = 0.02  # of all numbers
-ENLARGED = 2  # times, for tesseract is made for scanned print
-PANEL = 100  # of 255: the brightest that a panel is behind its letters
+MOST_WRONG = 0.02  # of all values
+ENLARGED = 2  # times, because tesseract is made for scanned print
+PANEL = 100  # of 255: the brightest background of letters
 MARGIN = 20  # pixels of white between two panels
 LINES = [
     {"value": "torques"},
     {"value": "joint_angles", "unit": "deg", "scale": 57.29577951308232, "decimals": 1},
 ]
-NUMBER = re.compile(r"-?\d+[.,]\d+")  # the font's point looks like a comma
+NUMBER = re.compile(r"-?\d+[.,]\d+")  # the font's decimal point looks like a comma
 
 
 @dataclass
 class Panel:
-    """One billboard of one picture: its pixels, and the numbers that it should show."""
+    """One billboard of an image: its pixels, and the values that it should show."""
 
     pixels: NDArray[np.uint8]
     numbers: list[str]
@@ -46,13 +46,13 @@ class Panel:
 
 
 def panels_in(renderer: HeadlessRenderer, data: mujoco.MjData, place: str) -> list[Panel]:
-    """Renders a picture and cuts out its billboards."""
+    """Renders an image and cuts out its billboards."""
     picture = renderer.render(data)
     view, geoms, joints = renderer.decor.view, renderer.decor.buffer, renderer.world.joints
     assert view is not None
     anchors, depth = view.project(data.site_xpos[joints.centre_site])
     shown = (geoms.kinds[: geoms.count] == Kind.BILLBOARD).nonzero()[0]
-    # Every joint that is in the picture has its billboard, and the others have none.
+    # Each joint inside the image has its billboard, and the others have none.
     assert sorted(geoms.items[shown]) == view.sees(anchors, depth).nonzero()[0].tolist()
     torques = data.userdata[renderer.world.slots["lwr.torques"]]
     found, taken = [], np.zeros(picture.shape[:2], bool)
@@ -71,11 +71,11 @@ def panels_in(renderer: HeadlessRenderer, data: mujoco.MjData, place: str) -> li
 
 
 def read(panels: list[Panel]) -> list[list[str]]:
-    """The numbers that tesseract finds in every panel."""
+    """Returns the values that tesseract finds in each panel."""
     crops = []
     for panel in panels:
         light = Image.fromarray(panel.pixels).convert("L")
-        # Letters are white, all else is darker: dark on white, as on paper.
+        # Letters are white and everything else is darker: inverted, as on paper.
         paper = light.point(lambda value: 255 - max(value - PANEL, 0) * 255 // (255 - PANEL))
         larger = (paper.width * ENLARGED, paper.height * ENLARGED)
         crops.append(paper.resize(larger, Image.Resampling.BICUBIC))
@@ -120,7 +120,7 @@ def world() -> World:
     reason="tesseract is not installed: apt-get install tesseract-ocr",
 )
 @pytest.mark.parametrize("size", sampled([(1280, 800), (640, 480)], 1))
-def test_an_ocr_program_reads_the_numbers_of_all_billboards(
+def test_ocr_program_reads_the_values_of_all_billboards(
     world: World, size: tuple[int, int]
 ) -> None:
     rng = np.random.default_rng(size[0])

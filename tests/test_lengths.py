@@ -1,4 +1,4 @@
-"""Tables in mm, robots a kilometre long, and files that are no scene: what is said of them."""
+"""Tables in mm, robots a kilometer long, and files that are not scenes: the messages."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def write(folder: Path, text: str) -> Path:
     return folder
 
 
-def test_a_table_in_mm_becomes_one_in_m() -> None:
+def test_table_in_mm_is_converted_to_m() -> None:
     robot = in_mm(length_unit="mm")
     expected = np.array(MM) * [1.0, 0.001, 1.0, 0.001]
     np.testing.assert_allclose(robot.dh_params, expected)
     assert robot.length_unit == "m"
-    robot.show_axes = True  # every field is checked again, and nothing converted twice
+    robot.show_axes = True  # every field is checked again, and nothing is converted twice
     np.testing.assert_allclose(robot.dh_params, expected)
     moved = SerialRobot(
         dh_convention="craig",
@@ -50,7 +50,7 @@ def test_a_table_in_mm_becomes_one_in_m() -> None:
         in_mm(length_unit="cm")
 
 
-def test_a_table_over_a_file_in_mm_is_in_m(tmp_path: Path) -> None:
+def test_table_that_overrides_one_in_mm_is_in_m(tmp_path: Path) -> None:
     folder = write(tmp_path / "arm", f'{ROBOT}length_unit = "mm"\n')
     rows = np.array(MM) * [1.0, 0.001, 1.0, 0.001]
     np.testing.assert_allclose(SerialRobot.from_model(str(folder)).dh_params, rows)
@@ -60,7 +60,7 @@ def test_a_table_over_a_file_in_mm_is_in_m(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.dh_params, rows)
 
 
-def test_the_reach_is_that_of_the_stretched_arm(lwr: SerialRobot) -> None:
+def test_reach_is_that_of_the_stretched_arm(lwr: SerialRobot) -> None:
     assert lwr.reach == pytest.approx(0.31 + 0.4 + 0.39 + 0.078)
     rng = np.random.default_rng(1)
     poses = rng.uniform(-np.pi, np.pi, (2000, 7))
@@ -79,7 +79,7 @@ def test_the_reach_is_that_of_the_stretched_arm(lwr: SerialRobot) -> None:
     assert slide.reach == pytest.approx(np.hypot(0.3, 0.9) + 2.0)
 
 
-def test_check_says_the_reach_and_what_is_implausible(
+def test_check_reports_the_reach_and_implausible_lengths(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = write(tmp_path / "arm", ROBOT)
@@ -98,12 +98,12 @@ def test_check_says_the_reach_and_what_is_implausible(
         assert warned == told
 
 
-def test_a_crane_is_no_fault_of_anybody(caplog: pytest.LogCaptureFixture) -> None:
+def test_large_crane_is_not_reported(caplog: pytest.LogCaptureFixture) -> None:
     World(Scene(robots=[in_mm(length_unit="mm", flange_frame={"xyz": [0, 0, 18.0]})]))
     assert not caplog.records
 
 
-def test_a_scene_says_what_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scene_prints_its_description(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "x.toml"
     file.write_text('description = "An arm alone"\n[robots.lwr]\nmodel = "lwr"\n')
     assert load_scene(file).description == "An arm alone"
@@ -132,7 +132,7 @@ def test_a_scene_says_what_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[s
         (b"<html></html>", "XML <html>"),
     ],
 )
-def test_a_model_of_another_format_is_told_as_what_it_is(
+def test_file_of_another_format_is_reported_with_its_format(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], contents: bytes, expected: str
 ) -> None:
     file = tmp_path / "robot.toml"
@@ -146,7 +146,7 @@ def test_a_model_of_another_format_is_told_as_what_it_is(
     assert "or URDF or MJCF in .urdf or .xml" in err
 
 
-def test_a_recording_is_no_scene(tmp_path: Path) -> None:
+def test_recording_is_rejected_as_scene(tmp_path: Path) -> None:
     (tmp_path / "x.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     with raises_with(
         reason="is a recording; expected a TOML file. Use view, render or export to open it",

@@ -1,4 +1,4 @@
-"""What a mirror hands to the user's own code, and how one waits for it."""
+"""Packets that a mirror passes to user code, and waiting for them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sero_mj.data.receive.mailbox import Packets
 
 
 @pytest.mark.parametrize("lossless", [True, False])
-def test_all_packets_that_are_applied_are_handed_on(lwr: SerialRobot, lossless: bool) -> None:
+def test_all_applied_packets_are_passed_to_the_listener(lwr: SerialRobot, lossless: bool) -> None:
     source = UdpReceiver(structure="7F", only_latest_packet=not lossless)
     scene = Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
     heard: list[tuple[str, Packets]] = []
@@ -34,12 +34,12 @@ def test_all_packets_that_are_applied_are_handed_on(lwr: SerialRobot, lossless: 
         assert mirror.data.qpos.tolist() == [0.4] * 7
         mirror.reset()
         assert mirror.data.qpos.tolist() == lwr.home.tolist()
-        assert mirror.advance()  # what was last, once more; but nothing new came
+        assert mirror.advance()  # the latest packet again, but nothing new was received
         assert mirror.data.qpos.tolist() == [0.4] * 7
         assert len(heard) == 1
 
 
-def test_packets_that_were_replaced_are_handed_on_too(lwr: SerialRobot) -> None:
+def test_superseded_packets_are_passed_to_the_listener(lwr: SerialRobot) -> None:
     source = UdpReceiver(structure="7F")
     scene = Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
     heard: list[float] = []
@@ -55,7 +55,7 @@ def test_packets_that_were_replaced_are_handed_on_too(lwr: SerialRobot) -> None:
         assert source.counters.superseded == 8
 
 
-def test_waiting_ends_when_a_packet_comes(lwr: SerialRobot) -> None:
+def test_waiting_ends_when_a_packet_arrives(lwr: SerialRobot) -> None:
     source = UdpReceiver(structure="7F")
     scene = Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
     with Mirror(scene) as mirror, socket.socket(type=socket.SOCK_DGRAM) as sock:
@@ -65,10 +65,10 @@ def test_waiting_ends_when_a_packet_comes(lwr: SerialRobot) -> None:
         sock.sendto(bytes(56), ("127.0.0.1", source.port))
         waiting.join(10.0)
         assert came == [True]
-        assert not mirror.wait_next(0.0)  # only what came since
+        assert not mirror.wait_next(0.0)  # only what has arrived since
 
 
-def test_a_picture_waits_for_a_packet_that_is_new(lwr: SerialRobot) -> None:
+def test_rendering_waits_for_a_new_packet(lwr: SerialRobot) -> None:
     source = UdpReceiver(structure="7F")
     scene = Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
     with Mirror(scene) as mirror, socket.socket(type=socket.SOCK_DGRAM) as sock:
@@ -76,7 +76,7 @@ def test_a_picture_waits_for_a_packet_that_is_new(lwr: SerialRobot) -> None:
         sock.sendto(struct.pack("<7d", *[0.1] * 7), ("127.0.0.1", source.port))
         assert source.wait(10.0)
         mirror.wait_fresh(0.0)
-        assert mirror.data.qpos.tolist() == [0.1] * 7  # the best there is
+        assert mirror.data.qpos.tolist() == [0.1] * 7  # the newest available
         waiting = threading.Thread(target=mirror.wait_fresh, args=(20.0,))
         waiting.start()
         sent = 0
@@ -88,7 +88,7 @@ def test_a_picture_waits_for_a_packet_that_is_new(lwr: SerialRobot) -> None:
         assert mirror.data.qpos.tolist() == [0.2] * 7
 
 
-def test_a_switch_follows_whether_packets_come(lwr: SerialRobot) -> None:
+def test_toggles_follow_whether_packets_arrive(lwr: SerialRobot) -> None:
     source = UdpReceiver(structure="7F")
     routes = {
         "lwr.joint_angles": "udp.values0",
@@ -108,5 +108,5 @@ def test_a_switch_follows_whether_packets_come(lwr: SerialRobot) -> None:
         sock.sendto(bytes(56), ("127.0.0.1", source.port))
         assert source.wait(5.0)
         assert switches() == [1.0, 0.0, 1.0]
-        assert switches() == [1.0, 0.0, 0.0]  # it receives, but nothing new came
+        assert switches() == [1.0, 0.0, 0.0]  # it receives, but nothing new has arrived
         assert until(lambda: switches() == [0.0, 1.0, 0.0], seconds=2.0)

@@ -1,4 +1,4 @@
-"""Robots simulated without an end: controllers, gains and targets that change while they run."""
+"""Live simulation of robots: controllers, gains and targets that change while it runs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def lwr_scene(**fields: Any) -> sero_mj.Scene:
 
 
 class Played:
-    """A scene that is simulated without an end, with what a host has of it."""
+    """A live simulation of a scene, with the parts of a viewer it needs."""
 
     def __init__(self, control: str = "joint", scene: sero_mj.Scene | None = None) -> None:
         self.mirror = Mirror(endless_scene(scene or lwr_scene(), control))  # type: ignore[arg-type]
@@ -67,7 +67,7 @@ class Played:
 
 
 @pytest.mark.parametrize("control", ["joint", "cartesian"])
-def test_the_robot_follows_its_target_smoothly(control: str) -> None:
+def test_robot_follows_its_target_smoothly(control: str) -> None:
     played = Played(control)
     wanted = BENT + np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.2, 0.5])
     played.steering.goals["lwr"].set_all(wanted)
@@ -91,7 +91,7 @@ def test_controllers_change_without_a_jump() -> None:
     played = Played("gravity")
     played.go(0.2)
     before = played.signal("commanded_torques")[-1].copy()
-    # Moved while it is free: no controller knows of the way.
+    # Moved while it is free, when no controller commands a path.
     held = played.run.plant.push("lwr/flange", force=[0.0, 25.0, 10.0])
     played.go(0.2)
     played.run.plant.release(held)
@@ -101,7 +101,7 @@ def test_controllers_change_without_a_jump() -> None:
     assert played.signal("target_angles")[-1] == pytest.approx(moved, abs=3e-3)
 
     def jump(control: str) -> float:
-        """The change of the torques when the controller is changed, Nm."""
+        """Returns the change of the torques when the controller is changed, Nm."""
         row = played.run.step
         assert played.steering.choose("lwr", control).startswith("lwr: ")
         played.go(0.02)
@@ -109,7 +109,7 @@ def test_controllers_change_without_a_jump() -> None:
         return float(np.abs(torques[row + 1] - torques[row]).max())
 
     assert np.abs(played.signal("joint_velocities")[-1]).max() > 0.1
-    assert jump("joint") < 1.0  # while it moves: so does the target
+    assert jump("joint") < 1.0  # while the robot and its target move
     played.go(1.5)
     moved = played.lwr.measured.copy()
     for control in ("cartesian", "gravity", "joint"):
@@ -120,7 +120,7 @@ def test_controllers_change_without_a_jump() -> None:
     assert np.abs(before).max() > 20
 
 
-def test_under_a_force_the_compliance_is_that_of_the_stiffness() -> None:
+def test_compliance_under_a_force_matches_the_stiffness() -> None:
     played = Played("joint")
     stiffness = np.array([900.0, 900, 500, 500, 500, 200, 200])
     assert played.lwr.change({"stiffness": stiffness}, str) == ""
@@ -135,7 +135,7 @@ def test_under_a_force_the_compliance_is_that_of_the_stiffness() -> None:
     assert np.abs(expected).max() > 0.02
 
 
-def test_gains_that_the_step_cannot_hold_are_refused_with_the_largest() -> None:
+def test_gains_unstable_at_the_step_are_rejected_with_the_largest_stable_one() -> None:
     finger = sero_mj.SerialRobot.from_model("hit_finger")
     finger = finger.model_copy(update={"torque_limits": None})
     played = Played("joint", sero_mj.Scene(robots=[finger], name="finger"))
@@ -162,7 +162,7 @@ def test_gains_that_the_step_cannot_hold_are_refused_with_the_largest() -> None:
     assert played.source.error is None
 
 
-def test_gains_act_at_once() -> None:
+def test_gains_take_effect_at_once() -> None:
     played = Played("cartesian")
     push = played.run.plant.push("lwr/flange", force=[0.0, 0.0, -40.0])
     ways = []
@@ -177,7 +177,7 @@ def test_gains_act_at_once() -> None:
     assert ways == pytest.approx([40 / 2000, 40 / 500], rel=0.05)
 
 
-def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_live_simulation_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(endless_run, "KEPT", 0.6)
     monkeypatch.setattr(endless_run, "_LOG_DURATION", 0.9)
     played = Played("joint")
@@ -195,7 +195,8 @@ def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> No
     rows = played.run.rows[: played.run.step + 1]
     assert np.diff(rows[:, 0]) == pytest.approx(1e-3)
     speeds = np.diff(played.signal("joint_angles"), axis=0) / 1e-3
-    assert speeds == pytest.approx(played.signal("joint_velocities")[1:], abs=0.02)  # no seam
+    # No discontinuity.
+    assert speeds == pytest.approx(played.signal("joint_velocities")[1:], abs=0.02)
     # The past can be seen, and not before what is kept; then it continues from the newest state.
     then = begin + 0.2
     played.clock.seek(then)
@@ -213,7 +214,7 @@ def test_it_has_no_end_and_a_bounded_past(monkeypatch: pytest.MonkeyPatch) -> No
     assert played.clock.time > newest and not played.steering.is_past
 
 
-def test_pushes_are_kept_where_the_log_is_cut(
+def test_pushes_are_stored_when_the_log_is_cut(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(endless_run, "KEPT", 0.6)
@@ -239,7 +240,7 @@ def test_pushes_are_kept_where_the_log_is_cut(
     assert said is not None and said.startswith("saved lwr_2.mcap")
 
 
-def test_after_an_error_it_starts_again() -> None:
+def test_simulation_restarts_after_an_error() -> None:
     played = Played("joint")
     played.lwr.change({"damping": np.array([0.5])}, str)
     played.source._error = SimulationError(0.1, "lwr/A2", "it runs away")
@@ -257,20 +258,20 @@ def test_after_an_error_it_starts_again() -> None:
     assert played.lwr.measured == pytest.approx(BENT, abs=1e-3)
 
 
-def test_what_cannot_be_simulated_says_why() -> None:
+def test_unsimulatable_scene_reports_why() -> None:
     scene = lwr_scene(position_limits=[[-0.1, 0.1]] * 7)
     with pytest.raises(DeclarationError, match=r"joint A1 starts at 11.46 deg"):
         endless_scene(scene)
 
 
-def test_of_a_scenario_its_scene_is_played_with() -> None:
+def test_scene_of_a_scenario_is_simulated_live() -> None:
     played = Played("joint", sero_mj.load_scene("impedance_push"))
     assert [*played.world.doubles] == ["lwr_target"] and [*played.world.scene.arrows] == ["by_hand"]
     assert played.source.about == "simulation of impedance_push"
     assert played.run.scenario.disturbances == {}
 
 
-def test_two_robots_have_targets_of_their_own() -> None:
+def test_two_robots_have_separate_targets() -> None:
     robots = [
         sero_mj.SerialRobot.from_model(
             "lwr", name=n, base_frame={"xyz": [0, y, 0]}, joint_angles=BENT
@@ -286,7 +287,7 @@ def test_two_robots_have_targets_of_their_own() -> None:
     assert right == pytest.approx(BENT, abs=1e-3)
 
 
-def test_the_panel_changes_controllers_and_gains_and_tells() -> None:
+def test_panel_changes_controllers_and_gains_and_reports() -> None:
     played = Played("joint")
     said: list[str] = []
     panel = SteeringPanel(played.steering, said.append)
@@ -322,7 +323,7 @@ POSE = frame(rotation_from_rpy(np.array([-1.5, -0.7, 0.0])), np.array([0.1, 0.05
 
 
 @pytest.mark.parametrize("handle", range(7))
-def test_handles_move_what_the_pointer_moves(handle: int) -> None:
+def test_handles_follow_the_pointer(handle: int) -> None:
     view = view_at()
     name = HANDLE_NAMES[handle]
     if handle == CUBE:
@@ -344,18 +345,18 @@ def test_handles_move_what_the_pointer_moves(handle: int) -> None:
     assert found == pytest.approx(moved, abs=1e-9), name
 
 
-def test_a_ring_seen_from_the_side_turns_along_its_edge() -> None:
+def test_ring_seen_from_the_side_rotates_along_its_edge() -> None:
     view = view_at(azimuth=0.0)
     pose = frame(np.eye(3), np.array([0.0, 0.0, 0.6]))
     x, y = view.project(pose[:3, 3])[0].tolist()
     found = dragged(pose, 5, view, (x, y), (x + 40, y))  # about z, level
     assert rotation_angle(found[:3, :3]) > 0.2
-    assert found[1, 0] > 0  # what is nearer goes to the right: a turn by the right hand about z
+    assert found[1, 0] > 0  # the near side moves right: a right-handed rotation about z
     back = dragged(pose, 5, view, (x, y), (x - 40, y))
     assert back[1, 0] == pytest.approx(-found[1, 0])
 
 
-def test_a_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
+def test_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     played = Played("cartesian")
     view = view_at()
     played.steering.advance(0.02)
@@ -379,7 +380,7 @@ def test_a_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     pose = goal.flange(played.steering.base("lwr"))
     assert pose[:3, 3] - start[:3, 3] == pytest.approx(0.05 * start[:3, 0], abs=2e-3)
     assert pose[:3, :3] == pytest.approx(start[:3, :3], abs=3e-3)
-    # Far away: it stops, says why, and shows where it was wanted.
+    # Far away: it stops, reports why, and shows the requested pose.
     far = tip + 3.0 * rows["mat"][arrow][:, 2]
     played.steering.move(tuple(view.project(far.astype(float))[0].tolist()))
     for _ in range(40):
@@ -398,19 +399,19 @@ def test_a_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     assert played.toggles.handles is None
 
 
-def test_the_links_of_a_target_are_dragged_where_it_is_apart_from_the_robot() -> None:
+def test_links_of_a_target_can_be_dragged_if_it_is_apart_from_the_robot() -> None:
     played = Played("joint")
     view = view_at()
     played.decor.lay_out(played.data, view)
     double = played.world.doubles["lwr_target"]
     there = played.data.xpos[played.world.robots["lwr"].bodies[6]]
     at = tuple(view.project(there)[0].tolist())
-    assert played.steering.grab(at) is None  # it is the robot's link: that is pulled
+    assert played.steering.grab(at) is None  # this is the robot's link, which is pulled
     played.run.plant.push("lwr/flange", force=[0.0, 60.0, -150.0])
     played.go(2.0)
     played.decor.lay_out(played.data, view)
     goal = played.steering.goals["lwr"]
-    assert goal.angles == pytest.approx(BENT)  # the robot gives way, its target does not
+    assert goal.angles == pytest.approx(BENT)  # the robot yields, its target does not
     link = played.data.xpos[double.bodies[0][6]]
     assert np.linalg.norm(link - played.data.xpos[played.world.robots["lwr"].bodies[6]]) > 0.1
     at = tuple(view.project(link)[0].tolist())
@@ -432,7 +433,7 @@ def test_the_links_of_a_target_are_dragged_where_it_is_apart_from_the_robot() ->
         (["--simulate", "--replay", "x.mcap"], "--simulate cannot be combined with --replay"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(
+def test_incompatible_options_are_rejected(
     options: list[str], why: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
@@ -441,9 +442,9 @@ def test_options_that_do_not_fit_are_refused(
 
 
 @pytest.mark.parametrize("name", ["lwr", "panda"])
-def test_an_arm_begins_where_it_can_move_and_is_loaded(name: str) -> None:
+def test_arm_starts_in_a_pose_that_can_move_and_is_loaded(name: str) -> None:
     robot = sero_mj.SerialRobot.from_model(name)
-    if name == "panda":  # as a URDF has it: no pose, and limits that zero is beyond
+    if name == "panda":  # as in a URDF: no pose, and limits that exclude zero
         robot = robot.model_copy(update={"joint_angles": None})
     q = bent_pose(robot)
     lower, upper = robot.position_limits.T
@@ -451,7 +452,7 @@ def test_an_arm_begins_where_it_can_move_and_is_loaded(name: str) -> None:
     J = robot.kinematics.jacobian(q, None, robot.T_n_flange)
     J[:3] /= robot.reach
     values = np.linalg.svd(J, compute_uv=False)
-    assert values[-1] / values[0] > 0.05  # 0.03 counts as singular
+    assert values[-1] / values[0] > 0.05  # below 0.03 counts as singular
     x, _, z = robot.fwd_kin_base_to_flange(q)[:3, 3] / robot.reach
     assert x > 0.2 and 0.2 < z < 0.6
     scene = endless_scene(sero_mj.Scene(robots=[robot], floor=False))
@@ -460,7 +461,7 @@ def test_an_arm_begins_where_it_can_move_and_is_loaded(name: str) -> None:
     assert (np.abs(run.plant.data.qfrc_bias) / robot.torque_limits).max() > 0.05
 
 
-def test_a_declared_pose_stays_and_so_does_a_robot_that_is_no_arm() -> None:
+def test_declared_poses_and_robots_that_are_not_arms_are_unchanged() -> None:
     declared = sero_mj.SerialRobot.from_model("lwr", joint_angles=np.zeros(7))
     assert bent_pose(declared).tolist() == [0.0] * 7
     torso = sero_mj.SerialRobot.from_model("justin_torso")
@@ -468,7 +469,7 @@ def test_a_declared_pose_stays_and_so_does_a_robot_that_is_no_arm() -> None:
 
 
 @pytest.mark.parametrize("name", ["hit_hand2", "dlr_hand2"])
-def test_a_hand_that_is_simulated_alone_touches_nothing_and_holds_still(name: str) -> None:
+def test_hand_simulated_alone_touches_nothing_and_does_not_move(name: str) -> None:
     run = endless_scene(load_scene(name, by_hand=True)).sources["simulation"].run
     mujoco.mj_forward(run.plant.model, run.plant.data)
     assert run.plant.data.ncon == 0

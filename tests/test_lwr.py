@@ -1,4 +1,4 @@
-"""The LWR: its numbers against their sources, its meshes, and what it exports to."""
+"""The LWR: its values against their sources, its meshes, and its exports."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SNIPPET = (
 )
 
 
-def test_table_is_the_papers_with_its_pi_to_the_last_digit(lwr):
+def test_table_equals_the_paper_with_pi_to_the_last_digit(lwr):
     # PAPER.md Fig. 7 (it writes 1.5708) and orocos_kdl kukaLWR_DHnew.cpp.
     alpha = [0, HALF_PI, -HALF_PI, -HALF_PI, HALF_PI, HALF_PI, -HALF_PI]
     expected = np.zeros((7, 4))
@@ -38,7 +38,7 @@ def test_table_is_the_papers_with_its_pi_to_the_last_digit(lwr):
     np.testing.assert_array_equal(lwr.flange_frame, expected)
 
 
-def test_limits_names_and_offsets_are_the_published_ones(lwr, lwr_world):
+def test_limits_names_and_offsets_equal_the_published_ones(lwr, lwr_world):
     # ROBOTS.md 1.1 and 1.2.
     assert lwr.names == ["A1", "A2", "E1", "A3", "A4", "A5", "A6"]
     reach = np.array([170, 120, 170, 120, 170, 120, 170]) * math.pi / 180
@@ -61,7 +61,7 @@ def test_limits_names_and_offsets_are_the_published_ones(lwr, lwr_world):
         ([1.6, 0, -1.6, -1.57, 0, 1.57, -0.8], [-0.390124, 0, 0.632311], None),
     ],
 )
-def test_flange_stands_at_the_regression_poses(lwr, lwr_world, q, position, rotation):
+def test_flange_is_at_the_regression_poses(lwr, lwr_world, q, position, rotation):
     data = lwr_world.make_data()
     lwr_world.set_input(data, "lwr.joint_angles", q)
     mujoco.mj_kinematics(lwr_world.model, data)
@@ -72,8 +72,8 @@ def test_flange_stands_at_the_regression_poses(lwr, lwr_world, q, position, rota
 
 
 def test_flange_follows_the_urdf_chain(lwr):
-    # The second route: lwr.urdf.xacro of kuka-isir/rtt_lwr, whose frames are all parallel to the
-    # base at zero (ROBOTS.md 1.1 and 1.4). Its shoulder is 0.5 mm higher than the paper's.
+    # A second computation: lwr.urdf.xacro of kuka-isir/rtt_lwr, whose frames are all parallel to
+    # the base at zero (ROBOTS.md 1.1 and 1.4). Its shoulder is 0.5 mm higher than the paper's.
     offsets = [0.102 - 0.0005, 0.2085, 0.1915, 0.2085, 0.1915, 0.1985, 0.078]
     axes = [(2, 1), (1, -1), (2, 1), (1, 1), (2, 1), (1, -1), (2, 1)]
     for q in np.random.default_rng(7).uniform(-2, 2, (50, 7)):
@@ -87,24 +87,24 @@ def test_flange_follows_the_urdf_chain(lwr):
         np.testing.assert_allclose(lwr.fwd_kin_base_to_flange(q), T, atol=1e-12)
 
 
-def test_meshes_are_few_triangles_each_in_its_links_reach(lwr, lwr_world):
+def test_meshes_have_few_triangles_near_their_links(lwr, lwr_world):
     model = lwr_world.model
     assert 0 < model.nmeshface < 9000
     assert model.ngeom == sum(map(len, lwr.filenames))
-    # Metres, not millimetres, and centred where the links are: 0.12 m round the joints' axes.
+    # Meters, not millimeters, and near the links: within 0.12 m of the joint axes.
     data = lwr_world.make_data()
     for geom in range(model.ngeom):
         mesh = model.geom_dataid[geom]
         start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         corners = model.mesh_vert[start : start + count]
         corners = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        assert np.linalg.norm(corners[:, :2], axis=1).max() < 0.13  # the arm stands upright
+        assert np.linalg.norm(corners[:, :2], axis=1).max() < 0.13  # the arm is upright
         assert corners[:, 2].min() > -1e-6 and corners[:, 2].max() < 1.1785
     tip = data.body("lwr/flange").xpos[2]
     assert tip == pytest.approx(1.178)
 
 
-def test_every_mesh_file_is_used_and_every_colour_exists(lwr):
+def test_every_mesh_file_is_used_and_every_color_exists(lwr):
     used = {mesh.file for link in lwr.filenames for mesh in link}
     assert used == {path.name for path in (paths.models_dir() / "lwr/meshes").glob("*.stl")}
     assert {mesh.color for link in lwr.filenames for mesh in link} == set(lwr.colors)
@@ -121,7 +121,7 @@ def test_shipped_scene_shows_the_lwr_without_a_problem():
 
 
 def export_scene(tmp_path) -> Scene:
-    """Everything that an export has to carry: meshes, a piece of MJCF, grown links, a pose."""
+    """Returns a scene with everything to export: meshes, MJCF, generated links, a pose."""
     (tmp_path / "source").mkdir()
     meshes = paths.models_dir() / "lwr" / "meshes"
     shutil.copy(meshes / "link7_white.stl", tmp_path / "source" / "tool.stl")
@@ -143,11 +143,11 @@ def export_scene(tmp_path) -> Scene:
     return Scene(robots=[lwr, rail], objects=[Object(name="axes", shape="axes")])
 
 
-def test_export_loads_in_plain_mujoco_and_stands_the_same(tmp_path):
+def test_export_loads_in_plain_mujoco_with_the_same_poses(tmp_path):
     scene = export_scene(tmp_path)
     world = World(scene)
     data = world.make_data()
-    shutil.rmtree(tmp_path / "source")  # the export needs nothing from where the files came
+    shutil.rmtree(tmp_path / "source")  # the export does not need the original files
     written = world.export(tmp_path / "a" / "b" / "scene.xml")
     assert written[0] == tmp_path / "a" / "b" / "scene.xml"
     folder = written[0].parent
@@ -168,14 +168,14 @@ def test_export_loads_in_plain_mujoco_and_stands_the_same(tmp_path):
     np.testing.assert_allclose(loaded.jnt_range, world.model.jnt_range, rtol=0, atol=1e-12)
 
 
-def test_exporting_twice_gives_the_same_files(tmp_path):
+def test_exporting_twice_writes_the_same_files(tmp_path):
     world = World(Scene(robots=[SerialRobot(dh_convention="craig", joint_angles=[0.5])]))
     first = world.export(tmp_path / "scene.xml")[0].read_text()
     assert world.export(tmp_path / "scene.xml")[0].read_text() == first
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml")).nkey == 1
 
 
-def test_scene_without_joints_exports_without_a_key_frame(tmp_path):
+def test_scene_without_joints_exports_without_a_keyframe(tmp_path):
     path = World(Scene()).export(tmp_path / "empty.xml")[0]
     assert mujoco.MjModel.from_xml_path(str(path)).nkey == 0
 
@@ -197,7 +197,7 @@ def test_scene_without_joints_exports_without_a_key_frame(tmp_path):
         ),
     ],
 )
-def test_an_export_weighs_what_is_simulated_and_says_what_is_estimated(tmp_path, name, kg, told):
+def test_export_has_the_simulated_mass_and_lists_estimated_values(tmp_path, name, kg, told):
     scene = load_scene(name)
     (path, *_) = World(scene).export(tmp_path / "scene.xml")
     loaded = mujoco.MjModel.from_xml_path(str(path))
@@ -212,7 +212,7 @@ def test_an_export_weighs_what_is_simulated_and_says_what_is_estimated(tmp_path,
     comment = path.read_text(encoding="utf-8").partition("-->")[0]
     for line in told:
         assert line in comment
-    # What is said of it in its file is what it weighs.
+    # The mass in the comment is that of the exported robot.
     group = paths.models_dir() / name / "group.toml"
     if group.exists():
         text = group.read_text(encoding="utf-8")
@@ -220,7 +220,7 @@ def test_an_export_weighs_what_is_simulated_and_says_what_is_estimated(tmp_path,
         assert float("".join(said)) == pytest.approx(kg, rel=0.005)
 
 
-def test_a_mass_of_zero_is_told_in_an_export(tmp_path):
+def test_zero_mass_is_noted_in_an_export(tmp_path):
     text = "[dynamics]\nmasses = [1, 0, 2]\ncenters_of_mass = [[0, 0, 0], [0, 0, 0], [0, 0, 0]]\n"
     tensors = "[[1, 1, 1, 0, 0, 0], [0, 0, 0, 0, 0, 0], [1, 1, 1, 0, 0, 0]]"
     table = 'dh_convention = "craig"\ndh_params = [[0, 0, 0, 0.2], [1, 0.2, 0, 0]]\n'

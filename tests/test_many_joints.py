@@ -1,4 +1,4 @@
-"""Robots with many joints: which of them have cards, on which side, and what a click shows."""
+"""Robots with many joints: which joints have billboards, on which side, and clicks."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def cards_of(decor: Decor) -> Panels:
 
 
 def limbs_of(decor: Decor) -> dict[str, list[bytes]]:
-    """The lines of the cards of limbs by their names."""
+    """Returns the lines of the limb billboards by limb name."""
     limbs = [panels for panels in decor.panels if panels.kind == Kind.LIMB]
     texts = [text for panels in limbs for text in panels.texts]
     return {text[0].partition(b"  ")[0].decode(): text for text in texts}
@@ -64,7 +64,7 @@ def rows_of(world: World, limb: str) -> list[int]:
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_cards_are_of_the_joints_with_the_largest_shares(size: tuple[int, int]) -> None:
+def test_joints_with_the_largest_shares_have_billboards(size: tuple[int, int]) -> None:
     snake = sero_mj.SerialRobot(
         name="human",
         dh_convention="craig",
@@ -81,7 +81,7 @@ def test_cards_are_of_the_joints_with_the_largest_shares(size: tuple[int, int]) 
     cards = cards_of(decor)
     most, count = set(np.argsort(-np.abs(shares))[:12].tolist()), len(cards.texts)
     assert set(cards.items.tolist()) <= most
-    assert count == 12 if size == SIZES[0] else 8 <= count <= 12  # as many as there is room for
+    assert count == 12 if size == SIZES[0] else 8 <= count <= 12  # as many as there is space for
     notes = [line for panels in decor.panels for lines in panels.texts for line in lines]
     assert b"billboards: %d of 62 joints, the most loaded" % count in notes
     low, high = cards.centres - cards.sizes / 2, cards.centres + cards.sizes / 2
@@ -92,10 +92,10 @@ def test_cards_are_of_the_joints_with_the_largest_shares(size: tuple[int, int]) 
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_click_shows_the_limb_before_others_and_a_second_one_hides_it(
+def test_click_shows_a_limb_first_and_a_second_one_hides_it(
     world: World, size: tuple[int, int]
 ) -> None:
-    shares = np.linspace(0.9, 0.1, 62)  # the legs have the most
+    shares = np.linspace(0.9, 0.1, 62)  # the legs have the largest shares
     data, toggles, decor = loaded(world, shares), toggles_of(world), Decor(world)
     view = view_at(distance=4.0, width=size[0], height=size[1])
     click(world, toggles, on_link(world, "l_elbow"))
@@ -116,7 +116,7 @@ def test_a_click_shows_the_limb_before_others_and_a_second_one_hides_it(
     assert "l_arm" not in limbs_of(decor)
 
 
-def test_limbs_have_one_card_each_with_their_most_loaded_joint(world: World) -> None:
+def test_limbs_have_one_billboard_each_with_their_most_loaded_joint(world: World) -> None:
     shares = np.random.default_rng(2).permutation(np.linspace(-0.9, 0.9, 62))
     data, decor = loaded(world, shares), Decor(world)
     decor.draw(data, toggles_of(world), view_at(distance=4.0, width=640, height=480))
@@ -134,12 +134,12 @@ def test_limbs_have_one_card_each_with_their_most_loaded_joint(world: World) -> 
         assert most.split()[-2:] == [b"%.0f" % (100 * np.abs(shares[mine]).max()), b"%"]
 
 
-def test_a_click_alone_shows_all_of_a_limb_on_one_side(world: World) -> None:
+def test_click_alone_shows_all_joints_of_a_limb_on_one_side(world: World) -> None:
     data, toggles, decor = loaded(world, np.full(62, 0.1)), toggles_of(world), Decor(world)
     toggles.billboards[:] = False
     click(world, toggles, on_link(world, "r_knee"))
     legs = {}
-    for azimuth in (0.0, np.pi):  # seen from behind, and from in front
+    for azimuth in (0.0, np.pi):  # seen from behind and from the front
         view = view_at(azimuth, distance=3.0)
         decor.draw(data, toggles, view)
         cards = cards_of(decor)
@@ -150,7 +150,7 @@ def test_a_click_alone_shows_all_of_a_limb_on_one_side(world: World) -> None:
     assert legs == {0.0: False, np.pi: True}
 
 
-def test_serial_robots_show_the_joint_that_was_clicked() -> None:
+def test_serial_robots_show_the_clicked_joint() -> None:
     world = World(Scene(robots=[sero_mj.SerialRobot.from_model("lwr")], floor=False))
     toggles = toggles_of(world)
     click(world, toggles, Picked("link", "lwr/link3", "lwr", 2, 1.0))
@@ -159,7 +159,7 @@ def test_serial_robots_show_the_joint_that_was_clicked() -> None:
     assert not toggles.billboards.any()
 
 
-def test_robots_in_models_of_others_have_the_same_limbs() -> None:
+def test_robots_in_third_party_models_have_the_same_limbs() -> None:
     robot = humanoid()
     own = World(Scene(robots=[robot], floor=False), dynamic=True)
     overlay = sero_mj.overlay(own.model)
@@ -172,7 +172,7 @@ def test_robots_in_models_of_others_have_the_same_limbs() -> None:
     assert found == {tuple(robot.names[i] for i in joints) for joints in names}
 
 
-def test_a_panel_lists_limbs_as_foldable_groups(world: World) -> None:
+def test_panel_lists_limbs_as_foldable_groups(world: World) -> None:
     toggles = toggles_of(world)
     ui = ScriptedWidgets({"billboards##l_arm": False})
     RobotPanel(world, toggles).build(ui)
@@ -185,7 +185,7 @@ def test_a_panel_lists_limbs_as_foldable_groups(world: World) -> None:
     assert hidden.tolist() == limbs["l_arm"]
 
 
-def test_joints_are_searched_for_and_selected(world: World) -> None:
+def test_joints_can_be_searched_and_selected(world: World) -> None:
     toggles = toggles_of(world)
     panel, selected = RobotPanel(world, toggles), list[int]()
     panel.on_select = selected.append
@@ -207,7 +207,7 @@ def test_joints_are_searched_for_and_selected(world: World) -> None:
 
 
 @pytest.mark.thorough
-def test_tables_show_the_joints_that_matter_and_files_all() -> None:
+def test_tables_show_the_most_loaded_joints_and_files_all() -> None:
     robot = humanoid("body", show_arrows=True)
     logs = []
     for stiffness in (30.0, 60.0):

@@ -1,4 +1,4 @@
-"""What a packet's arrays may hold, on real sockets: frames, NaN where it is allowed, any bytes."""
+"""Arrays in packets, on real sockets: frames, NaN where it is allowed, any bytes."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from sero_mj.data.receive.structure import are_frames
 from sero_mj.data.receive.udp import UdpReceiver
 
 NAN, INF = math.nan, math.inf
-# A quarter turn about z, at 0.5, 0, 0.25: as it stands in books, row by row.
+# A quarter turn about z at 0.5, 0, 0.25, in row-major order.
 QUARTER_TURN = [0, -1, 0, 0.5, 1, 0, 0, 0, 0, 0, 1, 0.25, 0, 0, 0, 1]
 # The same in the order of a Simulink packet.
 BY_COLUMNS = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0.5, 0, 0.25, 1]
 IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
 
-# Of this process: what other tests send to a port of 127.0.0.1 that they had does not come here.
+# An address of this process, so that packets of other tests to 127.0.0.1 do not arrive here.
 ADDRESS = "127.0.0.1"
 if sys.platform == "linux":
     ADDRESS = f"127.{1 + os.getpid() // 250 % 250}.{os.getpid() % 250}.1"
@@ -45,7 +45,7 @@ def doubles(*values: float) -> bytes:
 
 
 def changed(numbers: list[float], **entries: float) -> list[float]:
-    """The numbers with other entries: `m03=2` sets row 0, column 3 of a matrix row by row."""
+    """Returns the values with other entries: `m03=2` sets row 0, column 3 of a row-major matrix."""
     numbers = list(numbers)
     for entry, value in entries.items():
         numbers[4 * int(entry[1]) + int(entry[2])] = value
@@ -54,7 +54,7 @@ def changed(numbers: list[float], **entries: float) -> list[float]:
 
 @pytest.fixture
 def deliver() -> Iterator[Send]:
-    """Sends packets and returns the latest when the good ones among them have all arrived."""
+    """Sends packets and returns the latest once all valid packets have arrived."""
     with socket.socket(type=socket.SOCK_DGRAM) as sock:
 
         def send(receiver: UdpReceiver, *packets: bytes, good: int) -> Packet | None:
@@ -70,7 +70,7 @@ def deliver() -> Iterator[Send]:
 @pytest.mark.parametrize(
     ("column_major", "numbers"), [(True, BY_COLUMNS), (False, QUARTER_TURN)], ids=["by col", "row"]
 )
-def test_frames_and_vectors_arrive_as_they_were_sent(
+def test_frames_and_vectors_arrive_as_sent(
     deliver: Send, is_double: bool, column_major: bool, numbers: list[float]
 ) -> None:
     packet = struct.pack(
@@ -88,7 +88,7 @@ def test_frames_and_vectors_arrive_as_they_were_sent(
         assert receiver.counters == Counters(received=1, senders=1)
 
 
-def test_a_scene_says_how_matrices_come() -> None:
+def test_scene_declares_the_order_of_matrices() -> None:
     table = {"kind": "udp", "structure": "1M"}
     assert not make_source("tracker", {**table, "column_major": False}).layout.column_major
     receiver = make_source("tracker", table)
@@ -108,7 +108,7 @@ TRANSPOSED = "last row [0.4, 0, 0.3, 1]; its transpose is one: set column_major 
     [
         (True, changed(IDENTITY, m03=0.4, m23=0.3), TRANSPOSED + "false"),
         (False, changed(IDENTITY, m30=0.4, m32=0.3), TRANSPOSED + "true"),
-        # A position of 1 mm is enough to tell.
+        # A position error of 1 mm suffices to detect it.
         (
             False,
             changed(IDENTITY, m30=0.001),
@@ -124,7 +124,7 @@ TRANSPOSED = "last row [0.4, 0, 0.3, 1]; its transpose is one: set column_major 
         (True, changed(BY_COLUMNS, m33=-1.7e308), "last row [0, 0, 0, -1.7e+308]"),
     ],
 )
-def test_a_matrix_that_is_no_frame_is_counted_and_the_last_good_one_stays(
+def test_matrix_that_is_not_a_frame_is_counted_and_not_applied(
     deliver: Send, column_major: bool, numbers: list[float], why: str
 ) -> None:
     with UdpReceiver(host=ADDRESS, structure="1F1M", column_major=column_major) as receiver:
@@ -143,7 +143,7 @@ def test_a_matrix_that_is_no_frame_is_counted_and_the_last_good_one_stays(
 @pytest.mark.parametrize(
     ("wrong", "name"), [(0, "matrices0[0]"), (1, "matrices0[1]"), (2, "matrices1[0]")]
 )
-def test_the_first_matrix_that_is_no_frame_is_named(deliver: Send, wrong: int, name: str) -> None:
+def test_first_matrix_that_is_not_a_frame_is_named(deliver: Send, wrong: int, name: str) -> None:
     frames = [[*QUARTER_TURN] for _ in range(3)]
     for bad in frames[wrong:]:
         bad[0] = 2
@@ -165,7 +165,7 @@ amounts = st.sampled_from([0, 1e-9, 2e-4, 4e-4, 6e-4, 2e-3, 0.1, 3, 1e160])
     amounts,
     st.sampled_from([1, -1]),
 )
-def test_rotations_are_judged_as_those_in_files_are(
+def test_received_rotations_are_checked_like_those_in_files(
     rpy: list[float], noise: list[float], amount: float, handedness: int
 ) -> None:
     rotation = rotation_from_rpy(np.array(rpy)) * (1, 1, handedness)
@@ -186,7 +186,7 @@ def test_rotations_are_judged_as_those_in_files_are(
     st.lists(st.floats(-5, 5, width=32), min_size=3, max_size=3),
     st.booleans(),
 )
-def test_frames_in_float32_are_taken_and_handed_on_as_they_are(
+def test_float32_frames_are_accepted_and_passed_on_unchanged(
     rpy: list[float], position: list[float], column_major: bool
 ) -> None:
     matrix = np.eye(4)
@@ -196,11 +196,11 @@ def test_frames_in_float32_are_taken_and_handed_on_as_they_are(
     layout = UdpReceiver(structure="1M", double=False, column_major=column_major).layout
     values = layout.decode(packet)
     assert find_not_frame(values, ["matrices0"], column_major=column_major) == ""
-    # Off from a rotation by what float32 lacks, and not turned into one.
+    # Differs from a rotation by float32 rounding and is not corrected.
     np.testing.assert_array_equal(values["matrices0"][0], matrix.astype(np.float32))
 
 
-def test_a_value_that_is_not_finite_is_named_by_row_and_column(deliver: Send) -> None:
+def test_value_that_is_not_finite_is_named_by_row_and_column(deliver: Send) -> None:
     vectors = [0, 0, 0, 0, NAN, 0]
     with UdpReceiver(host=ADDRESS, structure="2V1M") as receiver:
         good = doubles(*[0] * 6, *IDENTITY)
@@ -213,7 +213,7 @@ def test_a_value_that_is_not_finite_is_named_by_row_and_column(deliver: Send) ->
         assert (counters.not_finite, counters.not_frames, counters.malformed) == (2, 0, 2)
 
 
-def test_where_nan_is_allowed_it_blanks_that_value_only(deliver: Send) -> None:
+def test_allowed_nan_blanks_that_value_only(deliver: Send) -> None:
     with UdpReceiver(host=ADDRESS, structure="2F3F2V") as receiver:
         receiver.allow_nan(["values1", "vectors0"])
         packet = doubles(1, 2, 3, INF, 5, 6, 7, -INF, NAN, 10, 11)
@@ -222,22 +222,22 @@ def test_where_nan_is_allowed_it_blanks_that_value_only(deliver: Send) -> None:
         np.testing.assert_array_equal(values["values1"], [3, NAN, 5])
         np.testing.assert_array_equal(values["vectors0"], [[6, 7, NAN], [NAN, 10, 11]])
         assert receiver.counters == Counters(received=1, blanked=1, senders=1)
-        # A packet without any is not counted as blanked.
+        # A packet without NaN is not counted as blanked.
         deliver(receiver, doubles(*range(11)), good=2)
         assert (receiver.counters.received, receiver.counters.blanked) == (2, 1)
 
 
-def test_elsewhere_nan_still_makes_a_packet_malformed(deliver: Send) -> None:
+def test_other_nan_makes_a_packet_malformed(deliver: Send) -> None:
     with UdpReceiver(host=ADDRESS, structure="2F1F") as receiver:
         receiver.allow_nan({"values1"})
         deliver(receiver, doubles(0, NAN, NAN), doubles(4, 5, NAN), good=1)
         assert receiver.counters.last_fault == "values0[1] is nan"
         assert (receiver.counters.malformed, receiver.counters.not_finite) == (1, 1)
-        assert receiver.counters.blanked == 1  # the second one; the first was not applied
+        assert receiver.counters.blanked == 1  # the second packet; the first was not applied
         assert receiver.latest().values["values0"].tolist() == [4.0, 5.0]
 
 
-def test_part_of_a_frame_is_none(deliver: Send) -> None:
+def test_nan_in_part_of_a_frame_blanks_the_frame(deliver: Send) -> None:
     with UdpReceiver(host=ADDRESS, structure="2M1M1F", column_major=False) as receiver:
         receiver.allow_nan(["matrices0"])
         holed = changed(QUARTER_TURN, m03=INF)
@@ -246,7 +246,7 @@ def test_part_of_a_frame_is_none(deliver: Send) -> None:
         np.testing.assert_array_equal(matrices[0].ravel(), QUARTER_TURN)
         assert np.isnan(matrices[1]).all()
         assert receiver.counters == Counters(received=1, blanked=1, senders=1)
-        # The other matrices are checked as ever, of that event and of others.
+        # The other matrices are checked as usual, in this event and in others.
         bad = changed(QUARTER_TURN, m00=2)
         deliver(receiver, doubles(*holed, *bad, *IDENTITY, 2), packet, good=2)
         assert receiver.counters.last_fault == f"matrices0[1] is not a frame: {NOT_A_ROTATION}"
@@ -258,7 +258,7 @@ def test_part_of_a_frame_is_none(deliver: Send) -> None:
         assert (counters.not_frames, counters.not_finite, counters.blanked) == (2, 1, 4)
 
 
-def test_what_is_allowed_last_counts_and_outlives_reopening(deliver: Send) -> None:
+def test_last_allowed_events_are_used_and_survive_reopening(deliver: Send) -> None:
     receiver = UdpReceiver(host=ADDRESS, structure="1F1F")
     receiver.allow_nan(["values0"])
     for _ in range(2):
@@ -271,7 +271,7 @@ def test_what_is_allowed_last_counts_and_outlives_reopening(deliver: Send) -> No
         assert (receiver.counters.not_finite, receiver.counters.blanked) == (1, 0)
 
 
-def test_nan_in_an_event_that_is_not_there_is_refused() -> None:
+def test_nan_in_an_unknown_event_is_rejected() -> None:
     receiver = UdpReceiver(structure="1F1V")
     receiver.allow_nan(["values0"])
     with raises_with(UnknownName, kind="event", name="values7", near="values0"):
@@ -286,7 +286,7 @@ packets = st.one_of(
     two_doubles.map(lambda values: struct.pack("<2d", *values)),
     st.binary(min_size=16, max_size=16),
     st.binary(max_size=64),
-    # To the longest that UDP carries, from a pattern: hypothesis itself makes no 64 KiB.
+    # Up to the longest that UDP carries, from a pattern: hypothesis does not generate 64 KiB.
     st.builds(
         lambda length, pattern: (pattern * (length // len(pattern) + 1))[:length],
         st.integers(0, 65_507),
@@ -315,7 +315,7 @@ def test_any_bytes_are_applied_whole_or_counted(packet: bytes) -> None:
         address = (ADDRESS, receiver.port)
         for each in (before, packet, b""):
             sock.sendto(each, address)
-        # When the third is counted, the second has been dealt with.
+        # When the third packet is counted, the second has been processed.
         assert until(lambda: receiver.counters.received == 3 or not runs("fuzzed"))
         assert runs("fuzzed"), "the thread died"
         latest = receiver.latest()

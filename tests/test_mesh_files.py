@@ -1,4 +1,4 @@
-"""Mesh files of any format as pieces that MuJoCo compiles, and the files that descriptions name."""
+"""Mesh files of any format as pieces that MuJoCo compiles, and finding files that robots name."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BOX = trimesh.creation.box((1.0, 2.0, 3.0))
 
 
 def compiled(piece: MeshPiece, scale: float = 1.0) -> Array:
-    """Vertices (k, 3) of what MuJoCo makes of a piece."""
+    """Returns the vertices (k, 3) that MuJoCo compiles from a piece."""
     spec = mujoco.MjSpec()
     spec.assets[f"piece{piece.ending}"] = piece.contents
     shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
@@ -51,7 +51,7 @@ def refused(path: Path) -> str:
 
 
 @pytest.mark.parametrize("ending", ["stl", "obj", "ply", "off", "glb", "dae"])
-def test_a_box_is_a_box_in_every_format(tmp_path: Path, ending: str) -> None:
+def test_box_is_read_in_every_format(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"box.{ending.upper()}"
     trimesh.Scene([BOX]).export(path, file_type=ending) if ending == "glb" else BOX.export(
         path, file_type=ending
@@ -65,13 +65,13 @@ def test_a_box_is_a_box_in_every_format(tmp_path: Path, ending: str) -> None:
 
 
 @pytest.mark.slow
-def test_an_stl_in_ascii_and_one_with_too_many_faces_are_converted(tmp_path: Path) -> None:
+def test_ascii_stl_and_stl_with_too_many_faces_are_converted(tmp_path: Path) -> None:
     path = tmp_path / "ascii.stl"
     path.write_text(trimesh.exchange.stl.export_stl_ascii(BOX), encoding="ascii")
     (piece,) = read_mesh(path)
     assert piece.ending == ".msh" and np.ptp(compiled(piece), axis=0) == pytest.approx([1, 2, 3])
     path = tmp_path / "fine.stl"
-    facets = np.zeros(200_001, mesh_files._FACET)  # MuJoCo takes 200,000
+    facets = np.zeros(200_001, mesh_files._FACET)  # MuJoCo accepts 200,000
     facets["corners"] = np.tile(BOX.triangles, (20_000, 1, 1))[: len(facets)]
     path.write_bytes(bytes(80) + struct.pack("<I", len(facets)) + facets.tobytes())
     (piece,) = read_mesh(path)
@@ -109,14 +109,14 @@ COLLADA = """<?xml version="1.0"?>
 """
 
 
-def test_collada_has_units_nodes_and_colours(tmp_path: Path) -> None:
+def test_collada_units_nodes_and_colors_are_read(tmp_path: Path) -> None:
     Image.new("RGB", (4, 4), (255, 128, 0)).save(tmp_path / "orange.png")
     path = tmp_path / "two.dae"
     path.write_text(COLLADA.format(picture="orange.png", second="pic"), encoding="utf-8")
     red, orange = read_mesh(path)
     assert red.rgba == (0.8, 0.1, 0.2, 1.0)
     assert orange.rgba == pytest.approx((1.0, 128 / 255, 0.0, 1.0), abs=1e-4)
-    # Millimetres; the file's own axes, whatever it says is up; mirrored at y, turned about z.
+    # Millimeters; the file's own axes, regardless of its up axis; mirrored at y, rotated about z.
     assert np.allclose(np.ptp(compiled(orange), axis=0), [0.1, 0.2, 0.3])
     corners = compiled(red)
     assert np.allclose(corners.min(axis=0), [1.0, 0.0, 0.0], atol=1e-6)
@@ -133,7 +133,7 @@ def test_collada_has_units_nodes_and_colours(tmp_path: Path) -> None:
          "<transparency><float>0.5</float></transparency>", 0.6, "opacity 0.6"),
         ('<transparent opaque="A_ZERO"><color>1 1 1 0.3</color></transparent>', 0.7, "opacity 0.7"),
         ("<transparency><float>0.4</float></transparency>", 0.4, "opacity 0.4"),
-        # What some exporters write for opaque.
+        # Some exporters write this for opaque.
         ("<transparency><float>0</float></transparency>", 1.0, "'red' would be invisible"),
     ],
 )  # fmt: skip
@@ -161,7 +161,7 @@ TWO_SIDES = (
      ("", 1.0), ("d 0", 1.0), ("d nan", 1.0), ("d x", 1.0)],
 )  # fmt: skip
 @pytest.mark.parametrize("is_one", [False, True])  # one colour: the file is passed on
-def test_transparency_of_obj_materials(
+def test_transparency_of_obj_materials_is_read(
     tmp_path: Path, material: str, alpha: float, is_one: bool
 ) -> None:
     blue = f"newmtl light  blue\nKd 0.1 0.2 0.8\n{material}\n"
@@ -234,7 +234,7 @@ def test_urdf_material_opacity_applies_to_meshes(
 
 
 def faces_of(piece: MeshPiece) -> Array:
-    """Corners (f, 3, 3) of a piece in MuJoCo's own format."""
+    """Returns corners (f, 3, 3) of a piece in MuJoCo's own format."""
     counts = struct.unpack("<4i", piece.contents[:16])
     vertices = np.frombuffer(piece.contents, "<f4", 3 * counts[0], 16).reshape(-1, 3)
     faces = np.frombuffer(
@@ -243,16 +243,16 @@ def faces_of(piece: MeshPiece) -> Array:
     return vertices[faces.reshape(-1, 3)].astype(np.float64)
 
 
-def test_mirrored_nodes_keep_their_faces_outside(tmp_path: Path) -> None:
+def test_mirrored_nodes_have_outward_faces(tmp_path: Path) -> None:
     path = tmp_path / "two.dae"
     path.write_text(COLLADA.format(picture="none.png", second="red"), encoding="utf-8")
-    (both,) = read_mesh(path)  # of one colour: one piece
+    (both,) = read_mesh(path)  # one color: one piece
     a, b, c = np.moveaxis(faces_of(both), 1, 0)
     volume = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
     assert volume.sum() == pytest.approx(2 * 0.1 * 0.2 * 0.3 / 6)
 
 
-def test_an_unreadable_material_loses_only_the_color(tmp_path: Path) -> None:
+def test_unreadable_material_loses_only_the_color(tmp_path: Path) -> None:
     path = tmp_path / "two.dae"
     text = COLLADA.format(picture="none.png", second="pic").replace(
         '<image id="i">', '<image id="j">'
@@ -263,7 +263,7 @@ def test_an_unreadable_material_loses_only_the_color(tmp_path: Path) -> None:
 
 
 @pytest.mark.extensions
-def test_vrml_has_material_colors(tmp_path: Path) -> None:
+def test_vrml_material_colors_are_read(tmp_path: Path) -> None:
     path = tmp_path / "two.wrl"
     path.write_text(
         "#VRML V2.0 utf8\nTransform { translation 1 0 0 children Shape {\n"
@@ -280,7 +280,7 @@ def test_vrml_has_material_colors(tmp_path: Path) -> None:
     assert refused(path) == "two.wrl:2: the { of Transform is not closed"
 
 
-def test_obj_files_have_material_colors(tmp_path: Path) -> None:
+def test_obj_material_colors_are_read(tmp_path: Path) -> None:
     (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\nnewmtl b\nKd 0 0 1\n", encoding="utf-8")
     points = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
     path = tmp_path / "one.obj"
@@ -300,7 +300,7 @@ FORMS = {"v": "{0}", "v/t": "{0}/9", "v//n": "{0}//9", "v/t/n": "{0}/9/9"}
 
 @pytest.mark.parametrize("last", [0, 1])
 @pytest.mark.parametrize("forms", [*FORMS, "v v/t/n", "v//n v/t", "v/t v v/t/n v//n"])
-def test_corners_of_faces_have_any_form(tmp_path: Path, forms: str, last: int) -> None:
+def test_obj_face_corners_are_read_in_any_form(tmp_path: Path, forms: str, last: int) -> None:
     texts = [FORMS[form] for form in forms.split()]
     points = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
     corners = TETRAHEDRON.flatten()
@@ -348,8 +348,8 @@ def test_invalid_meshes_are_rejected(
     assert refused(tmp_path / name).startswith(expected)
 
 
-def test_a_missing_mesh_is_reported_with_its_line(tmp_path: Path) -> None:
-    """Of a robot by itself, without a scene's file."""
+def test_missing_mesh_is_reported_with_its_line(tmp_path: Path) -> None:
+    """A robot without a scene file."""
     file = tmp_path / "crane" / "robot.toml"
     file.parent.mkdir()
     rows = "dh_params = [[0, 0, 0, 0.3]]"
@@ -361,7 +361,7 @@ def test_a_missing_mesh_is_reported_with_its_line(tmp_path: Path) -> None:
 
 
 def corrupted(contents: bytes, data: st.DataObject) -> bytes:
-    """A file with a few bytes that are others, more, or missing."""
+    """Returns a file with a few bytes changed, added, or removed."""
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(contents) - 1))
         cut = data.draw(st.integers(0, 8))
@@ -415,7 +415,7 @@ def test_meshes_are_cached_until_the_file_changes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("head", [b"", b"solid made by "])
-def test_a_truncated_stl_reports_how_many_triangles_it_has(tmp_path: Path, head: bytes) -> None:
+def test_truncated_stl_reports_how_many_triangles_it_has(tmp_path: Path, head: bytes) -> None:
     path = tmp_path / "box.stl"
     BOX.export(path)
     whole = path.read_bytes()
@@ -457,7 +457,7 @@ def package(tmp_path: Path) -> Path:
     [
         "package://my_arm/meshes/box.stl",
         "package://my_arm//meshes/box.stl",
-        "package://other/meshes/box.stl",  # a copy of it, under another name
+        "package://other/meshes/box.stl",  # a copy with another name
         "model://my_arm/meshes/in%20box/box.stl",
         "../meshes/box.stl",
         "meshes/box.stl",

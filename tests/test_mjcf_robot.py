@@ -1,4 +1,4 @@
-"""Robots from MJCF: the same kinematics, dynamics and looks as their file compiled by itself."""
+"""Robots from MJCF: the same kinematics, dynamics and looks as the compiled file."""
 
 import logging
 from importlib.util import find_spec
@@ -21,8 +21,8 @@ from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.importers.mjcf_robot import mjcf_tables, tree_of
 from sero_mj.simulate import external_loads
 
-# Several joints on a body, joint values that start elsewhere, frames, classes, a closed-over
-# wrist, a coupling, a drive by a tendon, a ball that lies about, textures and a mesh.
+# Several joints on a body, joint values with an offset, frames, classes, an enclosed wrist, a
+# coupling, an actuated tendon, a free ball, textures and a mesh.
 TWO_LEGS = """
 <mujoco model="two legs">
   <compiler angle="degree" eulerseq="zyx"/>
@@ -119,7 +119,7 @@ def test_joints_limits_and_couplings_match_the_file(robot, caplog):
     np.testing.assert_allclose(limits[[0, 1, 3]], [[-60, 60], [-90, 45], [0, 150]])
     np.testing.assert_allclose(robot.position_limits[5], [0, 0.1])
     assert robot.position_limits[2].tolist() == [-inf, inf]
-    # A motor's range times its gear; the lower of the joint's and the drive's; none is stated.
+    # The motor range times its gear, or the lower limit of joint and actuator; one is undeclared.
     assert robot.torque_limits.tolist() == [50, inf, inf, 60, inf, inf, inf]
     coupling = robot.couplings["right follower"]
     assert (coupling.to, coupling.ratio) == ("right hip", -0.5)
@@ -129,7 +129,7 @@ def test_joints_limits_and_couplings_match_the_file(robot, caplog):
     assert robot.free_base and robot.flange_on == "left knee"
 
 
-def test_warnings_name_what_is_left_out(path, caplog):
+def test_warnings_name_ignored_elements(path, caplog):
     text = path.read_text()
     more = '<geom type="plane" size="3 3 1"/><geom name="wall" size="1 1 1"/><camera name="side"/>'
     text = text.replace("<worldbody>", f"<worldbody>{more}<site name='s1'/><site name='s2'/>", 1)
@@ -187,13 +187,13 @@ def seen_geoms(world, name="legs"):
     ]  # fmt: skip
 
 
-def test_geoms_keep_poses_meshes_and_materials(robot, path):
+def test_geoms_have_the_same_poses_meshes_and_materials(robot, path):
     world = World(Scene(robots=[robot], floor=False))
     alone = mujoco.MjModel.from_xml_path(str(path))
     data, own = mujoco.MjData(alone), world.make_data()
     data.qpos[:] = alone.key_qpos[0]
     own.qpos[world.robots["legs"].qpos] = robot.home
-    # The key frame does not have the coupled joint where its coupling has it.
+    # In the keyframe, the coupled joint does not satisfy its coupling.
     data.qpos[alone.jnt("right follower").qposadr] = robot.home[6]
     mujoco.mj_forward(alone, data)
     mujoco.mj_forward(world.model, own)
@@ -223,7 +223,7 @@ def test_geoms_keep_poses_meshes_and_materials(robot, path):
     np.testing.assert_allclose(one, other, atol=1e-6)
 
 
-def test_a_mesh_with_several_normals_at_a_vertex_keeps_them(tmp_path):
+def test_mesh_with_several_normals_at_a_vertex_keeps_them(tmp_path):
     corners = [f"v {x} {y} {z}" for x in (0, 0.1) for y in (0, 0.2) for z in (0, 0.3)]
     normals = [f"vn {x} {y} {z}" for x, y, z in np.concatenate([np.eye(3), -np.eye(3)])]
     squares = [(5, 7, 8, 6), (3, 4, 8, 7), (2, 6, 8, 4), (1, 2, 4, 3), (1, 5, 6, 2), (1, 3, 7, 5)]
@@ -255,7 +255,7 @@ def test_collision_geoms_touch_with_their_friction(robot):
     model = world.model
     touching = [g for g in range(model.ngeom) if model.geom_group[g] == 4]
     kinds = sorted(int(model.geom_type[g]) for g in touching)
-    assert len(kinds) == 6  # all but the capsule that is only seen
+    assert len(kinds) == 6  # all except the visual-only capsule
     feet = [g for g in touching if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_ELLIPSOID]
     np.testing.assert_allclose(model.geom_friction[feet[0]], [0.9, 0.1, 0.1])
     trunk, foot = model.body("legs/").id, model.body("legs/link4").id
@@ -268,7 +268,7 @@ def test_collision_geoms_touch_with_their_friction(robot):
     assert data.qpos[world.robots["legs"].free[2]] > 0.0
 
 
-def test_a_scene_has_robots_of_several_files_with_doubles(path, tmp_path):
+def test_scene_has_robots_of_several_files_with_doubles(path, tmp_path):
     (tmp_path / "arm.xml").write_text(ARM)
     (tmp_path / "s.toml").write_text("""
 [robots.one]
@@ -295,7 +295,7 @@ of = "one"
     assert np.unique(model.geom_rgba[doubled], axis=0).shape == (1, 4)
 
 
-def test_a_single_robot_stands_on_the_floor(path):
+def test_single_robot_is_on_the_floor(path):
     world = World(load_scene(path), dynamic=True)
     model, data = world.model, world.make_data()
     floor = data.geom("floor").xpos[2]
@@ -340,7 +340,7 @@ def test_ball_joints_are_fixed_with_a_warning(caplog):
     assert "ball joints are fixed, because they have no single axis: wrist" in caplog.text
 
 
-def test_mjcf_objects_in_python_can_be_robots():
+def test_mjspec_and_mjcf_text_can_be_robots():
     spec = mujoco.MjSpec.from_string(ARM)
     one, other = SerialRobot.from_mjcf(spec, name="a"), SerialRobot.from_mjcf(ARM, name="b")
     assert one.names == other.names
@@ -349,7 +349,7 @@ def test_mjcf_objects_in_python_can_be_robots():
     assert world.model.njnt == 4
 
 
-def test_a_different_number_of_joints_is_rejected(path):
+def test_different_number_of_joints_is_rejected(path):
     robot = SerialRobot(
         joint_frames=[np.eye(4)], mjcf=path.name, directory=str(path.parent), name="legs"
     )
@@ -363,7 +363,7 @@ def test_collision_geoms_are_not_drawn_over_visual_ones():
     text = ARM.replace('<geom size="0.1"/>', f'{looks}<geom size="0.1" group="0"/>')
     world = World(Scene(robots=[SerialRobot.from_mjcf(text, name="arm")]))
     kinds = [int(world.model.geom_type[g]) for g in seen_geoms(world, "arm")]
-    # The first link's ball only touches; the second link has nothing else to be seen.
+    # The first link's sphere is collision-only. The second link has no other geom to draw.
     assert kinds == [int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_SPHERE)]
 
 
@@ -478,7 +478,7 @@ def test_couplings_are_the_linear_constraints_of_joints_and_tendons(caplog):
     with caplog.at_level(logging.WARNING):
         robot = SerialRobot.from_mjcf(COUPLED, name="arm")
     coupled = {name: coupling.to for name, coupling in robot.couplings.items()}
-    # The joint with an actuator is independent, whichever side of the constraint it is on.
+    # The joint with an actuator is independent, on either side of the constraint.
     assert coupled == {"j2": "j1", "j7": "j2", "j4": "j3", "j6": "j5"}
     model = mujoco.MjModel.from_xml_string(COUPLED)
     data = mujoco.MjData(model)
@@ -498,7 +498,7 @@ def test_couplings_are_the_linear_constraints_of_joints_and_tendons(caplog):
         assert f"the constraint of {who} is left out: {reason}" in caplog.text
 
 
-def test_the_palm_of_a_gripper_carries_the_flange():
+def test_palm_of_a_gripper_carries_the_flange():
     finger = '<body><joint name="{0}" type="slide" axis="0 1 0"/><geom size="0.01"/></body>'
     robot = SerialRobot.from_mjcf(
         f"""<mujoco><worldbody><body><joint name="j1"/><geom size="0.1"/>
@@ -511,13 +511,13 @@ def test_the_palm_of_a_gripper_carries_the_flange():
     np.testing.assert_allclose(robot.fwd_kin_base_to_flange()[:3, 3], [0, 0, 0.3], atol=1e-12)
 
 
-def test_a_keyframe_is_the_initial_pose_of_coupled_joints():
+def test_keyframe_is_the_initial_pose_of_coupled_joints():
     key = '<keyframe><key name="home" qpos="0.5 9 1 9 2 9 9 9"/></keyframe></mujoco>'
     robot = SerialRobot.from_mjcf(COUPLED.replace("</mujoco>", key), name="arm")
     np.testing.assert_allclose(robot.home, robot.coupled.positions(np.array([0.5, 1.0, 2.0])))
 
 
-def test_frames_have_names_of_joints_and_links(path, tmp_path):
+def test_frames_are_named_by_joints_and_links(path, tmp_path):
     (tmp_path / "s.toml").write_text("""
 [robots.legs]
 model = "two-legs.xml"
@@ -560,7 +560,7 @@ relative_to = "legs/trunk"
     assert world.robots["legs"].own_link_names[4] == "legs/left shank"
 
 
-def test_a_push_at_a_link_of_the_file_is_shown_there(path, tmp_path):
+def test_push_at_a_link_of_the_file_is_shown_there(path, tmp_path):
     (tmp_path / "s.toml").write_text("""
 [robots.legs]
 model = "two-legs.xml"
@@ -578,7 +578,7 @@ force = [0, 0, 1]
     assert (scene.frames[arrow.at].relative_to, arrow.expressed_in) == ("legs/link4", "legs/base")
 
 
-def test_an_unknown_frame_is_reported_with_known_frames(path, tmp_path):
+def test_unknown_frame_is_reported_with_known_frames(path, tmp_path):
     (tmp_path / "s.toml").write_text("""
 [robots.legs]
 model = "two-legs.xml"
@@ -651,7 +651,7 @@ def test_implausible_values_are_clipped_or_ignored(tmp_path):
         ('<key qpos="0.4"/><key name="home" qpos="0.3"/>', [0.3]),
     ],
 )
-def test_a_single_unnamed_keyframe_is_the_initial_pose(tmp_path, keys, expected):
+def test_single_unnamed_keyframe_is_the_initial_pose(tmp_path, keys, expected):
     text = ALONE.format('<joint/><geom size="0.1"/>')
     keyed = text.replace("</mujoco>", f"<keyframe>{keys}</keyframe></mujoco>")
     (tmp_path / "arm.xml").write_text(keyed)
@@ -725,7 +725,7 @@ IDIOM = (
          (False, "free_base", [0, 0, 1])),
     ],
 )  # fmt: skip
-def test_a_passive_platform_is_a_free_base_at_its_keyframe(joints, actuator, key, expected):
+def test_passive_platform_is_a_free_base_at_its_keyframe(joints, actuator, key, expected):
     text = MOBILE.format(joints, actuator, key)
     robot = SerialRobot.from_mjcf(text, name="mobile")
     assert (robot.free_base, robot.base_joint, robot.base_normal.tolist()) == expected

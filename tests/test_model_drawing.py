@@ -1,4 +1,4 @@
-"""Parts of the model: which geoms they have, which options surfaces, and what costs nothing."""
+"""Drawing of model details: their geoms, surface options, and no cost if they are off."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def rows_of(mirror: Mirror, *names: str) -> np.ndarray:
 # ---- which geoms
 
 
-def test_nothing_is_asked_of_mujoco_while_everything_is_off(
+def test_nothing_is_computed_by_mujoco_while_everything_is_off(
     touching: Mirror, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*given: object) -> None:
@@ -62,8 +62,9 @@ def test_nothing_is_asked_of_mujoco_while_everything_is_off(
     assert len(rows_of(touching, "transparent", "wireframe", "part_names")) == 0
 
 
-def test_a_contact_is_where_the_probe_touches_the_table(touching: Mirror) -> None:
-    (row,) = rows_of(touching, "contacts")  # forces are not known of what is only shown
+def test_contact_is_where_the_probe_touches_the_table(touching: Mirror) -> None:
+    # Contact forces are unknown for a model that is only displayed.
+    (row,) = rows_of(touching, "contacts")
     assert row["type"] == GEOM.mjGEOM_CYLINDER
     world, data = touching.world, touching.data
     tip = world.model.geom("lwr/probe").id
@@ -71,10 +72,10 @@ def test_a_contact_is_where_the_probe_touches_the_table(touching: Mirror) -> Non
     np.testing.assert_allclose(row["pos"][:2], end[:2], atol=0.004)
     assert row["pos"][2] == pytest.approx(0.15, abs=0.004)  # the table's top
     np.testing.assert_allclose(np.abs(row["mat"][:, 2]), [0, 0, 1], atol=1e-6)
-    assert data.ncon == 0  # the data that is shown is left as it is
+    assert data.ncon == 0  # the displayed data is not changed
 
 
-def test_inertias_are_boxes_of_the_masses_of_simulation(touching: Mirror) -> None:
+def test_inertias_are_boxes_of_the_simulated_masses(touching: Mirror) -> None:
     rows, world, data = rows_of(touching, "inertias"), touching.world, touching.data
     of = dynamics_of(world.scene)["lwr"]
     assert len(rows) == 8  # neither of doubles nor of the table
@@ -88,7 +89,7 @@ def test_inertias_are_boxes_of_the_masses_of_simulation(touching: Mirror) -> Non
         np.testing.assert_allclose(inertia, of.tensors[k], atol=2e-5)
 
 
-def test_joints_and_the_centre_of_mass_are_where_they_are(touching: Mirror) -> None:
+def test_joint_axes_and_center_of_mass_are_drawn_at_their_positions(touching: Mirror) -> None:
     world, data = touching.world, touching.data
     rows = rows_of(touching, "joint_axes")
     np.testing.assert_allclose(rows["pos"], data.xanchor, atol=1e-6)
@@ -100,7 +101,7 @@ def test_joints_and_the_centre_of_mass_are_where_they_are(touching: Mirror) -> N
     np.testing.assert_allclose(row["pos"], of.masses @ centres / of.masses.sum(), atol=1e-6)
 
 
-def test_forces_of_a_users_own_model_hold_its_weight() -> None:
+def test_contact_forces_of_a_user_model_hold_its_weight() -> None:
     model, data = arm()
     for _ in range(1500):
         mujoco.mj_step(model, data)
@@ -117,13 +118,13 @@ def test_forces_of_a_users_own_model_hold_its_weight() -> None:
     np.testing.assert_allclose(np.abs(forces["mat"][cube][:, 2]), [0, 0, 1], atol=0.05)
     for was, now in zip(before, (data.contact.pos, data.efc_force, data.qacc), strict=True):
         np.testing.assert_array_equal(was, now)
-    assert model.vis.map.force == np.float32(0.005)  # the user's is not changed
+    assert model.vis.map.force == np.float32(0.005)  # the user's model is not changed
 
 
 # ---- surfaces
 
 
-def test_what_moves_is_transparent_and_pages_agree_with_mujoco(touching: Mirror) -> None:
+def test_moving_links_are_transparent_and_pages_agree_with_mujoco(touching: Mirror) -> None:
     world, data, toggles = touching.world, touching.data, Toggles(touching.world)
     scene = mujoco.MjvScene(world.model, maxgeom=2000)
     rows = {}
@@ -158,7 +159,7 @@ def test_what_moves_is_transparent_and_pages_agree_with_mujoco(touching: Mirror)
         ("geoms", ["floor", "table", "lwr/probe"]),
     ],
 )
-def test_names_stand_at_what_the_model_has(
+def test_names_are_drawn_at_the_parts_of_the_model(
     touching: Mirror, what: str, expected: list[str]
 ) -> None:
     world, data = touching.world, touching.data
@@ -177,7 +178,7 @@ def test_names_stand_at_what_the_model_has(
     labels = [each for each in decor.panels if each.kind == Kind.PART]
     texts = [lines[0].decode() for each in labels for lines in each.texts]
     assert set(texts) <= set(expected) and len(texts) >= 0.6 * len(expected)
-    for each in labels:  # where it is crowded some are left out, and none is far away
+    for each in labels:  # in crowded places some are omitted, and none is far away
         pixels, _ = view.project(places[[names.index(text) for text in texts]])
         assert np.abs(each.centres - pixels)[:, 1].max() < 6 * each.sizes[0, 1]
         apart = np.abs(each.centres[:, None] - each.centres)
@@ -185,10 +186,10 @@ def test_names_stand_at_what_the_model_has(
         assert (clear.any(axis=2) | np.eye(len(texts), dtype=bool)).all()
 
 
-# ---- commands and hosts
+# ---- commands, windows and pages
 
 
-def test_a_command_has_the_switches_and_refuses_others(touching: Mirror) -> None:
+def test_command_line_switches_are_applied_and_invalid_ones_rejected(touching: Mirror) -> None:
     toggles = Toggles(touching.world)
     apply_switches(touching.world, toggles, {"contacts": "1", "part_names": "3"})
     assert (toggles.contacts, toggles.part_names) == (True, 3)
@@ -202,7 +203,7 @@ def test_a_command_has_the_switches_and_refuses_others(touching: Mirror) -> None
 
 
 @pytest.mark.gl
-def test_pictures_have_red_inertias_in_a_transparent_arm(touching: Mirror) -> None:
+def test_images_show_red_inertias_in_a_transparent_arm(touching: Mirror) -> None:
     with HeadlessRenderer(touching.world, 320, 240, quality="draft") as renderer:
         renderer.toggles.arrows[:] = renderer.toggles.vectors[:] = False
         renderer.toggles.doubles[:] = False
@@ -216,7 +217,7 @@ def test_pictures_have_red_inertias_in_a_transparent_arm(touching: Mirror) -> No
 
 
 @pytest.mark.slow
-def test_check_boxes_of_a_page_are_undone_and_copied(page: WebHost, client: PageClient) -> None:  # noqa: F811
+def test_check_boxes_of_a_page_can_be_undone(page: WebHost, client: PageClient) -> None:  # noqa: F811
     assert client.state["shading"] == {"transparent": False, "wireframe": False}
     page.clock.pause()
     client.say("fold", tree="panel", id="Model", open=True)
@@ -238,14 +239,14 @@ def test_check_boxes_of_a_page_are_undone_and_copied(page: WebHost, client: Page
     assert not page.toggles.inertias and page.toggles.part_names == 0
 
 
-def test_a_program_opens_the_panel_of_a_page(page: WebHost, client: PageClient) -> None:  # noqa: F811
+def test_program_opens_the_panel_of_a_page(page: WebHost, client: PageClient) -> None:  # noqa: F811
     page.toggle("shows_panel")
     client.until(lambda: client.state["panel"] is None)
     page.shows_panel = True
     client.until(lambda: client.state["panel"])
 
 
-def test_doubles_of_an_overlay_are_more_bodies_of_a_page() -> None:
+def test_doubles_of_an_overlay_are_additional_bodies_of_a_page() -> None:
     model, data = arm()
     ends = [[0.5, 0.4, 0.3, 0.02], [1.0, 0.8, 0.6, 0.04]]
     doubles = [Double(name="goal", of="arm"), Double(name="way", of="arm", path=ends)]
@@ -270,7 +271,7 @@ def test_doubles_of_an_overlay_are_more_bodies_of_a_page() -> None:
         for k, link in enumerate(links):
             np.testing.assert_allclose(places[4 * row + k], other.body(link).xpos, atol=1e-9)
             np.testing.assert_allclose(turns[4 * row + k], other.body(link).xquat, atol=1e-9)
-    assert opacity[0] == 0  # it stands where the arm's own does
+    assert opacity[0] == 0  # it coincides with the arm
     assert (opacity[[1, 2, 3]] > 0.5).all()
     run = encode(capture_pose(world, data, mujoco.MjvCamera()), "")
     head = json.loads(run[4 : 4 + int.from_bytes(run[:4], "little")])
@@ -283,6 +284,6 @@ def test_doubles_of_an_overlay_are_more_bodies_of_a_page() -> None:
     }
 
 
-def test_a_world_with_masses_is_drawn_as_it_is() -> None:
+def test_world_with_masses_is_drawn_without_a_copy() -> None:
     world = World(Scene(robots=[sero_mj.SerialRobot.from_model("lwr")]), dynamic=True)
     assert world.weighed() is world.model

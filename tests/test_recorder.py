@@ -73,7 +73,7 @@ def held_decoder(event: threading.Event, entered: threading.Event) -> Any:
     return decode
 
 
-def test_packets_of_several_threads_are_all_there_in_their_order(tmp_path: Path) -> None:
+def test_packets_of_several_threads_are_recorded_in_order(tmp_path: Path) -> None:
     path, names = tmp_path / "a.mcap", ("one", "two", "three")
 
     def send(name: str) -> None:
@@ -98,7 +98,7 @@ def test_packets_of_several_threads_are_all_there_in_their_order(tmp_path: Path)
     assert recorder.error is None
 
 
-def test_rows_are_copied_and_as_long_as_they_say(tmp_path: Path) -> None:
+def test_rows_are_copied_and_truncated_to_their_lengths(tmp_path: Path) -> None:
     rows = np.arange(40, dtype=np.uint8).reshape(4, 10)
     lengths = np.array([10, 3, 0, 99])
     with begin(tmp_path / "a.mcap") as recorder:
@@ -116,7 +116,7 @@ def test_rows_are_copied_and_as_long_as_they_say(tmp_path: Path) -> None:
     ]
 
 
-def test_what_packets_mean_is_there_for_the_good_ones(tmp_path: Path) -> None:
+def test_decoded_values_are_recorded_for_valid_packets(tmp_path: Path) -> None:
     now = time.monotonic()
     with begin(tmp_path / "a.mcap", signals_rate=1000.0) as recorder:
         give(recorder, "arm", [packet(3), b"short", packet(6)], [now, now, now])
@@ -130,7 +130,7 @@ def test_what_packets_mean_is_there_for_the_good_ones(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("rate", "batch"), [(1000.0, 1), (1000.0, 40), (100.0, 1), (50.0, 20)])
-def test_signals_are_thinned_to_their_rate_and_packets_are_not(
+def test_signals_rate_limits_decoded_values_but_not_packets(
     tmp_path: Path, rate: float, batch: int
 ) -> None:
     now = time.monotonic()
@@ -143,15 +143,13 @@ def test_signals_are_thinned_to_their_rate_and_packets_are_not(
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(0.0, 0), (math.inf, 200)])
-def test_no_signals_or_all_of_them(tmp_path: Path, rate: float, expected: int) -> None:
+def test_signals_rate_can_be_zero_or_infinite(tmp_path: Path, rate: float, expected: int) -> None:
     with begin(tmp_path / "a.mcap", signals_rate=rate) as recorder:
         give(recorder, "arm", [packet(0)] * 200, [time.monotonic()] * 200)
     assert recorder.statistics.signals == expected
 
 
-def test_a_full_queue_counts_and_tells_what_it_does_not_take(
-    tmp_path: Path, held: threading.Event
-) -> None:
+def test_full_queue_counts_lost_packets(tmp_path: Path, held: threading.Event) -> None:
     entered = threading.Event()
     recorder = begin(tmp_path / "a.mcap", decode=held_decoder(held, entered), queue_bytes=20_000)
     try:
@@ -175,7 +173,7 @@ def test_a_full_queue_counts_and_tells_what_it_does_not_take(
     assert recorder.statistics.not_recorded == {"arm": lost + 1}
 
 
-def test_taking_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event) -> None:
+def test_take_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event) -> None:
     entered = threading.Event()
     recorder = begin(tmp_path / "a.mcap", decode=held_decoder(held, entered))
     give(recorder, "arm", [b"first"], [time.monotonic()])
@@ -188,7 +186,7 @@ def test_taking_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event
     assert packets_in(tmp_path / "a.mcap") == [b"first", b"second"]
 
 
-def test_wrong_use_is_told(tmp_path: Path) -> None:
+def test_invalid_calls_raise_errors(tmp_path: Path) -> None:
     with begin(tmp_path / "a.mcap") as recorder:
         with raises_with(UnknownName, kind="source", name="arn", near="arm"):
             give(recorder, "arn", [b""], [0.0])
@@ -202,7 +200,7 @@ def test_wrong_use_is_told(tmp_path: Path) -> None:
         begin(tmp_path / "a.mcap")
 
 
-def test_an_error_of_the_decoder_ends_the_recording_and_is_raised(tmp_path: Path) -> None:
+def test_decoder_error_ends_the_recording_and_is_raised(tmp_path: Path) -> None:
     def decode(data: bytes) -> None:
         if data == b"bad":
             raise ZeroDivisionError("in the decoder")
@@ -239,7 +237,7 @@ while True:
 """
 
 
-def test_a_killed_process_leaves_a_file_that_all_can_read(tmp_path: Path) -> None:
+def test_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     child = subprocess.Popen(
         [sys.executable, "-c", CHILD, str(path)],
@@ -285,7 +283,7 @@ assert recorder.statistics.file_size == Path(sys.argv[1]).stat().st_size
 """
 
 
-def test_a_full_disk_ends_the_recording_with_an_error(tmp_path: Path) -> None:
+def test_full_disk_ends_the_recording_with_an_error(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(path)],

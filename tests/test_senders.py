@@ -44,7 +44,7 @@ def taken(packets: list[tuple[float, int, bytes]], batch: int, **fields: str) ->
 @pytest.mark.parametrize("batch", [1, 7, 256])
 @pytest.mark.parametrize("pause", [0.02, 0.3, 3.0])
 @pytest.mark.parametrize("fields", [{}, {"sequence": "n"}, {"sequence": "n", "time": "t"}])
-def test_a_sender_that_is_started_anew_from_other_ports_has_begun_anew(
+def test_restarted_sender_with_a_new_port_counts_as_a_restart(
     batch: int, pause: float, fields: dict[str, str]
 ) -> None:
     run = 300 * EVERY
@@ -62,24 +62,24 @@ def test_a_sender_that_is_started_anew_from_other_ports_has_begun_anew(
 
 
 @pytest.mark.parametrize("batch", [1, 7, 256])
-def test_two_in_turns_are_two_at_once_and_neither_has_begun_anew(batch: int) -> None:
+def test_alternating_senders_are_concurrent_without_restarts(batch: int) -> None:
     packets = [*sent_by(4000, 400, 10.0), *sent_by(4001, 300, 10.502)]
     counters = taken(packets, batch, sequence="n").counters
     assert (counters.restarts, counters.senders, counters.lost) == (0, 2, 0)
 
 
-def test_one_that_goes_on_alone_is_one_again() -> None:
+def test_remaining_sender_is_the_only_sender() -> None:
     packets = [*sent_by(4000, 400, 10.0), *sent_by(4001, 1200, 10.502)]
     counters = taken(packets, 7, sequence="n").counters
     assert (counters.restarts, counters.senders) == (0, 1)
 
 
-def test_one_that_pauses_has_not_begun_anew() -> None:
+def test_pause_of_a_sender_is_not_a_restart() -> None:
     packets = [*sent_by(4000, 10, 10.0), *sent_by(4000, 10, 20.0)]
     assert taken(packets, 7).counters.restarts == 0
 
 
-def test_who_sends_every_packet_from_a_new_port_does_not_begin_anew_each_time() -> None:
+def test_sender_with_a_new_port_for_each_packet_does_not_restart() -> None:
     packets = [
         (arrival, 4000 + k, packet) for k, (arrival, _, packet) in enumerate(sent_by(0, 900, 10.0))
     ]
@@ -88,7 +88,7 @@ def test_who_sends_every_packet_from_a_new_port_does_not_begin_anew_each_time() 
     assert intake.timing.rate == pytest.approx(200.0)
 
 
-def test_one_that_comes_back_to_its_first_port_has_begun_anew_once_more() -> None:
+def test_sender_that_returns_to_its_first_port_restarts_again() -> None:
     ports = (4000, 4001, 4000)
     packets = [p for k, port in enumerate(ports) for p in sent_by(port, 300, 10.0 + 5.0 * k)]
     counters = taken(packets, 1, sequence="n").counters

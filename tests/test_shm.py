@@ -46,7 +46,7 @@ def shown(reader: ShmReader, event: str = "v") -> list[float] | None:
     return None if packet is None else packet.values[event].tolist()
 
 
-def test_a_packet_is_there_as_soon_as_it_is_written(block: str) -> None:
+def test_latest_reads_a_packet_immediately_after_it_is_written(block: str) -> None:
     reader = ShmReader(block=block, poll_rate=1.0, **LOCKED)
     with ShmWriter(block, reader.layout, "lock") as writer, reader:
         assert reader.latest() is None
@@ -62,7 +62,7 @@ def test_a_packet_is_there_as_soon_as_it_is_written(block: str) -> None:
         assert (reader.counters.received, reader.counters.torn, reader.trouble) == (3, 0, "")
 
 
-def test_its_thread_finds_packets_by_itself_and_says_so(block: str) -> None:
+def test_thread_receives_packets_and_calls_back(block: str) -> None:
     called: list[str] = []
     reader = ShmReader(block=block, name="r", **LOCKED)
     reader.on_receive(lambda: called.append(threading.current_thread().name))
@@ -76,7 +76,7 @@ def test_its_thread_finds_packets_by_itself_and_says_so(block: str) -> None:
     assert set(called) == {"shm r"}
 
 
-def test_no_packet_need_be_lost(block: str) -> None:
+def test_lossless_reader_returns_all_packets(block: str) -> None:
     reader = ShmReader(block=block, only_latest_packet=False, sequence="n", structure="n:1I v:1d")
     seen: list[float] = []
     with ShmWriter(block, reader.layout) as writer, reader:
@@ -92,7 +92,7 @@ def test_no_packet_need_be_lost(block: str) -> None:
     assert (reader.counters.lost, reader.counters.duplicates) == (0, 0)
 
 
-def test_a_block_that_is_not_there_is_told_and_taken_up_when_it_appears(
+def test_missing_block_is_reported_and_opened_when_it_is_created(
     block: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     with ShmReader(block=block.removeprefix("/"), **LOCKED) as reader:
@@ -114,7 +114,7 @@ def test_a_block_that_is_not_there_is_told_and_taken_up_when_it_appears(
         assert shown(reader) == [5, 6]
 
 
-def test_a_block_made_anew_is_taken_up_within_some_tens_of_ms(block: str) -> None:
+def test_recreated_block_is_opened_quickly(block: str) -> None:
     structure = "n:1I v:1d"
     with ShmReader(block=block, structure=structure, sequence="n") as reader:
         for life in range(1, 4):
@@ -128,7 +128,7 @@ def test_a_block_made_anew_is_taken_up_within_some_tens_of_ms(block: str) -> Non
 
 
 @pytest.mark.skipif(not LINUX, reason="blocks are files on Linux only")
-def test_a_block_that_another_one_is_moved_over_is_noticed(block: str) -> None:
+def test_replaced_block_is_detected(block: str) -> None:
     first, second = make(block, locked(2, 1, 1)), make(f"{block}_b", locked(2, 2, 2))
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: shown(reader) == [1, 1])
@@ -140,7 +140,7 @@ def test_a_block_that_another_one_is_moved_over_is_noticed(block: str) -> None:
     remove(second)
 
 
-def test_a_block_that_shrinks_ends_nobody_and_is_taken_up_when_it_grows(block: str) -> None:
+def test_shrunk_block_is_reported_and_read_again_when_it_grows(block: str) -> None:
     made = make(block, locked(2, 1, 2))
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: shown(reader) == [1, 2])
@@ -159,7 +159,7 @@ def test_a_block_that_shrinks_ends_nobody_and_is_taken_up_when_it_grows(block: s
     remove(made)
 
 
-def test_it_is_shrunk_and_grown_all_the_time_while_it_is_read(block: str) -> None:
+def test_block_can_be_resized_while_it_is_read(block: str) -> None:
     made = make(block, locked(2, 1, 1))
     with ShmReader(block=block, poll_rate=1e4, **LOCKED) as reader:
         assert until(lambda: shown(reader) == [1, 1])
@@ -172,7 +172,7 @@ def test_it_is_shrunk_and_grown_all_the_time_while_it_is_read(block: str) -> Non
     remove(made)
 
 
-def test_the_packet_may_stand_anywhere_in_the_block(block: str) -> None:
+def test_packet_is_read_at_an_offset(block: str) -> None:
     made = make(block, bytes(40) + locked(2, 7, 8))
     with ShmReader(block=block, offset=40, **LOCKED) as reader:
         assert until(lambda: shown(reader) == [7, 8])
@@ -182,9 +182,7 @@ def test_the_packet_may_stand_anywhere_in_the_block(block: str) -> None:
     remove(made)
 
 
-def test_the_same_bytes_are_no_new_packet_so_it_goes_stale(
-    block: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unchanged_bytes_are_not_a_new_packet(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     made = make(block, struct.pack("<d", 1.5))
     with ShmReader(block=block, structure="v:1d", poll_rate=1e4) as reader:
         assert until(lambda: shown(reader) == [1.5])
@@ -197,7 +195,7 @@ def test_the_same_bytes_are_no_new_packet_so_it_goes_stale(
     remove(made)
 
 
-def test_what_nobody_has_written_is_not_applied(block: str) -> None:
+def test_unwritten_block_is_not_applied(block: str) -> None:
     made = make(block, bytes(24))
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: reader.trouble)
@@ -211,7 +209,7 @@ def test_what_nobody_has_written_is_not_applied(block: str) -> None:
     remove(made)
 
 
-def test_a_lock_that_stays_odd_or_is_not_counted_is_told(block: str) -> None:
+def test_lock_that_stays_odd_or_unchanged_is_reported(block: str) -> None:
     made = make(block, locked(2, 1, 2))
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: shown(reader) == [1, 2])
@@ -230,7 +228,7 @@ def test_a_lock_that_stays_odd_or_is_not_counted_is_told(block: str) -> None:
     remove(made)
 
 
-def test_a_packet_is_not_applied_before_its_counter_has_changed(block: str) -> None:
+def test_packet_is_applied_only_after_its_counter_has_changed(block: str) -> None:
     made = make(block, struct.pack("<Qd", 1, 1.0))
     with ShmReader(block=block, structure="n:1Q v:1d", sequence="n") as reader:
         assert until(lambda: shown(reader) == [1.0])
@@ -243,7 +241,7 @@ def test_a_packet_is_not_applied_before_its_counter_has_changed(block: str) -> N
     remove(made)
 
 
-def test_a_packet_has_to_stand_still_for_as_long_as_is_said(block: str) -> None:
+def test_packet_is_applied_after_the_settle_time(block: str) -> None:
     made = make(block, struct.pack("<2d", 1.0, 1.0))
     start = time.monotonic()  # the reader looks as soon as it is made
     with ShmReader(block=block, structure="v:2d", settle=0.3) as reader:
@@ -260,7 +258,7 @@ def test_a_packet_has_to_stand_still_for_as_long_as_is_said(block: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["1B", "1i", "> 1H", "1d", "1f", "1q"])
-def test_a_lock_may_be_of_any_type(block: str, kind: str) -> None:
+def test_lock_can_have_any_type(block: str, kind: str) -> None:
     order, letter = kind.rpartition(" ")[0], kind[-1]
     structure = Structure(f"{order} lock:1{letter} v:1d".strip(), alignment=8)
     fields: dict[str, Any] = {"structure": structure.text, "lock": "lock", "alignment": 8}
@@ -272,7 +270,7 @@ def test_a_lock_may_be_of_any_type(block: str, kind: str) -> None:
         assert reader.counters.torn == 0
 
 
-def test_where_shared_memory_is_no_file_it_is_mapped(
+def test_block_is_mapped_if_shared_memory_is_not_a_file(
     block: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shm_block, "_PREAD", None)
@@ -289,7 +287,7 @@ def test_where_shared_memory_is_no_file_it_is_mapped(
             writer.put(locked(0, 1, 1))
 
 
-def test_closing_is_immediate_and_frees_everything(
+def test_close_is_immediate_and_frees_all_resources(
     block: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -310,7 +308,7 @@ def test_closing_is_immediate_and_frees_everything(
     remove(made)
 
 
-def test_a_reader_that_ends_takes_no_block_with_it(block: str) -> None:
+def test_exiting_reader_does_not_remove_the_block(block: str) -> None:
     made = make(block, locked(2, 1, 2))
     code = (
         "from sero_mj import ShmReader\n"
@@ -323,7 +321,7 @@ def test_a_reader_that_ends_takes_no_block_with_it(block: str) -> None:
     remove(made)
 
 
-def test_status_says_why_nothing_comes(block: str) -> None:
+def test_status_reports_why_no_packets_arrive(block: str) -> None:
     def told(reader: ShmReader) -> str:
         return describe(report(reader))[0][2]
 
@@ -344,7 +342,7 @@ def test_status_says_why_nothing_comes(block: str) -> None:
         assert until(lambda: "for" in told(reader) and told(reader).endswith(gone))
 
 
-def test_what_was_read_can_be_replayed(block: str, tmp_path: Path) -> None:
+def test_recorded_shared_memory_is_replayed(block: str, tmp_path: Path) -> None:
     reader = ShmReader(name="arm", block=block, **LOCKED)
     with (
         ShmWriter(block, reader.layout, "lock") as writer,

@@ -46,7 +46,7 @@ def run(arguments: list[str]) -> int:
         ("ö" * 200, "found 400 bytes; expected at most"),
     ],
 )
-def test_names_that_no_block_can_have_are_told(name: str, message: str) -> None:
+def test_invalid_block_names_are_reported(name: str, message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         make_source("robot", {"kind": "shm", "block": name, "structure": "1F"})
     assert message in str(caught.value)
@@ -55,7 +55,7 @@ def test_names_that_no_block_can_have_are_told(name: str, message: str) -> None:
     assert message in str(told.value)
 
 
-def test_a_name_has_a_slash_or_none() -> None:
+def test_block_name_can_begin_with_a_slash() -> None:
     assert block_path("robot") == block_path("/robot") == "/robot"
 
 
@@ -75,16 +75,14 @@ def test_a_name_has_a_slash_or_none() -> None:
         ({"offset": -1}, "offset"),
     ],
 )
-def test_fields_that_cannot_be_are_told(fields: dict[str, Any], message: str) -> None:
+def test_invalid_fields_are_reported(fields: dict[str, Any], message: str) -> None:
     with pytest.raises((DeclarationError, ValidationError)) as caught:
         ShmReader(block="x", structure="lock:1Q v:2d gap:1B late:1Q", **fields)
     assert message in str(caught.value)
 
 
 @pytest.mark.skipif(not LINUX, reason="blocks are files on Linux only")
-def test_what_is_no_shared_memory_or_may_not_be_read_is_told(
-    block: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unreadable_blocks_are_reported(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkdir(f"/dev/shm{block}")
     try:
         with pytest.raises(SourceError) as caught:
@@ -105,7 +103,7 @@ def test_what_is_no_shared_memory_or_may_not_be_read_is_told(
         ShmReader(block=block, structure="1F").open()
 
 
-def test_a_system_without_shared_memory_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_shared_memory_support_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shm_block, "_posixshmem", None)
     with raises_with(
         SourceError, source="shm", reason="shared memory /x: this system has no POSIX shared memory"
@@ -113,7 +111,7 @@ def test_a_system_without_shared_memory_is_told(monkeypatch: pytest.MonkeyPatch)
         ShmReader(block="x", structure="1F").open()
 
 
-def test_check_says_what_is_read_from_where(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_prints_block_size_and_events(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", "lwr_shm"]) == 0
     said = capsys.readouterr().out
     events = "lock (1), angles (7), torques (7)"
@@ -131,14 +129,14 @@ def test_check_says_what_is_read_from_where(capsys: pytest.CaptureFixture[str]) 
         (["lwr_shm", "--shm", "a/b"], "source 'writer': shared memory a/b: found '/' in 'a/b'"),
     ],
 )
-def test_what_send_cannot_do_is_told(
+def test_invalid_send_options_are_reported(
     options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["send", *options]) != 0
     assert message in capsys.readouterr().err
 
 
-def test_a_robot_without_a_scene_is_played_to_shared_memory(
+def test_robot_without_a_scene_is_sent_to_shared_memory(
     block: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["send", "lwr", "--shm", block, "--duration", "0.05"]) == 0

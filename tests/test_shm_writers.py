@@ -80,7 +80,7 @@ def check_motion(reader: ShmReader) -> None:
     assert reader.counters.malformed == reader.counters.wrong_size  # what was there before
 
 
-def test_the_writer_in_c_is_understood_and_one_that_was_killed_is_replaced(
+def test_c_example_is_read_and_replaced_after_a_kill(
     programs: dict[str, Path], running: Any, block: str
 ) -> None:
     with shipped_reader(block) as reader:
@@ -96,15 +96,11 @@ def test_the_writer_in_c_is_understood_and_one_that_was_killed_is_replaced(
     unlink(block)
 
 
-def test_the_writer_in_c_ends_by_itself_and_removes_its_block(
-    programs: dict[str, Path], block: str
-) -> None:
+def test_c_example_exits_and_removes_its_block(programs: dict[str, Path], block: str) -> None:
     subprocess.run([programs["example"], block, "0.02"], check=True, timeout=20.0)
 
 
-def test_the_writer_in_python_is_understood_and_makes_the_block_anew(
-    running: Any, block: str
-) -> None:
+def test_python_example_is_read_and_recreates_the_block(running: Any, block: str) -> None:
     script = SCENES / "lwr_shm_writer.py"
     left = make(block, bytes(10))  # by a writer that was killed, with another structure
     left.close()
@@ -117,7 +113,7 @@ def test_the_writer_in_python_is_understood_and_makes_the_block_anew(
         assert until(lambda: reader.trouble == f"shared memory {block} is gone")
 
 
-def test_the_shipped_scene_is_moved_by_shared_memory(block: str) -> None:
+def test_shared_memory_moves_the_shipped_scene(block: str) -> None:
     scene = load_scene(find_scene("lwr_shm"))
     scene.sources["robot"] = {**scene.sources["robot"], "block": block}
     with Mirror(scene) as mirror:
@@ -152,7 +148,7 @@ def test_the_shipped_scene_is_moved_by_shared_memory(block: str) -> None:
         ("none", 0, 0, 2e-5, {}),
     ],
 )
-def test_a_torn_packet_is_never_applied(
+def test_torn_packets_are_never_applied(
     programs: dict[str, Path],
     running: Any,
     block: str,
@@ -211,7 +207,7 @@ def exists(block: str) -> bool:
     return size > 0
 
 
-def test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced(
+def test_writer_killed_during_a_write_is_replaced(
     programs: dict[str, Path], running: Any, block: str
 ) -> None:
     reader = ShmReader(block=block, structure=PACKET, lock="lock")
@@ -231,7 +227,7 @@ def test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced(
     unlink(block)
 
 
-def test_a_writer_of_ours_goes_on_where_one_that_died_has_stopped(block: str) -> None:
+def test_writer_continues_the_lock_of_a_dead_writer(block: str) -> None:
     made = make(block, struct.pack("<Qd", 7, 0.5))
     structure = Structure("lock:1Q v:1d")
     with ShmWriter(block, structure, "lock") as writer:
@@ -245,7 +241,7 @@ def test_a_writer_of_ours_goes_on_where_one_that_died_has_stopped(block: str) ->
     remove(made)
 
 
-def test_our_writer_makes_room_and_removes_what_it_has_made(block: str) -> None:
+def test_writer_enlarges_blocks_and_removes_those_it_created(block: str) -> None:
     structure = Structure("v:1d")
     with ShmWriter(block, structure, offset=100) as writer:
         writer.put(struct.pack("<d", 4.5))
@@ -260,7 +256,7 @@ def test_our_writer_makes_room_and_removes_what_it_has_made(block: str) -> None:
     remove(small)
 
 
-def test_our_writer_removes_no_block_of_another_one(block: str) -> None:
+def test_writer_does_not_remove_blocks_of_others(block: str) -> None:
     with ShmWriter(block, Structure("v:1d")):
         unlink(block)
         other = make(block, bytes(8))
@@ -268,7 +264,7 @@ def test_our_writer_removes_no_block_of_another_one(block: str) -> None:
     remove(other)
 
 
-def test_what_our_writer_cannot_write_is_told(block: str) -> None:
+def test_invalid_use_of_the_writer_is_reported(block: str) -> None:
     with pytest.raises(ValueError, match="lock 'v' has 2 numbers"):
         ShmWriter(block, Structure("v:2d"), "v")
     if sys.platform == "linux":
@@ -279,7 +275,7 @@ def test_what_our_writer_cannot_write_is_told(block: str) -> None:
 
 
 @pytest.mark.parametrize("options", [[], ["--rate", "3000"]])
-def test_the_command_plays_to_shared_memory(running: Any, block: str, options: list[str]) -> None:
+def test_send_command_writes_shared_memory(running: Any, block: str, options: list[str]) -> None:
     command = [sys.executable, "-m", "sero_mj", "send", "lwr_shm", "--shm", block, *options]
     with shipped_reader(block) as reader:
         writer = running(*command)

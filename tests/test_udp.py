@@ -71,7 +71,7 @@ def sender() -> Iterator[Send]:
         yield lambda receiver, packet: sock.sendto(packet, ("127.0.0.1", receiver.port))
 
 
-def test_a_packet_arrives_as_it_was_sent(sender: Send) -> None:
+def test_packet_is_received_unchanged(sender: Send) -> None:
     with UdpReceiver(structure="2F1F") as receiver:
         assert receiver.latest() is None
         assert not receiver.wait(0.0)
@@ -85,7 +85,7 @@ def test_a_packet_arrives_as_it_was_sent(sender: Send) -> None:
         assert receiver.counters == Counters(received=1, senders=1)
 
 
-def test_the_latest_packet_wins_and_the_others_count_as_superseded(sender: Send) -> None:
+def test_latest_packet_is_returned_and_older_ones_count_as_superseded(sender: Send) -> None:
     with UdpReceiver(structure="1F") as receiver:
         for k in range(1, 4):
             sender(receiver, doubles(k))
@@ -101,7 +101,7 @@ def test_the_latest_packet_wins_and_the_others_count_as_superseded(sender: Send)
         assert (counters.received, counters.malformed, counters.superseded) == (6, 2, 2)
 
 
-def test_packets_of_another_process_arrive_whole_and_in_order(sender: Send) -> None:
+def test_packets_of_another_process_arrive_complete_and_in_order(sender: Send) -> None:
     count = 1500
     # A buffer for all of them: what the kernel drops would only make the test weaker.
     with UdpReceiver(structure="7F7F", buffer_size=4_000_000) as receiver:
@@ -142,7 +142,7 @@ def test_packets_of_another_process_arrive_whole_and_in_order(sender: Send) -> N
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_a_bad_packet_is_counted_and_the_last_good_one_stays(
+def test_malformed_packet_is_counted_and_the_last_valid_one_remains(
     sender: Send, fault: str, kind: str, bad: bytes
 ) -> None:
     with UdpReceiver(structure="2F1F") as receiver:
@@ -175,7 +175,7 @@ def adds_up(receiver: UdpReceiver, send: Send, sent: int) -> bool:
 
 
 @pytest.mark.skipif(not LINUX, reason="counts what the kernel drops")
-def test_a_flood_of_malformed_packets_is_survived_and_adds_up(sender: Send) -> None:
+def test_counters_add_up_after_a_flood_of_malformed_packets(sender: Send) -> None:
     with UdpReceiver(structure="3F") as receiver:
         for _ in range(20_000):
             sender(receiver, b"nonsense")
@@ -186,7 +186,7 @@ def test_a_flood_of_malformed_packets_is_survived_and_adds_up(sender: Send) -> N
 
 @pytest.mark.skipif(not LINUX, reason="counts what the kernel drops")
 @pytest.mark.parametrize("buffer_size", [1, 200_000])
-def test_a_larger_buffer_drops_less(
+def test_larger_receive_buffer_drops_fewer_packets(
     sender: Send, monkeypatch: pytest.MonkeyPatch, buffer_size: int
 ) -> None:
     take, go_on = Intake.take, threading.Event()
@@ -206,7 +206,7 @@ def test_a_larger_buffer_drops_less(
 
 
 @pytest.mark.skipif(not LINUX, reason="127.0.0.2 is of this machine on Linux only")
-def test_it_listens_on_loopback_only_unless_told_otherwise() -> None:
+def test_default_host_is_loopback() -> None:
     with UdpReceiver(structure="1F") as receiver, socket.socket(type=socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.2", receiver.port))  # free, as are the addresses of the network
     everywhere = UdpReceiver(structure="1F", host="0.0.0.0")
@@ -214,7 +214,7 @@ def test_it_listens_on_loopback_only_unless_told_otherwise() -> None:
         sock.bind(("127.0.0.2", everywhere.port))
 
 
-def test_a_port_in_use_is_told_with_its_number_and_host() -> None:
+def test_port_in_use_is_reported_with_number_and_host() -> None:
     with UdpReceiver(structure="1F", name="first") as first:
         second = UdpReceiver(structure="1F", name="second", udpport=first.port)
         with pytest.raises(SourceError) as caught:
@@ -232,7 +232,7 @@ def test_a_port_in_use_is_told_with_its_number_and_host() -> None:
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid", "[::1]"])
-def test_an_address_that_is_not_of_this_machine_is_told(host: str) -> None:
+def test_address_of_another_machine_is_reported(host: str) -> None:
     receiver = UdpReceiver(structure="1F", host=host, udpport=32123)
     with pytest.raises(SourceError) as caught:
         receiver.open()
@@ -252,7 +252,7 @@ def test_an_address_that_is_not_of_this_machine_is_told(host: str) -> None:
         ({"buffer_size": 2**31}, "buffer_size: found 2147483648"),  # more than setsockopt takes
     ],
 )
-def test_what_no_socket_takes_is_refused_without_a_leak(
+def test_invalid_socket_options_are_rejected_without_a_leak(
     fields: dict[str, object], message: str
 ) -> None:
     with pytest.raises(SeroError, match=message), UdpReceiver(structure="1F", **fields):
@@ -260,7 +260,7 @@ def test_what_no_socket_takes_is_refused_without_a_leak(
     gc.collect()  # a socket left open would warn here
 
 
-def test_it_listens_on_ipv6() -> None:
+def test_receiver_listens_on_ipv6() -> None:
     with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sock:
         try:
             sock.bind(("::1", 0))
@@ -272,7 +272,7 @@ def test_it_listens_on_ipv6() -> None:
             assert values_of(receiver.latest()) == [6.0]
 
 
-def test_a_machine_without_ipv6_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_ipv6_support_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise OSError(errno.EAFNOSUPPORT, "Address family not supported by protocol")
 
@@ -286,7 +286,7 @@ def test_a_machine_without_ipv6_is_told_so(monkeypatch: pytest.MonkeyPatch) -> N
         receiver.open()
 
 
-def test_closing_ends_the_thread_and_frees_the_port() -> None:
+def test_close_ends_the_thread_and_frees_the_port() -> None:
     receiver = UdpReceiver(structure="1F", name="closing")
     receiver.close()  # before it is open: harmless
     receiver.open()
@@ -299,7 +299,7 @@ def test_closing_ends_the_thread_and_frees_the_port() -> None:
     receiver.close()
 
 
-def test_it_closes_though_packets_never_pause(
+def test_close_returns_during_an_uninterrupted_stream(
     sender: Send, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     receiver = UdpReceiver(structure="1F", name="pouring")
@@ -323,7 +323,7 @@ def test_it_closes_though_packets_never_pause(
     assert closed, "close() waits for a pause between packets"
 
 
-def test_it_can_be_opened_again_and_starts_afresh(sender: Send) -> None:
+def test_reopening_resets_packets_and_counters(sender: Send) -> None:
     receiver = UdpReceiver(structure="1F")
     for k in (1.0, 2.0):
         with receiver:

@@ -30,7 +30,7 @@ from ..base.errors import (
 )
 from ..base.options import Options
 from ..base.plugins import NETWORKS, load_plugin, plugins
-from .options import add_options, read_options
+from .options import add_options, read_options, usage_of
 from .terminal import make_console, plain
 
 if TYPE_CHECKING:
@@ -94,6 +94,7 @@ def command(
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         add_options(parser, kind)
+        parser.usage = f"{parser.prog} [options] {usage_of(kind)}".rstrip()
         parser.set_defaults(run=run_with)
 
     return add_to

@@ -17,7 +17,7 @@ from ..base import paths, trust
 from ..base.errors import UsageError, did_you_mean, in_one_line
 from ..base.frames import rpy_from_rotation
 from ..base.options import JointValues, Option, positional
-from .arguments import command, read_scene, replay_instead, writing
+from .arguments import command, writing
 from .shared_options import JsonOptions, PackageOptions, ReplayOptions
 
 if TYPE_CHECKING:
@@ -130,9 +130,7 @@ def _check_scene(options: CheckOptions) -> int:
     options = with_scene(options)
     assert options.scene is not None
     trust.log.setLevel(logging.ERROR)  # withheld actions are listed below
-    scene = read_scene(options.scene, replay=options.replay)
-    if options.replay is not None:
-        replay_instead(scene, options.replay, options.start, options.source, options.columns)
+    scene = options.read_replayed(options.scene)
     world = World(scene)
     make_features(world)
     own = scene.file and not paths.is_temporary(scene.file)

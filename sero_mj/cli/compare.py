@@ -185,7 +185,7 @@ def _short_in(fault: Explanation, first: str) -> str:
 
 def _compare_many(options: CompareOptions) -> int:
     from ..study.align import choose_robot
-    from .each_recording import examine_each, report_rows, status
+    from .each_recording import examine_each, report_rows
 
     others = [path for path in (options.b, *options.more) if path is not None]
     recordings = [options.a, *others] if options.each else others
@@ -198,8 +198,9 @@ def _compare_many(options: CompareOptions) -> int:
     rows = examine_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
     # With --each, angles are the same on both sides.
     signals = {"torques": "torque peak"} | ({} if options.each else {"joint_angles": "angle peak"})
-    failed = report_rows(
+    status = report_rows(
         rows,
+        len(recordings),
         options,
         options.table,
         lambda: _table_of(rows, signals, "" if options.each else f"each minus {options.a}"),
@@ -208,7 +209,7 @@ def _compare_many(options: CompareOptions) -> int:
     over = [(path, row["exceeded"]) for path, row in rows if row.get("exceeded")]
     for path, text in over:
         print(f"sero-mj: {path}: {text}", file=sys.stderr)
-    return status(rows, len(recordings), failed) or (1 if over else 0)
+    return status or (1 if over else 0)
 
 
 def _table_of(rows: Rows, signals: Mapping[str, str], title: str) -> Table:

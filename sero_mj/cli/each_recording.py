@@ -85,13 +85,17 @@ def _stopped(found: Mapping[int, Any], count: int) -> Iterator[None]:
 
 def report_rows(
     rows: Rows,
+    count: int,
     options: JsonOptions,
     to: Path | None,
     table_of: Callable[[], Table],
     *,
     quiet: bool,
 ) -> int:
-    """Writes and prints rows and errors; returns the number of recordings that failed."""
+    """Writes and prints rows and errors of `count` recordings.
+
+    Returns the exit status: 130 if interrupted, 2 if a recording failed, else 0.
+    """
     if to is not None:
         _write(rows, to)
     if options.as_json:
@@ -101,7 +105,9 @@ def report_rows(
     errors = [(path, row["error"]) for path, row in rows if row["error"]]
     for path, error in errors:
         print(f"sero-mj: {error if str(path) in error else f'{path}: {error}'}", file=sys.stderr)
-    return len(errors)
+    if len(rows) < count:
+        return 130
+    return 2 if errors else 0
 
 
 def _write(rows: Rows, path: Path) -> None:
@@ -110,10 +116,3 @@ def _write(rows: Rows, path: Path) -> None:
         table = csv.DictWriter(file, ["recording", *outcomes, "error"], restval="")
         table.writeheader()
         table.writerows({"recording": name, **row} for name, row in rows)
-
-
-def status(rows: Rows, count: int, failed: int) -> int:
-    """Returns the exit status: 130 if interrupted, 2 if a recording failed, else 0."""
-    if len(rows) < count:
-        return 130
-    return 2 if failed else 0

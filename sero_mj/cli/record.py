@@ -221,7 +221,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     found = recorder.statistics
     recorded = sum(event.packets for event in recorder.events)
     many = f"{found.events} events" if found.events != 1 else "1 event"
-    missed = sum(found.not_seen.values())
+    missed = sum(found.unchecked.values())
     print(
         f"{many} in {found.packets} packets"
         + (f"; {recorded} packets recorded" if found.events else "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property
 from pathlib import Path
@@ -157,6 +157,13 @@ class ReplayOptions(Options):
             raise ValueError("--columns needs a table: add --replay TABLE.csv")
         return self
 
+    def read_replayed(self, name: str, settings: Sequence[str] = (), **how: bool) -> Scene:
+        """Loads a scene, and replaces its sources by the recording, if any; see `load_scene`."""
+        scene = read_scene(name, settings, replay=self.replay, **how)
+        if self.replay is not None:
+            replay_instead(scene, self.replay, self.start, self.source, self.columns)
+        return scene
+
 
 class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
     """Options of commands that show a scene.
@@ -169,21 +176,14 @@ class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
 
     def read(self, name: str, *, by_hand: bool = False, trusted: bool = False) -> Scene:
         """Loads a scene and applies these options to it, see `load_scene`."""
-        scene = read_scene(
-            name,
-            self.settings,
-            by_hand=by_hand and self.replay is None,
-            trusted=trusted,
-            replay=self.replay,
-        )
+        by_hand = by_hand and self.replay is None
+        scene = self.read_replayed(name, self.settings, by_hand=by_hand, trusted=trusted)
         if self.look is not None:
             scene.view.look = self.look
         if self.follow is not None:
             if (problem := scene.follow_problem("--follow", self.follow)) is not None:
                 raise UsageError(problem)
             scene.view.follow = self.follow
-        if self.replay is not None:
-            replay_instead(scene, self.replay, self.start, self.source, self.columns)
         return scene
 
     def from_its_begin(self) -> Self:

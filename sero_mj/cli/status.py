@@ -13,7 +13,7 @@ from ..base.errors import UsageError
 from ..base.options import Duration
 from ..base.plugins import NETWORKS, load_plugin, plugins
 from ..robots.declared.degrees import degrees_warning
-from .arguments import command, print_json, read_scene, replay_instead, until_ended
+from .arguments import command, print_json, until_ended
 from .shared_options import JsonOptions, ReplayOptions, SceneArgument
 from .terminal import make_console
 
@@ -64,9 +64,7 @@ def run(options: StatusOptions) -> int:
     if options.topics:
         return _print_topics(options)
     options = with_scene(options)
-    scene = read_scene(options.scene, replay=options.replay)
-    if options.replay is not None:
-        replay_instead(scene, options.replay, options.start, options.source, options.columns)
+    scene = options.read_replayed(options.scene)
     wiring = wire(scene).check(scene)
     sources = list(wiring.sources.values())
     if not sources:

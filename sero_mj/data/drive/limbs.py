@@ -41,7 +41,7 @@ class Limbs:
 
 
 def middle_joint(begin: Array, end: Array, lengths: tuple[float, float], towards: Array) -> Array:
-    """Returns the position of the joint between two links, (3,), m, by the law of cosines.
+    """Returns the position of the joint between two links of a limb, (3,), m.
 
     Args:
         begin: begin of the first link, (3,), m.

@@ -27,7 +27,7 @@ class Placer:
     """Computes all frames of a world from its data; raises DeclarationError.
 
     Args:
-        wiring: result of `wire` for its scene; created when None.
+        wiring: result of `wire` for the scene of the world; None to call `wire`.
     """
 
     def __init__(self, world: WorldView, wiring: Wiring | None = None) -> None:
@@ -45,16 +45,13 @@ class Placer:
     def place(self, data: mujoco.MjData, packets: LatestValues | None = None) -> None:
         """Computes all frames from joint angles and received values, without a time step.
 
-        First, routes from other robots' outputs are applied.
-
-        Args:
-            packets: the latest values by source and event, for routes that need several.
+        Before that, applies the routes that depend on several sources or on outputs of robots.
         """
         self._late.apply(data, packets or {})
         for name in self._at_once:
             self._place_received(data, name)
         pose_doubles(self._world, data)
-        for level in self._levels:  # each depends on frames of the previous level
+        for level in self._levels:  # depends on frames of the previous levels
             mujoco.mj_kinematics(self._world.model, data)
             for name in level:
                 if name in self._routes:
@@ -103,15 +100,15 @@ class Placer:
 def follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Computes frames, cameras and lights from `qpos` and `mocap`, without a time step."""
     mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)  # MuJoCo's own visualisation needs subtree centres
+    mujoco.mj_comPos(model, data)  # MuJoCo's visualization needs subtree centers of mass
     mujoco.mj_camlight(model, data)
 
 
 def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
-    """Writes the poses of all doubles into `mocap_pos` and `mocap_quat`; `follow` moves them."""
+    """Writes the poses of all doubles to `mocap_pos` and `mocap_quat`; call `follow` afterwards."""
     if any(part.of.mocap < 0 for part in world.doubles.values()):
-        mujoco.mj_kinematics(world.model, data)  # their bases are mounted on other robots
-    targets: dict[str, Array | None] = {}  # of those that have been asked for
+        mujoco.mj_kinematics(world.model, data)  # for bases that are mounted on other robots
+    targets: dict[str, Array | None] = {}
     for name, part in world.doubles.items():
         frames = _targets(world, data, name, targets)
         if frames is None:
@@ -127,7 +124,7 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
 def _targets(
     world: WorldView, data: mujoco.MjData, name: str, known: dict[str, Array | None]
 ) -> Array | None:
-    """Returns the frames of a double, (rows, n + 1, 4, 4), base first; None without a pose."""
+    # Frames (rows, n + 1, 4, 4), base first; None without a pose.
     if name in known:
         return known[name]
     part = world.doubles[name]
@@ -171,11 +168,11 @@ def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:
 
 
 class Router:
-    """Applies routes to a world's data. `routes`: each after the routes to its own origins."""
+    """Applies routes to a world's data, in an order in which no origin is set after its use."""
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world
-        # The minimum count of numbers that the routes need of each origin.
+        # Minimum size of the arrays of each origin.
         self._sizes: dict[Origin, int] = {}
         for term in (term for route in routes for term in route.value.terms):
             needed = int(term.take.max()) + 1
@@ -183,10 +180,10 @@ class Router:
         self._routes = [(route.value, route.rest, _InputWriter(world, route)) for route in routes]
 
     def apply(self, data: mujoco.MjData, packets: LatestValues) -> None:
-        """Writes all computable inputs; `Placer.place` moves the frames.
+        """Writes inputs whose origins have data. `Placer.place` computes the frames afterwards.
 
-        Inputs whose origin has no data yet are left unchanged; with several origins for different
-        joints, only their joints.
+        If a robot's joints have several origins, joints with data are written, and the others get
+        `Route.rest`.
         """
         if not self._routes:
             return
@@ -195,7 +192,7 @@ class Router:
                 there = [self._has(data, packets, origin) for origin in value.origins]
                 if all(there):
                     writer.put(data, value.evaluate(lambda o: self._numbers(data, packets, o)))
-                elif rest is not None and any(there):  # joints of the others keep their values
+                elif rest is not None and any(there):
                     came = value.evaluate(lambda o: self._numbers_if_there(data, packets, o))
                     writer.put(data, np.where(np.isnan(came), rest, came))
 
@@ -205,7 +202,7 @@ class Router:
         if origin.key == "joint_angles" and origin.name in self._world.robots:
             return True  # a robot always has a pose
         if str(origin) not in self._world.flags:
-            return True  # so its model tells something
+            return True  # an output that the model of a robot computes
         return bool(data.userdata[self._world.flags[str(origin)]] > 0)
 
     def _numbers(self, data: mujoco.MjData, packets: LatestValues, origin: Origin) -> Array:

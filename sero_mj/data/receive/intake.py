@@ -56,7 +56,7 @@ class Counters:
         not_finite: malformed packets with NaN or infinity where these are not allowed.
         not_frames: malformed packets with a matrix that is not a rigid frame.
         implausible: malformed packets with a number beyond its limit; see `Source.limit`.
-        foreign: packets from senders other than the configured `sender`; these are not checked.
+        foreign: packets of unexpected senders, which are not in `sender`. They are not checked.
         late: packets that arrived after one with a higher number; applied only if no packet may be
             lost.
         duplicates: packets with a repeated sequence number; not applied.
@@ -205,7 +205,7 @@ class Intake:
         begins = None if senders is None else self._note_senders(senders, arrivals)
         stamps = self._stamps(rows) if self._time else None
         places = self._follow(rows, arrivals, stamps, senders)
-        odd = layout.find_odd(rows, self._bounds)
+        odd = layout.find_out_of_bounds(rows, self._bounds)
         is_finite, good = True, ~odd
         if has_odd := bool(odd.any()):  # seldom
             blank = layout.find_not_finite(rows)

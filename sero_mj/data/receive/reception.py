@@ -211,20 +211,20 @@ class Reception(PacketDeclaration, Timeline):
         """
         return self._mail.take()
 
-    def keep_all(self) -> None:
-        """Starts to store all valid packets for `take_all`, independently of `take`."""
-        self._mail.keep_all()
+    def start_history(self) -> None:
+        """Starts to store all valid packets for `take_history`, independently of `take`."""
+        self._mail.start_history()
 
-    def keep_none(self) -> None:
-        """Ends `keep_all` and discards the stored packets."""
-        self._mail.keep_none()
+    def stop_history(self) -> None:
+        """Ends `start_history` and discards the stored packets."""
+        self._mail.stop_history()
 
-    def take_all(self) -> Packets | None:
-        """Returns the packets stored since `keep_all` or the last call, or None without any.
+    def take_history(self) -> Packets | None:
+        """Returns the packets stored since `start_history` or the last call, or None without any.
 
         If they exceed 16 MB, the oldest are missing.
         """
-        return self._mail.take_all()
+        return self._mail.take_history()
 
     def wait(self, timeout: float) -> bool:
         """Waits up to `timeout` s for the first valid packet; returns whether one has arrived."""

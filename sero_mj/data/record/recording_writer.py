@@ -73,13 +73,13 @@ class McapStream:
     Raises RecordingError if the file exists and `overwrite` is not set, or if it cannot be written.
 
     Attributes:
-        kept: description of the data up to the last `flush`, for the error; empty without data.
+        contents: description of the data up to the last `flush`, for the error; empty without data.
         error: error after which nothing can be written, or None.
     """
 
     def __init__(self, path: Path | str, *, overwrite: bool = False) -> None:
         self.path = Path(path)
-        self.size, self.kept = 0, ""
+        self.size, self.contents = 0, ""
         self.error: RecordingError | None = None
         self._end = 0  # end of the records in the file, where its ending begins
         self._records = bytearray()
@@ -143,8 +143,10 @@ class McapStream:
             self._put_at_end(SHORT_ENDING)
         with contextlib.suppress(OSError):
             self._file.close()
-        kept = f"it has {self.kept} in {self.size} bytes" if self.kept else "it has no packets"
-        reason = f"{_why(error)}. The recording has ended; {kept}"
+        contents = (
+            f"it has {self.contents} in {self.size} bytes" if self.contents else "it has no packets"
+        )
+        reason = f"{_why(error)}. The recording has ended; {contents}"
         self.error = RecordingError(self.path, reason)
         raise self.error from error
 
@@ -345,7 +347,7 @@ class RecordingWriter:
         self._writer.flush()
         self._waiting = 0
         seconds = max(self._span[1] - self._span[0], 0) / 1e9
-        self._file.kept = f"{self._count} packets over {seconds:.3f} s" if self._count else ""
+        self._file.contents = f"{self._count} packets over {seconds:.3f} s" if self._count else ""
 
     def flush_if_old(self) -> float:
         """Flushes if the oldest buffered message is older than `flush_after`.

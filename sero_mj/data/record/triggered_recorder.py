@@ -96,7 +96,7 @@ class TriggerStatistics:
     Attributes:
         kept_bytes: size of the buffer.
         forgotten: packets that were removed early because the buffer was full.
-        not_seen: source to the number of packets that were not checked because they arrived too
+        unchecked: source to the number of packets that were not checked because they arrived too
             fast.
     """
 
@@ -105,7 +105,7 @@ class TriggerStatistics:
     seconds: float
     kept_bytes: int
     forgotten: int
-    not_seen: Mapping[str, int]
+    unchecked: Mapping[str, int]
     is_recording: bool
 
 

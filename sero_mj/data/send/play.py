@@ -86,7 +86,7 @@ class MotionPackets:
         self._scene = scene
         self._inputs = list_inputs(scene)
         self._routes = {route.to.target: route for route in wiring.routes}
-        # If routes require different values of an event, the first ones win.
+        # If routes require different values of an event, the first routes take precedence.
         routes.sort(key=lambda route: _importance(scene, route.to))
         self._wanted = [(route.to, route.negated) for route in routes]
         self._inverse = None if all(r.value.whole for r in routes) else RouteInverse(routes)
@@ -94,7 +94,7 @@ class MotionPackets:
         for route in routes:
             if route.value.whole is not None:
                 self._plain.setdefault(route.value.whole.key, route.to.target)
-        played = {self._robot_of(item) for item in self._asked(routes)} - {None}
+        played = {self._robot_of(item) for item in self._needed_inputs(routes)} - {None}
         self._robots: dict[str, Player] = {}
         motion = None
         if players is None and played:
@@ -105,9 +105,8 @@ class MotionPackets:
             elif players is not None and name in players:
                 self._robots[name] = players[name]
             else:
-                raise UsageError(
-                    f"nothing is known of robot '{name}'{did_you_mean(name, players or {})}"
-                )
+                near = did_you_mean(name, players or {})
+                raise UsageError(f"there are no signals of robot '{name}'{near}")
         self._is_motion = players is None
         self._model = ModelTorques(scene.robots)
 
@@ -124,7 +123,7 @@ class MotionPackets:
                     f"{route.to.target} {wanted}"
                 )
 
-    def _asked(self, routes: Sequence[Route]) -> list[Input]:
+    def _needed_inputs(self, routes: Sequence[Route]) -> list[Input]:
         todo = [route.to.target for route in routes]
         todo += [each for route in routes for each in self._origins(route)]
         seen: dict[str, Input] = {}

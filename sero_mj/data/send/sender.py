@@ -273,7 +273,7 @@ def send(
     *,
     idle: Callable[[float], bool] | None = None,
 ) -> SendReport:
-    """Sends packets at exact times until the last packet or Ctrl-C.
+    """Sends packets at exact times until the last packet or Ctrl+C.
 
     Args:
         packets: send time of each packet, s from now, and its bytes.

@@ -114,16 +114,18 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 
 def _identify_many(options: IdentifyOptions) -> int:
-    from ...cli.each_recording import examine_each, report_rows, status
+    from ...cli.each_recording import examine_each, report_rows
 
-    recordings, needed = options.recordings, options.files()
-    rows = examine_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
-    failed = report_rows(rows, options, options.table, lambda: _table_of(rows), quiet=options.quiet)
+    recordings, needed, quiet = options.recordings, options.files(), options.quiet
+    rows = examine_each(options, f"{__name__}:outcomes", recordings, needed, quiet=quiet)
+    status = report_rows(
+        rows, len(recordings), options, options.table, lambda: _table_of(rows), quiet=quiet
+    )
     robots = {row["robot"]: path for path, row in rows if "robot" in row}
-    if len(robots) > 1 and not (options.as_json or options.quiet):
+    if len(robots) > 1 and not (options.as_json or quiet):
         named = ", ".join(f"{name} in {path}" for name, path in robots.items())
         print(f"sero-mj: warning: the recordings have different robots: {named}", file=sys.stderr)
-    return status(rows, len(recordings), failed)
+    return status
 
 
 def _table_of(rows: Rows) -> Table:

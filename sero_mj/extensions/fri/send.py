@@ -41,7 +41,7 @@ def send(options: SendOptions, scene: Scene, source: FriReceiver) -> int:
     with UdpSink(options.host or "127.0.0.1", to_port) as sink:
         print(
             f"sending FRI 1.0 measurements (916 bytes) to {sink.place} "
-            f"every {controller.cycle * 1e3:g} ms; Ctrl-C stops",
+            f"every {controller.cycle * 1e3:g} ms; Ctrl+C stops",
             flush=True,
         )
         report = controller.run(sink, options.duration)

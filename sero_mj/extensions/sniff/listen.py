@@ -142,7 +142,7 @@ class Sniffer:
 
 
 def sniff(port: int, options: StructureOptions, layout: Structure | None) -> int:
-    """Prints the packets that arrive at a port until Ctrl-C, `--duration` or `--count`; returns 0.
+    """Prints the packets that arrive at a port until Ctrl+C, `--duration` or `--count`; returns 0.
 
     Args:
         layout: the structure by which packets are decoded; None for guesses only.
@@ -184,7 +184,7 @@ def _listen(sniffer: Sniffer, options: StructureOptions, update: Callable[[], No
 def _display(
     options: StructureOptions, sniffer: Sniffer, layout: Structure | None, place: str
 ) -> Iterator[Callable[[], None]]:
-    title = f"listening on {place}; press Ctrl-C to stop"
+    title = f"listening on {place}; press Ctrl+C to stop"
     if options.as_json:
         yield lambda: None
     elif not sys.stdout.isatty():
@@ -256,7 +256,7 @@ def _values(stream: Stream, layout: Structure | None) -> str:
     if layout is None:
         return ""
     if stream.size != layout.size:
-        hint = layout.for_size(stream.size)
+        hint = layout.explain_size(stream.size)
         return f"{stream.size} bytes; '{layout.text}' has {layout.size}{hint and f'; {hint}'}"
     row = stream.rows[-1:]
     if wrong := layout.describe_wrong_constant(row) or layout.describe_wrong_checksum(row):

@@ -83,9 +83,9 @@ def test_packets_are_those_of_the_messages_in_the_robot_s_order(bag: Path) -> No
         assert recording.sources["joint_states"].count == COUNT
         assert recording.read_attachment(DESCRIPTION) == b"<robot name='x'/>"
     with replay:
-        replay.keep_all()
+        replay.start_history()
         replay.advance_to(100.0)
-        packets = replay.take_all()
+        packets = replay.take_history()
     assert packets is not None
     found = packets.values["joint_angles"]
     # The first one was there when it was opened.
