@@ -25,9 +25,7 @@ UNSET = ("DISPLAY", "MUJOCO_GL")
 
 @cache
 def _server() -> Any:
-    """Returns a multiprocessing context whose processes are copies of one without display and
-    backend.
-    """
+    """Returns a context whose processes are copies of one without display and backend."""
     methods = multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     context.set_forkserver_preload([__name__, *_IMPORTED])

@@ -1,10 +1,10 @@
 """Chooses the OpenGL backend before anything imports mujoco, and contains shared fixtures.
 
-`--no-skips` (in `.ci/run`) fails a test that is skipped because a tool is missing. `--hypothesis-
-profile=thorough` (in `make thorough`) runs all examples of property tests instead of a quarter, all
-cases of slow tests instead of the first and the last one, and the tests marked `thorough`, which
-otherwise run only if they are named. Tests marked `realtime` run alone: parallel runs omit them,
-and others run them last.
+`--no-skips` (in `.ci/run`) fails a test that is skipped because a tool is missing.
+`--hypothesis-profile=thorough` (in `make thorough`) runs all examples of property tests instead of
+a quarter, all cases of slow tests instead of the first and the last one, and the tests marked
+`thorough`, which otherwise run only if they are named. Tests marked `realtime` run alone: parallel
+runs omit them, and others run them last.
 """
 
 from __future__ import annotations

@@ -31,7 +31,11 @@ _SETTINGS = {
 
 
 class Firefox:
-    """A page in Firefox of a size in pixels. Attributes: faults: errors of the page."""
+    """A page in Firefox of a size in pixels.
+
+    Attributes:
+        faults: errors of the page.
+    """
 
     def __init__(self, size: tuple[int, int] = (900, 640)) -> None:
         assert FIREFOX is not None

@@ -232,9 +232,7 @@ def requests(client: Client, found: dict[str, Any]) -> None:
 
 
 def greet(port: int) -> list[int]:
-    """Sends invalid requests, each on its own connection, and returns the answer to a wrong
-    version.
-    """
+    """Sends invalid requests on separate connections; returns the answer to a wrong version."""
     for text in (b"\0\0", b"", b"\xff" * 40, struct.pack("<III", 1, 1, 12),
                  struct.pack("<IIIH", 0, 1, 15, 10)):  # fmt: skip
         with socket.create_connection(("127.0.0.1", port), 5.0) as probe:

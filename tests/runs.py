@@ -77,9 +77,7 @@ def simulated(stiffness: float = 800.0, duration: float = 0.5) -> Simulation:
 
 
 def in_old_words(text: str) -> str:
-    """Returns events with the names that simulations used to record for measured angles and
-    velocities.
-    """
+    """Returns events with the former names of measured angles and velocities."""
     return text.replace("_joint_angles", "_angles").replace("_joint_velocities", "_velocities")
 
 

@@ -86,8 +86,9 @@ class Loop:
     def run(
         self, seconds: float, act: Callable[[Sensed, Array], object], push: Array | None = None
     ) -> Array:
-        """Returns angles after every step, (steps, n); `act` writes torques into its second
-        argument.
+        """Returns angles after every step, (steps, n).
+
+        `act` writes torques into its second argument.
         """
         steps = round(seconds / self.model.opt.timestep)
         log = np.empty((steps, self.n))
