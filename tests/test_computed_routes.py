@@ -137,7 +137,7 @@ def test_condition_switches_a_flag(condition: str, holds: bool | None) -> None:
         (
             "lwr.show_arrows",
             "udp.values0 > 1 or udp.values2 > 1",
-            "found 'or', expected the same number on both sides; found 2 values and 3 values",
+            "found 'or', expected equal sizes on both sides; found 2 values and 3 values",
         ),
     ],
 )

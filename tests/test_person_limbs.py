@@ -8,8 +8,7 @@ from conftest import problems_in
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.data.drive.limbs import middle_joint
-from sero_mj.data.drive.place import Placer
+from sero_mj.data.drive.place import Placer, middle_joint
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.surroundings import Object

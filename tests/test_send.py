@@ -235,7 +235,7 @@ OTHER_UDP = {**UDP, "port": 4712}
         (
             {"udp": UDP, "idle": OTHER_UDP},
             {"source": "idle"},
-            "no route leads from 'idle': there is nothing to send",
+            "no route uses source 'idle', so there is nothing to send",
         ),
         (
             {"udp": UDP},

@@ -249,7 +249,7 @@ def test_packet_is_applied_after_the_settle_time(block: str) -> None:
         assert time.monotonic() - start >= 0.3
         made.write(struct.pack("<d", 2.0))
         looked = reader.receive_trigger
-        assert until(lambda: reader.latest() and reader._packets._standing[:8] != bytes(8))
+        assert until(lambda: reader.latest() and reader._packets._candidate[:8] != bytes(8))
         made.write(struct.pack("<d", 2.0), 8)
         assert until(lambda: reader.receive_trigger > looked)
         assert shown(reader) == [2.0, 2.0]

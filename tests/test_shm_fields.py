@@ -66,7 +66,7 @@ def test_block_name_can_begin_with_a_slash() -> None:
         ({"lock": "v"}, "'v' has 2 numbers; expected one, as in v:1I"),
         (
             {"lock": "lock", "sequence": "lock"},
-            "'lock' is lock and sequence; a lock increases by two",
+            "'lock' is both lock and sequence, but a lock increases by two",
         ),
         ({"lock": "late"}, "lock 'late' is at byte 9; expected a multiple of 8"),
         ({"lock": "lock", "offset": 2}, "lock 'lock' is at byte 2; expected a multiple of 8"),

@@ -12,8 +12,7 @@ from pydantic import PrivateAttr, ValidationInfo, field_validator
 
 from ...base.errors import DeclarationError, PluginError, RecordingError, did_you_mean, mismatch
 from ...base.plugins import SOURCES, load_plugin, plugins
-from ..receive.routed_joints import RoutedJoint, RoutedLinks
-from ..receive.source import Source
+from ..receive.source import RoutedJoint, RoutedLinks, Source
 from .csv_files import is_table
 from .file_source import FileSource
 from .formats import look_into, open_recording

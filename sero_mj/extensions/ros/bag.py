@@ -19,8 +19,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from ...base.errors import Problem, RecordingError, UnknownName, first_of
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
-from ...data.receive.routed_joints import RoutedJoint
-from ...data.receive.source import Source
+from ...data.receive.source import RoutedJoint, Source
 from ...data.record.formats import mcap_header, open_recording
 from ...data.record.mcap_reader import NOT_CLOSED
 from ...data.record.recording import PacketFile, RecordedSource
@@ -383,7 +382,7 @@ class Bag(PacketFile):
             table["topics"] = {"joint_states": source.joint_states, **fields}
         return table
 
-    def lead(self, scene: Scene, source: str | None = None) -> Scene:
+    def move_robot(self, scene: Scene, source: str | None = None) -> Scene:
         return led_by(scene, self, self.nameless, self._read_parent_frames, source)
 
     def _read_parent_frames(self) -> dict[str, tuple[str, bool]]:

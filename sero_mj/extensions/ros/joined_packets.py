@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array, frame, inverse, rotation_from_quat
-from ...data.receive.routed_joints import RoutedJoint, RoutedLinks
+from ...data.receive.source import RoutedJoint, RoutedLinks
 from ...data.receive.structure import Structure
 from ...data.record.csv_files import JOINT_EVENTS, prefix_before
 from .link_transforms import LinkTransforms

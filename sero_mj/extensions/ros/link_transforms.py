@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable
 import numpy as np
 
 from ...base.frames import Array, Ints, inverse, rotation_about, rotation_angles
-from ...data.receive.routed_joints import RoutedLinks
+from ...data.receive.source import RoutedLinks
 
 _ANGLE, _DISTANCE = 0.02, 0.01  # rad, m: allowed difference between transforms and robot
 _TURN = 2 * np.pi

@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from ...base.errors import Problem, SourceError
-from ...data.receive.routed_joints import RoutedJoint, RoutedLinks
-from ...data.receive.source import Source
+from ...data.receive.source import RoutedJoint, RoutedLinks, Source
 from ...data.receive.structure import TorqueSign
 from ...data.record.csv_files import JOINT_EVENTS
 from . import messages

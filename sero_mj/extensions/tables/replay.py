@@ -13,8 +13,7 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from ...base.errors import CsvError, Problem, UnknownName, did_you_mean, mismatch
 from ...base.frames import Array
-from ...data.receive.routed_joints import RoutedJoint
-from ...data.receive.source import Source
+from ...data.receive.source import RoutedJoint, Source
 from ...data.receive.structure import Structure
 from ...data.receive.udp import UdpReceiver
 from ...data.record.csv_files import TIME, column_names

@@ -30,7 +30,7 @@ from sero_mj.cli.arguments import replay_instead
 from sero_mj.cli.shared_options import is_recording
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.wiring import wire
-from sero_mj.data.receive.routed_joints import RoutedJoint
+from sero_mj.data.receive.source import RoutedJoint
 from sero_mj.data.record.replay import Replay
 from sero_mj.extensions.ros.bag import DESCRIPTION, Bag, open_recording
 from sero_mj.extensions.ros.described_scene import scenes_of_bag

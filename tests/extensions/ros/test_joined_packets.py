@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ros_tools import JOINT_STATE, STORE, encoded, joint_state
 
-from sero_mj.data.receive.routed_joints import RoutedJoint
+from sero_mj.data.receive.source import RoutedJoint
 from sero_mj.extensions.ros.dds import Ros2
 from sero_mj.extensions.ros.joined_packets import JOINT_STATES, JoinedPackets, prefix_before
 from sero_mj.extensions.ros.messages import MAX_BYTES, MalformedMessage, decode

@@ -14,7 +14,7 @@ from polling import until
 
 from sero_mj.base.errors import SourceError
 from sero_mj.cli.send import SinkOptions, make_sink
-from sero_mj.data.receive.routed_joints import RoutedJoint
+from sero_mj.data.receive.source import RoutedJoint
 from sero_mj.extensions.ros.json_messages import joint_state_of
 from sero_mj.extensions.ros.json_udp import JsonUdp
 from sero_mj.extensions.ros.messages import MalformedMessage

@@ -25,8 +25,7 @@ from sero_mj.base.errors import SourceError
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
 from sero_mj.data.receive.report import describe, report
-from sero_mj.data.receive.routed_joints import RoutedJoint
-from sero_mj.data.receive.source import make_source
+from sero_mj.data.receive.source import RoutedJoint, make_source
 from sero_mj.data.record.replay import Replay
 from sero_mj.extensions.ros import dds
 from sero_mj.extensions.ros.dds import Ros2
