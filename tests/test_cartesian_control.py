@@ -54,9 +54,7 @@ def at_pose(pose: Array) -> Target:
 
 
 def spring_energy(control: CartesianImpedanceController, pose: Array) -> float:
-    """Returns V in J: 1/2 e^T K e with the position error and -2 times the vector of the
-    quaternion.
-    """
+    """Returns V in J: 1/2 e^T K e with position error and -2 times the quaternion vector."""
     R, T = control.model.flange_rotation, control.model.flange()
     way, turn = pose[:3, 3] - T[:3, 3], R @ pose[:3, :3].T
     if control._in_flange:

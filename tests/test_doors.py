@@ -15,9 +15,7 @@ SDF = PLUGINS / "two_links.sdf"
 
 
 def run(folder: Path, program: str, *arguments: str, code: int = 0) -> str:
-    """Returns the output of Python code, or of `sero-mj` if there is none, with a folder's
-    packages.
-    """
+    """Returns the output of Python code, or of `sero-mj` if it is empty, with these packages."""
     environment = {key: value for key, value in os.environ.items() if key not in UNSET}
     status, said = (
         run_program(program, folder, environment)

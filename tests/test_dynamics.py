@@ -17,8 +17,7 @@ from newton_euler import inverse_dynamics
 from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.cli import main
-from sero_mj.robots.assemble.robot_dynamics import about_large_inertias, robot_dynamics
-from sero_mj.robots.assemble.unit_checks import about_units
+from sero_mj.robots.assemble.robot_dynamics import about_large_inertias, about_units, robot_dynamics
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.dynamics import Dynamics, balanced_tensor, inertia_problem
 from sero_mj.robots.declared.robot import SerialRobot, build_robot
@@ -237,7 +236,9 @@ def test_mesh_that_mujoco_rejects_is_named(tmp_path):
     sheet[3] = [0.4, 0.3, 0]
     (tmp_path / "flat.stl").write_bytes(stl(sheet[FACES]))
     plate = Object(name="plate", mesh="flat.stl", mass=1.0, directory=str(tmp_path))
-    with pytest.raises(DeclarationError, match=r"^objects.plate.mesh: .*flat.stl is not a mesh"):
+    with pytest.raises(
+        DeclarationError, match=r"^objects.plate.mesh: MuJoCo cannot read the mesh .*flat.stl"
+    ):
         World(Scene(objects=[plate]))
 
 

@@ -43,6 +43,13 @@ _MIN_MASS = 1e-6  # kg
 # A massless link, which MuJoCo also refuses, gets this share of its robot's mass, and this radius
 # of gyration in m; and MuJoCo's minimum of both, in kg and kg m2.
 _BARE_SHARE, _BARE_RADIUS, _LEAST = 1e-9, 0.01, 2e-15
+# The largest arms on the market reach 4.7 m and weigh 4.7 t; few exceed these values.
+_LARGE_REACH, _LARGE_MASS = 4.0, 1500.0  # m, kg
+# Ratio of the torque that holds the stretched arm to the torque limit; robots have 0.2 to 1.3.
+_LARGE_SHARE = 10.0
+# Strokes from the first value, m, are compared with the reach without strokes, of which arms on
+# rails have up to 6; strokes above the second value are always reported.
+_LONG_STROKE, _LONGEST_STROKE, _STROKES = 1.0, 20.0, 10.0
 
 
 class LinkInertia(NamedTuple):
@@ -157,6 +164,38 @@ def about_large_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> list[st
                 f"reaches {reach:.2g} m from its centre of mass"
             )
     return lines
+
+
+def about_units(robot: SerialRobot, dynamics: RobotDynamics) -> list[str]:
+    """Returns a sentence for each mass or length that is probably in g or mm."""
+    notes = []
+    names, types = robot.names, robot.types
+    limits = robot.plausible_limits
+    strokes = np.ptp(np.where(np.isfinite(limits), limits, 0.0), axis=1)
+    plain = robot.model_copy(update={"position_limits": None}).reach
+    for k in range(robot.n):
+        stroke = float(strokes[k])
+        is_long = stroke > max(_STROKES * plain, _LONG_STROKE) or stroke > _LONGEST_STROKE
+        if types[k] == "prismatic" and is_long:
+            notes.append(f"joint {names[k]} has a range of {stroke:.4g} m: are its limits in mm?")
+    reach = plain if notes else robot.reach
+    if reach > _LARGE_REACH:
+        notes.append(f"few robots reach {reach:.4g} m: are lengths in mm?")
+    mass = float(dynamics.masses.sum())
+    if mass > _LARGE_MASS:
+        is_estimate = "masses" in dynamics.estimated
+        cause = "lengths in mm" if is_estimate else "masses in g"
+        notes.append(f"few robots weigh {mass:,.0f} kg: are {cause}?")
+    links = LinkInertia(dynamics.masses, dynamics.centers, dynamics.tensors)
+    shares = holding_efforts(robot, links) / robot.torque_bounds
+    worst = int(np.argmax(shares))
+    if shares[worst] > _LARGE_SHARE:
+        notes.append(
+            f"joint {names[worst]} needs up to {shares[worst]:,.0f} times its torque limit to hold "
+            "the robot against gravity: are masses in g, lengths in mm, or is the limit in another "
+            "unit?"
+        )
+    return notes
 
 
 def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
