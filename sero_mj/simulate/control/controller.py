@@ -178,7 +178,9 @@ class Target:
 
 
 class Controller:
-    """Base of controllers. Any object with the method `torques` is a controller, too::
+    """Base of controllers. Any object with the method `torques` is a controller, too.
+
+    For example::
 
         class Wave:
             def torques(self, sensed, target, out):
