@@ -190,8 +190,8 @@ def test_sensor_value_that_is_not_a_number_is_reported_with_its_joint(kind: str)
             control.torques(sensed, target, np.zeros(7))
         sensed.values[row, 4] = np.nan
         reason = f"the controller gets a measured {what} of nan; expected a finite number"
-        told = {"reason": reason, "found": math.nan, "of": "", "expected": "a finite number"}
-        with raises_with(SimulationError, time=0.0, joint="lwr/A4", **told):
+        expected = {"reason": reason, "found": math.nan, "of": "", "expected": "a finite number"}
+        with raises_with(SimulationError, time=0.0, joint="lwr/A4", **expected):
             control.torques(sensed, target, np.zeros(7))
 
 
