@@ -32,6 +32,7 @@ ORDER = (
     "data.send",
     "simulate.control",
     "simulate.runs",
+    "simulate.external_control",
     "simulate",
     "load",
     "viewer.decor",

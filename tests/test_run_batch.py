@@ -231,7 +231,7 @@ def test_failing_run_ends_alone() -> None:
     assert [run.is_done for run in runs[1:]] == [False, False, False]
     asked, motor, moved = (run.error for run in runs[1:])
     assert (asked.joint, asked.time) == ("lwr/A3", pytest.approx(0.05))
-    assert asked.reason == "the controller asks for nan Nm; expected a finite number"
+    assert asked.reason == "the controller requested nan Nm; expected a finite number"
     assert motor.reason.startswith("found a motor torque of 1e+30 Nm; expected ")
     assert (motor.joint, motor.problem.found) == ("lwr/A3", 1e30)
     assert moved.problem.reason == "the motion is unstable: found an acceleration of"

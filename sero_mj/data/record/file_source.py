@@ -92,7 +92,7 @@ class FileSource(Source):
     @property
     def about(self) -> str:
         if self.recorded.is_unreadable:
-            return f"replay of {self.file}, whose {self.recorded.count} packets cannot be read"
+            return f"replay of {self.file}, {self.recorded.count} unusable packets"
         return f"replay of {self.file}, {self.duration:.1f} s"
 
     @property

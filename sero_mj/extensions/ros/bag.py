@@ -31,7 +31,7 @@ from .joined_packets import FRAMES, TF, JoinedPackets
 from .json_mcap import JsonMcap, has_json
 from .messages import JOINT_STATE, ODOMETRY, TEXT, MalformedMessage, type_store
 from .repaired_bags import RepairedMcap, log_of, with_log
-from .ros_source import MAX_KEPT_BYTES, TYPES, RosSource, is_tf
+from .ros_source import MAX_REJECTED_BYTES, TYPES, RosSource, is_tf
 
 _ENDINGS = (".bag", ".active", ".db3")  # a bag of ROS 1 is named .bag.active until it is closed
 _METADATA = "metadata.yaml"  # in the folder of a rosbag2
@@ -471,4 +471,4 @@ class Bag(PacketFile):
             if reason not in self.faults and len(self._skip_reasons) < _MAX_LISTED:
                 self._skip_reasons.add(reason)
                 self.faults.append(reason)
-            return joined.layout.never(raw[:MAX_KEPT_BYTES])
+            return joined.layout.never(raw[:MAX_REJECTED_BYTES])
