@@ -304,7 +304,7 @@ def test_panel_changes_controllers_and_gains_and_reports() -> None:
     assert text.startswith("refused: found 9000")
     assert "largest stable value" in text
     panel.build(ScriptedWidgets({"##control": "Cartesian impedance"}))
-    assert said == ["lwr: Cartesian impedance"] and played.lwr.control == "cartesian_impedance"
+    assert messages == ["lwr: Cartesian impedance"] and played.lwr.control == "cartesian_impedance"
     for label, value in (("stiffness", 800.0), ("rotational", 40.0), ("null space", 25.0)):
         panel.build(ScriptedWidgets({label: value}))
     gains = played.lwr.controllers["cartesian_impedance"]
