@@ -511,10 +511,10 @@ def test_repair_reports_its_changes_and_the_robot_can_be_simulated() -> None:
     rows = [[0, 0, 0, 0.3], [0, 0.4, 0, 0]]
     with pytest.raises(DeclarationError) as caught:
         SerialRobot(dh_convention="craig", dh_params=rows, dynamics=table)
-    told = str(caught.value)
-    assert "dynamics.inertias: link 1: found principal moments 1, 1, 3 kg m2" in told
-    assert "dynamics.inertias: link 2: found principal moments 0, 0, 0 kg m2" in told
-    assert told.count('inertia_repair = "balance" changes it to a similar one') == 2
+    message = str(caught.value)
+    assert "dynamics.inertias: link 1: found principal moments 1, 1, 3 kg m2" in message
+    assert "dynamics.inertias: link 2: found principal moments 0, 0, 0 kg m2" in message
+    assert message.count('inertia_repair = "balance" changes it to a similar one') == 2
     robot = SerialRobot(
         dh_convention="craig", dh_params=rows, dynamics={**table, "inertia_repair": "balance"}
     )
