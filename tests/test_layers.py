@@ -33,6 +33,7 @@ ORDER = (
     "simulate.control",
     "simulate.external_control",
     "simulate.runs",
+    "simulate.external_control",
     "simulate",
     "load",
     "viewer.decor",

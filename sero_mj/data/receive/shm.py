@@ -72,17 +72,17 @@ class ShmReader(Source):
 
     @field_validator("block")
     @classmethod
-    def _block_can_have_this_name(cls, block: str) -> str:
+    def _check_block(cls, block: str) -> str:
         block_path(block)
         return block
 
     @field_validator("lock")
     @classmethod
-    def _lock_is_one_number(cls, event: str, info: ValidationInfo) -> str:
-        return cls._is_one_number(event, info)
+    def _check_lock_event(cls, event: str, info: ValidationInfo) -> str:
+        return cls._check_number_event(event, info)
 
     @model_validator(mode="after")
-    def _lock_can_be_one(self) -> ShmReader:
+    def _check_lock(self) -> ShmReader:
         if not self.lock:
             return self
         if self.lock == self.sequence:

@@ -41,7 +41,7 @@ class Replay(FileSource):
 
     @field_validator("file")
     @classmethod
-    def _file_is_a_recording(cls, file: Path) -> Path:
+    def _check_file(cls, file: Path) -> Path:
         if is_table(file):
             raise ValueError(f'{file} is a table; expected a recording. Set kind = "table"')
         try:
@@ -52,7 +52,7 @@ class Replay(FileSource):
 
     @field_validator("topics")
     @classmethod
-    def _are_of_messages(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    def _check_topics(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         if topics and "file" in info.data:
             wanted = _message_source(info.data["file"], topics)
             if wanted is None:
@@ -63,7 +63,7 @@ class Replay(FileSource):
 
     @field_validator("source")
     @classmethod
-    def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
+    def _check_source(cls, source: str, info: ValidationInfo) -> str:
         if "file" not in info.data or "topics" not in info.data:
             return source
         topics, name = info.data["topics"], str(info.data.get("name"))
@@ -79,14 +79,14 @@ class Replay(FileSource):
 
     @field_validator("start")
     @classmethod
-    def _begins_in_the_recording(cls, start: float | None, info: ValidationInfo) -> float | None:
+    def _check_start(cls, start: float | None, info: ValidationInfo) -> float | None:
         if start is not None and "file" in info.data:
             check_start(start, look_into(info.data["file"]))
         return start
 
     @field_validator("stop")
     @classmethod
-    def _ends_after_it_begins(cls, stop: float | None, info: ValidationInfo) -> float | None:
+    def _check_stop(cls, stop: float | None, info: ValidationInfo) -> float | None:
         if stop is None or "file" not in info.data or "start" not in info.data:
             return stop
         if info.data["start"] is not None:

@@ -161,11 +161,11 @@ class TableReplay(FileSource):
 
     @field_validator("structure")
     @classmethod
-    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
-        return super()._structure_parses(text, info) if text else text
+    def _check_structure(cls, text: str, info: ValidationInfo) -> str:
+        return super()._check_structure(text, info) if text else text
 
     @model_validator(mode="after")
-    def _is_a_table(self) -> Self:
+    def _check_table(self) -> Self:
         try:
             table = self._table
         except CsvError as error:

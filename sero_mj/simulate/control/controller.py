@@ -180,11 +180,11 @@ class Target:
 class Controller:
     """Base of controllers. Any object with the method `torques` is a controller, too.
 
-    ```python
-    class Wave:
-        def torques(self, sensed, target, out):
-            out[:] = 5.0 * np.sin(sensed.time)
-    ```
+    For example::
+
+        class Wave:
+            def torques(self, sensed, target, out):
+                out[:] = 5.0 * np.sin(sensed.time)
 
     All other methods and attributes are optional and have the defaults of this class.
     `ControllerDeclaration` describes the first three.
