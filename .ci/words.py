@@ -43,9 +43,7 @@ WORDS = {
 FORBIDDEN = {re.compile(rf"\b(?:{words})\b", re.IGNORECASE): use for words, use in WORDS.items()}
 # Folders that still have such words; without file names, they are not checked.
 UNCHECKED = (
-    "sero_mj/extensions/fmu",
-    "sero_mj/extensions/ros",
-    "sero_mj/extensions/rtde",
+
     "sero_mj/robots",
     "sero_mj/simulate/control",
     "sero_mj/simulate/external_control",
