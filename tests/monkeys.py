@@ -136,8 +136,10 @@ class Monkey:
 class WindowHand:
     """Controls a window from within its process, through GLFW callbacks.
 
-    Args: window: a `Window`. places: of the widgets of its panel; see `Monkey`. seed: of the
-    events.
+    Args:
+        window: a `Window`.
+        places: of the widgets of its panel; see `Monkey`.
+        seed: of the events.
     """
 
     def __init__(self, window: Any, places: Mapping[str, Sequence[float]], seed: int) -> None:
@@ -155,7 +157,8 @@ class WindowHand:
     def run(self, count: int) -> int:
         """Runs this number of events, up to eight before each frame.
 
-        Returns: the number of frames; -1 if the window is closed.
+        Returns:
+            The number of frames, or -1 if the window is closed.
         """
         frames = done = 0
         while done < count:

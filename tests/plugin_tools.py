@@ -12,8 +12,12 @@ PLUGINS = Path(__file__).parent / "plugins"
 def install(folder: Path, module: str, group: str, name: str, item: str) -> None:
     """Copies a module into a folder, with the metadata for its entry point.
 
-    Args: folder: to be put on the module search path. module: a file in `tests/plugins`. group: of
-    the entry point. name: of the entry point. item: the object in the module.
+    Args:
+        folder: to be put on the module search path.
+        module: a file in `tests/plugins`.
+        group: of the entry point.
+        name: of the entry point.
+        item: the object in the module.
     """
     shutil.copy(PLUGINS / f"{module}.py", folder)
     register(folder, module, group, [f"{name} = {module}:{item}"])

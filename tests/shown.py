@@ -16,8 +16,10 @@ from sero_mj.viewer.session.view_state import ViewState, view_state_of
 class Shown:
     """See `sero_mj.viewer.session.tool.Shown`.
 
-    Attributes: said: the messages, and whether they are errors. copied: the text on the clipboard.
-    shows_panel: whether the panel was opened.
+    Attributes:
+        said: the messages, and whether they are errors.
+        copied: the text on the clipboard.
+        shows_panel: whether the panel was opened.
     """
 
     image_size = (640, 480)

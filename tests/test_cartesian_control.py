@@ -340,7 +340,7 @@ STIFFNESSES = "6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6"
 
 
 @pytest.mark.parametrize(
-    ("fields", "told"),
+    ("fields", "expected"),
     [
         ({"stiffness": [1, 2, 3]}, {"reason": f"found 3; expected {STIFFNESSES}"}),
         ({"stiffness": 5}, {"reason": f"found one number; expected {STIFFNESSES}"}),
@@ -360,7 +360,7 @@ STIFFNESSES = "6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6"
         ({"nullspace_stifness": 3}, {"reason": "unknown key", "near": "nullspace_stiffness"}),
     ],
 )
-def test_invalid_gains_are_rejected(fields: dict[str, Any], told: dict[str, Any]) -> None:
+def test_invalid_gains_are_rejected(fields: dict[str, Any], expected: dict[str, Any]) -> None:
     (key,) = fields
-    with raises_with(key=key, **told):
+    with raises_with(key=key, **expected):
         CartesianImpedance(**fields)

@@ -1,4 +1,4 @@
-"""`Mirror`: a world follows its sources, keeps the last valid pose, and counts packets."""
+"""`Mirror`: a world follows its sources, retains the last valid pose, and counts packets."""
 
 from __future__ import annotations
 

@@ -168,7 +168,7 @@ def test_full_queue_counts_lost_packets(tmp_path: Path, held: threading.Event) -
     assert recorder.statistics.packets == 1 + 2 * sum(taken)
     with Recording(tmp_path / "a.mcap") as recording:
         assert recording.lost == {"arm": lost}
-        assert recording.faults == [f"{lost} packets of source 'arm' could not be kept"]
+        assert recording.faults == [f"{lost} packets of source 'arm' were lost"]
     assert not give(recorder, "arm", [b"late"], [time.monotonic()])
     assert recorder.statistics.not_recorded == {"arm": lost + 1}
 
@@ -294,7 +294,7 @@ def test_full_disk_ends_the_recording_with_an_error(tmp_path: Path) -> None:
         cwd=Path(__file__).parent,
     )
     assert done.returncode == 0, done.stderr
-    start = f"True RecordingError {path}: the file has reached the largest size that the system"
+    start = f"True RecordingError {path}: the file has reached the maximum size of the system"
     assert done.stdout.startswith(start)
     assert path.stat().st_size <= 100_000
     with open(path, "rb") as file:

@@ -243,9 +243,9 @@ def test_runaway_joint_ends_its_run_alone() -> None:
     off = {"f": {"kind": "controller", "gain": -1.0, "joints": ["A2", "A4"], "begin": 0.02}}
     runs = check([scenario(duration=0.6, disturbances=PUSH), scenario(duration=0.6, faults=off)])
     assert runs[0].error is None
-    told = runs[1].error.problem
-    assert told.of == "rad/s, more than 3 times its velocity limit, 1.963 rad/s"
-    assert told.found > 3 * np.deg2rad(112.5)
+    problem = runs[1].error.problem
+    assert problem.of == "rad/s, more than 3 times its velocity limit, 1.963 rad/s"
+    assert problem.found > 3 * np.deg2rad(112.5)
 
 
 @pytest.mark.filterwarnings("ignore:overflow")

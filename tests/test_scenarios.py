@@ -206,12 +206,12 @@ def test_unknown_scenario_is_rejected_with_a_suggestion() -> None:
 
 
 def test_overridden_keys_must_exist(tmp_path: Path) -> None:
-    for key, told in (
+    for key, expected in (
         ("controllers.lwrr.stiffness", {"reason": "no robot", "found": "lwrr", "near": "lwr"}),
         ("run.duratio", {"reason": "unknown key", "near": "duration"}),
         ("controllers.lwr.stifness", {"reason": "unknown key", "near": "stiffness"}),
     ):
-        with raises_with(key=key, **told):
+        with raises_with(key=key, **expected):
             read(tmp_path, BASE, {key: 1})
 
 

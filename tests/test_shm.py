@@ -103,7 +103,7 @@ def test_missing_block_is_reported_and_opened_when_it_is_created(
         made = Block(block, writable=True, create=True)
         assert until(lambda: reader.trouble == f"shared memory {block} has 0 bytes; expected 24")
         made.resize(24)
-        assert until(lambda: "(24 bytes), nothing is written yet" in reader.trouble)
+        assert until(lambda: "(24 bytes), but nothing is written yet" in reader.trouble)
         made.write(locked(2, 5, 6))
         assert reader.wait(5.0)
         assert shown(reader) == [5, 6]

@@ -40,7 +40,7 @@ def written(text: str, folder: Path) -> Path:
     return path
 
 
-def wrong(text: str, folder: Path) -> list[str]:
+def errors_in(text: str, folder: Path) -> list[str]:
     path = written(text, folder)
     with pytest.raises(DeclarationError) as caught:
         load_scene(path)
@@ -353,7 +353,7 @@ def test_matrices_with_the_translation_in_the_fourth_column_are_reported(tmp_pat
     ],
 )  # fmt: skip
 def test_errors_are_reported_with_lines(text: str, messages: list[str], tmp_path: Path) -> None:
-    found = wrong(text, tmp_path)
+    found = errors_in(text, tmp_path)
     assert len(found) == len(messages)
     for line, message in zip(found, messages, strict=True):
         assert line.startswith(message)
