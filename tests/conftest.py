@@ -80,7 +80,7 @@ _SLOW = (
 )  # fmt: skip
 # These open the ports of shipped scenes, so one worker runs them all.
 _PORTS = (
-    "test_ahead", "test_cli", "test_docs", "test_film", "test_fri", "test_mirror", "test_shm",
+    "test_packet_buffer", "test_cli", "test_docs", "test_film", "test_fri", "test_mirror", "test_shm",
     "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
 )  # fmt: skip
 
