@@ -412,7 +412,7 @@ def test_a_viewer_that_is_closed_says_so_and_a_wrong_size_is_told(
 ) -> None:
     assert (
         run_script(_CLOSED, tmp_path, display, MUJOCO_GL="glfw").strip()
-        == "window size: found [0, -5]; expected 1 to 16384 pixels a side"
+        == "window size: found [0, -5]; expected 1 to 16384 pixels per side"
     )
 
 

@@ -96,7 +96,7 @@ def test_coefficients_that_fold_the_corners_are_told_and_nothing_is_drawn_there(
     matrix = np.array([[640.0, 0, 640], [0, 640, 360], [0, 0, 1]])
     write_camera(tmp_path / "c.toml", PhotoCamera(1280, 720, matrix, np.eye(4), wide))
     by = read_camera(tmp_path / "c.toml")
-    assert "the coefficients are not valid in 5.9 % of the image, at its edges" in caplog.text
+    assert "the coefficients are invalid in 5.9 % of the image, at the edges" in caplog.text
     rays = by.undistort(np.array([[0.0, 0.0], [640, 360], [1279, 360], [640, 719]]))
     assert np.isnan(rays[0]).all() and np.isfinite(rays[1:]).all()
     # What is beyond the fold stays outside of what can be drawn.
@@ -168,7 +168,7 @@ def test_what_is_written_is_read_back(lens: str, name: str, tmp_path: Path) -> N
         ("c.toml", TOML.replace("camera_matrix", "camera_matrx"),
          ["camera_matrx: unknown key; did you mean 'camera_matrix'?"]),
         ("c.toml", TOML.replace("640", "0"), ["image_width: found 0; expected pixels, 1 to 16384"]),
-        ("c.txt", TOML, ["expected a camera file that ends in .yaml, .yml, .toml"]),
+        ("c.txt", TOML, ["expected a camera file with a name that ends in .yaml, .yml, .toml"]),
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_a_camera_file_is_told_at_once(
