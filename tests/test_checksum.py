@@ -110,20 +110,20 @@ def test_checksum_in_the_other_byte_order_is_described() -> None:
     sent = Structure("2F >1H=CRC-16/MODBUS").encode({"values0": [1, 2]})
     found = Structure("2F 1H=CRC-16/MODBUS").describe_wrong_checksum(rows_of(sent))
     assert found.startswith("CRC-16/MODBUS of bytes 0 to 15 is 0x")
-    assert found.endswith("with its bytes reversed: '>'?")
+    assert found.endswith("is '>' missing in the structure?")
 
 
 @pytest.mark.parametrize(
     ("text", "character", "reason"),
     [
         ("7F 1I=CRC-16/ARC", 7,
-         "expected one unsigned number of 16 bits for it, as in 1H=CRC-16/ARC"),
-        ("7F 2H=sum", 7, "expected one unsigned number for it, as in 1H=sum"),
-        ("7F 1b=xor", 7, "expected one unsigned number of 8 bits for it, as in 1B=xor"),
+         "a checksum is one unsigned number of 16 bits; expected 1H=CRC-16/ARC"),
+        ("7F 2H=sum", 7, "a checksum is one unsigned number; expected 1H=sum"),
+        ("7F 1b=xor", 7, "a checksum is one unsigned number of 8 bits; expected 1B=xor"),
         ("7F 1H=modbus", 7, f"{CHECK}; did you mean 'CRC-16/MODBUS'?"),
         ("7F 1B=sum[50:99]", 7,
-         "the checksum would be of the bytes 50 to 98; expected some of 0 to 56"),
-        ("1B=sum[1:] 7F 1B=xor", 4, "the checksum would be of a later checksum as well"),
+         "the checksum covers the bytes 50 to 98; expected a range within 0 to 56"),
+        ("1B=sum[1:] 7F 1B=xor", 4, "the checksum covers a later checksum"),
         ("7F 1H=CRC-16/ARC[0]", 17,
          "expected a count and F, V, M, T, x or a type, for example 7F1M"),
     ],

@@ -72,11 +72,11 @@ def test_any_nonzero_byte_is_true(byte: int) -> None:
     assert structure.encode({"on": [byte]}) == bytes([byte != 0, 1])
 
 
-NUMBERS = "numbers, all rows of one length"
+NUMBERS = "numbers in rows of equal length"
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "expected"),
     [
         *(
             (wrong, {"found": wrong, "expected": NUMBERS})
@@ -87,9 +87,9 @@ NUMBERS = "numbers, all rows of one length"
     ],
 )
 def test_values_that_are_not_numbers_are_rejected_with_the_event_name(
-    given: Any, told: dict[str, Any]
+    given: Any, expected: dict[str, Any]
 ) -> None:
-    with raises_with(key="level", **told):
+    with raises_with(key="level", **expected):
         Structure("level:2B").encode({"level": given})
 
 
@@ -144,7 +144,11 @@ def test_value_that_scale_makes_infinite_is_detected() -> None:
     assert Structure("1F", scale=100.0).find_not_finite(rows).tolist() == [True, False, True]
     assert Structure("1F", scale=0.01).find_not_finite(rows).tolist() == [False, False, True]
     for text, event, array in (("1d", "values0", [1e308]), ("1M", "matrices0", np.eye(4) * 1e308)):
-        with raises_with(key=event, found=1e308, expected="less, for scale 1e-10"):
+        with raises_with(
+            key=event,
+            found=1e308,
+            expected="a smaller number, because it is divided by scale 1e-10",
+        ):
             Structure(text, scale=1e-10).encode({event: np.array(array)[..., ::-1]})
     with raises_with(key="values0", found=[10**400], expected=NUMBERS):
         Structure("1d").encode({"values0": [10**400]})
@@ -204,8 +208,8 @@ def test_constant_in_the_other_byte_order_is_recognized(text: str, sent: str, or
     constant = {"H": 0x2006, "I": 0xCAFE0006, "q": -2}[sent[1]]
     packet = struct.pack(sent, constant).ljust(structure.size, b"\0")
     told = structure.describe_wrong_constant(rows_of(packet))
-    assert told.endswith(f"; these are its bytes in reverse order: '{order}'?")
-    assert "turned" not in structure.describe_wrong_constant(rows_of(bytes(structure.size)))
+    assert told.endswith(f"is '{order}' missing in the structure?")
+    assert "missing" not in structure.describe_wrong_constant(rows_of(bytes(structure.size)))
 
 
 def test_constants_and_size_are_encoded_checked_and_described() -> None:
@@ -231,7 +235,7 @@ def test_constants_and_size_are_encoded_checked_and_described() -> None:
         structure.encode({"size": [26], "mode": np.float32(0.1)})
         == packet[:6] + bytes(8) + (packet[14:])
     )
-    expected = f"26 (0x1a), as '{structure.text}' demands"
+    expected = f"26 (0x1a), as declared in '{structure.text}'"
     with raises_with(key="size", reason="found 27 (0x1b)", expected=expected):
         structure.encode({"size": [27]})
 
@@ -247,7 +251,7 @@ def test_numpy_reads_packets_with_the_dtype() -> None:
 
 def test_size_fields_hold_the_size_of_the_whole_packet() -> None:
     assert Structure("1B=size 1x 253B").fields[0].constant == 255
-    holds = "expected a type that holds this number, for example 1H=size"
+    holds = "expected a type with this range, for example 1H=size"
     told = f"the packet has 256 bytes; {holds}"
     with raises_with(StructureError, position=3, reason=told):
         Structure("1B=size 1x 254B")

@@ -279,7 +279,7 @@ def test_the_command_is_0_for_the_same_and_1_beyond_a_tolerance(
     peaks = [abs(each["peak"]) for each in found["differences"] if each["signal"] == "joint_angles"]
     np.testing.assert_allclose(np.rad2deg(peaks), by_hand, rtol=1e-9)
     assert len(found["exceeded"]) == (by_hand > 0.05).sum() > 0
-    assert "allowed 0.05 deg" in told.err
+    assert "tolerance 0.05 deg" in told.err
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Tables that `export` writes: a recording's packets in full precision."""
+"""Tables of `export`: packets of a recording in full precision."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def read_csv(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     return numbers[:, 0], dict(zip(names[1:], numbers[:, 1:].T, strict=True))
 
 
-def test_columns_are_named_by_event_and_place() -> None:
+def test_columns_are_named_by_event_and_index() -> None:
     assert column_names({"values0": (2,), "vectors0": (1, 3)}) == [
         "values0[0]",
         "values0[1]",
@@ -54,14 +54,14 @@ def test_columns_are_named_by_event_and_place() -> None:
     assert column_names(LAYOUT.events)[-1] == "matrices0[0][3][3]"
 
 
-def test_a_packet_is_a_row_and_a_malformed_one_is_counted(tmp_path: Path) -> None:
+def test_each_valid_packet_is_a_row_and_malformed_ones_are_counted(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", [packet(0.1, math.nan), b"short", packet(1e-300, -2.0)])
     with Recording(path) as recording:
         exported = export_csv(recording, "arm", tmp_path / "a.csv", LAYOUT.decode)
     assert exported == Exported(rows=2, malformed=1)
     lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == ",".join(["time", *column_names(LAYOUT.events)])
-    # Matrices come column by column, but a column's name is that of the number itself.
+    # Packets have column-major matrices, but column names have row and column indices.
     numbers = ",".join(repr(float(i)) for i in range(16))
     assert lines[1].partition(",")[2] == f"0.1,nan,1.0,2.0,3.0,{numbers}"
     assert lines[2].partition(",")[2] == f"1e-300,-2.0,1.0,2.0,3.0,{numbers}"
@@ -70,7 +70,7 @@ def test_a_packet_is_a_row_and_a_malformed_one_is_counted(tmp_path: Path) -> Non
     assert [file.name for file in tmp_path.iterdir() if "csv" in file.name] == ["a.csv"]
 
 
-def test_a_part_of_a_recording(tmp_path: Path) -> None:
+def test_part_of_a_recording_is_exported(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", [packet(float(i), 0.0) for i in range(20)])
     with Recording(path) as recording:
         export_csv(recording, "arm", tmp_path / "a.csv", LAYOUT.decode, start=0.99, stop=1.49)
@@ -80,7 +80,7 @@ def test_a_part_of_a_recording(tmp_path: Path) -> None:
 
 @settings(max_examples=examples(25), deadline=None)
 @given(rows=st.lists(st.tuples(st.floats(), st.floats()), min_size=1, max_size=20))
-def test_numbers_are_read_back_as_they_were(
+def test_exported_numbers_are_read_back_exactly(
     tmp_path_factory: pytest.TempPathFactory, rows: list[tuple[float, float]]
 ) -> None:
     folder = tmp_path_factory.mktemp("csv")
@@ -95,7 +95,7 @@ def test_numbers_are_read_back_as_they_were(
     np.testing.assert_array_equal(columns["values0[1]"], [row[1] for row in rows])
 
 
-def test_what_cannot_be_exported_is_told_and_leaves_no_half_file(tmp_path: Path) -> None:
+def test_failed_export_is_reported_and_leaves_no_partial_file(tmp_path: Path) -> None:
     def broken(data: bytes) -> None:
         raise ZeroDivisionError
 
@@ -115,7 +115,7 @@ def test_what_cannot_be_exported_is_told_and_leaves_no_half_file(tmp_path: Path)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "a.mcap"]
 
 
-def test_a_table_goes_where_a_link_leads_and_into_pipes(tmp_path: Path) -> None:
+def test_table_is_written_through_links_and_into_pipes(tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
     (tmp_path / "link.csv").symlink_to(tmp_path / "there" / "a.csv")
     with csv_table(tmp_path / "link.csv") as table:
@@ -132,7 +132,7 @@ def test_a_table_goes_where_a_link_leads_and_into_pipes(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == ["link.csv", "pipe", "there"]
 
 
-def test_the_command_exports_nan_as_such_and_fails_without_a_row(
+def test_command_exports_nan_and_fails_without_rows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     layout = Structure("2F")

@@ -1,4 +1,4 @@
-"""The structure language: against Python's `struct`, with names, orders, checks and alignment."""
+"""The structure language with names, byte orders, checks and alignment, compared with `struct`."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ EVENTS = {"F": "values", "V": "vectors", "M": "matrices", "T": "matrices"}
 
 @dataclass
 class Wanted:
-    """An item as a test wants it, written down by the test itself."""
+    """An item of a generated structure."""
 
     count: int
     kind: str  # F, V, M, T, or x
     type: str  # a letter; empty for the default
-    order: str  # < or >, empty to leave it
+    order: str  # < or >; empty for no change
     name: str
-    check: str  # what stands behind =, or empty
+    check: str  # text after =, or empty
     gap: str
 
     def text(self) -> str:
@@ -46,7 +46,7 @@ class Wanted:
 
 @st.composite
 def wanted_items(draw: st.DrawFn) -> list[Wanted]:
-    items = [Wanted(1, "F", "", "", "", "", "")]  # something always makes an event
+    items = [Wanted(1, "F", "", "", "", "", "")]  # at least one item creates an event
     for i in range(draw(st.integers(0, 6))):
         kind = draw(st.sampled_from("FFFVMTx"))
         type_ = "" if kind == "x" else draw(st.sampled_from(["", *LETTERS]))
@@ -63,7 +63,7 @@ def wanted_items(draw: st.DrawFn) -> list[Wanted]:
 
 
 @given(wanted_items(), st.booleans(), st.sampled_from([1, 2, 4, 8]))
-def test_fields_stand_where_struct_puts_them(
+def test_offsets_equal_those_of_struct(
     wanted: list[Wanted], is_double: bool, alignment: int
 ) -> None:
     text = "".join(item.text() for item in wanted)
@@ -71,7 +71,7 @@ def test_fields_stand_where_struct_puts_them(
     at, order, numbered = 0, "<", dict.fromkeys(EVENTS.values(), 0)
     events: dict[str, tuple[int, ...]] = {}
     for item, field in zip(wanted, structure.fields, strict=True):
-        while at % alignment:  # slowly, byte by byte
+        while at % alignment:  # a simple reference implementation
             at += 1
         order = {"": order, "!": ">"}.get(item.order, item.order)
         letter = "s" if item.kind == "x" else item.type or ("d" if is_double else "f")
@@ -119,18 +119,18 @@ EXPECTED = "expected a count and F, V, M, T, x or a type, for example 7F1M"
     ("text", "character", "reason"),
     [
         ("joints:7", 9, "expected F, V, M, T, x or a type after a count, for example 7F1M"),
-        ("joints:F", 8, "expected a count before it, for example 1F"),
+        ("joints:F", 8, "expected a count before 'F', as in 1F"),
         ("joints 7F", 1, EXPECTED),
         ("7Fjoints:7F", 3, "expected a space or a comma before a name"),
         ("1H=5joints:7F", 5, "expected a space or a comma before a name"),
-        ("a:1F a:1F", 6, "two fields have the name 'a'"),
-        ("a:1F a:1F=1", 6, "two fields have the name 'a'"),
-        ("values0:7F", 1, "'values0' has a meaning of its own; expected another name"),
-        ("7F receiving:1F", 4, "'receiving' has a meaning of its own; expected another name"),
-        ("1F pad:4x", 4, "skipped bytes have no name"),
+        ("a:1F a:1F", 6, "two items have the name 'a'"),
+        ("a:1F a:1F=1", 6, "two items have the name 'a'"),
+        ("values0:7F", 1, "the name 'values0' is reserved; expected another name"),
+        ("7F receiving:1F", 4, "the name 'receiving' is reserved; expected another name"),
+        ("1F pad:4x", 4, "skipped bytes cannot have a name"),
         ("1F 4x=0", 6, "skipped bytes cannot be checked; expected a type, for example 1B=0"),
-        ("4x", 3, "expected something that makes an event"),
-        ("1H=0x2006", 10, "expected something that makes an event"),
+        ("4x", 3, "expected an item that creates an event"),
+        ("1H=0x2006", 10, "expected an item that creates an event"),
         ("=7F", 1, "expected < (little-endian) or > (big-endian)"),
         ("7F @7F", 4, "expected < (little-endian) or > (big-endian)"),
         ("1M = 1", 4, "a matrix cannot be checked against one number"),
@@ -138,7 +138,7 @@ EXPECTED = "expected a count and F, V, M, T, x or a type, for example 7F1M"
         ("1H= ", 5, CHECK),
         ("1H=sizes 1F", 4, f"{CHECK}; did you mean 'size'?"),
         ("1H=abcdefgh 1F", 4, CHECK),
-        ("1H=7x", 5, "expected a count before it, for example 1x"),
+        ("1H=7x", 5, "expected a count before 'x', as in 1x"),
         ("1H=1.5", 4, "expected a whole number for this type"),
         ("1H=65536", 4, "expected a number from 0 to 65535"),
         ("1H=-1", 4, "expected a number from 0 to 65535"),
@@ -152,23 +152,23 @@ EXPECTED = "expected a count and F, V, M, T, x or a type, for example 7F1M"
         ("1f=-4e38", 4, "expected a number from -3.40282e+38 to 3.40282e+38"),
         ("1H=" + "9" * 5000, 4, "expected a number of at most 40 characters"),
         ("1B=size 70F", 4,
-         "the packet has 561 bytes; expected a type that holds this number, for example 1H=size"),
+         "the packet has 561 bytes; expected a type with this range, for example 1H=size"),
         ("1F arm:9000F", 8, "the packet would be too long; expected at most 65507 bytes"),
     ],
 )  # fmt: skip
-def test_an_error_points_at_the_character_and_says_what_is_right(
-    text: str, character: int, reason: str
-) -> None:
+def test_error_has_position_and_expected_text(text: str, character: int, reason: str) -> None:
     with pytest.raises(StructureError) as caught:
         Structure(text)
     assert (caught.value.position + 1, caught.value.reason) == (character, reason)
 
 
-def test_holes_count_when_a_packet_is_too_long() -> None:
+def test_alignment_padding_counts_toward_the_size_limit() -> None:
     text = " ".join(["1B"] * 8190)
     assert Structure(text, alignment=4).size == 8189 * 4 + 1
     reason = "the packet would be too long; expected at most 65507 bytes"
-    with raises_with(StructureError, position=3 * 8189, reason=reason):  # it would begin at 65512
+    with raises_with(
+        StructureError, position=3 * 8189, reason=reason
+    ):  # the item would begin at 65512
         Structure(text, alignment=8)
 
 
@@ -183,12 +183,12 @@ def test_holes_count_when_a_packet_is_too_long() -> None:
         ("scale", math.inf, "a finite number above 0"),
     ],
 )
-def test_options_that_make_no_sense_are_refused(key: str, found: float, expected: str) -> None:
+def test_invalid_options_are_rejected(key: str, found: float, expected: str) -> None:
     with raises_with(key=key, found=found, expected=expected):
         Structure("1F", **{key: found})  # type: ignore[arg-type]
 
 
-def test_byte_pack_has_the_offsets_of_its_manual() -> None:
+def test_byte_pack_example_has_documented_offsets() -> None:
     text = "1B 1I 1f 1h 1d"
     packed, aligned = Structure(text), Structure(text, alignment=4)
     assert [field.offset for field in aligned.fields] == [0, 4, 8, 12, 16]
@@ -199,12 +199,12 @@ def test_byte_pack_has_the_offsets_of_its_manual() -> None:
     assert packed.encode(values) == struct.pack("<BIfhd", 1, 2, 3, 4, 5)
 
 
-def test_the_numbered_packet_may_be_longer_as_doubles_than_udp_carries() -> None:
+def test_size_limit_uses_the_declared_float_type() -> None:
     receiver = UdpReceiver(structure="n:1I 16000F", double=False, sequence="n")
     assert receiver.size == 64_004
 
 
-def test_random_strings_raise_nothing_but_structure_errors() -> None:
+def test_random_strings_raise_only_structure_errors() -> None:
     randomly = random.Random(2006)
     alphabet = "0123456789" * 2 + "FVMTxfdbBhHiIqQ?<>!=:, _ae.+-" * 2 + "size0x²٣é\n\0"
     parsed = 0

@@ -1,4 +1,4 @@
-"""STRUCTURE.md: every example runs, and what its grammar makes is read."""
+"""STRUCTURE.md: its examples run, and strings from its grammar are parsed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def blocks(language: str) -> list[str]:
 
 
 @pytest.mark.parametrize("example", blocks("console"))
-def test_a_command_prints_what_the_page_says(example: str, capsys) -> None:
+def test_documented_commands_print_the_documented_output(example: str, capsys) -> None:
     command, *printed = example.splitlines()
     prompt, name, *arguments = shlex.split(command)
     assert (prompt, name) == ("$", "sero-mj")
@@ -40,14 +40,14 @@ def test_a_command_prints_what_the_page_says(example: str, capsys) -> None:
     assert (out + err).splitlines() == printed
 
 
-def test_python_on_the_page_runs() -> None:
+def test_documented_python_runs() -> None:
     for code in blocks("python"):
         assert "assert" in code
         exec(compile(code, "STRUCTURE.md", "exec"), {})
 
 
 @pytest.mark.extensions
-def test_the_fri_packet_on_the_page_is_that_of_the_receiver() -> None:
+def test_documented_fri_structure_matches_the_receiver() -> None:
     from sero_mj.extensions.fri.receiver import FriLayout
     from sero_mj.extensions.sniff.guess import known_packets
 
@@ -71,7 +71,7 @@ def test_the_fri_packet_on_the_page_is_that_of_the_receiver() -> None:
     }
 
 
-def test_the_other_commands_of_the_page_are_understood() -> None:
+def test_other_documented_commands_are_parsed() -> None:
     parser = argparse.ArgumentParser()
     structure.add_to(parser.add_subparsers())
     for line in "\n".join(blocks("bash")).splitlines():
@@ -80,7 +80,7 @@ def test_the_other_commands_of_the_page_are_understood() -> None:
 
 
 class Grammar:
-    """Makes strings by the rules of the page's grammar, whatever they are."""
+    """Generates strings by the rules of the grammar in the page."""
 
     def __init__(self, text: str, seed: int) -> None:
         self.rules = {
@@ -95,7 +95,7 @@ class Grammar:
         tokens = list(self.rules[rule])
         made = self.alternatives(tokens)
         assert not tokens
-        return f" {made} " if rule == "item" else made  # as the page has it beside names, checks
+        return f" {made} " if rule == "item" else made  # required by the rules on names and checks
 
     def alternatives(self, tokens: list[str]) -> str:
         found = [self.sequence(tokens)]
@@ -130,17 +130,17 @@ class Grammar:
         return self.make(token)
 
 
-# What the page says in words, beside the grammar.
-BESIDE = (
-    "a meaning of its own", "a space or a comma before a name", "two fields have the name",
+# Errors by the rules that are not in the grammar.
+OTHER_RULES = (
+    "is reserved", "a space or a comma before a name", "two items have the name",
     "a count of 1 or more", "would be too long", "a matrix cannot be checked", "a number from",
-    "a whole number for this type", "something that makes an event", "type that holds this number",
-    "one unsigned number", "the checksum would be of",
+    "a whole number for this type", "an item that creates an event", "a type with this range",
+    "one unsigned number", "the checksum covers",
 )  # fmt: skip
 
 
 @pytest.mark.slow
-def test_what_the_grammar_makes_is_read() -> None:
+def test_strings_from_the_grammar_are_parsed() -> None:
     grammar = Grammar(blocks("ebnf")[0], seed=11)
     read = 0
     for _ in range(1500):
@@ -148,20 +148,20 @@ def test_what_the_grammar_makes_is_read() -> None:
         try:
             parse(text)
         except StructureError as error:
-            assert any(reason in error.reason for reason in BESIDE), (text, str(error))
+            assert any(reason in error.reason for reason in OTHER_RULES), (text, str(error))
         else:
             read += 1
     assert read > 300
     assert grammar.used == set(grammar.rules)
 
 
-def test_the_grammar_has_all_letters_and_the_page_the_limit() -> None:
+def test_page_has_all_letters_checksums_and_the_size_limit() -> None:
     grammar = Grammar(blocks("ebnf")[0], seed=0)
     quoted = {
         rule: {token[1:-1] for token in grammar.rules[rule] if token[0] == '"'}
         for rule in ("kind", "type")
     }
     assert quoted == {"kind": set(KINDS), "type": set(TYPES)}
-    assert f"at most {MAX_PACKET_BYTES} bytes" in PAGE
+    assert f"is {MAX_PACKET_BYTES} bytes" in PAGE
     names = set(re.findall(r"`([~-]?[a-zA-Z][\w/-]+)`", PAGE))
     assert {*SUMS, *CRCS} <= names

@@ -1,4 +1,4 @@
-"""`Mirror`: a world follows its sources, keeps the last good pose, and says what arrived."""
+"""`Mirror`: a world follows its sources, retains the last valid pose, and counts packets."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 SCENES = Path(__file__).parent.parent / "scenes"
 TILTED = {"xyz": [0.3, -0.2, 0.5], "rpy": [0.4, -0.3, 1.1]}
 
-# A robot in a process of its own, with an encoder that is not ours: one packet of doubles.
+# A separate process with its own encoder, which sends one packet of doubles.
 ROBOT = """
 import socket, struct, sys
 values = [float(word) for word in sys.argv[2:]]
@@ -59,7 +59,7 @@ def arm(name: str = "arm", convention: str = "craig") -> SerialRobot:
 
 
 def mirror_of(*robots: SerialRobot) -> Mirror:
-    """One source feeds angles and torques to all of them alike."""
+    """Returns a mirror in which one source sets angles and torques of all robots."""
     routes = {f"{robot.name}.joint_angles": "udp.values0" for robot in robots}
     routes |= {f"{robot.name}.torques": "udp.values1" for robot in robots}
     source = {"kind": "udp", "structure": "3F3F"}
@@ -75,7 +75,7 @@ def frame_of(mirror: Mirror, name: str) -> Array:
 
 
 def largest_difference(mirror: Mirror, robot: SerialRobot, q: Array) -> float:
-    """Between the frames of the model and those of the DH table, which knows no MuJoCo."""
+    """Returns the difference of the model's frames from those computed by the DH table."""
     expected = robot.dh.frames(q, robot.base_frame)
     names = ["base", *(f"link{i + 1}" for i in range(robot.n))]
     found = np.array([frame_of(mirror, f"{robot.name}/{name}") for name in names])
@@ -114,7 +114,7 @@ def six(angles: tuple[float, ...], torques: tuple[float, ...] = (1.0, 2.0, 3.0))
 
 
 @pytest.mark.parametrize("convention", ["craig", "standard"])
-def test_the_pose_is_that_of_the_dh_table(sender: Send, convention: str) -> None:
+def test_pose_equals_that_of_the_dh_table(sender: Send, convention: str) -> None:
     robot = arm(convention=convention)
     with mirror_of(robot) as mirror:
         assert not mirror.advance()
@@ -126,7 +126,7 @@ def test_the_pose_is_that_of_the_dh_table(sender: Send, convention: str) -> None
             assert largest_difference(mirror, robot, q) < 1e-12
 
 
-def test_the_shipped_scene_follows_a_robot_in_another_process() -> None:
+def test_shipped_scene_follows_a_robot_in_another_process() -> None:
     scene = load_scene(SCENES / "lwr_udp.toml")
     scene.sources["udp"]["port"] = 0  # so that tests can run side by side
     values = np.random.default_rng(1).uniform(-1.5, 1.5, 14)
@@ -141,7 +141,7 @@ def test_the_shipped_scene_follows_a_robot_in_another_process() -> None:
         assert slot(mirror, "lwr.torques") == values[7:].tolist()
 
 
-def test_our_own_sender_moves_the_shipped_scene() -> None:
+def test_send_command_moves_the_shipped_scene() -> None:
     scene = load_scene(SCENES / "lwr_udp.toml")
     scene.sources["udp"]["port"] = 0
     with Mirror(scene) as mirror:
@@ -174,7 +174,7 @@ def test_several_robots_follow_one_packet(sender: Send) -> None:
             assert arrived == ["joint_angles", "torques"]
 
 
-def test_before_the_first_packet_the_declared_pose_is_shown() -> None:
+def test_declared_pose_is_shown_before_the_first_packet() -> None:
     with mirror_of(arm()) as mirror:
         assert not mirror.advance()
         assert mirror.data.qpos.tolist() == [0.1, 0.2, 0.3]
@@ -183,7 +183,7 @@ def test_before_the_first_packet_the_declared_pose_is_shown() -> None:
         assert mirror.wait(0.0) == ["udp"]
 
 
-def test_bad_packets_keep_the_last_good_pose_and_are_counted(sender: Send) -> None:
+def test_malformed_packets_are_counted_and_keep_the_last_pose(sender: Send) -> None:
     bad = [
         six((math.nan, 0.0, 0.0)),
         six((1.0, 1.0, -math.inf)),
@@ -206,13 +206,13 @@ def test_bad_packets_keep_the_last_good_pose_and_are_counted(sender: Send) -> No
         assert slot(mirror, "arm.torques") == [1.0, 2.0, 3.0]
 
 
-def test_the_age_of_a_packet_is_the_time_since_it_arrived() -> None:
+def test_age_is_the_time_since_arrival() -> None:
     packet = Packet({}, arrival=100.0, number=1)
     assert age(packet, 100.25) == 0.25
     assert age(None, 3.0) == math.inf
 
 
-def test_a_source_that_stops_grows_older(sender: Send) -> None:
+def test_age_of_a_silent_source_increases(sender: Send) -> None:
     with mirror_of(arm()) as mirror:
         before = time.monotonic()
         sender(mirror, six((0.0, 0.0, 0.0)))
@@ -223,7 +223,7 @@ def test_a_source_that_stops_grows_older(sender: Send) -> None:
         assert counted(mirror)["age"] <= time.monotonic() - before
 
 
-def test_a_mirror_that_is_closed_leaves_nothing_at_its_sources() -> None:
+def test_closed_mirror_removes_its_callbacks_from_sources() -> None:
     source = UdpReceiver(name="udp", udpport=0, structure="3F3F")
     own: list[int] = []
     source.on_receive(lambda: own.append(1))
@@ -239,22 +239,22 @@ def test_a_mirror_that_is_closed_leaves_nothing_at_its_sources() -> None:
                     sender.sendto(packet, ("127.0.0.1", source.port))
                 assert mirror.wait_next(5.0)
             assert len(source._callbacks) == 1
-            source.accept([struct.pack("<6d", *range(6))])  # kept for nobody
-            assert source.take_all() is None
+            source.accept([struct.pack("<6d", *range(6))])  # without a listener
+            assert source.take_history() is None
     assert len(own) == 12
 
 
-def test_what_the_kernel_drops_is_in_the_slot() -> None:
+def test_packets_dropped_by_the_kernel_are_in_userdata() -> None:
     mirror = mirror_of(arm())
     source: Any = mirror.sources["udp"]
-    source.counters.dropped = 5  # without a flood, test_udp makes one
+    source.counters.dropped = 5  # test_udp tests real drops
     mirror.advance()
     found = counted(mirror)
     assert found.pop("link_age") == pytest.approx(0.0, abs=1.0)
     assert found == {"size": 48, "dropped": 5}
 
 
-def test_the_time_is_that_since_opening_or_the_one_given() -> None:
+def test_time_is_measured_from_open_unless_passed() -> None:
     mirror = mirror_of(arm())
     before = time.monotonic()
     with mirror:
@@ -267,7 +267,7 @@ def test_the_time_is_that_since_opening_or_the_one_given() -> None:
         assert mirror.data.time == 12.5
 
 
-def test_after_a_reset_the_latest_packet_is_applied_again(sender: Send) -> None:
+def test_reset_applies_the_latest_packet_again(sender: Send) -> None:
     robot = arm()
     q = np.array([0.5, -0.25, 1.5])
     with mirror_of(robot) as mirror:
@@ -282,7 +282,7 @@ def test_after_a_reset_the_latest_packet_is_applied_again(sender: Send) -> None:
         assert slot(mirror, "arm.torques") == [1.0, 2.0, 3.0]
 
 
-def test_opened_again_it_follows_from_the_first_packet_on(sender: Send) -> None:
+def test_reopened_mirror_follows_from_the_first_packet(sender: Send) -> None:
     mirror = mirror_of(arm())
     for angle in (0.5, -0.5):
         with mirror:
@@ -290,10 +290,10 @@ def test_opened_again_it_follows_from_the_first_packet_on(sender: Send) -> None:
             assert mirror.wait(5.0) == []
             assert mirror.advance()
             assert mirror.data.qpos[0] == angle
-    mirror.close()  # once more is harmless
+    mirror.close()  # has no effect
 
 
-def test_a_state_brings_back_frames_and_userdata_bit_for_bit(sender: Send) -> None:
+def test_restored_state_has_identical_frames_and_userdata(sender: Send) -> None:
     fields = ("qpos", "userdata", "mocap_pos", "mocap_quat", "xpos", "xmat", "site_xpos")
     fields += ("site_xmat", "geom_xpos", "geom_xmat", "cam_xpos", "light_xpos", "subtree_com")
     with mirror_of(arm()) as mirror:
@@ -311,7 +311,7 @@ def test_a_state_brings_back_frames_and_userdata_bit_for_bit(sender: Send) -> No
             assert data.time == moment
             for field, value in kept.items():
                 assert getattr(data, field).tobytes() == value.tobytes(), field
-        # A state is a copy: what comes later does not change it.
+        # A state is a copy, which later packets do not change.
         assert mirror.state().tobytes() == state.tobytes()
         assert mirror.state() is not state
 
@@ -322,7 +322,7 @@ def test_sources_without_a_route_are_not_opened() -> None:
     assert list(mirror.sources) == ["used"]
 
 
-def test_if_the_second_source_cannot_open_the_first_is_closed() -> None:
+def test_failure_to_open_a_source_closes_the_others() -> None:
     with UdpReceiver(structure="3F") as blocker:
         sources = {
             "first": UdpReceiver(structure="3F", name="first"),
@@ -335,10 +335,10 @@ def test_if_the_second_source_cannot_open_the_first_is_closed() -> None:
         with raises_with(SourceError, source="second", reason=reason):
             mirror.open()
         assert not [t.name for t in threading.enumerate() if t.name == "udp first"]
-        assert port_of(mirror, "first") == 0  # no socket, hence no port
+        assert port_of(mirror, "first") == 0  # no socket, so no port
 
 
-def test_waiting_names_the_silent_and_ends_in_time(sender: Send) -> None:
+def test_wait_returns_silent_sources_within_the_timeout(sender: Send) -> None:
     sources = {name: {"kind": "udp", "structure": "3F3F"} for name in ("udp", "mute", "dumb")}
     routes = {"a.torques": "udp.values0", "b.torques": "mute.values0", "c.torques": "dumb.values0"}
     with Mirror(Scene(robots=[arm(n) for n in "abc"], sources=sources, routes=routes)) as mirror:
@@ -346,7 +346,7 @@ def test_waiting_names_the_silent_and_ends_in_time(sender: Send) -> None:
         assert until(lambda: mirror.sources["udp"].latest() is not None)
         start = time.monotonic()
         assert mirror.wait(0.1) == ["mute", "dumb"]
-        # The time is for all of them together.
+        # The timeout applies to all sources together.
         assert 0.1 <= time.monotonic() - start < 0.19
 
 
@@ -366,19 +366,19 @@ def test_memory_does_not_grow(sender: Send) -> None:
         tracemalloc.start()
         try:
             run(100)
-            gc.collect()  # also lets go of the tuples that Python keeps for the next ones
+            gc.collect()  # also frees the tuples that Python caches
             before, _ = tracemalloc.get_traced_memory()
             run(1500)
             gc.collect()
             after, _ = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-        # Were one packet, or one float, kept for each advance, this would be more.
+        # Storing one packet, or one float, for each advance would exceed this.
         assert after - before < 20_000
 
 
-def test_nan_in_what_nobody_routes_rejects_nothing(sender: Send) -> None:
-    """The same as FRI has it: a robot may send much that a scene does not show."""
+def test_nan_in_unused_events_does_not_reject_packets(sender: Send) -> None:
+    """Robots, such as the LWR with FRI, send many values that a scene does not use."""
     source = {"kind": "udp", "port": 0, "structure": "3F3F2F1f1M"}
     routes = {"arm.joint_angles": "udp.values0"}
     scene = Scene(robots=[arm()], sources={"udp": source}, routes=routes)
@@ -396,12 +396,12 @@ def test_nan_in_what_nobody_routes_rejects_nothing(sender: Send) -> None:
         assert mirror.data.qpos.tolist() == [0.5, 0.0, 0.0]
         counters = mirror.sources["udp"].counters
         assert (counters.blanked, counters.malformed) == (2, 0)
-        sender(mirror, packet(math.nan))  # what moves a robot is another matter
+        sender(mirror, packet(math.nan))  # joint angles move the robot
         assert until(lambda: counters.not_finite == 1)
         assert not mirror.advance()
 
 
-def test_packets_of_strangers_are_in_the_slot(sender: Send) -> None:
+def test_packets_of_unexpected_senders_are_in_userdata(sender: Send) -> None:
     source = {"kind": "udp", "port": 0, "structure": "3F3F", "sender": "192.0.2.1"}
     routes = {"arm.joint_angles": "udp.values0"}
     scene = Scene(robots=[arm()], sources={"udp": source}, routes=routes)
@@ -418,7 +418,7 @@ def test_packets_of_strangers_are_in_the_slot(sender: Send) -> None:
         assert 0.0 < counted(mirror)["foreign_age"] < 5.0
 
 
-def test_velocities_are_differences_of_angles() -> None:
+def test_velocities_are_differences_of_joint_angles() -> None:
     robots = [arm(), arm("copy")]
     scene = Scene(
         robots=robots,
@@ -440,7 +440,7 @@ def test_velocities_are_differences_of_angles() -> None:
             return arm.tolist(), copy.tolist()
 
         none = ([0.0] * 3, [0.0] * 3)
-        assert velocities(10.0, np.zeros(3)) == none  # nothing is known yet
+        assert velocities(10.0, np.zeros(3)) == none  # no earlier packet
         for time in (10.016, 10.05, 10.4):
             found = velocities(time, speeds * (time - 10.0))
             assert found[0] == pytest.approx(speeds)
@@ -449,9 +449,9 @@ def test_velocities_are_differences_of_angles() -> None:
         mirror.advance()
         assert not mirror.data.qvel.any()
         assert velocities(11.0, np.ones(3)) == none  # after a silence
-        assert velocities(10.9, np.zeros(3)) == none  # a recording goes back
+        assert velocities(10.9, np.zeros(3)) == none  # a recording is rewound
         assert velocities(10.9, np.zeros(3)) == none
         assert velocities(11.0, speeds)[0] == pytest.approx(10 * speeds)
-    with mirror:  # what was before is forgotten
+    with mirror:  # reopening discards earlier packets
         mirror.reset()
         assert velocities(11.1, np.zeros(3)) == none

@@ -1,4 +1,4 @@
-"""The robots that are found in a model: names, joints, limits, and how large their decor is."""
+"""Robots found in a model: names, joints, limits, and the sizes of their decor."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def names(*bodies: str) -> list[str]:
     return [tree.name for tree in find_trees(model)]
 
 
-def test_every_tree_with_a_hinge_or_slide_is_a_robot() -> None:
+def test_every_tree_with_a_revolute_or_prismatic_joint_is_a_robot() -> None:
     assert names(
         body("a"),
         body("still", ""),
@@ -46,7 +46,7 @@ def test_names_are_valid_in_routes_and_unique() -> None:
     assert names(nameless, nameless) == ["robot", "robot2"]
 
 
-def test_joints_keep_their_names_without_the_scope_they_share() -> None:
+def test_joint_names_omit_their_common_scope() -> None:
     model, _ = jaco(2)
     trees = find_trees(model)
     assert [tree.name for tree in trees] == ["jaco0", "jaco1"]
@@ -59,7 +59,7 @@ def test_joints_keep_their_names_without_the_scope_they_share() -> None:
     assert find_trees(model)[0].joint_names == ["b", "b2"]
 
 
-def test_the_chain_ends_where_a_robot_branches() -> None:
+def test_chain_ends_where_a_robot_branches() -> None:
     model, _ = jaco()
     tree = find_trees(model)[0]
     assert tree.chain.tolist() == [0, 1, 2, 3, 4, 5]
@@ -73,7 +73,7 @@ def test_the_chain_ends_where_a_robot_branches() -> None:
 def test_limits_come_from_joints_and_actuators() -> None:
     model, _ = arm()
     tree = find_trees(model)[0]
-    # motor: 2 * 10; force range: 30 * 2; the joint's own range is less than 2 * 100; none
+    # motor: 2 * 10; force range: 30 * 2; the joint's range, below 2 * 100; none
     assert torque_limits(model, tree.joints).tolist() == [20.0, 60.0, 15.0, np.inf]
 
 
@@ -85,18 +85,18 @@ def sizes_of(xml: str) -> tuple[Tree, np.ndarray, np.ndarray]:
     return tree, sizes.arrow_radius, sizes.load
 
 
-def test_arrows_are_clear_of_the_housing_and_no_larger_than_needed() -> None:
+def test_arrows_are_outside_the_housing_and_not_larger_than_needed() -> None:
     model, data = jaco()
     tree = find_trees(model)[0]
     radius = measured(model, data, tree).arrow_radius
-    # Measured on the meshes by hand: housings of 41 mm, a wrist of 32 mm.
+    # Measured on the meshes: housings of 41 mm, a wrist of 32 mm.
     assert (radius[:3] > 0.045).all() and (radius[:3] < 0.085).all()
     assert (radius[3:6] > 0.036).all() and (radius[3:6] < 0.065).all()
-    assert (radius[6:] < 0.036).all()  # fingers, not their palm
+    assert (radius[6:] < 0.036).all()  # fingers, without their palm
 
 
 @pytest.mark.parametrize("scale", [0.01, 1.0, 50.0])
-def test_sizes_grow_with_the_robot(scale: float) -> None:
+def test_sizes_scale_with_the_robot(scale: float) -> None:
     s = scale
     _, radius, load = sizes_of(f"""<mujoco><worldbody><body name="a">
       <joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 {s}" size="{0.1 * s}" mass="3"/>
@@ -104,12 +104,12 @@ def test_sizes_grow_with_the_robot(scale: float) -> None:
       <geom type="capsule" fromto="0 0 0 {s} 0 0" size="{0.1 * s}" mass="1"/>
       </body></body></worldbody></mujoco>""")
     assert radius == pytest.approx([0.145 * s] * 2, rel=0.05)
-    # 1 kg at half of the last link; 4 kg at the distance of their common centre of mass
+    # 1 kg at half of the last link; 4 kg at the distance of their common center of mass
     com = np.array([3 * 0.0 + 0.5, 3 * 0.5 + 1.0]) / 4
     assert load == pytest.approx([4 * 9.81 * s * np.hypot(*com), 9.81 * s * 0.5], rel=1e-3)
 
 
-def test_what_is_inside_geoms_is_hidden() -> None:
+def test_points_inside_geoms_are_hidden() -> None:
     model, data = compiled("""<mujoco><worldbody><body><joint/>
       <geom size=".1"/><geom type="box" size=".05 .05 .05" pos=".2 0 0"/>
       <geom size=".9" group="4"/></body></worldbody></mujoco>""")
@@ -154,7 +154,7 @@ def test_arrows_of_close_joints_are_narrow_and_of_similar_size() -> None:
     assert wide.world.joints.arrow_width_scale == pytest.approx(0.01)
 
 
-def test_a_joint_without_any_geometry_still_has_sizes() -> None:
+def test_joint_without_geometry_has_sizes() -> None:
     _, radius, load = sizes_of("""<mujoco><worldbody><body name="a"><joint/>
       <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>""")
     assert np.isfinite(radius).all() and (radius > 0).all()
@@ -173,11 +173,11 @@ def test_a_joint_without_any_geometry_still_has_sizes() -> None:
         (["s/a", "b"], ["s/a", "b"]),
     ],
 )
-def test_scopes_that_all_share_are_left_out(names: list[str], expected: list[str]) -> None:
+def test_common_scopes_are_omitted(names: list[str], expected: list[str]) -> None:
     assert without_scope(names) == expected
 
 
-def test_a_pendulum_is_a_robot() -> None:
+def test_pendulum_is_a_robot() -> None:
     joint = '<body name="rod"><joint name="pivot" axis="0 1 0"/><geom size=".1"/></body>'
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
     overlay = sero_mj.overlay(model, mujoco.MjData(model))
@@ -190,7 +190,7 @@ def limb(name: str, at: str) -> str:
 
 
 def robots_of(bodies: str, driven: str, model_name: str = "") -> dict[str, list[str]]:
-    """The robots of a model with motors on some joints."""
+    """Returns the robots of a model with motors on some joints."""
     motors = "".join(f'<motor joint="{joint}"/>' for joint in driven.split())
     model, _ = compiled(f"""<mujoco model="{model_name or "MuJoCo Model"}">
       <worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>""")
@@ -201,9 +201,9 @@ TRUNK = '<geom type="box" size=".3 .1 .05" pos="0 0 1"/>'
 LEGS = limb("front", ".3 .1 1") + limb("rear", "-.3 .1 1")
 
 
-def test_limbs_of_a_trunk_that_is_fused_with_the_world_are_one_robot() -> None:
+def test_limbs_of_a_trunk_fixed_to_the_world_are_one_robot() -> None:
     assert robots_of(TRUNK + LEGS, "front rear", "dog scene") == {"dog": ["front", "rear"]}
-    # Without a trunk, or on something much larger than they are, they are robots of their own.
+    # Without a trunk, or on something much larger, limbs are separate robots.
     apart = {"front": ["front"], "rear": ["rear"]}
     assert robots_of(LEGS, "front rear", "dog") == apart
     wall = TRUNK.replace(".3 .1 .05", "9 .1 9")
@@ -214,7 +214,7 @@ def test_limbs_of_a_trunk_that_is_fused_with_the_world_are_one_robot() -> None:
     assert set(robots_of(TRUNK + scoped, "left/front right/rear")) == {"left_front", "right_rear"}
 
 
-def test_a_fused_trunk_is_in_the_view_and_its_robots_base_is_the_world() -> None:
+def test_fixed_trunk_is_in_the_view_and_its_robot_base_is_the_world() -> None:
     model, data = compiled(f"<mujoco><worldbody>{TRUNK}{LEGS}</worldbody></mujoco>")
     overlay = sero_mj.overlay(model, data)
     assert overlay.robots == {"front": ["front", "rear"]}
@@ -224,10 +224,11 @@ def test_a_fused_trunk_is_in_the_view_and_its_robots_base_is_the_world() -> None
     overlay = sero_mj.overlay(model, data, doubles=[double])
     state = overlay.world.state(data)
     (drawn,) = overlay.world.drawn_doubles(state, np.array([True]))
-    assert (drawn.opacity > 0).tolist() == [False, True, False]  # what differs: not the trunk
+    # The links that differ, without the trunk.
+    assert (drawn.opacity > 0).tolist() == [False, True, False]
 
 
-def test_movable_things_beside_a_robot_are_in_the_view_and_surroundings_are_not() -> None:
+def test_movable_objects_near_a_robot_are_in_the_view() -> None:
     model, data = compiled(f"""<mujoco><worldbody>{limb("arm", "0 0 1")}
       <body name="ball" pos=".3 0 1"><freejoint/><geom size=".05"/></body>
       <body name="far" pos="3 0 1"><freejoint/><geom size=".05"/></body>
@@ -247,7 +248,7 @@ def test_only_actuated_trees_are_robots() -> None:
     assert set(robots_of(door + arm_, "")) == {"door", "arm"}
     model, data = compiled(f"""<mujoco><worldbody>{door}{arm_}</worldbody>
       <actuator><motor joint="arm"/></actuator></mujoco>""")
-    # One that is named is a robot as well.
+    # A tree that is named is a robot, too.
     assert list(sero_mj.overlay(model, data, robots={"door": {}}).robots) == ["door", "arm"]
 
 
@@ -279,13 +280,13 @@ def test_actuators_can_drive_tendons_and_sites() -> None:
         ("upper_arm", "lab", "upper_arm"),
     ],
 )
-def test_a_root_with_a_part_name_gets_the_model_name(
+def test_root_with_a_generic_name_gets_the_model_name(
     root: str, model_name: str, expected: str
 ) -> None:
     assert list(robots_of(body(root, "<joint name='j'/>"), "j", model_name)) == [expected]
 
 
-def test_two_robots_do_not_take_the_models_name() -> None:
+def test_two_robots_do_not_take_the_model_name() -> None:
     two = body("base", "<joint name='a'/>") + body("base_link", "<joint name='b'/>")
     assert list(robots_of(two, "a b", "lab")) == ["base", "base_link"]
 
@@ -305,7 +306,7 @@ BRANCHED = """
 """
 
 
-def test_kinematics_of_a_robot_are_those_of_its_model() -> None:
+def test_kinematics_of_a_robot_equal_those_of_its_model() -> None:
     model, data = compiled(BRANCHED)
     world = ModelWorld(model, data)
     (part,) = world.robots.values()

@@ -16,14 +16,14 @@ pytestmark = [pytest.mark.gl, pytest.mark.timeout(300)]
 
 
 def red(pixels: np.ndarray) -> int:
-    """How many pixels are as red as inertias are."""
+    """Returns the number of pixels that are as red as inertias."""
     r, g, b = np.moveaxis(pixels.astype(int), 2, 0)
     return int(((r > g + 25) & (r > b + 25)).sum())
 
 
 @pytest.mark.thorough
 @pytest.mark.skipif(bool(web_tools.MISSING), reason=f"needs {', '.join(web_tools.MISSING)}")
-def test_a_browser_shows_inertias_in_what_is_transparent(browser: Any, tmp_path: Path) -> None:
+def test_browser_shows_inertias_inside_transparent_links(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr") as served:
         visitor = Visitor(browser, served, (900, 600))
         page = visitor.page
@@ -48,13 +48,13 @@ def test_a_browser_shows_inertias_in_what_is_transparent(browser: Any, tmp_path:
             ".map((box) => box.getBoundingClientRect()).map(({ top, left }) => [top, left])"
         )
         assert len(boxes) == 7
-        assert len({tuple(np.round(box)) for box in boxes}) == 7  # each can be read
+        assert len({tuple(np.round(box)) for box in boxes}) == 7  # each label is readable
         visitor.close()
 
 
 @pytest.mark.skipif(bool(web_tools.MISSING), reason=f"needs {', '.join(web_tools.MISSING)}")
 @pytest.mark.thorough
-def test_two_plots_fit_beside_the_picture(browser: Any, tmp_path: Path) -> None:
+def test_two_plots_fit_beside_the_image(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "impedance_push") as served:
         visitor = Visitor(browser, served, (1280, 800))
         visitor.page.keyboard.press("p")
@@ -69,14 +69,14 @@ def test_two_plots_fit_beside_the_picture(browser: Any, tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.skipif(bool(window_tools.MISSING), reason=f"needs {', '.join(window_tools.MISSING)}")
-def test_a_window_has_the_same_switches(tmp_path: Path) -> None:
+def test_window_has_the_same_switches(tmp_path: Path) -> None:
     with screen() as display, Driven(display, tmp_path, "lwr") as window:
         window.key("Tab")
         window.click(*window.middle("Model"))
         for words, name in (("inertias", "inertias"), ("transparent", "transparent")):
             window.click(*window.middle(words))
             window.until(f"w.toggles.{name}")
-        # Of the category of decor (4): one box for the base and every link.
+        # Of the category of decor (4): one box for the base and each link.
         window.until("sum(g.category == 4 and g.type == 6 and g.objtype == 1 "
                      "for g in w.decor._scene.geoms[: w.decor._scene.ngeom]) == 8")  # fmt: skip
         window.until("w.decor._scene.geoms[1].rgba[3] < 0.5")

@@ -22,7 +22,7 @@ times = st.floats(-1e5, 1e5)
 
 @st.composite
 def robots(draw: st.DrawFn) -> SerialRobot:
-    """Robots with and without limits, turning and sliding."""
+    """Robots with and without limits, with revolute and prismatic joints."""
     n = draw(st.integers(1, 9))
     low = draw(st.lists(st.floats(-3, 3), min_size=n, max_size=n))
     width = draw(st.lists(st.floats(1e-3, 6), min_size=n, max_size=n))
@@ -39,7 +39,7 @@ def robots(draw: st.DrawFn) -> SerialRobot:
 
 
 def bent_arm(**fields: object) -> SerialRobot:
-    """A robot whose links hang, swing and slide in gravity."""
+    """Returns a robot whose links hang, swing and slide under gravity."""
     table = {
         "dh_convention": "standard",
         "dh_params": [[1.2, 0.3, 0.1, 0.2], [-0.7, 0.2, 0.4, 0.1], [0.5, 0.4, -0.3, 0.3]],
@@ -57,14 +57,14 @@ def unconstrained(robot: SerialRobot) -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 def potential_energy(model: mujoco.MjModel, data: mujoco.MjData, q: Array) -> float:
-    """From the heights of the centres of mass alone."""
+    """Returns the potential energy from the heights of the centers of mass alone."""
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
     return float(GRAVITY * (model.body_mass * data.xipos[:, 2]).sum())
 
 
 @given(robots(), times, st.floats(0, 1))
-def test_a_motion_keeps_the_limits_at_all_times(
+def test_motion_stays_within_the_limits_at_all_times(
     robot: SerialRobot, t: float, amplitude: float
 ) -> None:
     position, velocity, _ = SineMotion(robot, amplitude).at(t)
@@ -79,7 +79,7 @@ def test_a_motion_keeps_the_limits_at_all_times(
 
 
 @pytest.mark.parametrize("amplitude", [0.3, 1.0])
-def test_in_a_minute_every_joint_moves_a_quarter_of_its_range_in_its_own_way(
+def test_every_joint_moves_a_quarter_of_its_range_independently(
     lwr: SerialRobot, amplitude: float
 ) -> None:
     motion = SineMotion(lwr, amplitude)
@@ -93,7 +93,7 @@ def test_in_a_minute_every_joint_moves_a_quarter_of_its_range_in_its_own_way(
     assert (np.abs(velocity) < lwr.velocity_limits).all()
     swing = np.ptp(position, axis=0)
     assert (swing > 0.25 * amplitude * (high - low)).all()
-    # Every joint swings in its own way, or one could not tell them apart.
+    # Joints move linearly independently, so that they can be distinguished.
     assert np.linalg.matrix_rank(position - position.mean(axis=0)) == lwr.n
 
 
@@ -104,13 +104,13 @@ def test_velocities_and_accelerations_are_derivatives(robot: SerialRobot, t: flo
     h = 1e-4
     (before, slower, _), (after, faster, _) = motion.at(t - h), motion.at(t + h)
     _, velocity, acceleration = motion.at(t)
-    # Off by h^2/6 of the third derivative, and by the rounding of the time.
+    # Off by h^2/6 of the third derivative and by rounding of the time.
     np.testing.assert_allclose((after - before) / (2 * h), velocity, rtol=0, atol=1e-7)
     np.testing.assert_allclose((faster - slower) / (2 * h), acceleration, rtol=0, atol=1e-7)
 
 
 @given(robots(), times)
-def test_the_amplitude_scales_the_swing_and_no_more(robot: SerialRobot, t: float) -> None:
+def test_amplitude_scales_the_motion_only(robot: SerialRobot, t: float) -> None:
     still, half, full = (SineMotion(robot, amplitude).at(t) for amplitude in (0.0, 0.5, 1.0))
     assert not still[1].any()
     assert not still[2].any()
@@ -118,12 +118,12 @@ def test_the_amplitude_scales_the_swing_and_no_more(robot: SerialRobot, t: float
     for excess, bound in ((7.0, full), (-1.0, still)):
         for found, expected in zip(SineMotion(robot, excess).at(t), bound, strict=True):
             assert (found == expected).all()
-    if robot.velocity_limits is None:  # those may cut the whole swing but not the half
+    if robot.velocity_limits is None:  # these can limit the whole amplitude but not half of it
         np.testing.assert_allclose(half[0] - still[0], (full[0] - still[0]) / 2, atol=1e-9)
 
 
-def test_a_robot_with_a_declared_pose_moves_about_it_within_its_limits() -> None:
-    home = np.array([1.0, -0.5, 0.3, 2.0, 0.0, 0.9, -0.4])  # the fourth is close to its limit
+def test_robot_with_a_declared_pose_moves_about_it_within_its_limits() -> None:
+    home = np.array([1.0, -0.5, 0.3, 2.0, 0.0, 0.9, -0.4])  # the fourth joint is close to its limit
     robot = SerialRobot.from_model("lwr", joint_angles=home)
     assert robot.position_limits is not None
     angles = np.array([SineMotion(robot).at(t)[0] for t in np.linspace(0, 600, 6000)])
@@ -137,14 +137,14 @@ def test_a_robot_with_a_declared_pose_moves_about_it_within_its_limits() -> None
     assert (high - low > 0.3).all()
 
 
-def test_a_robot_without_limits_moves_too() -> None:
+def test_robot_without_limits_moves() -> None:
     motion = SineMotion(SerialRobot(dh_convention="craig", dh_params=[[0, 0, 0, 0.3]]))
     positions = [motion.at(t)[0][0] for t in np.linspace(0, 60, 600)]
     assert np.ptp(positions) > 0.5
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_torques_of_a_motion_bring_its_accelerations_back(lwr: SerialRobot, seed: int) -> None:
+def test_torques_of_a_motion_reproduce_its_accelerations(lwr: SerialRobot, seed: int) -> None:
     for robot in (lwr, bent_arm()):
         model, data = unconstrained(robot)
         random = np.random.default_rng(seed)
@@ -158,7 +158,7 @@ def test_the_torques_of_a_motion_bring_its_accelerations_back(lwr: SerialRobot, 
 
 
 @pytest.mark.parametrize("t", [0.0, 0.7, 3.1])
-def test_the_power_of_the_torques_is_what_the_energy_gains(lwr: SerialRobot, t: float) -> None:
+def test_power_of_the_torques_equals_the_energy_rate(lwr: SerialRobot, t: float) -> None:
     for robot in (lwr, bent_arm()):
         model, data = unconstrained(robot)
         motion, dynamics = SineMotion(robot), InverseDynamics(robot)
@@ -196,8 +196,8 @@ def test_torques_at_rest_hold_the_weight(lwr: SerialRobot) -> None:
         np.testing.assert_allclose(torques, slopes, atol=1e-6)
 
 
-def test_beyond_the_limits_no_stop_pushes_back() -> None:
-    # A real robot may stand beyond what the file says: its torques are those of its motion.
+def test_joint_stops_do_not_push_back_beyond_the_limits() -> None:
+    # A real robot can be beyond the declared limits: its torques are those of its motion.
     free, limited = bent_arm(), bent_arm(position_limits=[[-0.2, -0.1]] * 3)
     q, v, a = np.array([[1.0, 0.8, -1.0], [0.5, 0.5, 0.5], [1.0, 1.0, 1.0]])
     np.testing.assert_array_equal(
@@ -205,7 +205,7 @@ def test_beyond_the_limits_no_stop_pushes_back() -> None:
     )
 
 
-def test_torques_are_a_copy_and_depend_on_nothing_before() -> None:
+def test_torques_are_a_copy_and_independent_of_previous_calls() -> None:
     dynamics = InverseDynamics(bent_arm())
     first = dynamics.torques(*np.full((3, 3), 0.5))
     kept = first.copy()
@@ -214,7 +214,7 @@ def test_torques_are_a_copy_and_depend_on_nothing_before() -> None:
     assert (dynamics.torques(*np.full((3, 3), 0.5)) == kept).all()
 
 
-def test_following_moves_frames_and_lets_no_time_pass() -> None:
+def test_follow_moves_frames_without_advancing_time() -> None:
     robot = bent_arm()
     world = World(Scene(robots=[robot], floor=False))
     data = world.make_data()
@@ -227,7 +227,7 @@ def test_following_moves_frames_and_lets_no_time_pass() -> None:
     assert np.abs(data.xpos[world.robots["robot"].flange_body] - flange[:3, 3]).max() < 1e-12
 
 
-def test_what_mujoco_draws_follows_too() -> None:
+def test_follow_updates_everything_that_mujoco_draws() -> None:
     model = mujoco.MjModel.from_xml_string(
         """<mujoco><worldbody><body pos="0 0 1"><joint axis="0 1 0"/>
         <geom type="box" size=".1 .2 .3" pos=".4 0 0"/><site pos=".1 .2 .3"/>

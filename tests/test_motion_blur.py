@@ -1,4 +1,4 @@
-"""Motion blur: means in linear light, of what moves, below sharp text."""
+"""Motion blur: means in linear light of moving parts, below sharp text."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ AXES = np.eye(3)
 VIEW = ImageView(np.zeros(3), AXES[0], AXES[1], -AXES[2], 0.5, 0.01, 200, 100)
 
 
-def test_the_mean_of_black_and_white_is_half_the_light() -> None:
+def test_mean_of_black_and_white_is_half_the_light() -> None:
     exposure = Exposure()
     for level in (0, 255):
         exposure.add(np.full((2, 2, 3), level, np.uint8))
     assert exposure.image()[0, 0].tolist() == [188, 188, 188]  # sRGB of 0.5
 
 
-def test_every_level_of_a_still_picture_stays() -> None:
+def test_every_level_of_a_static_image_is_unchanged() -> None:
     levels = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(3, axis=2)
     exposure = Exposure()
     exposure.add(levels)
@@ -35,7 +35,7 @@ def test_every_level_of_a_still_picture_stays() -> None:
     assert np.array_equal(exposure.image(), levels)
 
 
-def test_what_moves_by_less_than_half_a_pixel_needs_no_picture() -> None:
+def test_motion_below_half_a_pixel_needs_no_subframe() -> None:
     exposure, metres = Exposure(), VIEW.pixel_size(2.0)
     point, right = np.array([[0.0, 0.0, -2.0], [0.3, 0.1, -2.0]]), metres * AXES[0]
     assert exposure.moves(VIEW, point)
@@ -45,7 +45,7 @@ def test_what_moves_by_less_than_half_a_pixel_needs_no_picture() -> None:
     behind = point * [1, 1, -1]
     assert Exposure().moves(VIEW, behind)
     exposure.moves(VIEW, behind)
-    assert not exposure.moves(VIEW, behind + 20 * right)  # out of the picture
+    assert not exposure.moves(VIEW, behind + 20 * right)  # outside the image
 
 
 @pytest.fixture(scope="module")
@@ -69,9 +69,9 @@ def renderer(world):
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_numbers_stay_sharp_over_a_moving_arm(renderer, world) -> None:
+def test_billboard_values_stay_sharp_over_a_moving_arm(renderer, world) -> None:
     first = posed(world, 0.5)
-    for _ in range(2):  # until panels have found their places
+    for _ in range(2):  # until billboards have settled
         still = renderer.render(first)
     assert np.array_equal(renderer.render_blurred(first for _ in range(SUBFRAMES)), still)
     blurred = renderer.render_blurred(posed(world, 0.5 + 0.05 * k) for k in range(SUBFRAMES))
@@ -81,12 +81,12 @@ def test_numbers_stay_sharp_over_a_moving_arm(renderer, world) -> None:
     renderer.toggles.billboards[:] = True
     letters = (still != bare).any(axis=2) & (still.min(axis=2) > 215)
     assert letters.sum() > 30
-    # A letter's edge is mixed with what is behind the panel.
+    # The edge of a letter is mixed with the background of the billboard.
     assert np.quantile(np.abs(blurred[letters].astype(int) - still[letters]), 0.9) <= 2
 
 
 @pytest.mark.gl
-def test_a_moving_arm_is_the_mean_of_its_pictures_in_linear_light(renderer, world) -> None:
+def test_blurred_arm_is_the_mean_of_its_subframes_in_linear_light(renderer, world) -> None:
     renderer.toggles.billboards[:] = False
     moments = [posed(world, 0.5 + 0.05 * k) for k in range(SUBFRAMES)]
     sharp = np.stack([renderer.render(data).copy() for data in moments]) / 255.0
@@ -98,7 +98,7 @@ def test_a_moving_arm_is_the_mean_of_its_pictures_in_linear_light(renderer, worl
 
 
 class VideoMirror:
-    """As much of a mirror as films need: an arm that turns by an angle per second."""
+    """The part of a mirror that videos need: an arm with constant angular velocity."""
 
     is_live = False
     sources = {"sim": None}
@@ -123,7 +123,7 @@ class VideoMirror:
 
 @pytest.mark.gl
 @pytest.mark.parametrize("quality", ["fine", "draft"])
-def test_a_film_opens_its_shutter_for_half_of_a_frame(world, quality: str) -> None:
+def test_video_shutter_is_open_for_half_a_frame(world, quality: str) -> None:
     mirror = VideoMirror(world, 2.0)
     options = VideoOptions(size=(64, 48), quality=quality, camera="150,-14,2.2")
     with HeadlessRenderer(world, 64, 48, options.camera, quality, renderer="classic") as renderer:
@@ -136,7 +136,7 @@ def test_a_film_opens_its_shutter_for_half_of_a_frame(world, quality: str) -> No
 
 
 @pytest.mark.gl
-def test_a_turntable_begins_at_the_view_and_turns_on(world) -> None:
+def test_turntable_begins_at_the_view_and_rotates_uniformly(world) -> None:
     mirror, angles = VideoMirror(world, 0.0), []
     with HeadlessRenderer(world, 32, 24, "150,-14,2.2", "draft") as renderer:
         for _ in video_frames(mirror, renderer, 8, 4.0, VideoOptions(orbit=180.0)):

@@ -14,12 +14,12 @@ from sero_mj.viewer.image.mujoco_private import context_of, filament
 
 
 @pytest.mark.gl
-def test_a_renderer_has_its_context() -> None:
+def test_renderer_has_its_context() -> None:
     with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as renderer:
         assert isinstance(context_of(renderer), mujoco.MjrContext)
 
 
-def test_a_missing_context_is_reported() -> None:
+def test_missing_context_is_reported() -> None:
     with pytest.raises(RenderError) as caught:
         context_of(SimpleNamespace())  # type: ignore[arg-type]
     assert str(caught.value) == (
@@ -33,14 +33,14 @@ def test_filament_and_its_materials_are_found() -> None:
     assert {"Context", "ModelRenderables", "ModelResources", "Material"} <= {*dir(module)}
 
 
-def test_a_missing_filament_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_filament_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(mujoco, "mjrf", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco.mjrf", None)
     with pytest.raises(RenderError, match=r"has no Filament renderer .*; expected MuJoCo 4\.0"):
         filament()
 
 
-def test_nothing_else_reaches_into_mujoco() -> None:
+def test_no_other_module_uses_private_parts_of_mujoco() -> None:
     import re
     from pathlib import Path
 

@@ -15,7 +15,7 @@ STEP = int(mujoco.mjtTimer.mjTIMER_STEP)
 
 
 def stepped() -> tuple[mujoco.MjData, float]:
-    """After 20 steps, and what the timer has then."""
+    """Returns the data after 20 steps and the duration that the timer has measured."""
     model = mujoco.MjModel.from_xml_string(PENDULUM)
     data = mujoco.MjData(model)
     data.qvel[:] = 1.0
@@ -24,7 +24,7 @@ def stepped() -> tuple[mujoco.MjData, float]:
     return data, data.timer[STEP].duration
 
 
-def test_timers_stand_still_for_a_while_only() -> None:
+def test_timers_are_disabled_only_inside_the_context() -> None:
     timed, duration = stepped()
     assert duration > 0
     with without_timers():

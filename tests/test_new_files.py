@@ -1,4 +1,4 @@
-"""`sero-mj new` and `sero-mj schema`: files to start from, and what editors know of all files."""
+"""`sero-mj new` and `sero-mj schema`: files to start from, and schemas for editors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SHIPPED = {
 
 
 def validator_of(schema: dict[str, Any]) -> Any:
-    import jsonschema  # takes a second, which every worker would spend to collect tests
+    import jsonschema  # takes a second, which every worker would spend while collecting tests
 
     jsonschema.Draft7Validator.check_schema(schema)
     return jsonschema.Draft7Validator(schema)
@@ -41,7 +41,7 @@ def found(kind: str, tables: dict[str, Any]) -> list[str]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_shipped_files_are_right_by_their_schema(kind: str) -> None:
+def test_shipped_files_are_valid_against_their_schema(kind: str) -> None:
     validator = validator_of(schema_of(kind))
     files = sorted(ROOT.glob(SHIPPED[kind]))
     assert len(files) > 3
@@ -65,11 +65,11 @@ def test_shipped_files_are_right_by_their_schema(kind: str) -> None:
         ("scenario", '[controllers.a]\nkind = "pid"', "controllers.a: {'kind': 'pid'} is not"),
     ],
 )
-def test_mistakes_are_found_by_it(kind: str, text: str, expected: str) -> None:
+def test_schema_detects_mistakes(kind: str, text: str, expected: str) -> None:
     assert any(expected in each for each in found(kind, tomllib.loads(text)))
 
 
-def test_it_knows_every_kind_and_says_what_keys_mean() -> None:
+def test_schema_contains_every_kind_and_describes_keys() -> None:
     schema = schema_of("scenario")
     text = json.dumps(schema)
     for kind in plugins(SOURCES):
@@ -90,7 +90,7 @@ def test_every_table_of_a_robot_is_documented() -> None:
     assert tables <= documented
 
 
-def test_a_schema_is_printed_or_written(capsys: Any, tmp_path: Path) -> None:
+def test_schema_is_printed_or_written(capsys: Any, tmp_path: Path) -> None:
     status, out, _ = run(capsys, "check", "--schema", "robot")
     assert status == 0 and json.loads(out) == schema_of("robot")
     file = tmp_path / "editor" / "scene.json"
@@ -100,7 +100,7 @@ def test_a_schema_is_printed_or_written(capsys: Any, tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("n", [1, 2, 6, 7, 64])
-def test_a_new_robot_is_right_and_moves_from_packets(
+def test_new_robot_is_valid_and_moves_from_packets(
     n: int, capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -126,7 +126,7 @@ def test_a_new_robot_is_right_and_moves_from_packets(
 
 
 @pytest.mark.parametrize("like", ["lwr", "panda"])  # the latter has meshes of another robot
-def test_a_copy_is_the_robot_it_is_like(
+def test_copy_equals_the_original_robot(
     like: str, capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -153,7 +153,7 @@ def test_a_copy_is_the_robot_it_is_like(
         (("x", "--like", "lwr", "--joints", "3"), "--joints cannot be combined with --like"),
     ],
 )
-def test_nothing_is_written_over_and_wrong_names_are_told(
+def test_new_overwrites_nothing_and_rejects_invalid_names(
     arguments: tuple[str, ...],
     expected: str,
     capsys: Any,
@@ -169,7 +169,7 @@ def test_nothing_is_written_over_and_wrong_names_are_told(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_robot_in_another_format_is_not_copied_but_imported(
+def test_copy_of_a_robot_in_another_format_suggests_import(
     capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -179,7 +179,7 @@ def test_a_robot_in_another_format_is_not_copied_but_imported(
     assert "--like: found arm.urdf; expected a robot in TOML. Run `sero-mj import arm.urdf" in err
 
 
-def test_what_is_no_robot_is_not_copied(
+def test_new_rejects_a_scene_and_an_invalid_robot_as_template(
     capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""The momentum observer against forces that are known, friction, noise and its time constant."""
+"""The momentum observer against known forces, friction, noise, and its time constant."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STEP = 1e-3
 
 
 class Watched:
-    """An LWR that follows a sine, with motor friction, an outer force, and all it does logged."""
+    """An LWR that follows a sine, with motor friction and an external force, fully logged."""
 
     def __init__(self, force: Array, begin: float, seconds: float, friction: float = 0.0) -> None:
         self.loop = Loop(STEP)
@@ -35,7 +35,7 @@ class Watched:
             target.velocities[:] = 0.8 * np.cos(2.0 * t) * np.linspace(1, -1, 7)
             control.torques(sensed, target, out)
             data.xfrc_applied[self.loop.flange, :3] = force if t >= begin - 1e-9 else 0.0
-            # What acts in this step, by MuJoCo: on the motors, and on the links.
+            # External torques of this step, by MuJoCo: on the motors and on the links.
             mujoco.mj_forward(model, data)
             mujoco.mj_jacBodyCom(model, data, jacobian, None, self.loop.flange)
             outer = jacobian.T @ force * (t >= begin - 1e-9)
@@ -57,7 +57,7 @@ class Watched:
 def external_torques(
     gain: float | Array, run: Watched, torques: Array, *, motor_side: bool = False
 ) -> Array:
-    """Estimates at every row of a log, (T, n)."""
+    """Returns the estimates at each row of a log, (T, n)."""
     observer = MomentumObserver(lwr_model(), gain, STEP, motor_side=motor_side)
     sensed, found = Sensed(7), []
     for row in zip(run.angles, run.velocities, torques, strict=True):
@@ -66,13 +66,13 @@ def external_torques(
     return np.array(found)
 
 
-def test_it_finds_a_force_at_the_flange_of_a_moving_robot() -> None:
+def test_observer_estimates_a_force_at_the_flange_of_a_moving_robot() -> None:
     force = np.array([20.0, -10.0, 30.0])
     run = Watched(force, begin=1.0, seconds=2.0)
     gain = 50.0
     found = external_torques(gain, run, run.link)
-    assert np.abs(found[100:1000]).max() < 0.02  # nothing is there, though it moves
-    # A low pass of the true ones, in another way: by the exact response to a held input.
+    assert np.abs(found[100:1000]).max() < 0.02  # no force acts, although the robot moves
+    # A low pass of the true torques, computed as the exact response to a held input.
     expected = np.zeros((len(found), 7))
     keep = np.exp(-gain * STEP)
     for k in range(1, len(found)):
@@ -81,7 +81,7 @@ def test_it_finds_a_force_at_the_flange_of_a_moving_robot() -> None:
     assert np.abs(found - expected)[100:].max() < 0.02 * np.abs(run.outer).max()
 
 
-def test_on_the_motor_side_friction_is_taken_for_an_outer_torque_on_the_link_side_not() -> None:
+def test_motor_side_observer_includes_friction_and_link_side_does_not() -> None:
     run = Watched(np.zeros(3), begin=9.0, seconds=1.5, friction=5.0)
     link = external_torques(100.0, run, run.link)
     assert np.abs(link[200:]).max() < 0.03
@@ -92,13 +92,13 @@ def test_on_the_motor_side_friction_is_taken_for_an_outer_torque_on_the_link_sid
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gain", [5.0, 25.0, 100.0])
-def test_it_converges_with_the_time_constant_one_over_gain(gain: float) -> None:
+def test_estimate_converges_with_the_time_constant_one_over_gain(gain: float) -> None:
     model, sensed = lwr_model(), Sensed(7)
     observer = MomentumObserver(model, gain, 1e-4)
     sensed.angles[:] = START
     model.update(START, np.zeros(7))
     outer = np.arange(1.0, 8.0)
-    sensed.torques[:] = model.gravity() - outer  # held still against it
+    sensed.torques[:] = model.gravity() - outer  # held at rest against the torque
     steps = round(1.0 / gain / 1e-4)
     for _ in range(steps + 1):
         observer.update(sensed)
@@ -108,7 +108,7 @@ def test_it_converges_with_the_time_constant_one_over_gain(gain: float) -> None:
     np.testing.assert_allclose(observer.external, outer, rtol=1e-5)
 
 
-def test_gains_are_per_joint() -> None:
+def test_observer_gains_apply_per_joint() -> None:
     run = Watched(np.array([0.0, 0.0, 10.0]), begin=0.1, seconds=0.3)
     gains = np.linspace(10, 200, 7)
     whole = external_torques(gains, run, run.link)
@@ -117,7 +117,7 @@ def test_gains_are_per_joint() -> None:
         np.testing.assert_array_equal(whole[:, joint], single[:, joint])
 
 
-def test_wrong_gains_are_told() -> None:
+def test_invalid_observer_gains_are_rejected() -> None:
     model = lwr_model()
     reason, expected = "joint A2 has an observer gain of", "a positive one, 1/s"
     with raises_with(reason=reason, found=0.0, expected=expected):

@@ -1,4 +1,4 @@
-"""`overlay`: what is drawn on an external model, in numbers, by a second route."""
+"""`overlay`: what is drawn on a third-party model, compared with a second computation."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ EVERYWHERE = look((2.0, -2.0, 1.5), (0.0, 0.0, 0.4))
 
 
 def drawn(overlay: Any, view: ImageView = EVERYWHERE) -> GeomBuffer:
-    """What decor draws of an overlay."""
+    """Returns the geoms that decor draws for an overlay."""
     return Decor(overlay.world).draw(overlay.data, overlay.toggles, view)
 
 
 def everything_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[bytes, bytes]:
-    """All bytes of a model, and of a state with what follows from it."""
+    """Returns all bytes of a model and of a state with its derived quantities."""
     buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     kind = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -38,7 +38,7 @@ def everything_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[bytes, by
     return buffer.tobytes(), b"".join(part.tobytes() for part in parts)
 
 
-def test_arrows_stand_at_the_joints_and_turn_about_their_axes() -> None:
+def test_arrows_are_at_the_joints_and_rotate_about_their_axes() -> None:
     model, data = arm(turn=0.4, lift=-0.7, elbow=1.1, grip=0.03)
     overlay = sero_mj.overlay(model, data)
     geoms = drawn(overlay)
@@ -52,12 +52,12 @@ def test_arrows_stand_at_the_joints_and_turn_about_their_axes() -> None:
         assert boxes["mat"][:, :, 2] == pytest.approx(
             np.tile(joint.xaxis, (len(boxes), 1)), abs=1e-6
         )
-        # From tail to head by the right-hand rule, or against it.
+        # From tail to head by the right-hand rule, or opposite to it.
         turn = np.cross(out[:-1], out[1:]) @ joint.xaxis
         assert (np.sign(turn) == np.sign(joint.qfrc_actuator)).all()
 
 
-def test_widths_and_colours_follow_what_the_drives_put_out() -> None:
+def test_widths_and_colors_follow_the_actuator_torques() -> None:
     model, data = arm()
     overlay = sero_mj.overlay(model, data)
     torque = np.array([data.joint(name).qfrc_actuator[0] for name in overlay.robots["arm"]])
@@ -71,16 +71,16 @@ def test_widths_and_colours_follow_what_the_drives_put_out() -> None:
         assert (tail["rgba"][0] > tail["rgba"][2]) == (torque[item] > 0)  # orange, or blue
 
 
-def test_without_a_limit_full_width_is_the_load_of_gravity() -> None:
+def test_full_width_without_a_limit_is_the_gravity_load() -> None:
     model, data = arm()
     overlay = sero_mj.overlay(model, data)
-    overlay.set("arm.torques", [0, 0, 0, 0.1 * 9.81])  # the weight of what slides
+    overlay.set("arm.torques", [0, 0, 0, 0.1 * 9.81])  # the weight of the sliding part
     straight = of_kind(belonging(drawn(overlay), Kind.ARROW, 3), GEOM.mjGEOM_ARROW)[0]
     radius = overlay.world.joints.arrow_radius[3]
     assert 4 * straight["size"][0] == pytest.approx(radius, rel=1e-5)
 
 
-def test_the_arrow_of_a_slide_goes_along_with_its_link() -> None:
+def test_arrow_of_a_prismatic_joint_moves_with_its_link() -> None:
     at = []
     for grip in (0.0, 0.05):
         model, data = arm(grip=grip)
@@ -90,8 +90,8 @@ def test_the_arrow_of_a_slide_goes_along_with_its_link() -> None:
     assert at[1] - at[0] == pytest.approx(0.05 * axis, abs=1e-6)
 
 
-def test_an_arrow_turns_at_constant_speed_whatever_its_joint_does() -> None:
-    """MeasuredBodies from the parent, the tail is where time alone has brought it."""
+def test_arrow_rotates_at_constant_speed_regardless_of_its_joint() -> None:
+    """Measured from the parent body, the tail is where time alone has brought it."""
     tails = []
     for elbow in (0.0, 0.5, 2.0):
         model, data = arm(lift=0.3, elbow=elbow)
@@ -103,7 +103,7 @@ def test_an_arrow_turns_at_constant_speed_whatever_its_joint_does() -> None:
 
 
 @pytest.mark.parametrize("quantity", ["torques", "torque_error", "joint_accelerations"])
-def test_an_overlay_on_our_own_model_draws_what_its_scene_draws(quantity: str) -> None:
+def test_overlay_on_our_own_model_draws_the_same_as_its_scene(quantity: str) -> None:
     """The LWR, compiled from its DH table, against the same arrows found in the compiled model."""
     torques = np.array([30.0, -80.0, 12.0, 250.0, -3.0, 9.0, -6.0])
     robot = sero_mj.SerialRobot.from_model(
@@ -142,7 +142,7 @@ def test_an_overlay_on_our_own_model_draws_what_its_scene_draws(quantity: str) -
             assert mine[field] == pytest.approx(scene[field], abs=1e-5), (item, field)
 
 
-def test_the_users_model_and_data_are_not_changed() -> None:
+def test_overlay_does_not_change_the_user_model_and_data() -> None:
     model, data = jaco()
     before = everything_of(model, data)
     overlay = sero_mj.overlay(
@@ -171,7 +171,7 @@ def test_every_robot_of_a_model_has_its_own_joints() -> None:
     assert distance == pytest.approx(overlay.world.joints.arrow_radius[10], rel=1e-5)
 
 
-def test_what_is_set_is_shown_until_it_is_cleared() -> None:
+def test_values_that_are_set_are_shown_until_cleared() -> None:
     model, data = arm()
     overlay = sero_mj.overlay(model, data)
     overlay.set("arm.torques", {"lift": -20.0})
@@ -185,7 +185,7 @@ def test_what_is_set_is_shown_until_it_is_cleared() -> None:
     assert items(drawn(overlay)) == {0, 1, 2, 3}
 
 
-def test_a_vector_of_the_whole_model_gives_every_robot_its_own() -> None:
+def test_vector_of_the_whole_model_is_split_among_its_robots() -> None:
     model, data = compiled("""<mujoco><worldbody>
       <body name="cube"><freejoint/><geom size=".1"/></body>
       <body name="a" pos="1 0 0"><joint/><geom size=".1"/></body>
@@ -216,7 +216,7 @@ def test_a_vector_of_the_whole_model_gives_every_robot_its_own() -> None:
         overlay.set("goal.joint_angles", whole)
 
 
-def test_values_that_are_no_numbers_are_counted_and_not_shown(caplog: Any) -> None:
+def test_values_that_are_not_finite_are_counted_and_not_shown(caplog: Any) -> None:
     model, data = arm()
     double = sero_mj.Double(name="goal", of="arm", joint_angles=np.array([0.5, 0, 0, 0]))
     overlay = sero_mj.overlay(model, data, doubles=[double])
@@ -227,7 +227,7 @@ def test_values_that_are_no_numbers_are_counted_and_not_shown(caplog: Any) -> No
     assert "arm.torques: NaN" in caplog.text
     kept = overlay.frame("goal/fore")
     overlay.set("goal.joint_angles", [0.1, np.nan, 0, 0])
-    assert overlay.frame("goal/fore") == pytest.approx(kept)  # its last good pose
+    assert overlay.frame("goal/fore") == pytest.approx(kept)  # its last valid pose
     assert overlay.not_finite == 3
     overlay.set("goal.joint_angles", [0.1, 1e308, 0, 0])
     assert overlay.frame("goal/fore") == pytest.approx(kept)
@@ -238,7 +238,7 @@ def test_values_that_are_no_numbers_are_counted_and_not_shown(caplog: Any) -> No
     assert np.isfinite(geoms.rows["pos"][: geoms.count]).all()
 
 
-def test_axes_stand_at_bodies_and_at_wanted_sites() -> None:
+def test_axes_are_drawn_at_bodies_and_requested_sites() -> None:
     model, data = arm(turn=0.4, elbow=1.1)
     overlay = sero_mj.overlay(model, data, frames=["tip", "cube"])
     assert overlay.world.frames.names == [
@@ -260,7 +260,7 @@ def test_axes_stand_at_bodies_and_at_wanted_sites() -> None:
         assert overlay.frame(overlay.world.frames.names[item])[:3, 3] == pytest.approx(position)
 
 
-def test_smart_arrows_stand_at_its_frames_and_at_points() -> None:
+def test_smart_arrows_are_drawn_at_frames_and_points() -> None:
     model, data = arm(turn=0.4)
     arrows = [
         sero_mj.SmartArrow(name="push", at="arm/fore", expressed_in="world", vector=[0, 0, 30.0]),
@@ -272,7 +272,7 @@ def test_smart_arrows_stand_at_its_frames_and_at_points() -> None:
     assert belonging(geoms, Kind.VECTOR, 1)["pos"][0] == pytest.approx([0.5, 0.1, 0.9])
 
 
-def test_singularity_is_shown_of_the_serial_part() -> None:
+def test_singularity_is_shown_for_the_serial_part() -> None:
     """Three joints in a row, stretched out: the elbow's arrow leads there from either side."""
     model, data = compiled("""<mujoco><worldbody><body name="a">
       <joint axis="0 1 0"/><geom size=".05"/>
@@ -286,7 +286,7 @@ def test_singularity_is_shown_of_the_serial_part() -> None:
         assert (box["rgba"][2] > box["rgba"][0]) == blue
 
 
-def test_a_joint_without_torque_limit_is_as_wide_as_others_at_the_singularity() -> None:
+def test_joint_without_torque_limit_has_the_same_singularity_arrow_width() -> None:
     model, data = arm()
     overlay = sero_mj.overlay(model, data, robots={"arm": {"torque_limits": None}})
     overlay.toggles.arrow_quantity[:] = 2
@@ -300,7 +300,7 @@ def test_a_joint_without_torque_limit_is_as_wide_as_others_at_the_singularity() 
 
 
 def chain_overlay(count: int) -> tuple[sero_mj.Overlay, Any]:
-    """A chain of many joints with all cards on, and a function that returns the panels."""
+    """Returns a chain of many joints with all billboards on, and a function for its panels."""
     body = '<body pos="0 0 .1"><joint name="{0}_joint"/><geom size=".03"/>{1}</body>'
     xml = ""
     for k in reversed(range(count)):
@@ -319,7 +319,7 @@ def chain_overlay(count: int) -> tuple[sero_mj.Overlay, Any]:
 
 @pytest.mark.parametrize("size", [(640, 480), (1280, 800)])
 @pytest.mark.parametrize("count", [6, 60])
-def test_cards_do_not_cover_each_other(size: tuple[int, int], count: int) -> None:
+def test_billboards_of_a_chain_do_not_overlap(size: tuple[int, int], count: int) -> None:
     _, panels = chain_overlay(count)
     found = panels(*size)
     low = np.concatenate([p.centres - p.sizes / 2 for p in found])
@@ -333,7 +333,7 @@ def test_cards_do_not_cover_each_other(size: tuple[int, int], count: int) -> Non
     assert notes == ([] if count == 6 else expected)
 
 
-def test_cards_are_of_the_most_loaded_joints_and_stay() -> None:
+def test_billboards_of_the_most_loaded_joints_are_shown_and_stay() -> None:
     overlay, panels = chain_overlay(60)
     robot = overlay.robot(next(iter(overlay.robots)))
     load = overlay.world.joints.arrow_load
@@ -348,7 +348,7 @@ def test_cards_are_of_the_most_loaded_joints_and_stay() -> None:
     first = items()
     assert first >= set(range(20, 30))
     others = sorted(set(range(60)) - first)
-    share[others] = 0.11  # a little more than those that have a card
+    share[others] = 0.11  # slightly more than those that have a billboard
     robot.torques = share * load
     assert items() == first
     share[others[:2]] = 0.4
@@ -361,7 +361,7 @@ def test_cards_are_of_the_most_loaded_joints_and_stay() -> None:
     assert hidden in items()
 
 
-def test_a_drawn_frame_costs_little() -> None:
+def test_drawing_a_frame_is_fast() -> None:
     import time
 
     model, data = jaco(2)
@@ -378,7 +378,7 @@ def test_a_drawn_frame_costs_little() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["acrobot", "cheetah", "hopper", "humanoid", "humanoid_CMU"])
-def test_models_of_others_have_arrows_that_move(name: str) -> None:
+def test_third_party_models_have_moving_arrows(name: str) -> None:
     suite = pytest.importorskip(f"dm_control.suite.{name}", reason="dm-control is not installed")
     xml, assets = suite.get_model_and_assets()
     model = mujoco.MjModel.from_xml_string(xml, assets)
@@ -395,13 +395,13 @@ def test_models_of_others_have_arrows_that_move(name: str) -> None:
     assert len(arrows) and driven[arrows].all()
 
 
-def test_data_without_frames_is_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_data_without_computed_frames_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     model, _ = arm()
     data, canvas = mujoco.MjData(model), mujoco.MjvScene(model, 2000)
     early = sero_mj.overlay(model, data, name="early")
     mujoco.mj_forward(model, data)
     early.draw(canvas, "150,-20,2.5")
-    assert not caplog.records  # it has them when it is drawn
+    assert not caplog.records  # it has frames when it is drawn
     bare = sero_mj.overlay(model, mujoco.MjData(model), name="bare")
     for _ in range(2):
         bare.draw(canvas, "150,-20,2.5")
@@ -409,11 +409,11 @@ def test_data_without_frames_is_told(caplog: pytest.LogCaptureFixture) -> None:
     assert record.getMessage().startswith("the data of bare has no frames yet")
     assert "call mujoco.mj_forward(model, data)" in record.getMessage()
     caplog.clear()
-    sero_mj.overlay(model).draw(canvas, "150,-20,2.5")  # makes its own
+    sero_mj.overlay(model).draw(canvas, "150,-20,2.5")  # the overlay makes its own data
     assert not caplog.records
 
 
-def test_arguments_of_another_type_are_refused() -> None:
+def test_arguments_of_another_type_are_rejected() -> None:
     model, data = arm()
     with raises_with(
         UsageError,
@@ -428,7 +428,7 @@ def test_arguments_of_another_type_are_refused() -> None:
         sero_mj.overlay(model, data, frames="tp")
 
 
-def test_the_legend_says_how_wide_an_arrow_without_limit_gets() -> None:
+def test_legend_states_the_full_width_of_arrows_without_limit() -> None:
     overlay = sero_mj.overlay(*arm())
     joints = overlay.world.joints
     joints.torque_limit[:] = np.inf

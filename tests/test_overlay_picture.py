@@ -1,4 +1,4 @@
-"""`overlay` in pictures: rendered, clicked on, and shown by notebooks."""
+"""Images of `overlay`: rendered, clicked on, and displayed in notebooks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.gl
 
 SIZE = (640, 480)
 CAMERA = "60,-14,1.3"
-# Mean difference of two pictures, of 255. Renderers differ by less; a missing arrow is more.
+# Mean difference of two images, of 255. Renderers differ by less; a missing arrow by more.
 TOLERANCE = 0.02
 
 
@@ -49,7 +49,7 @@ def as_declared(overlay: Any) -> None:
 
 
 def with_their_renderer(overlay: Any, **options: Any) -> Any:
-    """The picture of a user's own loop."""
+    """Returns the image of a user's own loop."""
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(overlay.model, camera)
     camera.azimuth, camera.elevation, camera.distance = 60, -14, 1.3
@@ -60,7 +60,7 @@ def with_their_renderer(overlay: Any, **options: Any) -> Any:
         return renderer.render()
 
 
-def test_a_missing_arrow_is_seen_in_the_picture(overlay: Any) -> None:
+def test_missing_arrow_changes_the_image(overlay: Any) -> None:
     picture = overlay.image(*SIZE, CAMERA)
     assert difference(picture, overlay.image(*SIZE, CAMERA)) == 0.0
     for joint in range(6):
@@ -69,7 +69,7 @@ def test_a_missing_arrow_is_seen_in_the_picture(overlay: Any) -> None:
         overlay.toggles.arrows[joint] = True
 
 
-def test_a_picture_saves_itself_and_stays_an_array(overlay: Any, tmp_path: Path) -> None:
+def test_image_can_be_saved_and_is_an_array(overlay: Any, tmp_path: Path) -> None:
     picture = overlay.image(320, 240, CAMERA)
     for name in ("new/out.png", "out.jpg", "out.webp"):
         picture.save(tmp_path / name)
@@ -91,7 +91,7 @@ def test_a_picture_saves_itself_and_stays_an_array(overlay: Any, tmp_path: Path)
 
 
 @pytest.mark.thorough
-def test_the_lwr_looks_the_same_as_an_overlay_and_as_a_scene() -> None:
+def test_lwr_looks_the_same_as_overlay_and_as_scene() -> None:
     torques = [30.0, -80.0, 25.0, 60.0, -30.0, 25.0, -25.0]
     robot = sero_mj.SerialRobot.from_model("lwr", show_arrows=True, show_axes=True)
     world = World(sero_mj.Scene(robots=[robot]))
@@ -122,14 +122,14 @@ def test_the_lwr_looks_the_same_as_an_overlay_and_as_a_scene() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("joint", range(6))
-def test_a_click_on_a_drawn_arrow_finds_its_joint(overlay: Any, joint: int) -> None:
-    """Pixels that change when the arrow goes are the arrow; what is there is the joint's."""
+def test_click_on_a_drawn_arrow_picks_its_joint(overlay: Any, joint: int) -> None:
+    """The pixels that change with the arrow are its pixels; picking there returns the joint."""
     overlay.set("jaco.torques", {f"joint_{joint + 1}": 6.0 if joint > 2 else 28.0})
     picture = with_their_renderer(overlay)
     overlay.toggles.arrows[joint] = False
     without = with_their_renderer(overlay)
     overlay.toggles.arrows[joint] = True
-    with_their_renderer(overlay)  # what is picked from is the frame drawn last
+    with_their_renderer(overlay)  # picking uses the frame drawn last
     changed = np.abs(picture.astype(int) - without).sum(axis=2) > 150
     ys, xs = changed.nonzero()
     assert len(xs) > 60
@@ -140,7 +140,7 @@ def test_a_click_on_a_drawn_arrow_finds_its_joint(overlay: Any, joint: int) -> N
     assert hits.count(("arrow", f"jaco/joint_{joint + 1}")) >= 36  # the rest are edges
 
 
-def test_clicks_do_what_they_do_in_a_scene(overlay: Any) -> None:
+def test_clicks_work_as_in_a_scene(overlay: Any) -> None:
     data = overlay.data
     with_their_renderer(overlay)
     middle = overlay.view.project((data.body("jaco/b_2").xpos + data.body("jaco/b_3").xpos) / 2)
@@ -155,7 +155,7 @@ def test_clicks_do_what_they_do_in_a_scene(overlay: Any) -> None:
     assert overlay.pick(3, 3) is None
 
 
-def test_a_double_stands_where_its_angles_say_and_is_clicked_on(overlay: Any) -> None:
+def test_double_is_at_its_joint_angles_and_can_be_clicked(overlay: Any) -> None:
     data = overlay.data
     before = with_their_renderer(overlay)
     target = data.qpos + np.array([0.9, 0.2, 0.2, 0, 0, 0, 0, 0, 0])
@@ -180,11 +180,11 @@ def test_a_double_stands_where_its_angles_say_and_is_clicked_on(overlay: Any) ->
     overlay.toggles.doubles[:] = False
     assert difference(before, with_their_renderer(overlay)) == 0.0
     overlay.toggles.doubles[:] = True
-    overlay.set("goal.joint_angles", data.qpos)  # where both are, it would only flicker
+    overlay.set("goal.joint_angles", data.qpos)  # at the robot's pose it is not drawn
     assert difference(before, with_their_renderer(overlay)) == 0.0
 
 
-def test_a_path_is_a_row_of_doubles() -> None:
+def test_path_is_a_row_of_doubles() -> None:
     model, data = arm()
     path = np.array([[0.0, 0, 0, 0], [1.5, 0.5, 0, 0]])
     double = sero_mj.Double(name="way", of="arm", path=path, path_length=4)
@@ -209,7 +209,7 @@ def bare(height: float = 1.0, more: str = "", sky: str = "", headlight: int = 1)
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("camera", [None, "front"])
-def test_a_bare_model_is_lit_on_a_floor_below_a_sky(camera: str | None) -> None:
+def test_bare_model_is_lit_with_a_floor_and_a_sky(camera: str | None) -> None:
     for headlight in (1, 0):
         model = bare(headlight=headlight)
         with sero_mj.overlay(model) as shown:
@@ -223,7 +223,7 @@ def test_a_bare_model_is_lit_on_a_floor_below_a_sky(camera: str | None) -> None:
             assert picture[3, 20].max() == picture[-1, -20].max() == 0
 
 
-def test_surroundings_take_nothing_from_the_model_and_change_nothing() -> None:
+def test_surroundings_are_added_only_if_missing_and_change_nothing() -> None:
     model = bare(more='<light pos="0 0 9"/><geom type="plane" size="1 1 1"/>', sky=SKY)
     assert sero_mj.overlay(model).world.surroundings() is None
     own = sero_mj.overlay(bare(more='<light pos="0 0 9"/>', sky=SKY)).world.surroundings()
@@ -241,13 +241,13 @@ def test_surroundings_take_nothing_from_the_model_and_change_nothing() -> None:
     assert np.array_equal(before, after)
 
 
-def test_the_floor_is_below_what_hangs_lower() -> None:
+def test_floor_is_below_the_lowest_geom() -> None:
     for height, expected in ((3.0, 0.0), (0.6, 0.0), (0.0, -0.6), (-2.0, -2.6)):
         own = sero_mj.overlay(bare(height)).world.surroundings()
         assert own is not None and own.geom_pos[0, 2] == pytest.approx(expected, abs=0.01)
 
 
-def test_the_floor_stays_where_it_is() -> None:
+def test_floor_does_not_move() -> None:
     overlay = sero_mj.overlay(bare(0.0))
     first, overlay.data.qpos[0] = overlay.world.surroundings(), np.pi
     mujoco.mj_forward(overlay.model, overlay.data)
@@ -256,7 +256,7 @@ def test_the_floor_stays_where_it_is() -> None:
     assert first.geom_pos[0, 2] == again.geom_pos[0, 2] == pytest.approx(-0.6, abs=0.01)
 
 
-def test_pictures_of_several_models_do_not_disturb_each_other() -> None:
+def test_images_of_several_models_are_independent() -> None:
     one, other = sero_mj.overlay(bare()), sero_mj.overlay(arm()[0])
     first, second = one.image(160, 120), other.image(160, 120)
     assert difference(first, one.image(160, 120)) == 0.0
@@ -267,14 +267,14 @@ def test_pictures_of_several_models_do_not_disturb_each_other() -> None:
     other.close()
 
 
-def test_the_users_model_is_as_it_was_after_pictures(overlay: Any) -> None:
+def test_rendering_does_not_change_the_user_model(overlay: Any) -> None:
     model = overlay.model
     before = model.vis.global_.offwidth, model.vis.global_.offheight
     overlay.image(800, 700)
     assert (model.vis.global_.offwidth, model.vis.global_.offheight) == before
 
 
-def test_what_the_user_changes_is_in_the_next_picture(overlay: Any) -> None:
+def test_changes_of_the_user_model_are_in_the_next_image(overlay: Any) -> None:
     first = overlay.image(*SIZE, CAMERA)
     colours = overlay.model.geom_rgba.copy()
     overlay.model.geom_rgba[:, :3] = (0.9, 0.2, 0.2)
@@ -283,24 +283,24 @@ def test_what_the_user_changes_is_in_the_next_picture(overlay: Any) -> None:
     assert difference(first, overlay.image(*SIZE, CAMERA)) == 0.0
 
 
-def test_a_notebook_shows_an_overlay_and_every_picture(overlay: Any) -> None:
+def test_notebook_displays_an_overlay_and_its_images(overlay: Any) -> None:
     picture = overlay.image(200, 100)
     assert isinstance(picture, ImageArray) and isinstance(picture, np.ndarray)
     shown = np.asarray(Image.open(io.BytesIO(picture._repr_png_() or b"")))
     assert np.array_equal(shown, picture)
-    assert picture[10, 10]._repr_png_() is None  # a pixel is numbers
+    assert picture[10, 10]._repr_png_() is None  # a pixel is an array of numbers
     assert (picture / 2)._repr_png_() is None
     assert Image.open(io.BytesIO(overlay._repr_png_())).size == (960, 600)
 
 
-def test_a_picture_of_a_scene_is_shown_as_well() -> None:
+def test_scene_image_can_be_displayed() -> None:
     world = World(sero_mj.Scene(robots=[sero_mj.SerialRobot.from_model("lwr")]))
     with HeadlessRenderer(world, 64, 48) as renderer:
         assert renderer.render(world.make_data())._repr_png_()  # type: ignore[attr-defined]
 
 
 @pytest.mark.thorough
-def test_a_real_notebook_shows_it(tmp_path: Any) -> None:
+def test_real_notebook_displays_overlay_images(tmp_path: Any) -> None:
     import nbformat  # takes seconds, which each worker would spend
     from foreign_models import ARM
     from nbclient import NotebookClient

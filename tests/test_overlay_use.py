@@ -1,4 +1,4 @@
-"""`overlay` in the user's own loop: what it draws on, and what it says to wrong use."""
+"""`overlay` in the user's own loop: drawing targets, and errors for wrong use."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def overlay() -> Any:
 
 
 def scene_of(overlay: Any, maxgeom: int = 2000) -> mujoco.MjvScene:
-    """A scene that MuJoCo has filled, as every renderer has one."""
+    """Returns a scene filled by MuJoCo, like those of renderers."""
     scene = mujoco.MjvScene(overlay.model, maxgeom=maxgeom)
     camera = mujoco.MjvCamera()
     camera.distance, camera.lookat = 2.0, (0, 0, 0.4)
@@ -33,7 +33,7 @@ def scene_of(overlay: Any, maxgeom: int = 2000) -> mujoco.MjvScene:
     return scene
 
 
-def test_a_scene_keeps_its_own_geoms_and_gets_more(overlay: Any) -> None:
+def test_draw_appends_geoms_to_those_of_a_scene(overlay: Any) -> None:
     scene = scene_of(overlay)
     own = [(geom.objid, geom.pos.tolist()) for geom in scene.geoms[: scene.ngeom]]
     assert overlay.draw(scene, size=(800, 600)) == 0
@@ -44,7 +44,9 @@ def test_a_scene_keeps_its_own_geoms_and_gets_more(overlay: Any) -> None:
 
 
 @pytest.mark.parametrize("room", [0, 1, 30])
-def test_what_finds_no_room_is_counted_and_said_once(overlay: Any, room: int, caplog: Any) -> None:
+def test_geoms_over_capacity_are_counted_and_reported_once(
+    overlay: Any, room: int, caplog: Any
+) -> None:
     needed = scene_of(overlay)
     before = needed.ngeom
     overlay.draw(needed)
@@ -60,7 +62,7 @@ def test_what_finds_no_room_is_counted_and_said_once(overlay: Any, room: int, ca
 
 
 @pytest.mark.parametrize("room", [0, 2])
-def test_a_double_without_room_is_counted_too(room: int) -> None:
+def test_double_over_capacity_is_counted(room: int) -> None:
     model, data = arm()
     double = sero_mj.Double(name="goal", of="arm", joint_angles=np.array([1.0, 0, 0, 0]))
     overlay = sero_mj.overlay(model, data, doubles=[double])
@@ -74,8 +76,8 @@ def test_a_double_without_room_is_counted_too(room: int) -> None:
     assert overlay.draw(small) == 3 - room
 
 
-def test_the_passive_viewer_is_drawn_on_from_its_own_camera(overlay: Any) -> None:
-    """Its handle in 4.0: `user_scn` has no camera, `cam` is where the user looks from."""
+def test_passive_viewer_is_drawn_from_its_own_camera(overlay: Any) -> None:
+    """Its handle in 4.0: `user_scn` has no camera, and `cam` is the user's view."""
     camera = mujoco.MjvCamera()
     camera.distance, camera.azimuth, camera.elevation = 2.0, 90.0, -20.0
     handle = SimpleNamespace(
@@ -83,7 +85,7 @@ def test_the_passive_viewer_is_drawn_on_from_its_own_camera(overlay: Any) -> Non
         cam=camera,
         viewport=mujoco.MjrRect(0, 0, 800, 500),
     )
-    for _ in range(3):  # nobody else clears it
+    for _ in range(3):  # nothing else clears it
         overlay.draw(handle)
         first = handle.user_scn.ngeom
     assert first < 500
@@ -93,7 +95,7 @@ def test_the_passive_viewer_is_drawn_on_from_its_own_camera(overlay: Any) -> Non
     )
 
 
-def test_a_camera_may_be_given_in_words(overlay: Any) -> None:
+def test_camera_can_be_a_string(overlay: Any) -> None:
     scene = mujoco.MjvScene(overlay.model, maxgeom=2000)
     overlay.draw(scene, camera="90,0,3")
     assert overlay.view.forward == pytest.approx([0, 1, 0], abs=1e-6)
@@ -101,7 +103,7 @@ def test_a_camera_may_be_given_in_words(overlay: Any) -> None:
         overlay.draw(scene, camera="side")
 
 
-def test_other_scenes_may_be_drawn_on_in_turn(overlay: Any) -> None:
+def test_different_scenes_can_be_drawn_in_turn(overlay: Any) -> None:
     one, other = scene_of(overlay), scene_of(overlay)
     before = one.ngeom
     overlay.draw(one)
@@ -116,19 +118,19 @@ def test_other_scenes_may_be_drawn_on_in_turn(overlay: Any) -> None:
         (SimpleNamespace(user_scn=None, cam=None), "found SimpleNamespace"),
     ],
 )
-def test_what_cannot_be_drawn_on_is_said(overlay: Any, target: Any, reason: str) -> None:
+def test_invalid_drawing_target_is_rejected(overlay: Any, target: Any, reason: str) -> None:
     expected = "a mujoco.Renderer, a viewer of mujoco.viewer.launch_passive, or a mujoco.MjvScene"
     with raises_with(UsageError, reason=reason, expected=expected):
         overlay.draw(target)
 
 
-def test_a_scene_without_a_camera_cannot_be_drawn_on(overlay: Any) -> None:
+def test_scene_without_a_camera_is_rejected(overlay: Any) -> None:
     needed = "call update_scene before draw, or give draw a camera"
     with raises_with(UsageError, reason=f"the scene has no camera yet: {needed}"):
         overlay.draw(mujoco.MjvScene(overlay.model, maxgeom=100))
 
 
-def test_a_size_must_be_positive_and_a_click_needs_a_frame(overlay: Any) -> None:
+def test_size_must_be_positive_and_a_click_needs_a_frame(overlay: Any) -> None:
     with raises_with(UsageError, key="size", reason="found 0 x 480", expected="pixels above 0"):
         overlay.draw(scene_of(overlay), size=(0, 480))
     with raises_with(UsageError, reason="nothing has been drawn yet: call draw or image first"):
@@ -146,12 +148,12 @@ XML = '<mujoco><worldbody><body name="b">{}<geom size=".1"/></body></worldbody><
         ('<joint type="ball"/>', "model: found joints of type ball"),
     ],
 )
-def test_a_model_without_an_axis_is_refused(inside: str, message: str) -> None:
+def test_model_without_an_axis_is_rejected(inside: str, message: str) -> None:
     with pytest.raises(DeclarationError, match=message):
         sero_mj.overlay(*compiled(XML.format(inside)))
 
 
-def test_model_and_data_must_be_of_mujoco_and_of_each_other() -> None:
+def test_model_and_data_must_be_mujoco_objects_of_the_same_model() -> None:
     model, data = arm()
     with raises_with(
         UsageError,
@@ -185,14 +187,14 @@ def test_model_and_data_must_be_of_mujoco_and_of_each_other() -> None:
         expected="mujoco.MjData(model) of the same model",
     ):
         sero_mj.overlay(hinge, slide)
-    sero_mj.overlay(model, mujoco.MjData(copy.copy(model)))  # one as good as its own
+    sero_mj.overlay(model, mujoco.MjData(copy.copy(model)))  # an equal copy is accepted
 
 
 TORQUES = "4, one per joint: shape (4,), or one per degree of freedom of the model: shape (10,)"
 
 
 @pytest.mark.parametrize(
-    ("target", "values", "told"),
+    ("target", "values", "expected"),
     [
         ("arm.torques", [1, 2], {"reason": "found shape", "found": (2,), "expected": TORQUES}),
         ("arm.torques", "high", {"found": "high", "expected": TORQUES}),
@@ -219,10 +221,10 @@ TORQUES = "4, one per joint: shape (4,), or one per degree of freedom of the mod
         ),
     ],
 )
-def test_what_does_not_fit_is_said(
-    overlay: Any, target: str, values: Any, told: dict[str, Any]
+def test_values_of_the_wrong_shape_are_rejected(
+    overlay: Any, target: str, values: Any, expected: dict[str, Any]
 ) -> None:
-    with raises_with(key=target, **told):
+    with raises_with(key=target, **expected):
         overlay.set(target, values)
 
 
@@ -234,21 +236,21 @@ def test_what_does_not_fit_is_said(
         ("arm.torque", [0] * 4, "input of arm", "torque", "torques"),
     ],
 )
-def test_what_is_not_there_is_said(
+def test_unknown_names_are_rejected(
     overlay: Any, target: str, values: Any, kind: str, name: str, near: str
 ) -> None:
     with raises_with(UnknownName, kind=kind, name=name, near=near):
         overlay.set(target, values)
 
 
-def test_joint_angles_are_those_of_the_users_data(overlay: Any) -> None:
+def test_joint_angles_cannot_be_set_on_an_overlay(overlay: Any) -> None:
     message = r"^arm\.joint_angles: the joint angles of arm come from your data; set data\.qpos$"
     with pytest.raises(ValueError, match=message):
         overlay.set("arm.joint_angles", [0] * 4)
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "told"),
+    ("field", "value", "expected"),
     [
         ("arow_radius", 1.0, {"reason": "unknown key", "near": "arrow_radius"}),
         ("dh_params", [], {"reason": "unknown key"}),
@@ -265,12 +267,14 @@ def test_joint_angles_are_those_of_the_users_data(overlay: Any) -> None:
         ("arrow_radius", -1.0, {"found": -1.0, "expected": "positive numbers"}),
     ],
 )
-def test_what_is_said_of_a_robot_must_fit_it(field: str, value: Any, told: dict[str, Any]) -> None:
-    with raises_with(key=f"robots.arm.{field}", **told):
+def test_invalid_robot_fields_are_rejected(
+    field: str, value: Any, expected: dict[str, Any]
+) -> None:
+    with raises_with(key=f"robots.arm.{field}", **expected):
         sero_mj.overlay(*arm(), robots={"arm": {field: value}})
 
 
-def test_robots_frames_doubles_and_arrows_are_of_what_is_there() -> None:
+def test_unknown_robots_frames_doubles_and_arrows_are_rejected() -> None:
     with raises_with(UnknownName, kind="robot", name="arn", near="arm"):
         sero_mj.overlay(*arm(), robots={"arn": {}})
     with raises_with(UnknownName, kind="body or site", name="tpi", near="tip"):
@@ -281,7 +285,7 @@ def test_robots_frames_doubles_and_arrows_are_of_what_is_there() -> None:
         sero_mj.overlay(*arm(), arrows=[sero_mj.SmartArrow(name="p", at="arm/for")])
 
 
-def test_fields_of_a_robot_stand_over_what_the_model_says() -> None:
+def test_robot_fields_override_those_of_the_model() -> None:
     said = {"torque_limits": [1.0, np.inf, 3.0, 4.0], "arrow_radius": 0.2, "show_axes": True}
     joints = sero_mj.overlay(*arm(), robots={"arm": said}).world.joints
     assert joints.torque_limit.tolist() == said["torque_limits"]
@@ -290,7 +294,7 @@ def test_fields_of_a_robot_stand_over_what_the_model_says() -> None:
     assert limited.torque_limit.tolist() == [9.0] * 4
 
 
-def test_a_model_may_come_as_what_it_is_compiled_from_and_without_data() -> None:
+def test_model_can_be_a_spec_and_data_can_be_omitted() -> None:
     spec = mujoco.MjSpec.from_string(ARM)
     for model in (spec, spec.compile()):
         over = sero_mj.overlay(model)
@@ -298,7 +302,7 @@ def test_a_model_may_come_as_what_it_is_compiled_from_and_without_data() -> None
         np.testing.assert_allclose(over.frame("arm/gripper")[:3, 3], arm()[1].body("gripper").xpos)
 
 
-def test_entities_of_composer_are_taken() -> None:
+def test_composer_entities_are_accepted() -> None:
     kinova = pytest.importorskip(
         "dm_control.entities.manipulators.kinova", reason="dm-control is not installed"
     )
@@ -308,7 +312,7 @@ def test_entities_of_composer_are_taken() -> None:
     assert joints == [joint.name for joint in hand.mjcf_model.find_all("joint")]
 
 
-def test_the_quantity_of_arrows_is_set_by_its_name(overlay: Any) -> None:
+def test_arrow_quantity_is_set_by_name(overlay: Any) -> None:
     overlay.set("arm.arrow_quantity", "torque_error")
     overlay.image(64, 48)
     assert (overlay.toggles.arrow_quantity == 1).all()

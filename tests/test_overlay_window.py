@@ -1,4 +1,4 @@
-"""`view(overlay)`: our window beside a loop that steps a model of its own."""
+"""`view(overlay)`: our window beside a loop that steps its own model."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ print("well")
 @pytest.mark.parametrize(
     "text", sampled([SCRIPT, PASSIVE, LOOP, PAGE], 2), ids=["window", "MuJoCo's", "loop", "page"]
 )
-def test_a_host_shows_a_loop_of_the_users_own(tmp_path: Path, text: str) -> None:
+def test_window_or_page_shows_a_user_loop(tmp_path: Path, text: str) -> None:
     script = tmp_path / "loop.py"
     script.write_text(text.format(folder=str(Path(__file__).parent)))
     with screen() as display:
@@ -157,7 +157,7 @@ def test_a_host_shows_a_loop_of_the_users_own(tmp_path: Path, text: str) -> None
     assert "double" not in done.stderr
 
 
-def test_what_is_watched_is_a_copy_that_a_pause_holds_still() -> None:
+def test_watched_data_is_a_copy_that_a_pause_freezes() -> None:
     model, data = arm()
     overlay = sero_mj.overlay(model, data)
     watch = Watch(overlay.world)

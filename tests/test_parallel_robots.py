@@ -1,4 +1,4 @@
-"""Parallel robots of serial legs: the legs meet, by two routes, and where they do not is told."""
+"""Parallel robots of serial legs: their legs meet in two computations, and gaps are reported."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from sero_mj.viewer.decor.flange_check import flange_difference
 
 SENDER = ROOT / "scenes" / "parallel_sender.py"
 TIMES = np.linspace(0.0, 12.0, 13)
-# The slices of every robot's joints in a packet, and the robot that others have to meet.
+# The slices of each robot's joints in a packet, and the robot that the others must meet.
 LEGS = {
     "five_bar": {"left": slice(0, 2), "right": slice(2, 5)},
     "stewart": {f"leg{k + 1}": slice(6 * k, 6 * k + 6) for k in range(6)},
@@ -38,7 +38,7 @@ def sender() -> ModuleType:
 
 
 def flanges(scene: Scene, packet) -> np.ndarray:
-    """The flange of every leg in the world, by the DH tables, (legs, 4, 4)."""
+    """Returns the flange of every leg in the world from the DH tables, (legs, 4, 4)."""
     return np.array([
         scene.robots[name].base_frame @ scene.robots[name].fwd_kin_base_to_flange(packet[part])
         for name, part in LEGS[scene.name].items()
@@ -60,7 +60,7 @@ def test_legs_meet_over_the_whole_motion_within_their_limits(sender, name):
 
 
 @pytest.mark.parametrize("name", LEGS)
-def test_legs_meet_in_the_compiled_scene_as_it_is_declared(name):
+def test_legs_meet_in_the_compiled_scene_as_declared(name):
     scene = load_scene(name)
     world = World(scene)
     data = world.make_data()
@@ -69,7 +69,7 @@ def test_legs_meet_in_the_compiled_scene_as_it_is_declared(name):
     for leg in checked:
         distance, angle = flange_difference(world, data, leg)
         assert distance < 1e-6 and angle < 1e-6
-    # Open one leg: it alone is off, by what the table says.
+    # With one leg opened, it alone is off, by the amount of the table.
     leg = checked[-1]
     bent = scene.robots[leg].home + 0.02
     world.set_input(data, f"{leg}.joint_angles", bent)
@@ -83,8 +83,8 @@ def test_legs_meet_in_the_compiled_scene_as_it_is_declared(name):
     assert f"{leg} flange is off" in labels(buffer.rows[: buffer.count])
 
 
-def test_inverse_kinematics_in_closed_form_is_what_newton_finds(sender):
-    # The second route: Newton on the Jacobian of the DH table, from the declared pose.
+def test_closed_form_inverse_kinematics_equals_newton(sender):
+    # The second computation: Newton with the Jacobian of the DH table, from the declared pose.
     scene = load_scene("stewart")
     for t in (0.7, 2.9, 5.1):
         packet = np.array(sender.stewart(scene.robots, t))
@@ -104,7 +104,7 @@ def test_inverse_kinematics_in_closed_form_is_what_newton_finds(sender):
             np.testing.assert_allclose(q, packet[part], atol=1e-7)
 
 
-def test_driving_torques_do_the_work_that_the_push_takes(sender):
+def test_work_of_the_driving_torques_equals_that_of_the_push(sender):
     scene = load_scene("five_bar")
     for t in TIMES:
         h = 1e-6
@@ -116,7 +116,7 @@ def test_driving_torques_do_the_work_that_the_push_takes(sender):
         assert np.abs(now[5:7]).max() > 0.5
 
 
-def test_struts_do_the_work_that_lifts_the_platform(sender):
+def test_work_of_the_struts_equals_that_of_lifting_the_platform(sender):
     scene = load_scene("stewart")
     struts = np.arange(6) * 6 + 2
     for t in TIMES:
@@ -130,7 +130,7 @@ def test_struts_do_the_work_that_lifts_the_platform(sender):
 
 
 @pytest.mark.parametrize("name", LEGS)
-def test_the_sender_moves_the_shipped_scene_and_its_legs_stay_closed(name):
+def test_sender_moves_the_shipped_scene_and_its_legs_stay_closed(name):
     scene = load_scene(name)
     scene.sources["udp"]["port"] = 0
     with Mirror(scene) as mirror:
@@ -148,8 +148,8 @@ def test_the_sender_moves_the_shipped_scene_and_its_legs_stay_closed(name):
         assert torque.any()
 
 
-def test_a_frame_is_checked_in_the_robots_own_base_wherever_that_is():
-    # A frame of another robot is a pose in the world, the flange check one from the base.
+def test_flange_check_is_relative_to_the_robot_base():
+    # The frame of another robot is a pose in the world, and a flange check is one from the base.
     base = {"xyz": [0.4, -0.3, 0.2], "rpy_deg": [20, -30, 70]}
     arms = [
         SerialRobot.from_model("lwr", name=name, base_frame=base, joint_angles=np.full(7, 0.3))

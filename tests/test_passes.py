@@ -23,7 +23,7 @@ from sero_mj.viewer.image.render import HeadlessRenderer, render_image, render_v
 
 POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])
 SIZE = (321, 240)
-FAR = 60.0  # m; the floor ends at about this distance in pictures, and nowhere for rays
+FAR = 60.0  # m; in images the floor ends at about this distance, for rays it is infinite
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def renderer(world: World):
 
 
 def rays(renderer: HeadlessRenderer, data: mujoco.MjData, count: int = 1500):
-    """Yields pixels (x, y), what a ray through each hits (-1 for nothing), and how deep, m."""
+    """Yields pixels (x, y), the geom hit by a ray through each (-1 for none), and its depth, m."""
     view, random = renderer.decor.view, np.random.default_rng(32)
     geom = np.full(1, -1, np.int32)
     for x, y in random.integers(0, SIZE, (count, 2)).tolist():
@@ -63,7 +63,7 @@ def rays(renderer: HeadlessRenderer, data: mujoco.MjData, count: int = 1500):
 
 
 @pytest.mark.gl
-def test_every_pixel_shows_the_part_that_a_ray_through_it_hits(renderer, data) -> None:
+def test_every_pixel_is_the_part_hit_by_its_ray(renderer, data) -> None:
     parts, names = renderer.segmentation(data), renderer.part_names
     assert parts.shape == SIZE[::-1]
     assert parts.dtype == np.int32
@@ -83,7 +83,7 @@ def test_every_pixel_shows_the_part_that_a_ray_through_it_hits(renderer, data) -
 
 
 @pytest.mark.gl
-def test_depths_are_those_of_rays(renderer, data) -> None:
+def test_depths_equal_those_of_rays(renderer, data) -> None:
     depth = renderer.depth(data)
     assert depth.shape == SIZE[::-1]
     assert depth.dtype == np.float32
@@ -94,13 +94,13 @@ def test_depths_are_those_of_rays(renderer, data) -> None:
         for x, y, geom, along in rays(renderer, data)
         if geom >= 0 and along < FAR
     ]
-    # At an edge the ray may pass on the other side of it.
+    # At an edge, the ray may pass on the other side.
     assert np.quantile(errors, 0.995) < 1e-4
     assert np.median(errors) < 1e-6
 
 
 @pytest.mark.gl
-def test_parts_have_names_and_share_out_all_pixels(renderer, data) -> None:
+def test_parts_have_unique_names_and_cover_all_pixels(renderer, data) -> None:
     names = renderer.part_names
     assert names[0] == "background"
     assert len(set(names)) == len(names)
@@ -113,7 +113,7 @@ def test_parts_have_names_and_share_out_all_pixels(renderer, data) -> None:
 
 
 @pytest.mark.gl
-def test_decor_is_in_no_pass_and_a_hidden_double_neither(world, data) -> None:
+def test_decor_and_hidden_doubles_are_in_no_pass(world, data) -> None:
     with HeadlessRenderer(world, *SIZE) as renderer:
         with_decor = renderer.segmentation(data), renderer.depth(data)
         renderer.toggles.arrows[:] = renderer.toggles.axes[:] = False
@@ -128,7 +128,7 @@ def test_decor_is_in_no_pass_and_a_hidden_double_neither(world, data) -> None:
 
 
 @pytest.mark.gl
-def test_a_picture_is_the_same_after_its_passes(world, data) -> None:
+def test_image_is_the_same_after_its_passes(world, data) -> None:
     with HeadlessRenderer(world, *SIZE) as renderer:
         renderer.render(data)
         before = renderer.render(data).copy()
@@ -139,7 +139,7 @@ def test_a_picture_is_the_same_after_its_passes(world, data) -> None:
 
 @pytest.mark.gl
 @pytest.mark.parametrize("suffix", sampled([".png", ".npy"], 1))
-def test_pass_files_hold_the_arrays(world, data, tmp_path, suffix: str) -> None:
+def test_pass_files_contain_the_arrays(world, data, tmp_path, suffix: str) -> None:
     files = {which: tmp_path / f"{which}{suffix}" for which in ("segmentation", "depth")}
     for which, path in files.items():
         render_image(world.scene, path, size=SIZE, render_pass=which)
@@ -152,7 +152,7 @@ def test_pass_files_hold_the_arrays(world, data, tmp_path, suffix: str) -> None:
     ).tolist()
     if suffix == ".npy":
         assert np.array_equal(np.load(files["segmentation"]), parts)
-        # A floor is drawn about where the camera of the last frame was, so it is rounded anew.
+        # The floor is drawn near the camera position of the last frame, so rounding differs.
         np.testing.assert_allclose(np.load(files["depth"]), depth, rtol=2e-5)
         return
     with Image.open(files["segmentation"]) as picture:
@@ -169,12 +169,12 @@ def test_pass_files_hold_the_arrays(world, data, tmp_path, suffix: str) -> None:
     assert (mm[~np.isfinite(depth)] == 0).all()
 
 
-def test_colours_of_parts_differ() -> None:
+def test_part_colors_are_unique() -> None:
     assert len({tuple(colour) for colour in palette(256).tolist()}) == 256
     assert palette(3).tolist() == [[0, 0, 0], [128, 0, 0], [0, 128, 0]]  # as in PASCAL VOC
 
 
-def test_many_parts_are_16_bits_without_colours(tmp_path) -> None:
+def test_many_parts_are_stored_in_16_bits_without_colors(tmp_path) -> None:
     parts = np.arange(600, dtype=np.int32).reshape(20, 30)
     legend = save_segmentation(tmp_path / "many.png", parts, [f"part{i}" for i in range(600)])
     with Image.open(tmp_path / "many.png") as picture:
@@ -182,13 +182,13 @@ def test_many_parts_are_16_bits_without_colours(tmp_path) -> None:
     assert json.loads(legend.read_text())["parts"][599]["colour"] is None
 
 
-def test_depths_out_of_range_are_none_in_millimetres(tmp_path) -> None:
+def test_depths_out_of_range_are_0_in_millimeters(tmp_path) -> None:
     save_depth(tmp_path / "far.png", np.array([[0.0004, 1.2346, 65.535, 65.6, np.inf]]))
     with Image.open(tmp_path / "far.png") as picture:
         assert np.asarray(picture).tolist() == [[0, 1235, 65535, 0, 0]]
 
 
-def test_passes_are_not_written_where_numbers_would_change(lwr, tmp_path) -> None:
+def test_passes_are_not_written_in_lossy_formats(lwr, tmp_path) -> None:
     scene = Scene(robots=[lwr])
     for path in ("parts.jpg", "parts.webp"):
         with pytest.raises(RenderError, match=r"\.png, \.npy"):
@@ -199,13 +199,13 @@ def test_passes_are_not_written_where_numbers_would_change(lwr, tmp_path) -> Non
 
 
 @pytest.mark.gl
-def test_the_parts_of_a_model_of_others_have_its_names(tmp_path) -> None:
+def test_parts_of_a_third_party_model_have_its_names(tmp_path) -> None:
     model, own = arm(lift=0.8)
     double = Double(name="goal", of="arm", joint_angles=[0.0, -0.8, 0.3, 0.0])
     with sero_mj.overlay(model, own, doubles=[double]) as overlay:
         world = overlay.world
         with HeadlessRenderer(world, *SIZE) as renderer:
-            renderer.toggles.wireframe = True  # of pictures, not of passes
+            renderer.toggles.wireframe = True  # for images, not for passes
             parts, names = renderer.segmentation(own), renderer.part_names
     counts = dict(zip(names, np.bincount(parts.ravel(), minlength=len(names)), strict=True))
     assert {"background", "arm/fore", "goal/fore", "cube", "ground"} <= counts.keys()

@@ -1,4 +1,4 @@
-"""Files: where they are found, what is said about them, and that nothing else is raised."""
+"""Files: finding them, their errors, and that no other exception is raised."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MINIMAL = 'dh_convention = "craig"\n'
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
-    """An empty working directory, away from the checkout."""
+    """An empty working directory outside the checkout."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -45,12 +45,12 @@ def write(path: Path, text: str = MINIMAL) -> Path:
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A made-up package folder with a checkout round it: models `arm` and `leg`, scene `both`."""
+    """A fake package folder inside a checkout: models `arm` and `leg`, scene `both`."""
     home = tmp_path / "checkout"
     for name in ("leg", "arm"):
         write(home / "models" / name / "robot.toml")
     write(home / "scenes" / "both.toml", "")
-    (home / "models" / "empty").mkdir()  # a folder without a robot.toml is no model
+    (home / "models" / "empty").mkdir()  # a folder without a robot.toml is not a model
     (home / "sero_mj").mkdir()
     monkeypatch.setattr(paths, "_PACKAGE", home / "sero_mj")
     return home
@@ -74,7 +74,7 @@ def test_wheel_has_its_files_inside_the_package(package):
     assert (paths.find_model("hand"), paths.find_scene("one")) == (inside, scene)
 
 
-def test_model_may_be_a_shipped_name_a_folder_or_a_file(elsewhere, package):
+def test_model_can_be_a_shipped_name_a_folder_or_a_file(elsewhere, package):
     folder = write(elsewhere / "own" / "robot.toml")
     file = write(elsewhere / "own" / "other.toml")
     assert paths.find_model("arm") == package / "models" / "arm" / "robot.toml"
@@ -83,15 +83,15 @@ def test_model_may_be_a_shipped_name_a_folder_or_a_file(elsewhere, package):
     assert paths.find_model("own/other.toml") == file
 
 
-def test_model_is_looked_for_beside_the_scene_before_the_shipped_ones(elsewhere, package):
+def test_model_beside_the_scene_takes_precedence_over_shipped_ones(elsewhere, package):
     beside = write(elsewhere / "scenes" / "arm" / "robot.toml")
     assert paths.find_model("arm", beside.parents[1]) == beside
     assert paths.find_model("leg", beside.parents[1]) == package / "models/leg/robot.toml"
-    with pytest.raises(UnknownName):  # relative names start beside the scene, not here
+    with pytest.raises(UnknownName):  # relative names start at the scene, not here
         paths.find_model("scenes/arm", beside.parents[1])
 
 
-def test_scene_may_be_a_file_or_a_shipped_name(elsewhere, package):
+def test_scene_can_be_a_file_or_a_shipped_name(elsewhere, package):
     file = write(elsewhere / "my.toml")
     assert paths.find_scene("my.toml").resolve() == file
     assert paths.find_scene("both") == package / "scenes" / "both.toml"
@@ -107,7 +107,7 @@ def test_scene_may_be_a_file_or_a_shipped_name(elsewhere, package):
         ("find_scene", "xyz", "no scene 'xyz'; available: both"),
     ],
 )
-def test_unknown_name_is_refused_with_the_nearest_or_all(elsewhere, package, find, name, text):
+def test_unknown_name_is_rejected_with_the_nearest_or_all(elsewhere, package, find, name, text):
     with pytest.raises(UnknownName) as caught:
         getattr(paths, find)(name)
     assert str(caught.value) == text
@@ -117,7 +117,7 @@ def test_unknown_name_is_refused_with_the_nearest_or_all(elsewhere, package, fin
     )
 
 
-def test_a_link_to_nothing_is_called_one(elsewhere):
+def test_broken_link_is_reported(elsewhere):
     Path("x.toml").symlink_to("gone.toml")
     with pytest.raises(DeclarationError) as caught:
         paths.find_scene("x.toml")
@@ -126,12 +126,12 @@ def test_a_link_to_nothing_is_called_one(elsewhere):
 
 @pytest.mark.parametrize("find", [paths.find_model, paths.find_scene])
 @pytest.mark.parametrize("name", ["a" * 300, "nul\0", "", ".", "a/b/../.."])
-def test_name_that_no_file_can_have_is_unknown_like_any_other(elsewhere, find, name):
+def test_invalid_file_name_is_an_unknown_name(elsewhere, find, name):
     with pytest.raises(UnknownName):
         find(name)
 
 
-def test_nearest_name_ignores_case_and_needs_to_be_near():
+def test_nearest_name_ignores_case_and_must_be_similar():
     assert nearest("LWR", ["hand", "lwr"]) == "lwr"
     assert nearest("joint_angels", ["joint_angles", "torques"]) == "joint_angles"
     assert nearest("xyz", ["hand", "lwr"]) is None
@@ -139,7 +139,7 @@ def test_nearest_name_ignores_case_and_needs_to_be_near():
     assert did_you_mean("x", ["b", "a"]) == "; available: a, b"
 
 
-def test_problem_says_file_line_key_and_message_as_far_as_known():
+def test_problem_contains_known_file_line_key_and_message():
     assert str(Problem("", "is wrong")) == "is wrong"
     assert str(Problem("a.b", "is wrong", "f.toml")) == "f.toml: a.b: is wrong"
     assert str(Problem("a.b", "is wrong", "f.toml", 3)) == "f.toml:3: a.b: is wrong"
@@ -150,14 +150,14 @@ def test_problem_says_file_line_key_and_message_as_far_as_known():
 
 
 def file_refusal(folder, text, **overrides) -> str:
-    """The error of a robot file, with its path shortened to its name."""
+    """Returns the error of a robot file, with its path shortened to its name."""
     (folder / "robot.toml").write_text(text)
     with pytest.raises(DeclarationError) as caught:
         SerialRobot.from_model(str(folder), name="arm", **overrides)
     return str(caught.value).replace(f"{folder}/", "")
 
 
-def test_problems_of_a_robot_file_carry_its_name_and_line(tmp_path):
+def test_problems_of_a_robot_file_have_its_name_and_line(tmp_path):
     text = 'dh_convention = "craig"\n\ntorque_limits = [1, 2]\n[colors]\nred = [1]\n'
     assert file_refusal(tmp_path, text).splitlines() == [
         "robot.toml:3: torque_limits: found 2 entries; expected 1, one per row of dh_params",
@@ -165,7 +165,7 @@ def test_problems_of_a_robot_file_carry_its_name_and_line(tmp_path):
     ]
 
 
-def test_problems_of_overrides_do_not_blame_the_file(tmp_path):
+def test_problems_of_overrides_do_not_name_the_file(tmp_path):
     text = 'dh_convention = "craig"\ntorque_limits = [5]\n'
     assert file_refusal(tmp_path, text, torque_limits=[-1], axes_sise=1).splitlines() == [
         "torque_limits: found [-1]; expected positive numbers",
@@ -173,7 +173,7 @@ def test_problems_of_overrides_do_not_blame_the_file(tmp_path):
     ]
 
 
-def test_limits_in_degrees_of_the_wrong_length_carry_their_own_line(tmp_path):
+def test_limits_in_degrees_of_the_wrong_length_have_their_own_line(tmp_path):
     text = 'dh_convention = "craig"\n\nvelocity_limits_deg = [1, 2]\n'
     assert file_refusal(tmp_path, text) == (
         "robot.toml:3: velocity_limits_deg: found 2 entries; expected 1, one per row of dh_params"
@@ -182,7 +182,7 @@ def test_limits_in_degrees_of_the_wrong_length_carry_their_own_line(tmp_path):
 
 @pytest.mark.parametrize("unit", ["", "_deg"])
 @pytest.mark.parametrize("file_unit", ["", "_deg"])
-def test_override_of_limits_may_be_in_another_unit_than_the_file(tmp_path, unit, file_unit):
+def test_overridden_limits_can_have_another_unit_than_the_file(tmp_path, unit, file_unit):
     (tmp_path / "robot.toml").write_text(
         f'dh_convention = "craig"\nposition_limits{file_unit} = [[-5, 5]]\n'
     )
@@ -193,12 +193,12 @@ def test_override_of_limits_may_be_in_another_unit_than_the_file(tmp_path, unit,
 
 
 @pytest.mark.parametrize("value", ["5", '"abc"', "{ a = 1 }"])
-def test_children_that_are_no_list_are_refused(tmp_path, value):
+def test_children_that_are_not_a_list_are_rejected(tmp_path, value):
     text = f'dh_convention = "craig"\nchildren = {value}\n'
     assert file_refusal(tmp_path, text).startswith("robot.toml:2: children: found ")
 
 
-def test_files_of_a_robot_are_looked_for_beside_its_file(tmp_path):
+def test_files_of_a_robot_are_found_beside_its_file(tmp_path):
     text = 'dh_convention = "craig"\ndirectory = "meshes"\n'
     child = '[[children]]\nname = "tool"\nmesh = "tool.stl"\n'
     (tmp_path / "robot.toml").write_text(text + child)
@@ -219,13 +219,13 @@ def test_files_of_a_robot_are_looked_for_beside_its_file(tmp_path):
         ("robot.toml", "here"),
     ],
 )
-def test_names_of_files_become_names_of_robots(file, name, tmp_path, monkeypatch):
+def test_file_names_become_robot_names(file, name, tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     assert paths.model_name(Path(file)) == name
 
 
-def test_model_gives_its_folders_name_unless_one_is_set(tmp_path):
+def test_model_has_its_folder_name_unless_a_name_is_set(tmp_path):
     folder = tmp_path / "gripper"
     folder.mkdir()
     (folder / "robot.toml").write_text('dh_convention = "craig"\n')
@@ -257,7 +257,7 @@ SCENES = st.fixed_dictionaries(
 
 
 def toml(value) -> str:
-    """A value as TOML; None, which TOML has no word for, becomes a date."""
+    """Returns a value as TOML; None, which TOML does not have, becomes a date."""
     match value:
         case dict():
             pairs = (f"{toml(str(key))} = {toml(each)}" for key, each in value.items())
@@ -288,21 +288,21 @@ def only_declaration_errors(contents: bytes, overrides=None) -> None:
 @example({"cameras": 5, "view": {"camera": "a"}}, None)
 @example({"robots": 5, "routes": 5}, {"arm.torques": 1})
 @settings(max_examples=examples(120), deadline=None, suppress_health_check=[HealthCheck.too_slow])
-def test_any_tables_are_read_or_refused_as_a_declaration(scene, overrides):
+def test_any_tables_are_read_or_rejected_as_a_declaration(scene, overrides):
     text = "\n".join(f"{key} = {toml(value)}" for key, value in scene.items())
-    tomllib.loads(text)  # or this would only test the TOML parser
+    tomllib.loads(text)  # otherwise this would only test the TOML parser
     only_declaration_errors(text.encode(), overrides)
 
 
 @given(st.text(max_size=60) | st.text("[]{}=.\"'#\n ab1-", max_size=60))
 @settings(max_examples=examples(150), deadline=None)
-def test_any_text_is_read_or_refused_as_a_declaration(text):
+def test_any_text_is_read_or_rejected_as_a_declaration(text):
     only_declaration_errors(text.encode("utf-8", "surrogatepass"))
 
 
 @given(st.binary(max_size=40))
 @settings(max_examples=examples(60), deadline=None)
-def test_any_bytes_are_read_or_refused_as_a_declaration(contents):
+def test_any_bytes_are_read_or_rejected_as_a_declaration(contents):
     only_declaration_errors(contents)
 
 
@@ -330,7 +330,7 @@ SOUND_SCENES = st.fixed_dictionaries(
 
 @given(SOUND_SCENES)
 @settings(max_examples=examples(60), deadline=None)
-def test_scene_without_problems_compiles_or_says_which_part_does_not(scene):
+def test_scene_without_problems_compiles_or_names_the_invalid_part(scene):
     with TemporaryDirectory() as folder:
         file = Path(folder) / "s.toml"
         file.write_text("\n".join(f"{key} = {toml(value)}" for key, value in scene.items()))
@@ -347,7 +347,7 @@ def test_scene_without_problems_compiles_or_says_which_part_does_not(scene):
 
 
 def test_importing_the_package_does_not_import_mujoco():
-    # `import mujoco` fixes the OpenGL backend, so nothing may do it by the way.
+    # `import mujoco` fixes the OpenGL backend, so no module may import it as a side effect.
     code = "import sys, sero_mj; dir(sero_mj); print('mujoco' in sys.modules)"
     home = Path(sero_mj.__file__).parents[1]
     done = subprocess.run(
@@ -368,12 +368,12 @@ def test_unknown_public_name_is_an_attribute_error():
         _ = sero_mj.Robot
 
 
-def test_version_is_that_of_the_project_file():
+def test_version_equals_that_of_the_project_file():
     project = Path(__file__).parents[1] / "pyproject.toml"
     assert tomllib.loads(project.read_text())["project"]["version"] == sero_mj.__version__
 
 
-def test_robots_beside_a_scene_are_named_as_well(tmp_path: Path) -> None:
+def test_robots_beside_a_scene_are_suggested(tmp_path: Path) -> None:
     (tmp_path / "kestrel").mkdir()
     (tmp_path / "kestrel" / "robot.toml").write_text("")
     with raises_with(UnknownName, kind="robot model", name="kestrl", near="kestrel"):
@@ -383,7 +383,7 @@ def test_robots_beside_a_scene_are_named_as_well(tmp_path: Path) -> None:
     assert {"kestrel", "lwr"} <= set(caught.value.available)
 
 
-def test_a_file_that_is_named_without_its_ending_is_pointed_to(
+def test_file_named_without_its_suffix_is_suggested(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "gripper6.toml").write_text("")
@@ -403,7 +403,7 @@ def test_a_file_that_is_named_without_its_ending_is_pointed_to(
     assert capsys.readouterr().err == f"sero-mj: no scene or robot 'gripper6'{hint}\n"
 
 
-def test_an_entry_of_an_array_has_its_own_line(tmp_path: Path) -> None:
+def test_array_entry_has_its_own_line(tmp_path: Path) -> None:
     file = tmp_path / "x.toml"
     file.write_text(
         '[robots.arm]\nlines = [\n  { value = "a", unit = "deg" },\n  # no ], and no entry\n'
@@ -422,13 +422,13 @@ def test_an_entry_of_an_array_has_its_own_line(tmp_path: Path) -> None:
 MJCF = '<mujoco><worldbody><body><joint axis="0 0 1"/><geom size=".1"/></body></worldbody></mujoco>'
 
 
-def test_a_folder_of_others_means_its_scene_or_its_one_model(elsewhere):
+def test_third_party_folder_opens_its_scene_or_its_only_model(elsewhere):
     robot = write(elsewhere / "ur16e" / "ur16e.xml", MJCF)
     write(elsewhere / "ur16e" / "package.xml", "<package/>")
     write(elsewhere / "ur16e" / "assets" / "base.obj", "")
     assert paths.find_model("ur16e/") == robot
     own = write(elsewhere / "fr3" / "fr3.xml", MJCF)
-    assert paths.find_model("fr3/") == own  # and not the one that is shipped
+    assert paths.find_model("fr3/") == own  # and not the shipped one
     inner = write(elsewhere / "talos_data" / "robots" / "talos.urdf", "<robot/>")
     assert paths.find_model("talos_data") == inner
     write(elsewhere / "ur16e" / "ur16e_mjx.xml", MJCF)
@@ -451,7 +451,7 @@ def test_a_folder_of_others_means_its_scene_or_its_one_model(elsewhere):
         ("arm.doc", "an arm", "no file of a robot or a scene"),
     ],
 )
-def test_a_model_in_another_format_is_told_as_what_it_is(elsewhere, name, text, what):
+def test_model_in_another_format_is_reported_with_its_format(elsewhere, name, text, what):
     write(elsewhere / name, text)
     scene = write(elsewhere / "s.toml", f'[robots.arm]\nmodel = "{name}"')
     with pytest.raises(DeclarationError) as caught:

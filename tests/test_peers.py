@@ -1,4 +1,4 @@
-"""The comparison with peers: all read the same robot, and the page says who is faster, and why."""
+"""The peer comparison: all packages read the same robot, and the page names faster ones."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def peers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return import_script(BENCHMARKS / "peers.py")
 
 
-def test_the_urdf_is_the_robot_in_poses_masses_and_meshes(tmp_path: Path) -> None:
+def test_urdf_equals_the_robot_in_poses_masses_and_meshes(tmp_path: Path) -> None:
     write_urdf = import_script(BENCHMARKS / "peers" / "urdf_of.py").write_urdf
     robot = SerialRobot.from_model("lwr")
     world = World(Scene(robots=[robot]))
@@ -41,7 +41,7 @@ def test_the_urdf_is_the_robot_in_poses_masses_and_meshes(tmp_path: Path) -> Non
     assert alone.nmesh == len([*(tmp_path / "robot").glob("*.stl")]) > 0
 
 
-def test_a_faster_peer_is_told_with_the_reason(peers: ModuleType) -> None:
+def test_faster_peer_is_named_with_the_reason(peers: ModuleType) -> None:
     rows = {
         "ours": peers.Row("sero-mj", [2e-6, 2e-6, 9e-6]),
         "with_pinocchio": peers.Row("Pinocchio", [1e-6, 1e-6, 1e-6]),
@@ -57,7 +57,7 @@ def test_a_faster_peer_is_told_with_the_reason(peers: ModuleType) -> None:
     assert f"Pinocchio is faster: {peers.WORKS['fk_one'].why['with_pinocchio']}." in text
 
 
-def test_of_rates_the_greater_one_is_faster(peers: ModuleType) -> None:
+def test_higher_rate_is_faster(peers: ModuleType) -> None:
     rows = {
         "recvmmsg loop in C, alone": peers.Row("recvmmsg loop in C, alone", [2.5e-6]),
         "UdpReceiver, none lost": peers.Row("UdpReceiver, none lost", [5e-6]),
@@ -68,7 +68,7 @@ def test_of_rates_the_greater_one_is_faster(peers: ModuleType) -> None:
     assert "recvmmsg loop in C, alone is faster: it counts packets" in text
 
 
-def test_every_peer_has_its_script_and_every_work_is_done_by_ours(peers: ModuleType) -> None:
+def test_every_peer_has_its_script_and_we_do_every_task(peers: ModuleType) -> None:
     for name in peers.PEERS:
         assert (BENCHMARKS / "peers" / f"{name}.py").is_file()
     for key, work in peers.WORKS.items():

@@ -8,8 +8,7 @@ from conftest import problems_in
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.data.drive.limbs import middle_joint
-from sero_mj.data.drive.place import Placer
+from sero_mj.data.drive.place import Placer, middle_joint
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.surroundings import Object
@@ -19,7 +18,7 @@ lengths = st.tuples(*[st.floats(0.05, 1)] * 2)
 
 
 @given(points, lengths, points)
-def test_both_links_keep_their_length_and_meet_where_they_can(end, both, towards) -> None:
+def test_both_links_have_constant_length_and_meet_if_they_can(end, both, towards) -> None:
     begin = np.array([0.1, -0.2, 0.3])
     joint = middle_joint(begin, end, both, towards)
     first, second = both
@@ -36,7 +35,7 @@ def test_both_links_keep_their_length_and_meet_where_they_can(end, both, towards
         np.testing.assert_allclose(out / distance, 0, atol=1e-6)
 
 
-def test_the_haptic_devices_user_holds_both_handles() -> None:
+def test_user_of_the_haptic_device_holds_both_handles() -> None:
     world = World(load_scene("haptic_device"))
     data, placer = world.make_data(), Placer(world)
     for angle in (0.0, 0.3):
@@ -64,20 +63,20 @@ def test_the_haptic_devices_user_holds_both_handles() -> None:
         ),
     ],
 )
-def test_a_limb_that_cannot_be_is_told(keys, problem) -> None:
+def test_invalid_limb_is_rejected(keys, problem) -> None:
     with pytest.raises(ValueError, match=problem):
         Object(name="arm", **keys)
 
 
-def test_a_frame_that_is_not_there_and_a_route_to_a_limb_are_told(tmp_path) -> None:
+def test_unknown_frame_and_route_to_a_limb_are_reported(tmp_path) -> None:
     file = tmp_path / "scene.toml"
     limb = 'shape = "limb"\nsize = [0.3, 0.3, 0.05, 0.04]\n'
     file.write_text(f'[robots.lwr]\nmodel = "lwr"\n[objects.arm]\n{limb}reaches = "lwr/flnge"\n')
-    (told,) = problems_in(file)
-    assert "objects.arm.reaches: no frame 'lwr/flnge'" in told and "lwr/flange" in told
+    (problem,) = problems_in(file)
+    assert "objects.arm.reaches: no frame 'lwr/flnge'" in problem and "lwr/flange" in problem
     file.write_text(
         f'[robots.lwr]\nmodel = "lwr"\n[objects.arm]\n{limb}reaches = "lwr/flange"\n'
         '[sources.udp]\nkind = "udp"\nport = 32000\nstructure = "16D"\n'
         '[routes]\n"arm.frame" = "udp.matrices0[0]"\n'
     )
-    assert any("routes.arm.frame" in told for told in problems_in(file))
+    assert any("routes.arm.frame" in problem for problem in problems_in(file))

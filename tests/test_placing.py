@@ -1,4 +1,4 @@
-"""What hangs on frames: bases, cameras, objects, received frames; through real packets too."""
+"""Bases, cameras, objects and received frames relative to frames, also from real packets."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def frame(value: dict[str, list[float]]) -> np.ndarray:
 
 
 def arm(name: str, **fields) -> SerialRobot:
-    """Two joints, the second across the first."""
+    """Returns a robot with two joints, the second perpendicular to the first."""
     rows = [[0.0, 0.0, 0.0, 0.1], [1.5, 0.2, 0.0, 0.0]]
     return SerialRobot(name=name, dh_convention="craig", dh_params=rows, **fields)
 
@@ -43,7 +43,7 @@ def lwr(**fields) -> SerialRobot:
 
 
 def T_world_flange(robot: SerialRobot, q: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """By numpy alone."""
+    """Returns the flange pose by NumPy alone."""
     return robot.dh.frames(q, base)[-1] @ robot.flange_frame
 
 
@@ -54,7 +54,7 @@ def placed(scene: Scene) -> tuple[World, mujoco.MjData]:
     return world, data
 
 
-def test_a_chain_of_robots_stands_on_each_others_flanges_in_one_tick() -> None:
+def test_chain_of_robots_on_flanges_moves_in_one_tick() -> None:
     robots = [arm("third"), arm("second", joint_angles=[0.4, -0.3]), lwr()]
     routes = {"third.base_frame": "second/flange", "second.base_frame": "lwr/flange"}
     world, data = placed(Scene(robots=robots, routes=routes, floor=False))
@@ -69,7 +69,7 @@ def test_a_chain_of_robots_stands_on_each_others_flanges_in_one_tick() -> None:
     np.testing.assert_allclose(world.frame(data, "second/base"), moved, atol=1e-12)
 
 
-def test_cameras_and_objects_ride_on_frames() -> None:
+def test_cameras_and_objects_move_with_their_frames() -> None:
     tool = Object(name="tcp", shape="axes", size=[0.1], frame={"xyz": [0, 0, 0.2]})
     robot = lwr(children=[tool])
     scene = Scene(
@@ -84,11 +84,11 @@ def test_cameras_and_objects_ride_on_frames() -> None:
     np.testing.assert_allclose(data.geom("ball").xpos, (flange @ tool.frame)[:3, 3], atol=1e-12)
     link = robot.dh.frames(Q, robot.base_frame)[6]
     np.testing.assert_allclose(data.cam("wrist").xpos, (link @ [0.1, 0, 0, 1])[:3], atol=1e-12)
-    # A camera looks along its -z.
+    # A camera looks along its -z axis.
     np.testing.assert_allclose(-data.cam("wrist").xmat.reshape(3, 3)[:, 2], link[:3, 2], atol=1e-9)
 
 
-def test_doubles_and_received_frames_are_origins_as_well() -> None:
+def test_doubles_and_received_frames_can_be_route_origins() -> None:
     target = Q + 0.5
     robots = [lwr(), arm("a"), arm("b"), arm("c")]
     T = frame({"xyz": [0.1, 0.2, 0.3], "rpy": [0.0, 0.5, 0.2]})
@@ -115,7 +115,7 @@ def test_doubles_and_received_frames_are_origins_as_well() -> None:
         np.testing.assert_allclose(world.frame(data, name), T_world, atol=1e-12, err_msg=name)
 
 
-def test_a_received_frame_is_nowhere_before_it_comes_and_after_nan() -> None:
+def test_received_frame_is_hidden_before_it_arrives_and_after_nan() -> None:
     world, data = placed(Scene(frames=[ReceivedFrame(name="seen")], floor=False))
     placer = Placer(world)
     assert world.frame(data, "seen")[2, 3] == -1000
@@ -180,7 +180,7 @@ dh_params = [[0.0, 0.0, 0.0, 0.1]]
         ),
     ],
 )
-def test_what_is_wrong_with_frames_is_told(tmp_path: Path, text: str, problem: str) -> None:
+def test_invalid_frames_are_rejected(tmp_path: Path, text: str, problem: str) -> None:
     file = tmp_path / "s.toml"
     file.write_text(SCENE + text + "\n")
     with pytest.raises(DeclarationError) as caught:
@@ -195,7 +195,7 @@ def udp_scene(structure: str, routes: dict[str, str], **fields) -> Scene:
 
 
 def received(mirror: Mirror, packet: bytes) -> bool:
-    """Sends a packet to the mirror and applies it; whether one was applied."""
+    """Sends a packet to the mirror, applies it, and returns whether one was applied."""
     source = mirror.sources["udp"]
     before, applied = source.counters.malformed, []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
@@ -234,7 +234,7 @@ def test_packets_place_bases_frames_and_vectors() -> None:
     )  # fmt: skip
     q, T = np.array([0.4, -0.2]), frame(BASE)
     with Mirror(scene) as mirror:
-        # Column by column, as Simulink and the paper have it.
+        # Column-major, as in Simulink and the paper.
         numbers = [*q, *T.T.ravel(), 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
         assert received(mirror, np.array(numbers).tobytes())
         world, data = mirror.world, mirror.data
@@ -242,7 +242,7 @@ def test_packets_place_bases_frames_and_vectors() -> None:
         np.testing.assert_allclose(world.frame(data, "arm/flange"), expected, atol=1e-12)
         assert data.userdata[world.slots["push.vector"]].tolist() == [1, 2, 3]
         assert data.userdata[world.slots["pull.vector"]].tolist() == [4, 5, 6]
-        # Row by row it is no frame: counted, not applied.
+        # Row-major, it is not a frame: counted, not applied.
         numbers[2:18] = T.ravel()
         assert not received(mirror, np.array(numbers).tobytes())
         assert mirror.sources["udp"].counters.not_frames == 1
@@ -252,14 +252,14 @@ def test_packets_place_bases_frames_and_vectors() -> None:
 @pytest.mark.parametrize(
     ("structure", "route", "expected"),
     [
-        # As ROS has a quaternion: x, y, z, w.
+        # A ROS quaternion: x, y, z, w.
         ("7F", "[udp.values0[0:3], udp.values0[6,3,4,5]]",
          {"xyz": [1, 2, 3], "rpy_deg": [20, 0, 90]}),
         ("3F", "[udp.values0[0:2] * mm, udp.values0[2] * deg]",
          {"xyz": [0.1, 0.2, 0], "rpy_deg": [0, 0, 40]}),
     ],
 )  # fmt: skip
-def test_a_base_gets_a_position_and_a_quaternion_or_its_place_in_the_plane(
+def test_base_is_placed_by_position_and_quaternion_or_in_its_plane(
     structure: str, route: str, expected: dict[str, list[float]]
 ) -> None:
     rest = {"xyz": [5.0, 0.0, 0.5], "rpy_deg": [0, 0, 30]}
@@ -285,7 +285,7 @@ def test_a_base_gets_a_position_and_a_quaternion_or_its_place_in_the_plane(
     assert back == pytest.approx(played, abs=1e-12)
 
 
-def test_nan_blanks_what_is_only_shown_and_stops_what_would_move() -> None:
+def test_nan_blanks_displayed_values_and_is_rejected_for_motion() -> None:
     scene = udp_scene(
         "2F2F2F",
         {
@@ -299,7 +299,7 @@ def test_nan_blanks_what_is_only_shown_and_stops_what_would_move() -> None:
         assert received(mirror, np.array([0.1, 0.2, np.nan, 7.0, 0.3, 0.4]).tobytes())
         assert data.qpos.tolist() == [0.1, 0.2, 0.3, 0.4]
         np.testing.assert_equal(data.userdata[slots["arm.torques"]], [np.nan, 7.0])
-        # The third event moves a robot as well, so NaN in it is a fault.
+        # The third event moves a robot, too, so NaN in it is an error.
         for at in (0, 5):
             bad = np.array([0.5, 0.5, 1.0, 1.0, 0.5, 0.5])
             bad[at] = np.nan
@@ -309,7 +309,7 @@ def test_nan_blanks_what_is_only_shown_and_stops_what_would_move() -> None:
         assert (counters.blanked, counters.not_finite) == (1, 2)
 
 
-def test_every_input_of_the_shipped_scene_is_played() -> None:
+def test_every_input_of_the_shipped_scene_is_sent() -> None:
     scene = load_scene("lwr_contact")
     scene.sources["udp"] = {**scene.sources["udp"], "port": 0}
     packets = MotionPackets(scene)
@@ -332,10 +332,10 @@ def test_every_input_of_the_shipped_scene_is_played() -> None:
         assert [float(value[0]) for value in shown] == [1.0, 0.0]
 
 
-def test_a_picture_says_why_no_packet_was_good(caplog: pytest.LogCaptureFixture) -> None:
+def test_waiting_reports_why_no_packet_was_valid(caplog: pytest.LogCaptureFixture) -> None:
     scene = udp_scene("1M", {"arm.base_frame": "matrices0"}, robots=[arm("arm")])
     with Mirror(scene) as mirror:
-        assert not received(mirror, frame(BASE).tobytes())  # row by row
+        assert not received(mirror, frame(BASE).tobytes())  # row-major
         assert mirror.wait(0.0) == ["udp"]
     assert caplog.messages == [
         "source 'udp': a packet is not applied: matrices0[0] is not a frame: "

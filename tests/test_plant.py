@@ -1,4 +1,4 @@
-"""Motor torques in, link-side torques out: checked by inverse dynamics of the links."""
+"""Motor torques in, link-side torques out, checked by inverse dynamics of the links."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def plant_of(*robots: SerialRobot, timestep: float | None = None, **scene) -> Pl
 
 
 def one_joint(**dynamics) -> SerialRobot:
-    """A rod that turns about a vertical axis."""
+    """Returns a rod that rotates about a vertical axis."""
     fields = {
         "masses": [1.0, 2.0], "centers_of_mass": [[0, 0, 0], [0.3, 0, 0]],
         "inertias": [[0.1, 0.1, 0.1, 0, 0, 0]] * 2, "motor_inertias": [1.5],
@@ -49,7 +49,7 @@ def one_joint(**dynamics) -> SerialRobot:
 
 
 def loaded(dynamics: RobotDynamics, mass: float, center) -> RobotDynamics:
-    """The same robot with a payload of steel as a part of its last link; rotations are equal."""
+    """Returns the dynamics with a steel payload as part of the last link; rotations are equal."""
     old, r = dynamics.masses[-1], (3 * mass / (4 * np.pi * 7800)) ** (1 / 3)
     middle = (old * dynamics.centers[-1] + mass * center) / (old + mass)
     tensor = dynamics.tensors[-1] + 0.4 * mass * r**2 * np.eye(3)
@@ -65,7 +65,7 @@ def loaded(dynamics: RobotDynamics, mass: float, center) -> RobotDynamics:
 @pytest.mark.slow
 @pytest.mark.parametrize("elastic", [False, True])
 @pytest.mark.parametrize("payload", [0.0, 3.0])
-def test_sensors_read_what_moves_the_links(elastic, payload):
+def test_sensors_measure_link_side_torques(elastic, payload):
     lwr = make_lwr(elastic=elastic)
     plant = plant_of(lwr, floor=True)
     dynamics = plant.world.dynamics["lwr"]
@@ -81,7 +81,7 @@ def test_sensors_read_what_moves_the_links(elastic, payload):
         if k == 200:
             plant.release(push)
         q, v = plant.actual[0].copy(), plant.actual[1].copy()
-        # The links are held roughly, shaken, and at joint 3 held by Coulomb friction alone.
+        # The links are roughly held and shaken; joint 3 is held by Coulomb friction alone.
         torque = gravity + rng.normal(0, 3, 7) - 20 * v + 100 * (HOME - q)
         torque[2] = gravity[2]
         plant.step(torque)
@@ -95,11 +95,11 @@ def test_sensors_read_what_moves_the_links(elastic, payload):
         )  # fmt: skip
         np.testing.assert_array_equal(plant.measured, plant.actual)
         largest = max(largest, np.abs(torque - plant.actual[2]).max())
-    assert largest > 1.0  # a sensor at the motor would have been found out
+    assert largest > 1.0  # a sensor at the motor would fail this
 
 
 @pytest.mark.slow
-def test_contacts_and_stops_are_outer_torques_that_sensors_feel():
+def test_contacts_and_stops_cause_external_torques():
     table = Object(name="table", shape="box", size=[0.4, 0.8, 0.3], frame={"xyz": [-0.55, 0, 0.05]})
     lwr = make_lwr()
     plant = plant_of(lwr, objects=[table])
@@ -117,12 +117,12 @@ def test_contacts_and_stops_are_outer_torques_that_sensors_feel():
         met |= plant.data.ncon > 0
     assert met
     limit = lwr.position_limits[6, 1]
-    assert plant.actual[0, 6] == pytest.approx(limit, abs=0.01)  # joint 7 was turned to its stop
+    assert plant.actual[0, 6] == pytest.approx(limit, abs=0.01)  # joint 7 was rotated to its stop
     assert plant.external_torques()[6] == pytest.approx(-20, abs=0.5)
 
 
 @pytest.mark.parametrize("elastic", [False, True])
-def test_links_stop_at_their_limits_also_behind_springs(elastic):
+def test_links_stop_at_their_limits_also_with_springs(elastic):
     plant = plant_of(make_lwr(elastic=elastic))
     gravity = plant.actual[2].copy()
     torque = gravity.copy()
@@ -133,7 +133,7 @@ def test_links_stop_at_their_limits_also_behind_springs(elastic):
     assert plant.external_torques()[0] == pytest.approx(-40.0, abs=1.0)
 
 
-def test_rest_is_what_gravity_torques_hold(lwr):
+def test_gravity_torques_hold_the_robot_at_rest(lwr):
     for elastic in (False, True):
         plant = plant_of(make_lwr(elastic=elastic, **FREE))
         np.testing.assert_allclose(plant.actual[0], HOME, atol=1e-15)
@@ -143,7 +143,7 @@ def test_rest_is_what_gravity_torques_hold(lwr):
             plant.step(gravity)
         np.testing.assert_allclose(plant.actual[0], HOME, atol=1e-9)
         np.testing.assert_allclose(plant.actual[2], gravity, atol=1e-6)
-        # A spring is wound up by what it holds, and the motor stands so far ahead.
+        # A spring is deflected by its load, and the motor leads by that angle.
         wound = gravity / plant.world.dynamics["lwr"].joint_stiffness if elastic else np.zeros(7)
         np.testing.assert_allclose(plant.motor_angles, HOME + wound, atol=1e-9)
 
@@ -156,10 +156,10 @@ def energy(plant: Plant) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("elastic", [False, True])
-def test_energy_stays_without_motors_and_friction(elastic):
+def test_energy_is_constant_without_motors_and_friction(elastic):
     drifts = []
     for timestep in (2e-4, 1e-4):
-        # Joint damping of the springs is friction as well.
+        # Joint damping of the springs dissipates, too.
         robot = make_lwr(elastic=elastic, joint_damping=[0.0] * 7, **FREE)
         plant = plant_of(robot, timestep=timestep)
         start, kinetic = energy(plant), 0.0
@@ -171,11 +171,11 @@ def test_energy_stays_without_motors_and_friction(elastic):
         assert kinetic > 5.0  # it has fallen
         drifts.append(worst / kinetic)
     assert drifts[1] < 3e-3
-    assert drifts[1] < 0.6 * drifts[0]  # Euler's error goes with the step, and to zero
+    assert drifts[1] < 0.6 * drifts[0]  # Euler's error is proportional to the step
 
 
-def test_motor_alone_swings_against_a_held_link_at_the_published_mode():
-    # ROBOTS.md 1.5: sqrt(1e4 / 3.19) / 2 pi = 8.9 Hz, motor against a link that is held.
+def test_motor_oscillates_against_a_held_link_at_the_published_frequency():
+    # ROBOTS.md 1.5: sqrt(1e4 / 3.19) / 2 pi = 8.9 Hz for a motor against a held link.
     held = [[0.1] * 3 + [0] * 3, [1e6] * 3 + [0] * 3]
     robot = one_joint(motor_inertias=[3.19], joint_stiffness=[1e4], inertias=held)
     plant = plant_of(robot)
@@ -191,7 +191,7 @@ def test_motor_alone_swings_against_a_held_link_at_the_published_mode():
 
 
 def trajectory(plant: Plant, seconds: float = 0.4) -> np.ndarray:
-    """Angles and torques every 10 ms under torques that swing, (3, samples, 7)."""
+    """Returns angles and torques every 10 ms under oscillating torques, (3, samples, 7)."""
     every = round(0.01 / plant.timestep)
     gravity = plant.actual[2].copy()
     samples = []
@@ -203,7 +203,7 @@ def trajectory(plant: Plant, seconds: float = 0.4) -> np.ndarray:
     return np.array(samples).transpose(1, 0, 2)
 
 
-def test_stiff_joints_are_rigid_joints():
+def test_stiff_joints_approach_rigid_joints():
     rigid = trajectory(plant_of(make_lwr()))
     errors = []
     for stiffness in (1e5, 1e6, 1e7):
@@ -214,8 +214,8 @@ def test_stiff_joints_are_rigid_joints():
 
 
 @pytest.mark.slow
-def test_elastic_joints_at_1_khz_are_near_a_hundred_times_smaller_steps():
-    # Also the error that the docstring of the joint model names.
+def test_elastic_joints_at_1_khz_are_close_to_those_at_100_khz():
+    # This is the error stated in the docstring of the joint model.
     fine = trajectory(plant_of(make_lwr(elastic=True), timestep=1e-5))
     coarse = trajectory(plant_of(make_lwr(elastic=True)))
     angles, _, torques = np.abs(coarse - fine).max(axis=1)
@@ -225,7 +225,7 @@ def test_elastic_joints_at_1_khz_are_near_a_hundred_times_smaller_steps():
     assert span.max() > 5.0
 
 
-def test_elastic_joints_stay_stable_over_the_workspace():
+def test_elastic_joints_are_stable_over_the_workspace():
     rng = np.random.default_rng(4)
     plant = plant_of(make_lwr(elastic=True, joint_damping=[0.0] * 7))
     limits = plant.world.robots["lwr"].robot.position_limits
@@ -239,12 +239,12 @@ def test_elastic_joints_stay_stable_over_the_workspace():
         assert np.abs(plant.actual[1]).max() < 1.5
 
 
-def test_coulomb_friction_holds_below_it_and_only_slows_above():
+def test_coulomb_friction_holds_below_it_and_decelerates_above():
     plant = plant_of(one_joint(coulomb_friction=[0.5]))
     for _ in range(2000):
         plant.step([0.45])
     assert abs(plant.actual[0, 0]) < 2e-6  # in 2 s
-    assert abs(plant.actual[2, 0]) < 1e-5  # friction takes all before the sensor
+    assert abs(plant.actual[2, 0]) < 1e-5  # friction takes all torque before the sensor
     for _ in range(1000):
         plant.step([2.0])
     inertia = 1.5 + 0.1 + 2 * 0.3**2
@@ -252,7 +252,7 @@ def test_coulomb_friction_holds_below_it_and_only_slows_above():
     assert plant.actual[2, 0] == pytest.approx(1.5 * (0.1 + 2 * 0.3**2) / inertia, rel=5e-3)
 
 
-def test_viscous_friction_is_before_the_sensor_as_well():
+def test_viscous_friction_is_before_the_sensor():
     plant = plant_of(one_joint(viscous_friction=[4.0]))
     for _ in range(8000):
         plant.step([2.0])
@@ -271,11 +271,11 @@ def test_nothing_drifts_in_a_minute_of_gravity_torques():
     offset = gravity + 0.5 * plant.world.dynamics["lwr"].coulomb_friction
     for _ in range(10_000):
         plant.step(offset)
-    np.testing.assert_allclose(plant.actual[0], HOME, atol=2e-5)  # creeps by its solver alone
+    np.testing.assert_allclose(plant.actual[0], HOME, atol=2e-5)  # creep of the solver alone
     np.testing.assert_allclose(plant.actual[2], gravity, atol=1e-3)
 
 
-def test_payloads_weigh_and_leave_no_trace():
+def test_payloads_add_mass_and_are_removed_completely():
     plant = plant_of(make_lwr())
     lwr = plant.world.robots["lwr"].robot
     before = plant.actual[2].copy()
@@ -297,7 +297,7 @@ def test_payloads_weigh_and_leave_no_trace():
         np.testing.assert_array_equal(getattr(plant.model, key), value)
 
 
-def test_a_payload_picked_up_in_motion_changes_torques_at_once():
+def test_payload_attached_in_motion_changes_torques_at_once():
     plant = plant_of(make_lwr())
     gravity = plant.actual[2].copy()
     plant.step(gravity)
@@ -308,7 +308,7 @@ def test_a_payload_picked_up_in_motion_changes_torques_at_once():
     assert plant.actual[1, 1] != 0 and np.abs(plant.actual[1]).max() > 0.05
 
 
-def test_pushes_turn_with_the_frame_that_they_are_expressed_in():
+def test_pushes_rotate_with_the_frame_they_are_expressed_in():
     lwr = make_lwr()
     plant = plant_of(lwr)
     gravity = plant.actual[2].copy()
@@ -332,7 +332,7 @@ def test_pushes_turn_with_the_frame_that_they_are_expressed_in():
     np.testing.assert_array_equal(plant.data.qfrc_applied, gravity)
 
 
-def test_friction_can_change_while_time_passes():
+def test_friction_can_change_during_a_run():
     plant = plant_of(one_joint(coulomb_friction=[0.5]))
     plant.set_friction("rod", coulomb=0.0, viscous=[0.25])
     plant.step([0.4])
@@ -360,7 +360,7 @@ BALL = (
 
 
 def test_robots_of_all_kinds_share_a_scene(lwr):
-    # Joints that are no robot's lie between theirs, and one of three robots is elastic.
+    # Joints of no robot are between theirs, and one of three robots is elastic.
     left = make_lwr()
     left.name = "left"
     left.children = [Object(name="gripper", mjcf=GRIPPER)]
@@ -393,7 +393,7 @@ def test_robots_of_all_kinds_share_a_scene(lwr):
             np.testing.assert_allclose(plant.actual[2, row], expected, rtol=0, atol=1e-6)
 
 
-def test_the_same_seed_gives_the_same_bits():
+def test_same_seed_gives_the_same_bits():
     def run() -> np.ndarray:
         sensors = Sensors(7, torques=SensorErrors(noise=0.1), seed=4)
         world = World(Scene(robots=[make_lwr()]), dynamic=True)
@@ -403,7 +403,7 @@ def test_the_same_seed_gives_the_same_bits():
     np.testing.assert_array_equal(run(), run())
 
 
-def test_reset_begins_anew_to_the_bit():
+def test_reset_repeats_the_run_bit_for_bit():
     plant = plant_of(make_lwr(elastic=True))
     first = [plant.step(np.ones(7)).copy() for _ in range(50)]
     plant.push("lwr/flange", [1, 0, 0])
@@ -414,7 +414,7 @@ def test_reset_begins_anew_to_the_bit():
 
 
 @pytest.mark.parametrize("elastic", [False, True])
-def test_nothing_acts_from_outside_after_a_reset(elastic):
+def test_no_external_torques_after_a_reset(elastic):
     plant = plant_of(make_lwr(elastic=elastic))
     np.testing.assert_allclose(plant.external_torques(), 0.0, atol=1e-9)
     for _ in range(20):
@@ -423,7 +423,7 @@ def test_nothing_acts_from_outside_after_a_reset(elastic):
     np.testing.assert_allclose(plant.external_torques(), 0.0, atol=1e-9)
 
 
-def test_a_torque_that_is_no_number_stops_with_joint_and_time():
+def test_torque_that_is_not_a_number_stops_with_joint_and_time():
     plant = plant_of(make_lwr())
     plant.step(plant.actual[2].copy())
     torques, kept = np.zeros(7), plant.actual.copy()
@@ -435,11 +435,11 @@ def test_a_torque_that_is_no_number_stops_with_joint_and_time():
     )
     assert (caught.value.joint, caught.value.time) == ("lwr/A3", 0.001)
     np.testing.assert_array_equal(plant.actual, kept)
-    plant.step(np.zeros(7))  # the state is not spoilt
+    plant.step(np.zeros(7))  # the state is still valid
 
 
-def test_an_unstable_motion_stops_with_joint_and_time(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log of it
+def test_unstable_motion_stops_with_joint_and_time(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log there
     light = [[1e-3] * 3 + [0] * 3] * 2
     plant = plant_of(
         one_joint(motor_inertias=[0.0], inertias=light, centers_of_mass=[[0] * 3] * 2,
@@ -454,7 +454,7 @@ def test_an_unstable_motion_stops_with_joint_and_time(tmp_path, monkeypatch):
     )
 
 
-def test_what_cannot_be_simulated_is_told():
+def test_invalid_plants_and_payloads_are_rejected():
     world = World(Scene(robots=[make_lwr()]))
     with pytest.raises(ValueError, match=r"expected World\(scene, dynamic=True\)$"):
         Plant(world)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-# Names that Python has on Linux and not on Windows; of macOS only what Linux has alone.
+# Names that Python has on Linux but not on Windows; for macOS, only the Linux-only ones.
 WITHOUT = """
 import ctypes, importlib, json, os, pathlib, signal, sys
 platform = sys.argv[1]

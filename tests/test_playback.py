@@ -1,4 +1,4 @@
-"""Recordings and tables sent again, to real sockets and shared memory."""
+"""Recordings and tables that are sent to real sockets and shared memory."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sero_mj.data.receive.shm import ShmReader
 from sero_mj.data.receive.structure import Structure
 from sero_mj.data.send.playback import RecordedPackets, timed
 
-LAYOUT = Structure("2F1V1M")  # what `recordings` declares
+LAYOUT = Structure("2F1V1M")  # as declared in `recordings`
 PACKETS = [
     LAYOUT.encode({"values0": [k, -k], "vectors0": [[k, 0, 1]], "matrices0": np.eye(4)})
     for k in range(5)
@@ -71,7 +71,7 @@ def scene_file(tmp_path: Path, sock: socket.socket, structure: str = "2F1V1M") -
 # ---- recordings
 
 
-def test_a_recording_is_sent_bit_for_bit_at_its_times(recording: Path) -> None:
+def test_recording_is_sent_bit_for_bit_with_its_timing(recording: Path) -> None:
     found = RecordedPackets(recording, structure=LAYOUT)
     assert found.is_raw and (found.count, found.skipped) == (5, 0)
     times, packets = zip(*found.packets(), strict=True)
@@ -80,17 +80,17 @@ def test_a_recording_is_sent_bit_for_bit_at_its_times(recording: Path) -> None:
     assert found.duration == pytest.approx(0.4, abs=1e-6)
 
 
-def test_in_another_structure_events_keep_their_names(recording: Path) -> None:
+def test_events_keep_their_names_in_another_structure(recording: Path) -> None:
     other = Structure(">1H=7 values0:2f extra:1d".replace("values0:", ""))
     found = RecordedPackets(recording, structure=other)
     assert not found.is_raw
-    assert found.about == f"{recording}, source arm, its values0"
+    assert found.about == f"{recording}, source arm, events values0"
     assert [packet for _, packet in found.packets()] == [
         struct.pack(">H2fd", 7, k, -k, 0.0) for k in range(5)
     ]
 
 
-def test_the_same_bytes_that_mean_something_else_are_packed_anew(recording: Path) -> None:
+def test_recording_with_another_matrix_order_is_repacked(recording: Path) -> None:
     by_rows = Structure(LAYOUT.text, column_major=False)
     found = RecordedPackets(recording, structure=by_rows)
     assert not found.is_raw
@@ -100,12 +100,12 @@ def test_the_same_bytes_that_mean_something_else_are_packed_anew(recording: Path
             assert decoded[event].tolist() == values.tolist()
 
 
-def test_what_cannot_be_decoded_or_packed_is_counted(tmp_path: Path) -> None:
+def test_packets_that_cannot_be_decoded_or_packed_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "rec.mcap"
     huge = LAYOUT.encode({"values0": [1e300, 0], "matrices0": np.eye(4)})
     record(path, [PACKETS[1], b"short", PACKETS[2], huge])
     again = RecordedPackets(path, structure=Structure("2f"))
-    assert len(list(again.packets())) == 2  # 1e300 is no float32
+    assert len(list(again.packets())) == 2  # 1e300 is out of the range of float32
     raw = RecordedPackets(path, structure=LAYOUT)
     assert [len(packet) for _, packet in raw.packets()] == [168, 5, 168, 168]
     whole = RecordedPackets(path, structure=LAYOUT, only_whole=True)
@@ -118,19 +118,19 @@ def test_what_cannot_be_decoded_or_packed_is_counted(tmp_path: Path) -> None:
     [
         (
             "joints:2F",
-            "'arm' in {file} has values0, vectors0, matrices0; 'joints:2F' has joints: nothing to "
-            "send",
+            "'arm' in {file} has the events values0, vectors0, matrices0; 'joints:2F' has joints. "
+            "None are common",
         ),
         ("3F", "values0 of 'arm' in {file} is 2; '3F' expects 3"),
     ],
 )
-def test_what_does_not_fit_is_told(recording: Path, structure: str, message: str) -> None:
+def test_incompatible_structure_is_rejected(recording: Path, structure: str, message: str) -> None:
     with pytest.raises(UsageError) as caught:
         RecordedPackets(recording, structure=Structure(structure))
     assert str(caught.value) == message.format(file=recording)
 
 
-def test_which_source_has_to_be_clear(tmp_path: Path) -> None:
+def test_recorded_source_must_be_unambiguous(tmp_path: Path) -> None:
     path = tmp_path / "two.mcap"
     begin(path, "arm", "hand").close()
     with raises_with(
@@ -143,7 +143,7 @@ def test_which_source_has_to_be_clear(tmp_path: Path) -> None:
         UsageError, reason="no source", found="amr", of=f"in {tmp_path}/two.mcap", near="arm"
     ):
         RecordedPackets(path, "amr")
-    with raises_with(RecordingError, path=f"{tmp_path}/two.mcap", reason="has no packet of 'arm'"):
+    with raises_with(RecordingError, path=f"{tmp_path}/two.mcap", reason="has no packets of 'arm'"):
         RecordedPackets(path, "arm")
 
 
@@ -155,7 +155,7 @@ def test_missing_events_are_reported(recording: Path) -> None:
 # ---- times
 
 
-def test_speed_loop_and_duration(recording: Path) -> None:
+def test_speed_loop_and_duration_are_applied(recording: Path) -> None:
     found = RecordedPackets(recording, structure=LAYOUT)
     twice = [due for due, _ in timed(found, speed=2.0)]
     assert twice == pytest.approx([0.0, 0.05, 0.1, 0.15, 0.2], abs=1e-6)
@@ -169,7 +169,7 @@ def test_speed_loop_and_duration(recording: Path) -> None:
 # ---- the command
 
 
-def test_the_command_sends_a_recording(
+def test_send_sends_a_recording(
     recording: Path, tmp_path: Path, listener: socket.socket, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = scene_file(tmp_path, listener)
@@ -181,7 +181,7 @@ def test_the_command_sends_a_recording(
 
 
 @pytest.mark.extensions
-def test_the_command_sends_a_table_that_it_has_exported(
+def test_send_sends_an_exported_table(
     recording: Path, tmp_path: Path, listener: socket.socket
 ) -> None:
     table = tmp_path / "rec.csv"
@@ -192,7 +192,7 @@ def test_the_command_sends_a_table_that_it_has_exported(
     assert [listener.recv(1000) for _ in range(5)] == PACKETS
 
 
-def test_the_command_writes_a_recording_to_shared_memory(tmp_path: Path, listener) -> None:
+def test_send_writes_a_recording_to_shared_memory(tmp_path: Path, listener) -> None:
     recording = tmp_path / "rec.mcap"
     record(recording, [PACKETS[1], b"short", PACKETS[3]])
     got: list[list[float]] = []
@@ -226,7 +226,7 @@ def test_the_command_writes_a_recording_to_shared_memory(tmp_path: Path, listene
         (["--play", "t.csv", "--recorded", "arm"], "--recorded needs a recording; t.csv is a"),
     ],
 )
-def test_options_that_do_not_fit_are_told(
+def test_incompatible_options_are_rejected(
     recording: Path,
     tmp_path: Path,
     listener: socket.socket,
@@ -240,7 +240,7 @@ def test_options_that_do_not_fit_are_told(
     assert message in capsys.readouterr().err
 
 
-def test_the_command_sends_a_scenario_as_it_is_simulated(
+def test_send_sends_a_scenario_as_simulated(
     tmp_path: Path, listener: socket.socket, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = tmp_path / "lwr.toml"
@@ -256,7 +256,7 @@ def test_the_command_sends_a_scenario_as_it_is_simulated(
     mine.write_text('[robots.lwr]\nmodel = "lwr"\n[run]\nduration = 0.05\n')
     assert send(scene, "--play", mine) == 0
     packets = [struct.unpack("<14d", listener.recv(1000)) for _ in range(51)]
-    assert np.abs(packets).max() < 1e-6  # upright, where gravity asks for nothing
+    assert np.abs(packets).max() < 1e-6  # upright, where gravity torques are zero
     assert "sent 51 packets in 0.0" in capsys.readouterr().out
     assert send(scene, "--play", mine, "--rate", 5) == 2
     assert "--rate cannot be combined with a scenario" in capsys.readouterr().err

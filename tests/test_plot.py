@@ -31,7 +31,7 @@ from sero_mj.study.plot import plot_pair, plot_run, spans_of
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """The figures that were made; each gets one legend."""
+    """The figures that were made; each has one legend."""
     made: list[Figure] = []
     legend = Figure.legend
 
@@ -49,14 +49,14 @@ def legend_of(figure: Figure) -> list[str]:
 
 
 def line(panel: object, label: str) -> np.ndarray:
-    """The points of a line, (k, 2)."""
+    """Returns the points of a line, (k, 2)."""
     found = [each for each in panel.lines if each.get_label() == label]  # type: ignore[attr-defined]
     assert len(found) == 1, label
     return np.asarray(found[0].get_xydata())
 
 
 def pixels_of(path: Path, figure: Figure, panel: object) -> np.ndarray:
-    """What stands within a panel's frame, (h, w, 3)."""
+    """Returns the pixels within a panel's frame, (h, w, 3)."""
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
     box = panel.get_window_extent()  # type: ignore[attr-defined]
     at = box.transformed(figure.figure.transFigure.inverted())
@@ -74,7 +74,7 @@ def share_of(pixels: np.ndarray, colour: str) -> float:
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_every_panel_has_its_lines_in_their_colours(tmp_path: Path, figures: list[Figure]) -> None:
+def test_every_panel_has_its_lines_in_their_colors(tmp_path: Path, figures: list[Figure]) -> None:
     log = simulated().log
     path = tmp_path / "run.png"
     plot_run(log, path, findings=[Finding(0.2, "lwr", "A3", "torque_error", 9.0, 1.0)],
@@ -105,7 +105,7 @@ def test_every_panel_has_its_lines_in_their_colours(tmp_path: Path, figures: lis
     assert legend == ["commanded", "measured", "disturbance", "fault", "torque error found"]
 
 
-def test_limits_are_seen_where_torques_come_near(tmp_path: Path, figures: list[Figure]) -> None:
+def test_limits_are_drawn_where_torques_come_close(tmp_path: Path, figures: list[Figure]) -> None:
     robot = two_joints(torque_limits=[6.0, 1000.0])
     plot_run(sine_run(robot=robot), tmp_path / "limits.png")
     turn, slide = figures[0].axes[0][0], figures[0].axes[1][0]
@@ -134,7 +134,7 @@ def test_small_torques_are_in_the_unit_of_their_robot(
     assert np.nanmax(np.abs(measured[:, 1])) == pytest.approx(4.0, rel=1e-3)
 
 
-def test_a_peak_of_one_row_in_a_million_is_in_the_figure(
+def test_peak_of_one_row_in_a_million_is_in_the_figure(
     tmp_path: Path, figures: list[Figure]
 ) -> None:
     log = sine_run(rate=1e5, duration=10.0)
@@ -152,7 +152,9 @@ def test_a_peak_of_one_row_in_a_million_is_in_the_figure(
     values=st.lists(st.floats(-1e6, 1e6) | st.just(np.nan), min_size=1, max_size=300),
     bins=st.integers(1, 40),
 )
-def test_an_envelope_keeps_extremes_and_makes_nothing_up(values: list[float], bins: int) -> None:
+def test_envelope_preserves_extremes_and_contains_only_samples(
+    values: list[float], bins: int
+) -> None:
     given_values = np.array(values)
     times = np.arange(len(values)) * 0.5
     at, kept = envelope(times, given_values, bins)
@@ -165,7 +167,7 @@ def test_an_envelope_keeps_extremes_and_makes_nothing_up(values: list[float], bi
     assert (at[0], at[-1]) == (times[0], times[-1])
 
 
-def test_a_gap_stays_a_gap() -> None:
+def test_envelope_preserves_gaps() -> None:
     values = np.sin(np.arange(10_000) * 1e-2)
     values[4000:6000] = np.nan
     at, kept = envelope(np.arange(10_000.0), values, 100)
@@ -174,7 +176,7 @@ def test_a_gap_stays_a_gap() -> None:
     assert np.isnan(kept[inside]).all()
 
 
-def test_what_is_missing_is_left_out(tmp_path: Path, figures: list[Figure]) -> None:
+def test_missing_signals_are_omitted(tmp_path: Path, figures: list[Figure]) -> None:
     log = sine_run()
     signals = {key: log.signals[key] for key in ("arm_joint_angles", "arm_torques")}
     plot_run(
@@ -187,7 +189,7 @@ def test_what_is_missing_is_left_out(tmp_path: Path, figures: list[Figure]) -> N
     assert [text.get_text() for text in figures[1].axes[0][1].texts] == ["no data"]
 
 
-def test_what_cannot_be_plotted_is_told(tmp_path: Path) -> None:
+def test_invalid_plots_are_rejected(tmp_path: Path) -> None:
     log = sine_run()
     with raises_with(
         UsageError,
@@ -210,8 +212,8 @@ def test_what_cannot_be_plotted_is_told(tmp_path: Path) -> None:
         expected="torques or commanded_torques",
     ):
         plot_run(angles, tmp_path / "x.png")
-    told = {"found": 1e6, "of": "mm wide", "expected": "60 mm to 2000 mm"}
-    with raises_with(UsageError, key="size_mm", **told):
+    expected = {"found": 1e6, "of": "mm wide", "expected": "60 mm to 2000 mm"}
+    with raises_with(UsageError, key="size_mm", **expected):
         plot_run(log, tmp_path / "x.png", size_mm=(1e6, 100.0))
     missing = "cannot be written: No such file or directory"
     with raises_with(RenderError, reason=f"{tmp_path}/nowhere/x.png: {missing}"):
@@ -219,7 +221,7 @@ def test_what_cannot_be_plotted_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("last", [0.001, 5.0, 100.0, 12345.0])
-def test_the_number_at_the_last_tick_is_whole(tmp_path: Path, last: float) -> None:
+def test_label_at_the_last_tick_is_not_clipped(tmp_path: Path, last: float) -> None:
     with styled():
         figure = Figure(
             [("A1", "")],
@@ -236,7 +238,7 @@ def test_the_number_at_the_last_tick_is_whole(tmp_path: Path, last: float) -> No
     assert max(shown) < figure.figure.bbox.width - 1
 
 
-def test_it_is_as_wide_as_a4_and_sharp_enough_for_print(tmp_path: Path) -> None:
+def test_figure_is_as_wide_as_a4_and_has_print_resolution(tmp_path: Path) -> None:
     plot_run(sine_run(), tmp_path / "a4.png")
     with Image.open(tmp_path / "a4.png") as picture:
         assert picture.width / 300.0 * 25.4 == pytest.approx(190.0, abs=0.1)
@@ -245,7 +247,7 @@ def test_it_is_as_wide_as_a4_and_sharp_enough_for_print(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
-def test_two_figures_of_one_run_are_the_same_file(tmp_path: Path, suffix: str) -> None:
+def test_two_figures_of_one_run_are_identical_files(tmp_path: Path, suffix: str) -> None:
     one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
     before = dict(mpl.rcParams)
     plot_run(sine_run(duration=0.5), one)
@@ -256,7 +258,7 @@ def test_two_figures_of_one_run_are_the_same_file(tmp_path: Path, suffix: str) -
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_matplotlib_is_imported_when_a_figure_is_made_and_pyplot_never(tmp_path: Path) -> None:
+def test_matplotlib_is_imported_for_a_figure_and_pyplot_never(tmp_path: Path) -> None:
     code = (
         "import sys; import sero_mj.study.plot;"
         "print('matplotlib' in sys.modules);"
@@ -272,7 +274,7 @@ def test_matplotlib_is_imported_when_a_figure_is_made_and_pyplot_never(tmp_path:
 
 @pytest.mark.slow
 @pytest.mark.thorough
-def test_a_comparison_shows_both_torques_and_both_differences(
+def test_comparison_shows_both_torques_and_both_differences(
     tmp_path: Path, figures: list[Figure]
 ) -> None:
     a, b = simulated(800.0).log, simulated(2000.0).log
@@ -304,7 +306,7 @@ def test_a_comparison_shows_both_torques_and_both_differences(
         plot_pair(align(a, b), tmp_path / "x.png", joints=["A9"])
 
 
-def test_what_happens_in_a_scenario_becomes_bands() -> None:
+def test_disturbances_and_faults_of_a_scenario_become_spans() -> None:
     from sero_mj.simulate.scenario import Scenario
 
     scene = simulated().scenario.scene
@@ -317,7 +319,7 @@ def test_what_happens_in_a_scenario_becomes_bands() -> None:
     assert spans_of(scenario) == [Span("push", 0.1, 0.2), Span("dead", 0.3, None, True)]
 
 
-def test_names_of_spans_do_not_run_into_each_other(tmp_path: Path, figures: list[Figure]) -> None:
+def test_span_labels_do_not_overlap(tmp_path: Path, figures: list[Figure]) -> None:
     spans = [Span("a_first_disturbance", 0.5 + 0.1 * k, 3.0) for k in range(3)]
     plot_run(sine_run(), tmp_path / "x.png", spans=spans)
     names = [
@@ -328,7 +330,7 @@ def test_names_of_spans_do_not_run_into_each_other(tmp_path: Path, figures: list
     assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[k + 1 :])
 
 
-def test_peak_and_rms_leave_out_what_is_unknown() -> None:
+def test_peak_and_rms_ignore_unknown_values() -> None:
     values = np.array([np.nan, 3.0, -4.0, np.inf])
     assert peak(values) == 2
     assert rms(values) == pytest.approx(np.sqrt(12.5))
@@ -336,7 +338,9 @@ def test_peak_and_rms_leave_out_what_is_unknown() -> None:
 
 
 @pytest.mark.thorough
-def test_many_joints_are_pages_or_the_most_loaded(tmp_path: Path, figures: list[Figure]) -> None:
+def test_many_joints_are_split_into_pages_or_the_most_loaded_shown(
+    tmp_path: Path, figures: list[Figure]
+) -> None:
     robots, signals, times = {}, {}, np.arange(5) * 0.1
     for name, n, scale in (("a", 5, 1.0), ("b", 9, 5.0), ("c", 9, 2.0)):
         robots[name] = SerialRobot(

@@ -1,4 +1,4 @@
-"""`sero-mj plot`: recordings as figures, by the command line."""
+"""`sero-mj plot`: recordings as figures, on the command line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sero_mj.simulate.runs.tables import find_tables
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Has `swing.mcap` and `swing.csv`, half a second of a simulated LWR."""
+    """Contains `swing.mcap` and `swing.csv`, half a second of a simulated LWR."""
     folder = tmp_path_factory.mktemp("runs")
     simulation = simulated()
     with RunRecorder(simulation, folder / "swing.mcap") as recorder:
@@ -40,11 +40,11 @@ def plot(*arguments: object) -> int:
 
 
 def words_of(path: Path) -> list[str]:
-    """Every text in an .svg."""
+    """Returns every text in an .svg file."""
     return [text for each in ElementTree.parse(path).iter() if (text := (each.text or "").strip())]
 
 
-def test_a_recording_becomes_a_figure(folder: Path, tmp_path: Path) -> None:
+def test_plot_writes_a_figure_of_a_recording(folder: Path, tmp_path: Path) -> None:
     assert plot(folder / "swing.mcap", "-o", tmp_path / "new" / "all.svg") == 0
     words = words_of(tmp_path / "new" / "all.svg")
     for joint in ("A1", "A2", "E1", "A3", "A4", "A5", "A6"):
@@ -54,7 +54,7 @@ def test_a_recording_becomes_a_figure(folder: Path, tmp_path: Path) -> None:
     assert words.count("limit 176 Nm") == 2
 
 
-def test_joints_and_times_are_chosen(folder: Path, tmp_path: Path) -> None:
+def test_joints_and_times_are_selected(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "some.svg"
     arguments = ["--robot", "lwr", "--joints", "A2, A4", "--from", "0.1", "--to", "0.3"]
     assert plot(folder / "swing.mcap", "-o", out, *arguments, "--quiet") == 0
@@ -68,7 +68,7 @@ def test_joints_and_times_are_chosen(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.extensions
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_several_recordings_are_pages(folder: Path, tmp_path: Path) -> None:
+def test_several_recordings_become_pages(folder: Path, tmp_path: Path) -> None:
     run = folder / "swing.mcap"
     for files, pages in (([run], 1), ([run, run, folder / "swing.csv"], 3)):
         out = tmp_path / f"{pages}.pdf"
@@ -80,7 +80,7 @@ def test_several_recordings_are_pages(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.extensions
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_a_table_is_the_same_run(folder: Path, tmp_path: Path) -> None:
+def test_table_gives_the_same_figure_as_its_recording(folder: Path, tmp_path: Path) -> None:
     for name, more in (("swing.mcap", []), ("swing.csv", ["--scene", "lwr"])):
         assert plot(folder / name, "-o", tmp_path / f"{name}.png", *more) == 0
     one, other = (
@@ -90,7 +90,7 @@ def test_a_table_is_the_same_run(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (["--joints", "A9"], "no joint 'A9' in swing; available: A1, A2, A3"),
         (["--robot", "lrw"], "no robot 'lrw' in swing; did you mean 'lwr'?"),
@@ -100,20 +100,20 @@ def test_a_table_is_the_same_run(folder: Path, tmp_path: Path) -> None:
         (["--joints", "A1,,A2"], "found 'A1,,A2'; expected names separated by commas"),
     ],
 )
-def test_what_is_not_there_is_told(
+def test_unknown_robots_joints_and_times_are_reported(
     folder: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
-    said: str,
+    expected: str,
 ) -> None:
     assert plot(folder / "swing.mcap", "-o", tmp_path / "x.png", *arguments) == 2
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
     assert not (tmp_path / "x.png").exists()
 
 
 @pytest.mark.extensions
-def test_what_is_no_figure_or_no_table_is_told(
+def test_invalid_figure_names_and_tables_are_reported(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for arguments, said in (
@@ -155,7 +155,7 @@ def test_what_is_no_figure_or_no_table_is_told(
         find_tables(table).read_run(table, scene, None, {})
 
 
-def test_robots_without_torques_are_left_out_of_a_plot_of_all(tmp_path: Path) -> None:
+def test_robots_without_torques_are_omitted_from_a_plot_of_all(tmp_path: Path) -> None:
     from sero_mj.study.plot import plot_run
 
     log = sine_run()
@@ -184,7 +184,7 @@ def test_robots_without_torques_are_left_out_of_a_plot_of_all(tmp_path: Path) ->
         plot_run([log, log], tmp_path / "x.svg")
 
 
-def test_a_part_of_a_run_has_its_ends() -> None:
+def test_part_of_a_run_includes_its_ends() -> None:
     part = sine_run(duration=1.0).between(0.25, 0.5)
     assert (part.times[0], part.times[-1], len(part.times)) == (0.25, 0.5, 251)
     assert len(part.of("arm", "torques")) == 251

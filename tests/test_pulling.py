@@ -1,4 +1,4 @@
-"""Robots that are pulled by hand while they are simulated: force, spring, what is kept of it."""
+"""Simulated robots that are pulled by hand: force, spring, and saved pushes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def pull(simulation: Simulation, frame: str, by: list[float], steps: int) -> Non
 
 
 def point_jacobian(angles: np.ndarray, frame: str, point: np.ndarray) -> np.ndarray:
-    """Of a point of the LWR, by central differences of the table's own kinematics, (3, 7)."""
+    """Returns the Jacobian of a point of the LWR by central differences of the DH table, (3, 7)."""
     robot = read_scenario("impedance_push").scene.robots["lwr"]
     link = int(frame.removeprefix("lwr/link"))
 
@@ -53,7 +53,7 @@ def point_jacobian(angles: np.ndarray, frame: str, point: np.ndarray) -> np.ndar
     return np.stack([(place(angles + e) - place(angles - e)) / 2e-6 for e in step], axis=1)
 
 
-def test_at_rest_joint_torques_hold_the_force_by_the_transposed_jacobian() -> None:
+def test_joint_torques_at_rest_hold_the_force_by_the_transposed_jacobian() -> None:
     simulation = pushed()
     simulation.advance(900)
     before = simulation.log.of("lwr", "torques")[-1].copy()
@@ -66,15 +66,15 @@ def test_at_rest_joint_torques_hold_the_force_by_the_transposed_jacobian() -> No
     J = point_jacobian(log.of("lwr", "actual_angles")[-1], "lwr/link6", hand.pulls[0].point)
     found = log.of("lwr", "external_torques")[-1]
     assert np.linalg.norm(found - J.T @ hand.force) < 0.05 * np.linalg.norm(J.T @ hand.force)
-    # It is the spring's, and the joints carry it: their torques are others than without.
+    # The force is the spring's, and the joints carry it: their torques differ.
     assert hand.force == pytest.approx(hand.stiffness * (hand.target - hand.place), abs=0.1)
     assert np.abs(log.of("lwr", "torques")[-1] - before).max() > 5
-    # What is logged is what acted: the force, and the point.
+    # The log contains the force and the point where it acted.
     assert log.signals["by_hand_force"][-1] == pytest.approx(hand.force)
     assert log.signals["by_hand_frame"][-1][:3, 3] == pytest.approx(hand.place)
 
 
-def test_it_does_not_oscillate_and_is_limited() -> None:
+def test_pull_does_not_oscillate_and_is_limited() -> None:
     simulation = pushed("hand_guiding")  # gravity compensation: nothing else pulls back
     pull(simulation, "lwr/link5", [0.0, 0.1, 0.0], 3000)
     assert simulation.drag_force is not None
@@ -90,23 +90,23 @@ def test_it_does_not_oscillate_and_is_limited() -> None:
 
 
 @pytest.mark.parametrize("timestep", [0.001, 0.02])
-def test_stiffness_and_damping_are_what_a_step_holds(timestep: float) -> None:
+def test_stiffness_and_damping_are_stable_at_the_time_step(timestep: float) -> None:
     hand = pushed(run__timestep=timestep, run__physics_timestep=0.001).drag_force
     assert hand is not None
     hand.stiffness = 5000.0
     for mass in (0.05, 1.0, 30.0):
         stiffness, damping = hand.gains(mass)
-        # Of the explicit step of a mass, a spring and a damper: all within the unit circle.
+        # The explicit step of mass, spring and damper: all eigenvalues are inside the unit circle.
         A = np.array([[1, timestep], [0, 1]]) + np.outer(
             [timestep, 1], [-stiffness * timestep / mass, -damping * timestep / mass]
         )
         assert np.abs(np.linalg.eigvals(A)).max() < 1
 
 
-def test_what_is_saved_repeats_the_run_to_the_last_bit(tmp_path: Path) -> None:
+def test_saved_pushes_repeat_the_run_bit_for_bit(tmp_path: Path) -> None:
     simulation = pushed(lwr__show_axes=True, controllers__lwr__damping=0.6)
     for begin, frame in ((100, "lwr/link4"), (990, "lwr/flange"), (1010, "lwr/link3")):
-        simulation.advance(begin)  # 1.0 s is when the scenario itself begins to push
+        simulation.advance(begin)  # at 1.0 s the scenario begins its own push
         simulation.drag_force.release()  # type: ignore[union-attr]
         pull(simulation, frame, [0.05, -0.2, 0.1], 5)
     simulation.advance(1300)
@@ -121,13 +121,13 @@ def test_what_is_saved_repeats_the_run_to_the_last_bit(tmp_path: Path) -> None:
     again.advance(1500)
     for signal in _SIGNALS:
         assert np.array_equal(again.log.of("lwr", signal), simulation.log.of("lwr", signal)), signal
-    # The recording beside it has the run, and its hand.
+    # The recording beside it contains the run with the pull.
     recorded = read_run(path.with_suffix(".mcap"))
     assert np.array_equal(recorded.of("lwr", "torques"), simulation.log.of("lwr", "torques"))
     assert np.array_equal(
         recorded.signals["by_hand_force"], simulation.log.signals["by_hand_force"]
     )
-    # Another time, another name; and a pushed scenario can be pushed again.
+    # A second save has another name, and a pushed scenario can be pushed again.
     assert save_pushes(simulation, tmp_path).name == "impedance_push_pushed_2.toml"
     twice = pushed(str(path))
     pull(twice, "lwr/link2", [0.0, 0.1, 0.0], 50)
@@ -135,7 +135,7 @@ def test_what_is_saved_repeats_the_run_to_the_last_bit(tmp_path: Path) -> None:
     assert [*thrice.disturbances] == ["push", "push1", "push2", "push3", "push4"]
 
 
-def test_what_cannot_be_saved_or_grabbed_is_told(tmp_path: Path) -> None:
+def test_invalid_saves_and_grabs_are_rejected(tmp_path: Path) -> None:
     simulation = pushed()
     with raises_with(UsageError, reason="there are no pushes to save: drag a link with Ctrl held"):
         save_pushes(simulation, tmp_path)
@@ -166,7 +166,7 @@ def test_what_cannot_be_saved_or_grabbed_is_told(tmp_path: Path) -> None:
         ('[set]\n"run.seed" = 3\n[run]', "set: requires `extends`"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_in_a_scenario_that_extends_another(
+def test_errors_in_a_scenario_that_extends_another_are_reported(
     tmp_path: Path, text: str, expected: str
 ) -> None:
     (tmp_path / "own.toml").write_text(text)
@@ -184,14 +184,14 @@ def test_what_is_wrong_in_a_scenario_that_extends_another(
         ({"samples": [[0.0, 0, 0], [1, 1, 1]]}, "found 2 x 3; expected n x 4 numbers"),
     ],
 )
-def test_samples_of_a_force_are_checked(fields: dict[str, Any], expected: str) -> None:
+def test_force_samples_are_checked(fields: dict[str, Any], expected: str) -> None:
     good = {"at": "lwr/flange", "begin": 1.0, "end": 2.0, "samples": [[0.0, 0, 0, 1]]}
     with pytest.raises(DeclarationError) as found:
         Force(**{**good, **fields})
     assert expected in str(found.value)
 
 
-def test_samples_hold_until_the_next_and_the_end() -> None:
+def test_force_samples_hold_until_the_next_and_the_end() -> None:
     force = Force(at="a/b", begin=1.0, end=1.3, samples=[[0.0, 1, 0, 0], [0.2, 0, 2, 0]])
     times = [0.9, 1.0, 1.1, 1.2, 1.25, 1.3, 2.0]
     found = force.at_times(np.array(times))
@@ -200,7 +200,7 @@ def test_samples_hold_until_the_next_and_the_end() -> None:
     assert not found[:, 1].any()
 
 
-def test_the_pointer_pulls_in_the_plane_of_the_picture_through_the_point() -> None:
+def test_pointer_pulls_in_the_image_plane_through_the_point() -> None:
     forward = np.array([0.0, 0.6, -0.8])
     view = ImageView(
         position=np.array([1.0, -2.0, 3.0]), right=np.array([1.0, 0, 0]),
@@ -216,7 +216,7 @@ def test_the_pointer_pulls_in_the_plane_of_the_picture_through_the_point() -> No
 
 
 @pytest.mark.parametrize("is_live", [False, True])
-def test_what_is_live_is_kept_by_another_tool(is_live: bool) -> None:
+def test_live_sources_have_no_action_to_save_pushes(is_live: bool) -> None:
     robot = SerialRobot.from_model("lwr", name="lwr")
     sources = {"udp": UdpReceiver(structure="7F", udpport=free_udp_port())}
     scene = Scene(robots=[robot], sources=sources, routes={"lwr.joint_angles": "udp.values0"})
@@ -225,7 +225,7 @@ def test_what_is_live_is_kept_by_another_tool(is_live: bool) -> None:
 
 
 @pytest.mark.gl
-def test_what_is_under_the_pointer_is_grabbed_and_what_cannot_be_says_why() -> None:
+def test_item_under_the_pointer_is_grabbed_or_the_reason_reported() -> None:
     with (
         Mirror(load_scene("impedance_push", by_hand=True)) as mirror,
         HeadlessRenderer(mirror.world, 320, 240) as renderer,
@@ -263,7 +263,7 @@ def test_what_is_under_the_pointer_is_grabbed_and_what_cannot_be_says_why() -> N
     ("name", "why"),
     [("lwr", "lwr is not simulated"), ("lwr_udp", "lwr is mirrored from packets")],
 )
-def test_what_is_not_simulated_is_not_pushed(name: str, why: str) -> None:
+def test_robots_that_are_not_simulated_cannot_be_pushed(name: str, why: str) -> None:
     scene = load_scene(name, {"sources.udp.port": 0} if name == "lwr_udp" else {})
     with Mirror(scene) as mirror, HeadlessRenderer(mirror.world, 320, 240) as renderer:
         pulling = Pulling(Shown(mirror, decor=renderer.decor))
@@ -284,7 +284,7 @@ def display() -> Iterator[str]:
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
-def test_a_drag_with_control_pulls_in_a_window(display: str, tmp_path: Path) -> None:
+def test_drag_with_control_pulls_in_a_window(display: str, tmp_path: Path) -> None:
     settings = ("run.duration=30",)
     with Driven(display, tmp_path, "impedance_push", settings=settings) as window:
         joint = "w.data.site_xpos[w.world.joints.centre_site][3]"
@@ -305,9 +305,9 @@ def test_a_drag_with_control_pulls_in_a_window(display: str, tmp_path: Path) -> 
         window.until("w.tools['pulling']._force.stiffness > 600")
         window.tool("mouseup", 1, "keyup", "ctrl")
         window.until("not w.tools['pulling'].is_on")
-        assert window.ask(camera) == seen  # neither turned nor moved nor zoomed
+        assert window.ask(camera) == seen  # neither rotated nor moved nor zoomed
         window.key("k")
-        # Its page may be told of by then.
+        # Its page may be reported by then.
         window.until("'impedance_push_pushed.' in w.notice.text")
     found = read_run(tmp_path / "impedance_push_pushed.mcap").signals["by_hand_force"]
     assert np.linalg.norm(found, axis=1).max() > 20

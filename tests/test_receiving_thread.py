@@ -1,4 +1,4 @@
-"""Reception survives every exception: the source shows it, counts it, and receives again."""
+"""Reception survives every exception: the source reports it, counts it, and receives again."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Send = Callable[[float], None]
 
 
 class Broken(Exception):
-    """What a callback or a recorder may raise."""
+    """An exception that a callback or recorder may raise."""
 
 
 @pytest.fixture(autouse=True)
@@ -81,7 +81,7 @@ def first_value(source: Source) -> float | None:
 
 
 def failing(times: int, error: BaseException) -> Callable[..., None]:
-    """What raises so often, and then no more."""
+    """Returns a function that raises `count` times and then no more."""
     left = [error] * times
 
     def fail(*_: object) -> None:
@@ -91,7 +91,7 @@ def failing(times: int, error: BaseException) -> Callable[..., None]:
     return fail
 
 
-def test_a_callback_that_fails_is_shown_and_reception_continues(
+def test_failing_callback_is_reported_and_reception_continues(
     received: tuple[Source, Send], caplog: pytest.LogCaptureFixture
 ) -> None:
     source, send = received
@@ -100,34 +100,32 @@ def test_a_callback_that_fails_is_shown_and_reception_continues(
     source.on_receive(called.set)
     send(1.0)
     assert until(lambda: source.error)
-    assert called.wait(5.0)  # the other one is not affected
+    assert called.wait(5.0)  # the other callback is not affected
     assert isinstance(source.error, SourceError)
     assert isinstance(source.error.__cause__, KeyError)
     assert "KeyError: 'mine'" in source.error.reason
     assert (source.counters.failures, first_value(source)) == (1, 1.0)
-    assert until(lambda: "Traceback" in caplog.text)  # which names the line at fault
+    assert until(lambda: "Traceback" in caplog.text)  # names the failing line
     send(2.0)
     assert until(lambda: first_value(source) == 2.0 and source.error is None)
     assert source.counters.failures == 1
 
 
 @pytest.mark.parametrize("error", [Broken("disk"), SystemExit(1)])
-def test_reception_that_fails_starts_again(
-    received: tuple[Source, Send], error: BaseException
-) -> None:
+def test_failed_reception_restarts(received: tuple[Source, Send], error: BaseException) -> None:
     source, send = received
     source.record_to(failing(3, error))
     for k in range(3):
         send(float(k))
         assert until(lambda k=k: source.counters.failures == k + 1)
         assert type(error).__name__ in str(source.error)
-        source.latest()  # which for shared memory reads the block on this thread
+        source.latest()  # for shared memory, this reads the block on this thread
     send(7.0)
     assert until(lambda: first_value(source) == 7.0 and source.error is None)
     assert source.receiving
 
 
-def test_an_error_of_the_socket_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_socket_error_does_not_end_reception(monkeypatch: pytest.MonkeyPatch) -> None:
     from sero_mj.data.receive.udp_socket import Datagrams
 
     read, left = Datagrams.read, [OSError(100, "Network is down")] * 2
@@ -147,7 +145,7 @@ def test_an_error_of_the_socket_ends_nothing(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_closing_does_not_wait_for_the_next_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 1000.0)  # s; the test has less
+    monkeypatch.setattr(receiving_thread, "MIN_PAUSE", 1000.0)  # s; longer than the test
     with udp() as (source, send):
         source.record_to(failing(1, Broken()))
         send(1.0)
@@ -156,7 +154,7 @@ def test_closing_does_not_wait_for_the_next_attempt(monkeypatch: pytest.MonkeyPa
     assert "udp udp" not in names
 
 
-def test_the_pause_doubles_until_packets_arrive(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pause_doubles_until_packets_arrive(monkeypatch: pytest.MonkeyPatch) -> None:
     pauses: list[float] = []
     with udp() as (source, send):
         wait = source.closing.wait
@@ -180,7 +178,7 @@ def test_the_pause_doubles_until_packets_arrive(monkeypatch: pytest.MonkeyPatch)
         assert pauses[-1] == 0.002
 
 
-def test_a_failure_is_shown_on_the_robot_in_the_status_and_in_the_report() -> None:
+def test_failure_is_shown_at_the_robot_in_the_status_and_in_the_report() -> None:
     robot = SerialRobot.from_model("lwr")
     source = UdpReceiver(structure="7F", udpport=0)
     routes = {"lwr.joint_angles": "udp.values0"}
@@ -208,7 +206,7 @@ def test_a_failure_is_shown_on_the_robot_in_the_status_and_in_the_report() -> No
         assert report(live)["error"] == ""
 
 
-def test_a_handler_of_the_log_that_fails_ends_nothing() -> None:
+def test_failing_log_handler_does_not_end_reception() -> None:
     class Full(logging.Handler):
         def handle(self, record: logging.LogRecord) -> bool:
             raise OSError("no space left")

@@ -1,4 +1,4 @@
-"""The recorder: packets off several threads, bounded memory, a killed process, a full disk."""
+"""`Recorder`: packets of several threads, bounded memory, a killed process, and a full disk."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def packets_in(path: Path, name: str = "arm") -> list[bytes]:
 
 @pytest.fixture
 def held() -> Iterator[threading.Event]:
-    """While it is not set, the recorder's thread stands still in its decoder."""
+    """Event on which the recorder's thread waits in its decoder."""
     event = threading.Event()
     yield event
     event.set()
@@ -73,7 +73,7 @@ def held_decoder(event: threading.Event, entered: threading.Event) -> Any:
     return decode
 
 
-def test_packets_of_several_threads_are_all_there_in_their_order(tmp_path: Path) -> None:
+def test_packets_of_several_threads_are_recorded_in_order(tmp_path: Path) -> None:
     path, names = tmp_path / "a.mcap", ("one", "two", "three")
 
     def send(name: str) -> None:
@@ -98,7 +98,7 @@ def test_packets_of_several_threads_are_all_there_in_their_order(tmp_path: Path)
     assert recorder.error is None
 
 
-def test_rows_are_copied_and_as_long_as_they_say(tmp_path: Path) -> None:
+def test_rows_are_copied_and_truncated_to_their_lengths(tmp_path: Path) -> None:
     rows = np.arange(40, dtype=np.uint8).reshape(4, 10)
     lengths = np.array([10, 3, 0, 99])
     with begin(tmp_path / "a.mcap") as recorder:
@@ -116,7 +116,7 @@ def test_rows_are_copied_and_as_long_as_they_say(tmp_path: Path) -> None:
     ]
 
 
-def test_what_packets_mean_is_there_for_the_good_ones(tmp_path: Path) -> None:
+def test_decoded_values_are_recorded_for_valid_packets(tmp_path: Path) -> None:
     now = time.monotonic()
     with begin(tmp_path / "a.mcap", signals_rate=1000.0) as recorder:
         give(recorder, "arm", [packet(3), b"short", packet(6)], [now, now, now])
@@ -130,12 +130,12 @@ def test_what_packets_mean_is_there_for_the_good_ones(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("rate", "batch"), [(1000.0, 1), (1000.0, 40), (100.0, 1), (50.0, 20)])
-def test_signals_are_thinned_to_their_rate_and_packets_are_not(
+def test_signals_rate_limits_decoded_values_but_not_packets(
     tmp_path: Path, rate: float, batch: int
 ) -> None:
     now = time.monotonic()
     with begin(tmp_path / "a.mcap", signals_rate=rate) as recorder:
-        for i in range(0, 2000, batch):  # two seconds at 1 kHz, which come in batches
+        for i in range(0, 2000, batch):  # two seconds at 1 kHz, in batches
             give(recorder, "arm", [packet(i)] * batch, [now + i / 1000] * batch)
     statistics = recorder.statistics
     assert statistics.packets == 2000
@@ -143,15 +143,13 @@ def test_signals_are_thinned_to_their_rate_and_packets_are_not(
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(0.0, 0), (math.inf, 200)])
-def test_no_signals_or_all_of_them(tmp_path: Path, rate: float, expected: int) -> None:
+def test_signals_rate_can_be_zero_or_infinite(tmp_path: Path, rate: float, expected: int) -> None:
     with begin(tmp_path / "a.mcap", signals_rate=rate) as recorder:
         give(recorder, "arm", [packet(0)] * 200, [time.monotonic()] * 200)
     assert recorder.statistics.signals == expected
 
 
-def test_a_full_queue_counts_and_tells_what_it_does_not_take(
-    tmp_path: Path, held: threading.Event
-) -> None:
+def test_full_queue_counts_lost_packets(tmp_path: Path, held: threading.Event) -> None:
     entered = threading.Event()
     recorder = begin(tmp_path / "a.mcap", decode=held_decoder(held, entered), queue_bytes=20_000)
     try:
@@ -170,17 +168,17 @@ def test_a_full_queue_counts_and_tells_what_it_does_not_take(
     assert recorder.statistics.packets == 1 + 2 * sum(taken)
     with Recording(tmp_path / "a.mcap") as recording:
         assert recording.lost == {"arm": lost}
-        assert recording.faults == [f"{lost} packets of source 'arm' could not be kept"]
+        assert recording.faults == [f"{lost} packets of source 'arm' were lost"]
     assert not give(recorder, "arm", [b"late"], [time.monotonic()])
     assert recorder.statistics.not_recorded == {"arm": lost + 1}
 
 
-def test_taking_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event) -> None:
+def test_take_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event) -> None:
     entered = threading.Event()
     recorder = begin(tmp_path / "a.mcap", decode=held_decoder(held, entered))
     give(recorder, "arm", [b"first"], [time.monotonic()])
     assert entered.wait(5.0)
-    # It would wait for ever if it did: the thread that writes stands still.
+    # The writing thread is blocked, so waiting for it would never end.
     assert give(recorder, "arm", [b"second"], [time.monotonic()])
     assert recorder.statistics.packets == 1
     held.set()
@@ -188,7 +186,7 @@ def test_taking_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event
     assert packets_in(tmp_path / "a.mcap") == [b"first", b"second"]
 
 
-def test_wrong_use_is_told(tmp_path: Path) -> None:
+def test_invalid_calls_raise_errors(tmp_path: Path) -> None:
     with begin(tmp_path / "a.mcap") as recorder:
         with raises_with(UnknownName, kind="source", name="arn", near="arm"):
             give(recorder, "arn", [b""], [0.0])
@@ -202,7 +200,7 @@ def test_wrong_use_is_told(tmp_path: Path) -> None:
         begin(tmp_path / "a.mcap")
 
 
-def test_an_error_of_the_decoder_ends_the_recording_and_is_raised(tmp_path: Path) -> None:
+def test_decoder_error_ends_the_recording_and_is_raised(tmp_path: Path) -> None:
     def decode(data: bytes) -> None:
         if data == b"bad":
             raise ZeroDivisionError("in the decoder")
@@ -239,7 +237,7 @@ while True:
 """
 
 
-def test_a_killed_process_leaves_a_file_that_all_can_read(tmp_path: Path) -> None:
+def test_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     child = subprocess.Popen(
         [sys.executable, "-c", CHILD, str(path)],
@@ -252,7 +250,7 @@ def test_a_killed_process_leaves_a_file_that_all_can_read(tmp_path: Path) -> Non
         line = child.stdout.readline()
         child.kill()
     assert child.returncode == -signal.SIGKILL
-    # 0.4 s until it is written, and what a busy machine adds.
+    # 0.4 s until the chunk is written, plus delays of a busy machine.
     assert 0.3 < float(line) < 5.0
     expected = [packet(i) for i in range(1000)]
     with Recording(path) as recording:
@@ -260,7 +258,7 @@ def test_a_killed_process_leaves_a_file_that_all_can_read(tmp_path: Path) -> Non
         assert found[:1000] == expected
         (fault,) = recording.faults
     if "cut off" in fault:
-        return  # it was killed in the midst of a write: then there is half a chunk at the end
+        return  # killed during a write, so the last chunk is incomplete
     with open(path, "rb") as file:
         messages = make_reader(file, validate_crcs=True).iter_messages("/arm/raw")
         assert [unpack_raw(message.data) for _, _, message in messages] == found
@@ -285,7 +283,7 @@ assert recorder.statistics.file_size == Path(sys.argv[1]).stat().st_size
 """
 
 
-def test_a_full_disk_ends_the_recording_with_an_error(tmp_path: Path) -> None:
+def test_full_disk_ends_the_recording_with_an_error(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(path)],
@@ -296,7 +294,7 @@ def test_a_full_disk_ends_the_recording_with_an_error(tmp_path: Path) -> None:
         cwd=Path(__file__).parent,
     )
     assert done.returncode == 0, done.stderr
-    start = f"True RecordingError {path}: the file has reached the largest size that the system"
+    start = f"True RecordingError {path}: the file has reached the maximum size of the system"
     assert done.stdout.startswith(start)
     assert path.stat().st_size <= 100_000
     with open(path, "rb") as file:

@@ -1,4 +1,4 @@
-"""A recording: what goes in comes out, for us and for the mcap library."""
+"""Recordings are read back by sero-mj, the mcap library and rosbags."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from sero_mj.data.record.recording_writer import SHORT_ENDING, RecordingWriter
 from sero_mj.data.record.replay import Replay
 
 
-def test_what_goes_in_comes_out(tmp_path: Path) -> None:
+def test_written_packets_and_attachments_are_read_back(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = begin(path, "arm", "hand")
     writer.attach("scene.toml", "application/toml", b"[robots.arm]\n")
@@ -54,7 +54,7 @@ def test_what_goes_in_comes_out(tmp_path: Path) -> None:
             recording.read_attachment("robot.toml")
 
 
-def test_a_source_without_packets_is_there(tmp_path: Path) -> None:
+def test_source_without_packets_is_listed(tmp_path: Path) -> None:
     record(tmp_path / "a.mcap", [])
     with Recording(tmp_path / "a.mcap") as recording:
         assert recording.sources["arm"].count == 0
@@ -72,7 +72,7 @@ def test_a_source_without_packets_is_there(tmp_path: Path) -> None:
     ),
     chunk_bytes=st.sampled_from([1, 200, 1 << 20]),
 )
-def test_any_packets_at_any_times_come_out_as_they_came(
+def test_arbitrary_packets_and_times_round_trip(
     tmp_path_factory: pytest.TempPathFactory,
     packets: list[tuple[str, bytes, float]],
     chunk_bytes: int,
@@ -103,7 +103,7 @@ def check_packets(recording: Recording, packets: list[tuple[str, bytes, float]])
             assert list(recording.packets(name, stop=at)) == [f for f in found if f[0] < at]
 
 
-def test_times_are_exact_to_the_nanosecond() -> None:
+def test_times_are_exact_to_one_nanosecond() -> None:
     clock = RecordingClock(epoch_ns=1_700_000_000_123_456_789, monotonic_ns=5_000_000_001)
     assert clock.log_time(5.000000001) == clock.epoch_ns
     assert clock.log_time(5.000000002) == clock.epoch_ns + 1
@@ -115,7 +115,7 @@ def test_times_are_exact_to_the_nanosecond() -> None:
         clock.log_time(-1e10)
 
 
-def test_the_mcap_library_reads_it(tmp_path: Path) -> None:
+def test_mcap_library_reads_recordings(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = begin(path, "arm", chunk_bytes=2000)
     start = writer.clock.monotonic_ns / 1e9
@@ -155,7 +155,7 @@ def test_the_mcap_library_reads_it(tmp_path: Path) -> None:
     assert schema.data.startswith(b"float64[2] values0\ngeometry_msgs/Point[1] vectors0\n")
 
 
-def test_rosbags_and_ros2_bag_accept_it(tmp_path: Path) -> None:
+def test_rosbags_and_ros2_bag_accept_recordings(tmp_path: Path) -> None:
     """All channels have a schema and the same encoding, which `ros2 bag` checks."""
     path = tmp_path / "a.mcap"
     writer = begin(path, "arm", "my-arm", "my_arm", "idle")
@@ -180,7 +180,7 @@ def test_rosbags_and_ros2_bag_accept_it(tmp_path: Path) -> None:
     assert counts["/my-arm/raw"] == counts["/my_arm/signals"] == 5
 
 
-def test_a_chunk_is_due_after_less_than_half_a_second(tmp_path: Path) -> None:
+def test_chunk_is_flushed_after_less_than_half_a_second(tmp_path: Path) -> None:
     with begin(tmp_path / "a.mcap", "arm") as writer:
         assert writer.flush_if_old() == math.inf
         writer.write_raw("arm", b"x", time.monotonic())
@@ -189,11 +189,11 @@ def test_a_chunk_is_due_after_less_than_half_a_second(tmp_path: Path) -> None:
         hasty.add_source("arm", kind="udp", declared={}, events={}, size=1)
         hasty.write_raw("arm", b"x", time.monotonic())
         assert hasty.flush_if_old() == math.inf
-        with Recording(tmp_path / "b.mcap") as recording:  # while it is written
+        with Recording(tmp_path / "b.mcap") as recording:  # while it is being written
             assert recording.sources["arm"].count == 1
 
 
-def test_starting_late_in_a_long_recording_reads_little_of_it(tmp_path: Path) -> None:
+def test_late_start_reads_only_a_small_part_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     packets = [np.random.default_rng(i).bytes(500) for i in range(4000)]
     expected = record(path, packets, chunk_bytes=10_000)
@@ -217,7 +217,7 @@ def test_starting_late_in_a_long_recording_reads_little_of_it(tmp_path: Path) ->
     assert 0 < sum(read) < path.stat().st_size / 50
 
 
-def test_rows_at_once_are_packets_one_by_one(tmp_path: Path) -> None:
+def test_write_rows_equals_write_raw_for_each_packet(tmp_path: Path) -> None:
     rows = np.random.default_rng(3).integers(0, 256, (5000, 168), np.uint8)
     files = [tmp_path / "one.mcap", tmp_path / "all.mcap"]
     found = []
@@ -234,7 +234,7 @@ def test_rows_at_once_are_packets_one_by_one(tmp_path: Path) -> None:
         with Recording(file) as recording:
             assert recording.faults == []
             found.append(list(recording.packets("arm")))
-        with open(file, "rb") as stream:  # the library's own reader agrees
+        with open(file, "rb") as stream:  # the mcap library reads the same
             messages = list(make_reader(stream).iter_messages(topics=["/arm/raw"]))
         assert [message.sequence for _, _, message in messages] == list(range(5000))
         assert b"".join(unpack_raw(each.data) for _, _, each in messages) == rows.tobytes()
@@ -243,10 +243,10 @@ def test_rows_at_once_are_packets_one_by_one(tmp_path: Path) -> None:
     assert times[0] == pytest.approx(times[1], abs=2e-9)
 
 
-def test_a_recording_of_the_first_writer_is_read_as_ever(tmp_path: Path) -> None:
-    """Written by sero-mj before it wrote by the mcap library; its signals have no names."""
+def test_recording_of_the_first_version_is_read(tmp_path: Path) -> None:
+    """Such recordings were not written by the mcap library, and their signals have no names."""
     path = Path(__file__).with_name("recording_format1.mcap")
-    killed = tmp_path / "killed.mcap"  # as that writer left it: a short ending in place of an index
+    killed = tmp_path / "killed.mcap"  # a short ending instead of an index, as after a kill
     with open(path, "rb") as file:
         summary = make_reader(file).get_summary()
         assert summary is not None
@@ -273,8 +273,8 @@ def test_a_recording_of_the_first_writer_is_read_as_ever(tmp_path: Path) -> None
         assert json.loads(found[3])["values0"] == [0.3, 0.0]
 
 
-def test_an_hour_of_76_bytes_at_1_khz_is_less_than_a_gigabyte(tmp_path: Path) -> None:
-    """With the decoded values, noise in every number, and a chunk every 0.4 s; it was 1.65 GB."""
+def test_one_hour_of_76_bytes_at_1_khz_is_less_than_one_gigabyte(tmp_path: Path) -> None:
+    """This includes decoded values, noise in every number, and a chunk every 0.4 s."""
     structure, count = Structure("19F", is_double=False), 4000
     random, times = np.random.default_rng(0), np.arange(count) / 1000
     clean = np.sin(times[:, None] * np.arange(1, 20) / 3) * np.linspace(1, 40, 19)

@@ -1,4 +1,4 @@
-"""A recording that is cut off, damaged, or of another program, and a disk that is full."""
+"""Truncated and damaged recordings, files of other programs, and full disks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sero_mj.data.record.recording_format import unpack_raw
 from sero_mj.data.record.recording_writer import RecordingWriter
 
 
-def test_what_is_not_closed_is_a_whole_file_without_an_index(tmp_path: Path) -> None:
+def test_unclosed_recording_is_complete_without_an_index(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     expected = record(path, numbered(50), chunk_bytes=400, close=False)
     with Recording(path) as recording:
@@ -38,7 +38,7 @@ def test_what_is_not_closed_is_a_whole_file_without_an_index(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_cut_off_anywhere_it_has_the_packets_before(tmp_path: Path) -> None:
+def test_truncated_recording_has_the_packets_before_the_cut(tmp_path: Path) -> None:
     path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
     expected = record(path, numbered(12), chunk_bytes=150)
     whole = path.read_bytes()
@@ -56,7 +56,7 @@ def test_cut_off_anywhere_it_has_the_packets_before(tmp_path: Path) -> None:
         assert found == expected[: len(found)]
         found_sizes.add(len(found))
     assert len(found_sizes) > 2 and max(found_sizes) == 12
-    # What the library says of a file without its end: everything up to there, then an error.
+    # The mcap library reads a file without an end up to the cut, and then raises an error.
     cut.write_bytes(whole[: len(whole) // 2])
     kinds = []
     with open(cut, "rb") as file, pytest.raises((McapError, struct.error, ValueError)):
@@ -69,7 +69,7 @@ def test_cut_off_anywhere_it_has_the_packets_before(tmp_path: Path) -> None:
 @given(
     flips=st.lists(st.tuples(st.floats(0.0, 0.999999), st.integers(1, 255)), min_size=1, max_size=4)
 )
-def test_damage_anywhere_is_told_and_never_invents_a_packet(
+def test_damage_never_creates_packets(
     tmp_path_factory: pytest.TempPathFactory, flips: list[tuple[float, int]]
 ) -> None:
     folder = tmp_path_factory.mktemp("damaged")
@@ -89,7 +89,7 @@ def test_damage_anywhere_is_told_and_never_invents_a_packet(
             recording.last_before(name, 0.5)
 
 
-def test_a_damaged_chunk_loses_only_itself(tmp_path: Path) -> None:
+def test_damaged_chunk_loses_only_its_own_packets(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     expected = record(path, numbered(60), chunk_bytes=400)
     with open(path, "rb") as file:
@@ -130,14 +130,16 @@ def foreign(path: Path) -> None:
         (b"\x89MCAP0\r\n", "is truncated or damaged at byte 8 .*; expected a file from"),
     ],
 )
-def test_what_is_no_recording_is_told(tmp_path: Path, content: bytes, expected: str) -> None:
+def test_file_that_is_not_a_recording_is_rejected(
+    tmp_path: Path, content: bytes, expected: str
+) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=f"^{path}: {expected}"):
         Recording(path)
 
 
-def test_a_file_of_another_program_is_told(tmp_path: Path) -> None:
+def test_file_of_another_program_is_rejected(tmp_path: Path) -> None:
     foreign(tmp_path / "a.mcap")
     with raises_with(
         RecordingError,
@@ -156,7 +158,7 @@ def test_a_file_of_another_program_is_told(tmp_path: Path) -> None:
         Recording(tmp_path / "b.mcap")
 
 
-def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_unwritable_file_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(b"precious")
     with raises_with(
@@ -190,21 +192,21 @@ packets = [random.Random(i).randbytes(100) for i in range(1000)]
 for limit in map(int, sys.argv[3:]):
     writer = begin(f"{sys.argv[1]}/{limit}.mcap", "arm", chunk_bytes=int(sys.argv[2]))
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))  # Python ignores SIGXFSZ
-    told = []
+    reported = []
     for i, packet in enumerate(packets):
         try:
             writer.write_raw("arm", packet, i / 10)
         except RecordingError as error:
-            told.append(str(error))
+            reported.append(str(error))
     writer.close()
     resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
-    print(len(set(told)), writer.size, told[0])
+    print(len(set(reported)), writer.size, reported[0])
 """
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("chunk_bytes", [4000, 200])
-def test_a_full_disk_ends_the_recording_and_leaves_a_file_that_all_can_read(
+def test_full_disk_ends_the_recording_and_leaves_a_readable_file(
     tmp_path: Path, chunk_bytes: int
 ) -> None:
     limits = range(12000, 22000, 307)
@@ -233,7 +235,7 @@ def test_a_full_disk_ends_the_recording_and_leaves_a_file_that_all_can_read(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
-def test_a_disk_that_was_full_before_is_told() -> None:
+def test_full_disk_at_the_start_is_reported() -> None:
     expected = "/dev/full: no space left on the disk. The recording has ended; it has no packets"
     with pytest.raises(RecordingError, match=expected):
         RecordingWriter("/dev/full", about={}, overwrite=True)

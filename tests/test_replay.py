@@ -1,4 +1,4 @@
-"""A recording played again: the same packets through the same decoder, to the same frames."""
+"""`Replay`: the same packets and decoder result in the same frames as in the live run."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def scene_of(lwr: SerialRobot, source: object) -> Scene:
 def recorded(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[tuple[Path, list[tuple[float, np.ndarray, np.ndarray]]]]:
-    """A recording, and the live run: when, the state that was shown, and its picture."""
+    """A recording, and the time, state and image of each frame of the live run."""
     path = tmp_path_factory.mktemp("replay") / "run.mcap"
     robot = SerialRobot.from_model("lwr", show_arrows=True, show_billboards=True)
     source = UdpReceiver(structure=STRUCTURE, sequence="number", name="udp")
     shown = []
-    # Good ones, torques that are no data, one too short, one too long, no frame, a lost one, an
-    # old one, NaN where it would move: what was counted live is to be counted again.
+    # Valid packets, missing torques, wrong sizes, an invalid frame, a lost packet, an old packet,
+    # and NaN in joint angles. The replay must have the same counts as the live run.
     bursts = [
         [packet(65_534, 0.1), packet(65_535, 0.2)],
         [packet(0, 0.3, torque=float("nan"))],
@@ -80,7 +80,7 @@ def recorded(
 
 
 @pytest.mark.slow
-def test_it_shows_the_same_frames_as_the_live_run(recorded: tuple[Path, list[tuple]]) -> None:
+def test_replay_shows_the_same_frames_as_the_live_run(recorded: tuple[Path, list[tuple]]) -> None:
     path, shown = recorded
     robot = SerialRobot.from_model("lwr", show_arrows=True, show_billboards=True)
     replay = Replay(file=path, source="udp", start=0.0)
@@ -90,7 +90,7 @@ def test_it_shows_the_same_frames_as_the_live_run(recorded: tuple[Path, list[tup
     ):
         assert not mirror.is_live
         slot = mirror.world.slots["sources.udp"]
-        ages = ("age", "fault_age", "link_age")  # the same but for the time of looking
+        ages = ("age", "fault_age", "link_age")  # times that depend on the time of the call
         times = [slot.start + SOURCE_FIELDS.index(age) for age in ages]
         others = np.setdiff1d(np.arange(len(mirror.data.userdata)), times)
         for at, userdata, qpos, pixels in shown:
@@ -104,7 +104,7 @@ def test_it_shows_the_same_frames_as_the_live_run(recorded: tuple[Path, list[tup
         assert (counters.wrong_size, counters.not_finite, counters.not_frames) == (2, 1, 1)
 
 
-def test_going_back_forward_and_round_shows_what_was_there(
+def test_seeking_and_looping_reproduce_recorded_poses(
     recorded: tuple[Path, list[tuple]], lwr: SerialRobot
 ) -> None:
     path, shown = recorded
@@ -113,7 +113,7 @@ def test_going_back_forward_and_round_shows_what_was_there(
             for k in order:
                 mirror.advance(shown[k][0])
                 assert mirror.data.qpos.tolist() == shown[k][2].tolist(), k
-    # Round: a time beyond the end is one in the next round.
+    # In a loop, a time beyond the end is in the next repetition.
     replay = Replay(file=path, start=0.0, loop=True)
     with Mirror(scene_of(lwr, replay)) as mirror:
         for round_ in (0, 1, 7):
@@ -122,9 +122,7 @@ def test_going_back_forward_and_round_shows_what_was_there(
                 assert mirror.data.qpos.tolist() == shown[k][2].tolist(), (round_, k)
 
 
-def test_speed_seeking_and_standing_still(
-    recorded: tuple[Path, list[tuple]], lwr: SerialRobot
-) -> None:
+def test_speed_seek_pause_and_resume(recorded: tuple[Path, list[tuple]], lwr: SerialRobot) -> None:
     path, shown = recorded
     replay = Replay(file=path, start=0.0, speed=4.0)
     with Mirror(scene_of(lwr, replay)) as mirror:
@@ -138,13 +136,13 @@ def test_speed_seeking_and_standing_still(
         replay.resume(50.0)
         mirror.advance(50.0 + (shown[3][0] - shown[1][0]) / 4)
         assert mirror.data.qpos.tolist() == shown[3][2].tolist()
-        mirror.advance(50.0 + (replay.duration - shown[1][0]) / 4)  # at the end it stays
+        mirror.advance(50.0 + (replay.duration - shown[1][0]) / 4)  # it stops at the end
         assert replay.position == pytest.approx(replay.duration)
         assert replay.receiving
 
 
 @pytest.mark.slow
-def test_none_is_lost_when_none_may_be(
+def test_lossless_replay_returns_all_packets(
     recorded: tuple[Path, list[tuple]], lwr: SerialRobot
 ) -> None:
     path, _ = recorded
@@ -156,7 +154,7 @@ def test_none_is_lost_when_none_may_be(
     assert heard == [0.1, 0.2, 0.3, 0.4, 0.5, 0.9, 0.7]
 
 
-def test_it_begins_with_the_first_packet_and_the_file_beside_the_scene(
+def test_replay_starts_with_the_first_packet_of_a_file_next_to_the_scene(
     recorded: tuple[Path, list[tuple]], tmp_path: Path
 ) -> None:
     (tmp_path / "run.mcap").write_bytes(recorded[0].read_bytes())
@@ -170,7 +168,7 @@ def test_it_begins_with_the_first_packet_and_the_file_beside_the_scene(
         assert mirror.data.qpos[0] == 0.1
 
 
-def test_a_replay_knows_how_the_source_decoded() -> None:
+def test_decoding_fields_reproduce_the_layout() -> None:
     source = UdpReceiver(
         structure="1F x:1Tf", is_double=False, column_major=False, scale=0.5, alignment=8,
         udpport=7, host="0.0.0.0",
@@ -189,11 +187,11 @@ def test_a_replay_knows_how_the_source_decoded() -> None:
         ({"file": "none.mcap"}, "file: none.mcap: cannot be read: No such file or directory"),
         ({"file": 7}, "file: found 7; expected the name of a recording, such as REC.mcap"),
         ({"source": "upd"}, "source: no source 'upd' in {file}; did you mean 'udp'?"),
-        ({"structure": "7F"}, "structure: is what the recording says. Leave it out"),
+        ({"structure": "7F"}, "structure: is declared in the recording. Leave it out"),
         ({"speed": 0.0}, "speed: found 0;"),
     ],
 )
-def test_what_is_declared_wrongly_is_told(
+def test_invalid_declarations_are_reported(
     recorded: tuple[Path, list[tuple]], fields: dict[str, object], message: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
@@ -201,7 +199,9 @@ def test_what_is_declared_wrongly_is_told(
     assert str(caught.value).startswith(message.format(file=recorded[0]))
 
 
-def test_a_file_that_goes_away_is_told(recorded: tuple[Path, list[tuple]], tmp_path: Path) -> None:
+def test_missing_file_is_reported_by_open(
+    recorded: tuple[Path, list[tuple]], tmp_path: Path
+) -> None:
     copy = tmp_path / "run.mcap"
     copy.write_bytes(recorded[0].read_bytes())
     replay = Replay(file=copy)
@@ -215,7 +215,7 @@ def test_a_file_that_goes_away_is_told(recorded: tuple[Path, list[tuple]], tmp_p
 
 
 @pytest.mark.slow
-def test_the_commands_record_render_and_export(
+def test_commands_record_render_and_export(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as sock:
@@ -232,7 +232,7 @@ def test_the_commands_record_render_and_export(
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as robot:
         try:
             count = 0
-            while count < 50:  # until the robot is there
+            while count < 50:  # until the sender has started
                 with pytest.raises(SystemExit) as caught:
                     main(["record", str(scene), str(run), "--duration", "0.5", "--overwrite"])
                 with Recording(run) as recording:

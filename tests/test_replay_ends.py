@@ -1,4 +1,4 @@
-"""Where a recording begins and ends: seeking there, beyond it, and what is said about it."""
+"""Begin and end of a replay: seeking, playing beyond the end, and error messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PACKETS = moving(11)
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """Eleven packets in the second from 0 on, or a little later."""
+    """Eleven packets within one second."""
     path = tmp_path / "rec.mcap"
     record(path, PACKETS)
     return path
@@ -42,7 +42,9 @@ def refused(*arguments: object) -> None:
 @pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize("more", ["", "speed = 2\nloop = true"])
-def test_status_plays_it(recording: Path, more: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_status_plays_a_recording(
+    recording: Path, more: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["status", str(scene_file(recording, more)), "--duration", "1.4", "--json"])
     (found,) = json.loads(capsys.readouterr().out)
@@ -52,26 +54,26 @@ def test_status_plays_it(recording: Path, more: str, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "reported"),
     [
         ("start = 50", "start: found 50; the recording ends at 1.00 s"),
         ("start = 0.5\nstop = 0.5", "stop: found 0.5; expected more than 0.5, start, in s"),
         ("stop = -1", "stop: found -1; expected more than 0, the time of its first packet, in s"),
     ],
 )
-def test_times_with_nothing_between_them_are_told(recording: Path, more: str, said: str) -> None:
+def test_empty_time_ranges_are_reported(recording: Path, more: str, reported: str) -> None:
     file = scene_file(recording, more)
     with pytest.raises(DeclarationError) as caught:
         load_scene(file)
     (problem,) = caught.value.problems
     assert (
         re.sub(r"than \d\.?\d*e-\d+", "than 0", str(problem))
-        == f"{file}:{problem.line}: sources.arm.{said}"
+        == f"{file}:{problem.line}: sources.arm.{reported}"
     )
     assert problem.line == 8 + len(more.splitlines())
 
 
-def test_so_are_those_of_the_command_line(
+def test_empty_time_ranges_of_options_are_reported(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = tmp_path / "live.toml"
@@ -81,21 +83,21 @@ def test_so_are_those_of_the_command_line(
     refused("render", scene, "-o", tmp_path / "x.png", "--replay", recording, "--start", 99)
     assert "sero-mj: --start: found 99; the recording ends at 1.00 s" in capsys.readouterr().err
     refused("export", recording, tmp_path / "x.csv", "--from", 0.5, "--to", 0.2)
-    said = "sero-mj: --to: found 0.2; expected a time after --from, s"
-    assert said in capsys.readouterr().err
+    reported = "sero-mj: --to: found 0.2; expected a time after --from, s"
+    assert reported in capsys.readouterr().err
     refused("export", recording, tmp_path / "x.csv", "--from", 2)
     assert "--from: found 2; the recording ends" in capsys.readouterr().err
     assert not list(tmp_path.glob("x.*"))
 
 
-def test_a_table_that_is_there_is_kept(
+def test_export_does_not_overwrite_an_existing_table(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = tmp_path / "t.csv"
     table.write_text("mine")
     refused("export", recording, table)
-    said = f"sero-mj: {table} already exists; choose another name or add --overwrite\n"
-    assert capsys.readouterr().err == said
+    reported = f"sero-mj: {table} already exists; choose another name or add --overwrite\n"
+    assert capsys.readouterr().err == reported
     assert table.read_text() == "mine"
     with pytest.raises(SystemExit) as caught:
         main(["export", str(recording), str(table), "--overwrite"])
@@ -103,13 +105,13 @@ def test_a_table_that_is_there_is_kept(
     assert len(table.read_text().splitlines()) == 12
 
 
-def test_nothing_is_sent_to_it(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_send_rejects_a_replay_source(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     refused("send", scene_file(recording), "--duration", 0.1)
-    said = "source 'arm' of the scene is a recording, which cannot receive packets. Add --port"
-    assert capsys.readouterr().err.startswith(f"sero-mj: {said}")
+    reported = "source 'arm' of the scene is a recording, which cannot receive packets. Add --port"
+    assert capsys.readouterr().err.startswith(f"sero-mj: {reported}")
 
 
-def test_no_packet_is_seen_twice_where_it_begins(recording: Path) -> None:
+def test_first_packet_is_received_once_for_any_start(recording: Path) -> None:
     whole = Replay(file=recording, start=0.0)
     for start in (0.0, 0.35, whole.recorded.last, whole.recorded.first):
         with Replay(file=recording, start=start) as replay:
@@ -121,7 +123,7 @@ def test_no_packet_is_seen_twice_where_it_begins(recording: Path) -> None:
             assert replay.counters.received == expected, start
 
 
-def test_it_grows_stale_when_it_is_over(recording: Path) -> None:
+def test_replay_becomes_stale_after_its_end(recording: Path) -> None:
     arm = SerialRobot(name="two", dh_convention="craig", dh_params=[[0, 0.3, 0, 0]] * 2)
     replay = Replay(file=recording, name="udp")
     scene = Scene(robots=[arm], sources={"udp": replay}, routes={"two.joint_angles": "udp.values0"})

@@ -1,4 +1,4 @@
-"""`SerialRobot`: the proto's defaults, what is refused and in which words."""
+"""`SerialRobot`: the proto's defaults, and validation errors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def refusal(**fields) -> str:
     return str(caught.value)
 
 
-def test_robot_has_the_defaults_of_the_papers_proto():
+def test_robot_has_the_defaults_of_the_proto_in_the_paper():
     # PAPER.md, Fig. 3. dhConvention is ours and has no default.
     bare = robot()
     assert bare.name == "robot"
@@ -43,7 +43,7 @@ def test_robot_has_the_defaults_of_the_papers_proto():
     assert (bare.axes_size, bare.axes_transparency) == (0.2, 0)
     assert (bare.arrow_radius, bare.arrow_width_scale) == (0.1, 0.01)
     assert bare.billboard_scale == 0.05
-    assert (bare.torques, bare.billboard_values) == (None, None)  # events: nothing came yet
+    assert (bare.torques, bare.billboard_values) == (None, None)  # events: nothing received yet
     assert (bare.n, bare.names, bare.types) == (1, ["J1"], ["revolute"])
 
 
@@ -52,7 +52,7 @@ def test_default_frames_are_not_shared_between_robots():
     assert robot().base_frame[0, 3] == 0.0
 
 
-def test_dh_params_may_be_flat_as_the_paper_writes_them():
+def test_dh_params_can_be_flat_as_in_the_paper():
     # PAPER.md, Fig. 7, number by number.
     flat = [0, 0, 0, 0.31, 1.5708, 0, 0, 0, -1.5708, 0, 0, 0.4, -1.5708, 0, 0, 0,
             1.5708, 0, 0, 0.39, 1.5708, 0, 0, 0, -1.5708, 0, 0, 0]  # fmt: skip
@@ -65,12 +65,12 @@ def test_dh_params_may_be_flat_as_the_paper_writes_them():
     assert paper.offsets[:, 2].tolist() == [-0.2, 0, -0.2, 0, -0.2, 0, 0.1]
 
 
-def test_dh_columns_may_be_permuted():
+def test_dh_columns_can_be_permuted():
     permuted = robot(dh_columns=["d", "theta", "a", "alpha"], dh_params=[[4, 3, 2, 1]])
     assert [getattr(permuted.dh, name)[0] for name in COLUMNS] == [1, 2, 3, 4]
 
 
-def test_per_joint_fields_reach_the_table():
+def test_per_joint_fields_are_used_by_the_table():
     mixed = robot(
         dh_params=TWO_JOINTS,
         joint_types=["prismatic", "revolute"],
@@ -80,12 +80,12 @@ def test_per_joint_fields_reach_the_table():
     )
     assert mixed.dh.revolute.tolist() == [False, True]
     assert (mixed.dh.convention, mixed.names) == ("standard", ["rail", "elbow"])
-    # By hand: 0.3 + 0.5 up the rail, then 0.4 along x turned by 1 rad.
+    # By hand: 0.3 + 0.5 along the rail, then 0.4 along x rotated by 1 rad.
     position = [0.4 * math.cos(1), 0.4 * math.sin(1), 0.8]
     np.testing.assert_allclose(mixed.fwd_kin_base_to_flange()[:3, 3], position, atol=1e-15)
 
 
-def test_limits_in_degrees_are_kept_in_radians():
+def test_limits_in_degrees_are_converted_to_radians():
     in_degrees = robot(
         dh_params=TWO_JOINTS,
         position_limits_deg=[[-170, 170], [-90, 45]],
@@ -99,7 +99,7 @@ def test_limits_in_degrees_are_kept_in_radians():
     np.testing.assert_allclose(in_degrees.velocity_limits, [math.pi, math.pi / 2], rtol=1e-15)
 
 
-def test_link_files_may_be_names_tables_lists_and_empty():
+def test_link_files_can_be_names_tables_lists_and_empty():
     links = robot(
         dh_params=TWO_JOINTS,
         colors={"red": [1, 0, 0, 1]},
@@ -114,7 +114,7 @@ def test_link_files_may_be_names_tables_lists_and_empty():
     assert [len(link) for link in robot(filenames=["", "a.stl"]).filenames] == [0, 1]
 
 
-def test_billboard_lines_may_be_words_and_tables():
+def test_billboard_lines_can_be_names_and_tables():
     lines = robot(billboard_lines=["torques", {"value": "joint_angles", "scale": 57.3}])
     assert [(line.value, line.scale) for line in lines.billboard_lines] == [
         ("torques", 1.0),
@@ -235,13 +235,13 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("fields", "problem"), WRONG)
-def test_wrong_field_is_refused_with_what_was_found_and_what_is_right(fields, problem):
+def test_invalid_field_is_rejected_with_found_and_expected_values(fields, problem):
     with pytest.raises(DeclarationError) as caught:
         robot(**fields)
     assert caught.value.problems == [problem]
 
 
-def test_convention_has_no_default_and_the_error_says_the_choices():
+def test_convention_is_required_and_the_error_lists_the_choices():
     choices = "'craig' or 'standard' or 'none'"
     with raises_with(key="dh_convention", reason="is required", expected=choices):
         SerialRobot()
@@ -249,7 +249,7 @@ def test_convention_has_no_default_and_the_error_says_the_choices():
 
 @pytest.mark.parametrize("field", ["axes_size", "arrow_radius", "arrow_width_scale", "mesh_scale"])
 @pytest.mark.parametrize("value", [math.inf, math.nan])
-def test_single_number_that_is_not_finite_is_refused(field, value):
+def test_single_number_that_is_not_finite_is_rejected(field, value):
     with pytest.raises(DeclarationError) as caught:
         robot(**{field: value})
     (problem,) = caught.value.problems
@@ -257,19 +257,19 @@ def test_single_number_that_is_not_finite_is_refused(field, value):
     assert "finite" in str(problem.expected)
 
 
-def test_billboard_scale_factor_that_is_not_finite_is_refused():
+def test_billboard_scale_that_is_not_finite_is_rejected():
     with raises_with(key="billboard_lines.0.scale", found=math.nan, expected="a finite number"):
         robot(billboard_lines=[{"value": "torques", "scale": math.nan}])
 
 
 @pytest.mark.parametrize("name", ["my arm", "2arm", "a/b", "a.b", ""])
-def test_unusable_robot_name_is_refused_in_words_not_as_a_pattern(name):
+def test_invalid_robot_name_is_rejected_without_showing_a_pattern(name):
     expected = "letters, digits, _ and -, the first a letter or _"
     with raises_with(key="name", found=name, expected=expected):
         robot(name=name)
 
 
-def test_key_called_self_is_unknown_like_any_other():
+def test_key_named_self_is_unknown():
     with raises_with(key="self", reason="unknown key"):
         robot(**{"self": 1})
 
@@ -279,7 +279,7 @@ def test_key_called_self_is_unknown_like_any_other():
     ["joint_types", "joint_names", "velocity_limits", "torque_limits", "joint_angles", "torques",
      "billboard_values", "position_limits", "offsets_to_center_of_joints"],
 )  # fmt: skip
-def test_field_with_one_entry_per_joint_must_have_as_many_as_the_table(field):
+def test_field_with_one_entry_per_joint_must_match_the_table(field):
     one = {
         "joint_types": "revolute",
         "joint_names": "a",
@@ -290,7 +290,7 @@ def test_field_with_one_entry_per_joint_must_have_as_many_as_the_table(field):
         robot(dh_params=TWO_JOINTS, **{field: [one]})
 
 
-def test_all_problems_come_at_once_and_a_wrong_table_causes_no_others():
+def test_all_problems_are_reported_at_once_without_consequent_errors():
     text = refusal(
         dh_params=[[0, 0, 0, "d"]],
         joint_angles=[1, 2],
@@ -309,30 +309,30 @@ def test_all_problems_come_at_once_and_a_wrong_table_causes_no_others():
     [{"a": 1}, datetime.date(2020, 1, 1), ["abc"], ["90"], [[1], [1, 2]], [True], [None], "x"],
 )
 @pytest.mark.parametrize("field", ["position_limits_deg", "velocity_limits_deg"])
-def test_limits_in_degrees_that_are_no_numbers_are_refused_under_their_own_name(field, value):
+def test_invalid_limits_in_degrees_are_rejected_by_their_own_key(field, value):
     lines = refusal(**{field: value}).splitlines()
     assert len(lines) == 1
     assert lines[0].startswith(f"{field}: ")
     assert "expected " in lines[0]
 
 
-def test_wrong_limits_in_degrees_do_not_hide_other_problems():
+def test_invalid_limits_in_degrees_do_not_hide_other_problems():
     lines = refusal(velocity_limits_deg=["abc"], axes_size=-1).splitlines()
     assert sorted(line.split(":")[0] for line in lines) == ["axes_size", "velocity_limits_deg"]
 
 
-def test_limits_in_both_units_are_refused_beside_other_problems():
+def test_limits_in_both_units_are_rejected_beside_other_problems():
     text = refusal(velocity_limits_deg=[1], velocity_limits=[1], axes_size=-1)
     assert "found both velocity_limits and velocity_limits_deg; expected one of them" in text
     assert "axes_size: found -1; expected greater than 0" in text.splitlines()
 
 
-def test_a_pose_in_degrees_is_kept_in_radians_and_replaces_that_of_a_model():
+def test_pose_in_degrees_is_converted_and_replaces_that_of_a_model():
     degrees = [0, 30, 0, -60, 0, 90, 0]
     bent = SerialRobot.from_model("lwr", joint_angles_deg=degrees)
     np.testing.assert_allclose(bent.joint_angles, np.deg2rad(degrees), rtol=1e-15)
     assert bent.joint_angles_deg is None
-    hand = SerialRobot.from_model("hit_finger")  # the last joint follows
+    hand = SerialRobot.from_model("hit_finger")  # the last joint is coupled
     bent = SerialRobot.from_model("hit_finger", joint_angles_deg=np.full(hand.coupled.k, 10.0))
     free = np.full(hand.coupled.k, np.deg2rad(10.0))
     np.testing.assert_allclose(bent.joint_angles, hand.coupled.positions(free), rtol=1e-15)
@@ -350,30 +350,30 @@ def test_a_pose_in_degrees_is_kept_in_radians_and_replaces_that_of_a_model():
         robot(joint_angles_deg=[0, 0, 0])
 
 
-def test_limits_in_degrees_are_refused_for_sliding_joints():
+def test_limits_in_degrees_are_rejected_for_prismatic_joints():
     text = refusal(joint_types=["prismatic"], velocity_limits_deg=[1])
     wanted = "velocity_limits_deg is for revolute joints only; use velocity_limits in rad, m"
     assert text.endswith(wanted)
 
 
 @pytest.mark.parametrize("types", [5, True])
-def test_joint_types_that_are_no_list_are_refused_beside_limits_in_degrees(types):
+def test_joint_types_that_are_not_a_list_are_rejected_beside_limits_in_degrees(types):
     text = refusal(joint_types=types, velocity_limits_deg=[1])
     assert f"joint_types: found {shown(types)}; expected list" in text.splitlines()
 
 
-def test_table_in_degrees_becomes_one_in_radians_and_excludes_the_other():
+def test_table_in_degrees_is_converted_and_excludes_the_other():
     columns = ["a", "alpha", "d", "theta"]
     turned = robot(dh_params_deg=[[1, 90, 2, 180]], dh_columns=columns)
     np.testing.assert_allclose(turned.dh_params, [[1, math.pi / 2, 2, math.pi]], rtol=1e-15)
     text = refusal(dh_params=[0, 0, 0, 1], dh_params_deg=[90, 0, 0, 2])
     assert "found both dh_params and dh_params_deg" in text
-    # Nothing is known about the number of joints, so nothing is said about it.
+    # The number of joints is unknown, so no error mentions it.
     text = refusal(dh_params_deg=[90, 0, 0], joint_angles=[1, 2])
     assert text == "dh_params_deg: found 3; expected n x 4 numbers"
 
 
-def test_refused_assignment_changes_nothing():
+def test_rejected_assignment_changes_nothing():
     box = Object(name="a", shape="box", size=[1, 2, 3])
     with raises_with(
         reason=(
@@ -388,7 +388,7 @@ def test_refused_assignment_changes_nothing():
     assert held.n == 1
 
 
-def test_a_robot_is_printed_in_a_few_lines() -> None:
+def test_robot_repr_has_a_few_lines() -> None:
     assert repr(SerialRobot.from_model("lwr")).splitlines() == [
         "SerialRobot 'lwr': 7 joints, craig DH, reach 1.178 m",
         "  joints: A1, A2, E1, A3, A4, A5, A6",
@@ -407,7 +407,7 @@ def test_a_robot_is_printed_in_a_few_lines() -> None:
 
 
 @pytest.mark.parametrize("field", sorted(SerialRobot.checked_alone))
-def test_a_field_that_is_checked_alone_refuses_what_the_constructor_refuses(field) -> None:
+def test_field_validated_alone_rejects_what_the_constructor_rejects(field) -> None:
     robot = SerialRobot.from_model("lwr")
     with pytest.raises(DeclarationError) as made:
         SerialRobot.from_model("lwr", **{field: object()})
@@ -418,7 +418,7 @@ def test_a_field_that_is_checked_alone_refuses_what_the_constructor_refuses(fiel
     assert getattr(robot, field) == getattr(SerialRobot.from_model("lwr"), field)
 
 
-def test_an_assignment_keeps_all_other_fields_and_updates_the_kinematics() -> None:
+def test_assignment_keeps_other_fields_and_updates_the_kinematics() -> None:
     robot = SerialRobot.from_model("lwr", flange_tolerance_deg=2.0)
     before, copied = robot.fwd_kin_base_to_flange(), robot.model_copy()
     robot.show_axes = True

@@ -1,4 +1,4 @@
-"""`robot("lwr").torques = ...`: inputs as attributes, of viewers and overlays alike."""
+"""`robot("lwr").torques = ...`: inputs as attributes of viewers and overlays."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sero_mj.viewer.program.robot_inputs import RobotInputs
 
 @dataclass
 class Holder:
-    """A viewer or an overlay, in so far as it has inputs."""
+    """A viewer or an overlay, as far as its inputs are concerned."""
 
     world: World
     data: mujoco.MjData
@@ -46,7 +46,7 @@ def overlay() -> Any:
     "key",
     ["joint_angles", "torques", "commanded_torques", "joint_accelerations", "billboard_values"],
 )
-def test_what_is_set_is_what_set_input_sets_and_can_be_read(
+def test_attribute_sets_the_same_as_set_input_and_can_be_read(
     world: World, name: str, key: str
 ) -> None:
     by_attribute, by_name = world.make_data(), world.make_data()
@@ -62,13 +62,13 @@ def test_what_is_set_is_what_set_input_sets_and_can_be_read(
     assert getattr(robot, key).tolist() == values.tolist()
 
 
-def test_before_anything_is_set_there_are_no_torques_and_declared_angles(world: World) -> None:
+def test_initial_inputs_are_no_torques_and_the_declared_angles(world: World) -> None:
     robot = RobotInputs(Holder(world, world.make_data()), "lwr")
     assert np.isnan(robot.torques).all()
     assert robot.joint_angles.tolist() == world.scene.robots["lwr"].home.tolist()
 
 
-def test_other_inputs_of_a_robot_are_set_by_name_or_as_attributes(world: World) -> None:
+def test_other_inputs_of_a_robot_are_set_by_name_or_attribute(world: World) -> None:
     data = world.make_data()
     robot = RobotInputs(Holder(world, data), "lwr")
     robot.temperatures = np.arange(30.0, 37.0)  # type: ignore[attr-defined]
@@ -77,7 +77,7 @@ def test_other_inputs_of_a_robot_are_set_by_name_or_as_attributes(world: World) 
     assert data.mocap_quat[world.robots["lwr"].mocap] == pytest.approx([0, 0, 0, 1])
 
 
-def test_mistyped_names_are_refused_with_the_nearest(world: World, overlay: Any) -> None:
+def test_mistyped_names_are_rejected_with_the_nearest(world: World, overlay: Any) -> None:
     robot = RobotInputs(Holder(world, world.make_data()), "lwr")
     with raises_with(UnknownName, kind="input of lwr", name="torqes", near="torques"):
         robot.torqes = np.zeros(7)  # type: ignore[attr-defined]
@@ -89,7 +89,7 @@ def test_mistyped_names_are_refused_with_the_nearest(world: World, overlay: Any)
         robot.torques = [1.0]
 
 
-def test_an_overlay_s_robot_has_the_model_s_torques_until_they_are_set(overlay: Any) -> None:
+def test_overlay_robot_has_the_torques_of_the_model_until_they_are_set(overlay: Any) -> None:
     robot = overlay.robot("arm")
     overlay.data.ctrl[:] = 0.5
     mujoco.mj_step(overlay.model, overlay.data)

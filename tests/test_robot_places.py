@@ -1,4 +1,4 @@
-"""Robots by their names elsewhere: descriptions in a cache, a checkout of models, ROS packages."""
+"""Robots by external names: descriptions in a cache, a checkout of models, ROS packages."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def menagerie(tmp_path: Path) -> Path:
         ("franka_research_3", "franka_fr3"),
     ],
 )
-def test_a_menagerie_model_is_found_by_name(
+def test_menagerie_model_is_found_by_name(
     menagerie: Path, monkeypatch: pytest.MonkeyPatch, name: str, folder: str
 ) -> None:
     monkeypatch.setenv("MENAGERIE_PATH", str(menagerie))
@@ -60,7 +60,7 @@ def test_a_menagerie_model_is_found_by_name(
     assert scene.name == folder
 
 
-def test_a_clone_in_the_working_folder_is_found(
+def test_clone_in_the_working_directory_is_found(
     menagerie: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("MENAGERIE_PATH", raising=False)
@@ -75,9 +75,7 @@ def test_a_clone_in_the_working_folder_is_found(
         paths.find_model("universal_robot_ur16e")
 
 
-def test_a_file_of_a_ros_package_is_a_robot(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_file_in_a_ros_package_is_a_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "arm_description" / "urdf").mkdir(parents=True)
     (tmp_path / "arm_description" / "urdf" / "arm.urdf").write_text(
         URDF.format(name="arm", joint="turn")
@@ -91,7 +89,7 @@ def test_a_file_of_a_ros_package_is_a_robot(
 
 
 def cached(cache: Path, repository: str, files: Mapping[str, str]) -> dict[str, str]:
-    """A repository as `robot_descriptions` has it in its cache, and the environment to use it."""
+    """Returns the environment to use a repository in the cache of `robot_descriptions`."""
     work = cache / "work"
     for name, text in files.items():
         (work / name).parent.mkdir(parents=True, exist_ok=True)
@@ -109,19 +107,19 @@ def cached(cache: Path, repository: str, files: Mapping[str, str]) -> dict[str, 
     return {**known, "ROBOT_DESCRIPTIONS_CACHE": str(cache), "ROBOT_DESCRIPTION_COMMIT": commit}
 
 
-def test_a_cached_description_needs_no_network(tmp_path: Path) -> None:
+def test_cached_description_needs_no_network(tmp_path: Path) -> None:
     urdf = URDF.format(name="panda", joint="panda_joint1")
     files = {"robots/panda_description/urdf/panda.urdf": urdf}
     environment = cached(tmp_path / "cache", "example-robot-data", files)
-    status, said = run_command(["check", "panda_description"], tmp_path, environment)
-    assert status == 0, said
-    assert "panda: no errors" in said and "joint panda_joint1 moves" in said
+    status, output = run_command(["check", "panda_description"], tmp_path, environment)
+    assert status == 0, output
+    assert "panda: no errors" in output and "joint panda_joint1 moves" in output
     (tmp_path / "scene.toml").write_text('[robots.one]\nmodel = "panda_description"\n')
-    status, said = run_command(["check", "scene.toml"], tmp_path, environment)
-    assert status == 0 and "robot   one: 1 joints" in said
+    status, output = run_command(["check", "scene.toml"], tmp_path, environment)
+    assert status == 0 and "robot   one: 1 joints" in output
 
 
-def test_a_xacro_description_has_its_arguments(tmp_path: Path) -> None:
+def test_xacro_description_has_its_arguments(tmp_path: Path) -> None:
     top = (
         '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="$(arg name)">'
         '<xacro:arg name="ur_type" default="ur3"/><xacro:arg name="name" default="none"/>'
@@ -134,9 +132,9 @@ def test_a_xacro_description_has_its_arguments(tmp_path: Path) -> None:
         "urdf/inc/ur5e.xacro": part,
     }
     environment = cached(tmp_path / "cache", "ur_description", files)
-    status, said = run_command(["check", "ur5e_description"], tmp_path, environment)
-    assert status == 0, said
-    assert "ur5e_description: no errors" in said and "shoulder_pan_joint moves" in said
+    status, output = run_command(["check", "ur5e_description"], tmp_path, environment)
+    assert status == 0, output
+    assert "ur5e_description: no errors" in output and "shoulder_pan_joint moves" in output
 
 
 def test_failed_downloads_are_reported(tmp_path: Path) -> None:
@@ -144,15 +142,15 @@ def test_failed_downloads_are_reported(tmp_path: Path) -> None:
     (folder,) = (tmp_path / "cache").iterdir()
     other = "0" * 40
     folder.rename(folder.with_name(f"example-robot-data-{other}"))
-    environment["ROBOT_DESCRIPTION_COMMIT"] = other  # which would have to be fetched
-    status, said = run_command(["check", "panda_description"], tmp_path, environment)
+    environment["ROBOT_DESCRIPTION_COMMIT"] = other  # which would require a download
+    status, output = run_command(["check", "panda_description"], tmp_path, environment)
     assert status == 2
-    (line,) = [each for each in said.splitlines() if each.startswith("sero-mj: ")]
+    (line,) = [each for each in output.splitlines() if each.startswith("sero-mj: ")]
     assert line.startswith("sero-mj: panda_description: robot_descriptions cannot fetch it: ")
-    assert "Traceback" not in said
+    assert "Traceback" not in output
 
 
-def test_a_file_of_the_name_of_a_description_fetches_nothing(
+def test_file_with_the_name_of_a_description_downloads_nothing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     file = tmp_path / "panda_description.urdf"
@@ -162,12 +160,12 @@ def test_a_file_of_the_name_of_a_description_fetches_nothing(
     assert scene.argument == str(file)
 
 
-def test_names_are_listed_and_suggested(tmp_path: Path) -> None:
+def test_known_names_are_listed_and_suggested(tmp_path: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if key not in UNSET}
-    status, said = run_command(["list", "--known"], tmp_path, environment)
-    assert status == 0 and "MuJoCo Menagerie: no clone" in said
-    lines = said.splitlines()
-    assert "  ur5e_description" in lines  # one a line where this is no terminal
+    status, output = run_command(["list", "--known"], tmp_path, environment)
+    assert status == 0 and "MuJoCo Menagerie: no clone" in output
+    lines = output.splitlines()
+    assert "  ur5e_description" in lines  # one per line if the output is not a terminal
     names = lines[lines.index("robot_descriptions") + 1 :]
     assert len(names) > 100 and names == sorted(names)
     for name in ("talos_descriptio", "talos", "Talos"):
@@ -175,7 +173,7 @@ def test_names_are_listed_and_suggested(tmp_path: Path) -> None:
             load_scene(name)
 
 
-def test_names_are_in_columns_as_wide_as_the_terminal(tmp_path: Path) -> None:
+def test_names_are_in_columns_that_fit_the_terminal(tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     termios.tcsetwinsize(theirs, (40, 100))
     command = [sys.executable, "-m", "sero_mj", "list", "--known"]
@@ -184,7 +182,7 @@ def test_names_are_in_columns_as_wide_as_the_terminal(tmp_path: Path) -> None:
     ) as process:
         os.close(theirs)
         said = b""
-        with contextlib.suppress(OSError):  # which is its end
+        with contextlib.suppress(OSError):  # at the end of the stream
             while more := os.read(ours, 65536):
                 said += more
     os.close(ours)
@@ -203,6 +201,6 @@ def test_manufacturer_spellings_find_shipped_robots(name: str, shipped: str) -> 
     assert paths.find_model(name) == paths.models_dir() / shipped / "robot.toml"
 
 
-def test_without_the_package_there_are_no_names(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_package_has_no_names(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
     assert RobotDescriptions().names() == [] and RobotDescriptions().find("ur5e") is None

@@ -1,4 +1,4 @@
-"""The report of robustness: its table names tests that are there; it counts and judges right."""
+"""The robustness report: its table names existing tests, and it counts and judges correctly."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def robustness() -> ModuleType:
     return import_script(ROOT / "benchmarks" / "robustness.py")
 
 
-def test_every_test_of_the_table_is_there(robustness: ModuleType) -> None:
+def test_every_test_of_the_table_exists(robustness: ModuleType) -> None:
     named = {test for target in (*robustness.FUZZED, *robustness.FAULTS) for test in target.tests}
     for test in named:
         file, _, name = test.partition("::")
@@ -24,7 +24,7 @@ def test_every_test_of_the_table_is_there(robustness: ModuleType) -> None:
 
 
 @pytest.mark.extensions
-def test_every_limit_of_the_table_is_a_number_of_the_code(robustness: ModuleType) -> None:
+def test_every_limit_of_the_table_is_read_from_the_code(robustness: ModuleType) -> None:
     limits = robustness.limits()
     assert dict(limits)["TOML file"] == "20 MB"
     assert dict(limits)["packet"] == "65,507 bytes"
@@ -74,7 +74,7 @@ def rows(memory: list[float], received: int, handles: int = 9) -> list[dict[str,
 @pytest.mark.parametrize(
     ("memory", "received", "handles", "expected"),
     [
-        ([100.0, 130.0, *[140.0] * 30], 1000, 9, []),  # what fills up at first is no growth
+        ([100.0, 130.0, *[140.0] * 30], 1000, 9, []),  # initial growth of memory is not a leak
         (
             [100.0 + 10 * k for k in range(32)], 1000, 9,
             ["memory grew by 2.11; expected at most 1.25"],

@@ -1,4 +1,4 @@
-"""Pages and films of what was kept: one at a time, told, ended with the viewer however it ends."""
+"""Background exports of recorded views: one at a time, reported, and ended with the viewer."""
 
 import logging
 import os
@@ -30,7 +30,7 @@ LONG = ["render", "lwr", "--size", "640x480", "--duration", "600"]
 
 
 def wait_for(films: BackgroundExports, count: int) -> list[tuple[str, bool]]:
-    """What is told until `count` films are finished; each is waited for."""
+    """Returns the messages until `count` exports are finished, waiting for each."""
     said = []
     while len(said) < count:
         told = films.advance()
@@ -53,26 +53,26 @@ def has_ended(process: int, seconds: float = 30.0) -> bool:
 
 
 @pytest.mark.thorough
-def test_films_are_made_one_after_the_other_and_told(tmp_path: Path) -> None:
+def test_exports_are_made_one_after_the_other_and_reported(tmp_path: Path) -> None:
     films = BackgroundExports()
     paths = [tmp_path / f"{k}.mp4" for k in range(3)]
     assert [films.add(SHORT, path) for path in paths] == [0, 1, 2]
     assert films.advance() is None
     assert (len(films._waiting), films.count) == (2, 3)
     films.advance()
-    assert len(films._waiting) == 2  # the first one is still being made
+    assert len(films._waiting) == 2  # the first one is still running
     expected = [(f"video of what was kept: {path.name}", False) for path in paths]
     assert wait_for(films, 3) == expected
     assert sorted(tmp_path.iterdir()) == paths
     films.add(["render", "no_such_robot"], tmp_path / "no.mp4")
     ((text, is_bad),) = wait_for(films, 1)
-    assert is_bad and text.startswith("no film no.mp4: ") and "no_such_robot" in text
+    assert is_bad and text.startswith("video no.mp4 failed: ") and "no_such_robot" in text
     films.add(["export", "lwr"], tmp_path / "pose.html")
-    assert wait_for(films, 1) == [("page of what was kept: pose.html", False)]
+    assert wait_for(films, 1) == [("page saved: pose.html", False)]
     films.close(finish=False)
 
 
-def test_an_export_that_writes_many_lines_does_not_block_the_next(
+def test_export_with_much_output_does_not_block_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = ChildProcess
@@ -85,15 +85,17 @@ def test_an_export_that_writes_many_lines_does_not_block_the_next(
     films = BackgroundExports()
     for name in ("first.mp4", "second.mp4"):
         films.add(SHORT, tmp_path / name)
-    said = []
-    assert until(lambda: said.append(films.advance()) or len([*filter(None, said)]) == 2, 60.0)
-    assert [*filter(None, said)] == [
-        ("no film first.mp4: a line of a warning", True),
-        ("no film second.mp4: a line of a warning", True),
+    messages = []
+    assert until(
+        lambda: messages.append(films.advance()) or len([*filter(None, messages)]) == 2, 60.0
+    )
+    assert [*filter(None, messages)] == [
+        ("video first.mp4 failed: a line of a warning", True),
+        ("video second.mp4 failed: a line of a warning", True),
     ]
 
 
-def test_two_keys_within_a_second_keep_two_recordings(tmp_path: Path) -> None:
+def test_two_saves_within_a_second_write_two_recordings(tmp_path: Path) -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as robot:
         robot.bind(("127.0.0.1", 0))
         port = robot.getsockname()[1]
@@ -109,14 +111,14 @@ def test_two_keys_within_a_second_keep_two_recordings(tmp_path: Path) -> None:
         now = datetime(2026, 5, 4, 17, 3, 12)
         with patch("sero_mj.viewer.tools.rolling_recorder.datetime") as clock:
             clock.now.return_value = now
-            said = [recorder._keep(), recorder._keep()]
+            said = [recorder._save(), recorder._save()]
         recorder.close()
     names = [text.rpartition(" ")[2] for text in said]
     assert len({*names}) == 2
     assert sorted(path.name for path in tmp_path.glob("*.mcap")) == sorted(names)
 
 
-def test_what_is_not_finished_ends_with_the_viewer_and_leaves_nothing(
+def test_unfinished_exports_end_with_the_viewer_and_leave_no_files(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     films = BackgroundExports()
@@ -137,7 +139,7 @@ def test_what_is_not_finished_ends_with_the_viewer_and_leaves_nothing(
 
 
 @pytest.mark.thorough
-def test_films_are_finished_where_that_is_asked_for(tmp_path: Path) -> None:
+def test_exports_are_finished_on_request(tmp_path: Path) -> None:
     films = BackgroundExports()
     for k in range(2):
         films.add(SHORT, tmp_path / f"{k}.mp4")
@@ -147,7 +149,7 @@ def test_films_are_finished_where_that_is_asked_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="waits for a process by Linux's pidfd")
-def test_a_film_ends_with_a_viewer_that_is_killed(tmp_path: Path) -> None:
+def test_export_ends_with_a_viewer_that_is_killed(tmp_path: Path) -> None:
     viewer = (
         "import sys, pathlib;"
         " from sero_mj.viewer.session.background_exports import BackgroundExports;"
@@ -167,13 +169,13 @@ def test_a_film_ends_with_a_viewer_that_is_killed(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_film_that_is_ended_by_kill_leaves_no_part_of_a_file(tmp_path: Path) -> None:
+def test_terminated_export_leaves_no_partial_file(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "sero_mj", *LONG, "-o", "long.mp4"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
         while not list(tmp_path.glob(".long*")) and process.poll() is None:
-            select.select([], [], [], 0.05)  # a directory has no event that Python waits for
+            select.select([], [], [], 0.05)  # Python has no event for new files in a directory
         process.send_signal(signal.SIGTERM)
         assert process.communicate(timeout=60)[1].endswith("sero-mj: interrupted\n")
         assert process.returncode == 130

@@ -1,4 +1,4 @@
-"""Round arrows as numbers: place, direction of turning, width, colour, count."""
+"""Round arrows: position, direction of rotation, width, color, count."""
 
 from itertools import pairwise
 
@@ -36,11 +36,11 @@ POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 
 
 def ribbons(world: World, data=None, toggles=None, part=GEOM.mjGEOM_BOX):
-    """Boxes of every arrow, or the triangles of its heads, (arrows, geoms)."""
+    """Returns boxes of every arrow, or the triangles of its heads, (arrows, geoms)."""
     decor = Decor(world)
     data = world.make_data() if data is None else data
     toggles = toggles or toggles_of(world)
-    toggles.status = False  # its panel is a box as well
+    toggles.status = False  # its panel is a box, too
     buffer = decor.draw(data, toggles, view_at())
     rows = of_kind(buffer.rows[: buffer.count], part)
     is_arrow = buffer.kinds[: buffer.count] == Kind.ARROW
@@ -56,7 +56,7 @@ def one_arrow(torque: float, joint: int = 3, **fields):
 
 
 def heads_of(world: World, **of_what) -> np.ndarray:
-    """Corners of the triangles of the heads of every arrow, (arrows, triangles, 3 corners, 3)."""
+    """Returns corners of the head triangles of every arrow, (arrows, triangles, 3 corners, 3)."""
     rows = ribbons(world, **of_what, part=GEOM.mjGEOM_TRIANGLE)
     edges = (rows["mat"] * rows["size"][..., None, :]).astype(float)[..., :2]
     first = rows["pos"].astype(float)
@@ -64,30 +64,30 @@ def heads_of(world: World, **of_what) -> np.ndarray:
 
 
 def in_joint_frame(world: World, data, joint: int, points):
-    """Points in the frame of the arrow's site, whose z is the joint's axis."""
+    """Returns points in the frame of the arrow's site, whose z is the joint axis."""
     site = world.joints.centre_site[joint]
     return (points - data.site_xpos[site]) @ data.site_xmat[site].reshape(3, 3)
 
 
 @pytest.mark.parametrize("joint", range(7))
-def test_an_arrow_lies_about_its_joints_axis_at_the_declared_offset(joint: int) -> None:
+def test_arrow_surrounds_its_joint_axis_at_the_declared_offset(joint: int) -> None:
     world, arrows = one_arrow(10.0, joint)
     assert arrows.shape[0] == 1
     robot = world.robots["lwr"].robot
-    # By DH, not by the model: axis and centre of the joint.
+    # From the DH table, not from the model: axis and center of the joint.
     frame = robot.dh.frames(POSE)[joint + 1]
     centre = frame[:3, 3] + frame[:3, :3] @ robot.offsets[joint]
     out = arrows["pos"][0] - centre
     assert np.abs(out @ frame[:3, 2]).max() < 1e-6
     assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(len(out), 0.1), abs=1e-6)
-    # Every box is turned so that its width lies along the axis and its thickness outward.
+    # Each box is rotated so that its width is along the axis and its thickness points outward.
     assert np.abs(arrows["mat"][0][:, :, 2] - frame[:3, 2]).max() < 1e-6
     assert np.abs(arrows["mat"][0][:, :, 0] * 0.1 - out).max() < 1e-6
     assert np.linalg.det(arrows["mat"][0]) == pytest.approx(np.ones(len(out)), abs=1e-5)
 
 
 @pytest.mark.parametrize("torque", [20.0, -20.0])
-def test_an_arrow_turns_by_the_right_hand_rule_at_constant_speed(torque: float) -> None:
+def test_arrow_rotates_by_the_right_hand_rule_at_constant_speed(torque: float) -> None:
     world, _ = one_arrow(torque)
     data = world.make_data()
     angles = []
@@ -100,11 +100,11 @@ def test_an_arrow_turns_by_the_right_hand_rule_at_constant_speed(torque: float) 
     assert speeds == pytest.approx(np.full(8, np.sign(torque) * TURNING_SPEED), abs=1e-3)
 
 
-def test_the_speed_does_not_depend_on_the_joints_own_motion() -> None:
+def test_speed_does_not_depend_on_the_joint_motion() -> None:
     world, _ = one_arrow(20.0)
     data = world.make_data()
     positions = []
-    for q in (0.0, 0.9):  # only the arrow's own joint moves; time stands still
+    for q in (0.0, 0.9):  # only the arrow's own joint moves; time is constant
         data.qpos[3] = q
         follow(world.model, data)
         positions.append(ribbons(world, data)["pos"][0].astype(float))
@@ -112,16 +112,16 @@ def test_the_speed_does_not_depend_on_the_joints_own_motion() -> None:
 
 
 @pytest.mark.parametrize("torque", [20.0, -20.0])
-def test_the_head_runs_ahead_of_the_tail(torque: float) -> None:
+def test_head_is_in_front_of_the_tail(torque: float) -> None:
     world, arrows = one_arrow(torque)
     data, sign = world.make_data(), np.sign(torque)
     local = in_joint_frame(world, data, 3, arrows["pos"][0].astype(float))
     along = np.unwrap(np.arctan2(local[:, 1], local[:, 0])) * sign
-    assert (np.diff(along) > 0).all()  # tail to tip, in the direction of turning
+    assert (np.diff(along) > 0).all()  # tail to tip, in the direction of rotation
     assert np.ptp(along) < 2 * np.pi
     last = in_joint_frame(world, data, 3, heads_of(world)[0, -22:].reshape(-1, 3))
     ahead = np.arctan2(last[:, 1], last[:, 0]) * sign
-    ahead = (ahead - along[-1]) % (2 * np.pi)  # from the middle of the last box
+    ahead = (ahead - along[-1]) % (2 * np.pi)  # from the center of the last box
     assert 0 < ahead.min() < np.deg2rad(10)
     assert np.ptp(ahead) == pytest.approx(np.deg2rad(46), abs=1e-5)
     # It tapers from twice the ribbon's width to a point.
@@ -137,7 +137,7 @@ def test_the_head_runs_ahead_of_the_tail(torque: float) -> None:
 
 @pytest.mark.parametrize("torque", [20.0, -20.0])
 @pytest.mark.parametrize("joint", [1, 4])
-def test_heads_are_solids_that_are_seen_from_outside(torque: float, joint: int) -> None:
+def test_heads_are_closed_solids_with_outward_faces(torque: float, joint: int) -> None:
     world, _ = one_arrow(torque, joint)
     triangles = heads_of(world)[0]
     rows = ribbons(world, part=GEOM.mjGEOM_TRIANGLE)[0]
@@ -145,7 +145,7 @@ def test_heads_are_solids_that_are_seen_from_outside(torque: float, joint: int) 
     normals = np.cross(u, v)
     areas = np.linalg.norm(normals, axis=1)
     assert areas.min() > 1e-7
-    # Drawn is the side from which x turns to y anticlockwise.
+    # The side from which x rotates to y counterclockwise is drawn.
     assert rows["mat"][..., 2] == pytest.approx(normals / areas[:, None], abs=1e-4)
     heads = np.split(triangles, [26, 52])
     assert [len(head) for head in heads] == [26, 26, 22]
@@ -155,11 +155,11 @@ def test_heads_are_solids_that_are_seen_from_outside(torque: float, joint: int) 
         corner = same.argmax(axis=1).reshape(-1, 3).tolist()
         sides = [pair for a, b, c in corner for pair in ((a, b), (b, c), (c, a))]
         assert len(set(sides)) == len(sides)
-        # Every side of a triangle is that of another one as well, passed in the other direction,
-        # but at the neck, where the ribbon goes on.
+        # Each edge of a triangle is shared by another one in the opposite direction, except at the
+        # neck, where the ribbon continues.
         open_sides = {(a, b) for a, b in sides if (b, a) not in sides}
         assert len(open_sides) == (0 if head is heads[-1] else 4)
-        # Volume by the divergence theorem: outside is outside.
+        # Positive volume by the divergence theorem: normals point outward.
         middle = head.reshape(-1, 3).mean(axis=0)
         corners = head - middle
         volume = np.einsum("ti,ti->t", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum()
@@ -167,7 +167,7 @@ def test_heads_are_solids_that_are_seen_from_outside(torque: float, joint: int) 
         assert 0.01 * box.prod() < volume / 6 < box.prod()
 
 
-def test_neighbouring_boxes_touch_so_that_the_ribbon_has_no_gaps() -> None:
+def test_adjacent_boxes_touch_without_gaps_in_the_ribbon() -> None:
     _, arrows = one_arrow(50.0)
     between_heads = np.split(arrows[0], 3)
     for a, b in (pair for boxes in between_heads for pair in pairwise(boxes)):
@@ -180,16 +180,16 @@ def test_neighbouring_boxes_touch_so_that_the_ribbon_has_no_gaps() -> None:
         assert np.linalg.norm(ahead - behind) < a["size"][0] * 2 + b["size"][0] * 2
 
 
-def test_colours_tell_the_sign() -> None:
+def test_colors_show_the_sign() -> None:
     for torque, rgba in ((5.0, POSITIVE_RGBA), (-5.0, NEGATIVE_RGBA)):
         _, arrows = one_arrow(torque)
         assert np.abs(arrows["rgba"][0] - np.array(rgba)).max() < 1e-6
-    # Told apart without colour as well: their lightness differs by more than a fifth.
+    # Distinguishable without color, too: their lightness differs by more than a fifth.
     light = [np.dot(rgba[:3], (0.2126, 0.7152, 0.0722)) for rgba in (POSITIVE_RGBA, NEGATIVE_RGBA)]
     assert abs(light[0] - light[1]) > 0.2
 
 
-def test_zero_torque_and_missing_torque_show_no_arrow() -> None:
+def test_zero_and_missing_torques_show_no_arrow() -> None:
     assert len(drawn(world_of(torques=np.zeros(7), show_arrows=True))) == 0
     assert len(drawn(world_of(show_arrows=True))) == 0
     # A thousandth of the limit is noise, a hundredth is not.
@@ -198,18 +198,18 @@ def test_zero_torque_and_missing_torque_show_no_arrow() -> None:
     assert ribbons(world_of(torques=limit * 1e-2, show_arrows=True)).shape[0] == 7
 
 
-def test_a_hidden_arrow_is_not_drawn_and_the_others_are() -> None:
+def test_hidden_arrow_is_not_drawn_and_the_others_are() -> None:
     world = world_of(torques=np.full(7, 10.0), show_arrows=True)
     toggles = toggles_of(world)
     toggles.arrows[[1, 4]] = False
     assert ribbons(world, toggles=toggles).shape[0] == 5
 
 
-def test_width_at_the_limit_is_the_radius_and_two_percent_is_still_readable() -> None:
+def test_width_at_the_limit_is_the_radius_and_two_percent_is_readable() -> None:
     limit, radius = np.array([176.0]), np.array([0.1])
     full = arrow_widths(limit, limit, radius, np.array([0.01]), BAND)
     assert full == pytest.approx([0.1])
-    # A seventh of full width: at 800 pixels height and the default camera, 5 pixels.
+    # A seventh of full width: 5 pixels at 800 pixels height and the default camera.
     assert arrow_widths(0.02 * limit, limit, radius, np.array([0.01]), BAND) > 0.14 * full
     assert arrow_widths(limit, limit, radius, np.array([0.02]), BAND) == pytest.approx([0.15])
 
@@ -221,7 +221,7 @@ def test_width_at_the_limit_is_the_radius_and_two_percent_is_still_readable() ->
     radius=st.floats(0.01, 1),
     scale=st.floats(1e-4, 0.1),
 )
-def test_width_is_monotone_bounded_and_blind_to_the_sign(a, b, limit, radius, scale) -> None:
+def test_width_is_monotone_bounded_and_independent_of_the_sign(a, b, limit, radius, scale) -> None:
     torques = np.array([min(a, b), max(a, b), -max(a, b)])
     limits, radii = np.full(3, limit), np.full(3, radius)
     low, high, negative = arrow_widths(torques, limits, radii, np.full(3, scale), BAND)
@@ -229,14 +229,14 @@ def test_width_is_monotone_bounded_and_blind_to_the_sign(a, b, limit, radius, sc
     assert arrow_widths(np.zeros(3), limits, radii, np.full(3, scale), BAND).tolist() == [0, 0, 0]
 
 
-def test_without_a_limit_the_scale_alone_gives_the_width() -> None:
+def test_width_without_a_limit_follows_the_scale() -> None:
     width = arrow_widths(
         np.array([3.0]), np.array([np.inf]), np.array([0.1]), np.array([0.01]), BAND
     )
     assert width == pytest.approx([0.03])
 
 
-def test_drawn_width_is_what_arrow_widths_says() -> None:
+def test_drawn_width_equals_arrow_widths() -> None:
     _, arrows = one_arrow(25.0)
     limit = 100.0
     tail = arrows["size"][0][:5, 2] * 2
@@ -244,7 +244,7 @@ def test_drawn_width_is_what_arrow_widths_says() -> None:
 
 
 @pytest.mark.parametrize("force", [4.0, -4.0])
-def test_a_prismatic_joint_gets_a_straight_arrow_along_its_force(force: float) -> None:
+def test_prismatic_joint_has_a_straight_arrow_along_its_force(force: float) -> None:
     robot = SerialRobot(
         dh_convention="craig",
         dh_params=[[0.4, 0.1, 0.2, 0.3]],
@@ -257,7 +257,7 @@ def test_a_prismatic_joint_gets_a_straight_arrow_along_its_force(force: float) -
     assert rows["type"][0] == int(GEOM.mjGEOM_ARROW)
     axis = robot.dh.frames([0.0])[1][:3, 2]
     assert rows["mat"][0][:, 2] == pytest.approx(np.sign(force) * axis, abs=1e-6)
-    # Beside the link, where it can be seen: its middle is one radius off the axis.
+    # Beside the link, where it is visible: its center is one radius from the axis.
     radius = robot.arrow_radii[0]
     middle = rows["pos"][0] + rows["mat"][0][:, 2] * (1.25 * radius)
     off = middle - robot.dh.frames([0.0])[1][:3, 3]
@@ -283,7 +283,7 @@ def test_arrows_of_51_joints_stay_within_their_budget() -> None:
     assert 0.8 * most < buffer.count <= most
 
 
-def test_below_the_dead_band_there_is_no_arrow_and_it_grows_from_there() -> None:
+def test_no_arrow_below_the_dead_band_and_continuous_growth_above() -> None:
     limit, radius, scale = np.full(4, 50.0), np.full(4, 0.1), np.full(4, 0.01)
     shares = np.array([0.019, 0.0201, 0.03, 0.04])
     widths = arrow_widths(shares * limit, limit, radius, scale, np.full(4, 0.02))
@@ -292,7 +292,7 @@ def test_below_the_dead_band_there_is_no_arrow_and_it_grows_from_there() -> None
     assert widths[3] == pytest.approx(0.1 * np.sqrt(0.04))
 
 
-def test_an_arrow_beyond_its_limit_is_striped_and_one_at_it_is_not() -> None:
+def test_arrow_beyond_its_limit_is_striped_and_one_at_it_is_not() -> None:
     for torque, stripes, of_heads in ((100.0, 0, 0), (101.0, 9, 24), (-150.0, 9, 24)):
         world, arrows = one_arrow(torque)
         dark = (arrows["rgba"][0][:, :3] < 0.2).all(axis=1)
@@ -303,7 +303,7 @@ def test_an_arrow_beyond_its_limit_is_striped_and_one_at_it_is_not() -> None:
 
 
 @pytest.mark.parametrize("budget", [*range(6, 100)])
-def test_a_ribbon_has_as_many_geoms_as_it_may_and_heads_spread_over_it(budget: int) -> None:
+def test_ribbon_uses_its_geom_budget_and_distributes_heads(budget: int) -> None:
     shape = ribbon_shape(budget)
     boxes, triangles = len(shape.middle), len(shape.triangles)
     assert shape.geoms == boxes + triangles == budget
@@ -311,7 +311,7 @@ def test_a_ribbon_has_as_many_geoms_as_it_may_and_heads_spread_over_it(budget: i
     count = 3 if budget >= 58 else 2 if budget >= 24 else 1
     assert tips == pytest.approx((np.arange(count) + 1) * np.deg2rad(315) / count)
     assert shape.triangles.max() < 4 * len(shape.rings)
-    # Boxes meet each other, and the barbs and necks of heads.
+    # Boxes meet each other and the barbs and necks of heads.
     begin, end = shape.middle - shape.half_angle, shape.middle + shape.half_angle
     barbs = shape.rings[np.diff(shape.own, prepend=0.0) > 0]
     ends = np.sort(np.concatenate([begin, end, barbs, tips]))
@@ -326,7 +326,7 @@ def test_a_ribbon_has_as_many_geoms_as_it_may_and_heads_spread_over_it(budget: i
     ("quantity", "expected"),
     [("torques", [30, 0, 0]), ("torque_error", [-20, 40, 0]), ("joint_accelerations", [0, 0, -2])],
 )
-def test_arrows_show_the_quantity_that_the_scene_chooses(quantity, expected) -> None:
+def test_arrows_show_the_quantity_declared_in_the_scene(quantity, expected) -> None:
     pad = [0.0] * 4
     world = world_of(
         torques=[30.0, 0, 0, *pad],
@@ -348,7 +348,7 @@ def test_arrows_show_the_quantity_that_the_scene_chooses(quantity, expected) -> 
         assert arrow["rgba"][0] == pytest.approx(colour)
 
 
-def test_arrows_show_what_the_model_of_gravity_does_not_explain() -> None:
+def test_arrows_show_the_torque_not_explained_by_gravity() -> None:
     angles = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
     lwr = SerialRobot.from_model("lwr", arrow_quantity="torque_without_gravity", name="lwr")
     held = inverse_dynamics(lwr, robot_dynamics(lwr), angles)
@@ -364,17 +364,17 @@ def test_arrows_show_what_the_model_of_gravity_does_not_explain() -> None:
     assert limit == pytest.approx(world.joints.torque_limit)
 
 
-def test_a_robot_that_holds_nothing_has_no_such_arrows(caplog: pytest.LogCaptureFixture) -> None:
+def test_floating_robot_has_no_arrows_without_gravity(caplog: pytest.LogCaptureFixture) -> None:
     robot = SerialRobot.from_model("lwr", name="lwr", free_base=True, torques=np.ones(7))
     world = World(Scene(robots=[robot], floor=False))
     data, quantity = world.make_data(), np.full(7, 4)
     for _ in range(2):
         shown, _ = arrow_values(world, data, joint_values(world, data), quantity)
         assert np.isnan(shown).all()
-    assert caplog.text.count("has a free base: it holds nothing") == 1
+    assert caplog.text.count("has a free base, and cannot hold itself against gravity") == 1
 
 
-def test_arrows_show_what_the_declared_friction_does_not_explain() -> None:
+def test_arrows_show_the_torque_not_explained_by_friction() -> None:
     lwr = SerialRobot.from_model(
         "lwr", name="lwr", inputs=["joint_velocities"], torques=np.linspace(-9.0, 9.0, 7)
     )
@@ -385,7 +385,7 @@ def test_arrows_show_what_the_declared_friction_does_not_explain() -> None:
     velocities = np.array([0.5, -1.0, 0.02, -0.3, 2.0, -0.05, 0.8])
     dofs = moving.robots["lwr"].dofs
     physics.qvel[dofs] = velocities
-    mujoco.mj_forward(moving.model, physics)  # MuJoCo's friction acts against motion
+    mujoco.mj_forward(moving.model, physics)  # MuJoCo's friction acts against the motion
     rows = physics.efc_type == int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
     friction = np.zeros(7)
     friction[physics.efc_id[rows]] = -physics.efc_force[rows]
@@ -393,7 +393,7 @@ def test_arrows_show_what_the_declared_friction_does_not_explain() -> None:
     quantity = np.full(14, ARROW_QUANTITIES.index("torque_without_friction"))
     for received in (False, True):
         if received:
-            data.qvel[:] = 7.0  # of which nothing is taken
+            data.qvel[:] = 7.0  # nothing is subtracted from it
             world.set_input(data, "lwr.joint_velocities", velocities)
         else:
             data.qvel[world.robots["lwr"].dofs] = velocities
@@ -403,7 +403,7 @@ def test_arrows_show_what_the_declared_friction_does_not_explain() -> None:
         assert limit == pytest.approx(world.joints.torque_limit)
 
 
-def test_friction_changes_its_sign_without_a_jump() -> None:
+def test_friction_changes_sign_without_a_jump() -> None:
     lwr = SerialRobot.from_model("lwr", name="lwr")
     slow = np.linspace(-2 * SLOW, 2 * SLOW, 401)[:, None] * np.ones(7)
     friction = friction_of(lwr, slow)
@@ -415,7 +415,7 @@ def test_friction_changes_its_sign_without_a_jump() -> None:
     )
 
 
-def test_a_robot_that_declares_no_friction_has_no_such_arrows(
+def test_robot_without_declared_friction_has_no_such_arrows(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     robots = [
@@ -435,7 +435,7 @@ def test_a_robot_that_declares_no_friction_has_no_such_arrows(
     ]
 
 
-# ---- the largest torque seen
+# ---- the largest torque so far
 
 
 def largest_of(limits: object = "largest", **fields: object) -> World:
@@ -444,7 +444,7 @@ def largest_of(limits: object = "largest", **fields: object) -> World:
     return World(Scene(robots=[lwr], doubles=[double], floor=False))
 
 
-def test_without_a_limit_the_largest_torque_seen_is_one() -> None:
+def test_largest_torque_so_far_is_the_scale_without_a_limit() -> None:
     world = largest_of(show_arrows=True)
     data, quantity = world.make_data(), np.zeros(14, np.intp)
 
@@ -464,7 +464,7 @@ def test_without_a_limit_the_largest_torque_seen_is_one() -> None:
     assert limit == pytest.approx(np.tile(largest, 2))  # a double has its robot's scale
     assert seen(noise)[1] == pytest.approx(np.tile(largest, 2))  # so far
     widths = arrow_widths(peaks, limit[:7], np.full(7, 0.1), np.full(7, 0.01), np.full(7, 0.002))
-    assert widths[[0, 1, 6]] == pytest.approx(0.1)  # full
+    assert widths[[0, 1, 6]] == pytest.approx(0.1)  # full width
     for wrong in (np.nan, np.inf, 1e30):
         shown, limit = seen(np.full(7, wrong))
         assert np.isnan(shown[:7]).all()
@@ -472,10 +472,10 @@ def test_without_a_limit_the_largest_torque_seen_is_one() -> None:
     commanded = np.zeros(7)
     commanded[5] = largest[5] = 2 * largest[5]
     assert seen(commanded, "goal.commanded_torques")[1] == pytest.approx(np.tile(largest, 2))
-    assert np.isinf(world.robots["lwr"].robot.torque_bounds).all()  # nothing is limited by it
+    assert np.isinf(world.robots["lwr"].robot.torque_bounds).all()  # it limits nothing
 
 
-def test_the_floor_is_a_share_of_the_load_where_it_is_known() -> None:
+def test_initial_scale_is_a_share_of_the_gravity_load() -> None:
     joints = largest_of(fit_arrows=True).joints
     assert np.isfinite(joints.arrow_load).all()
     assert joints.torque_limit == pytest.approx(0.1 * joints.arrow_load)
@@ -484,7 +484,7 @@ def test_the_floor_is_a_share_of_the_load_where_it_is_known() -> None:
     assert joints.torque_limit == pytest.approx(np.ones(14))
 
 
-def test_limits_set_by_hand_stay_beside_the_largest_seen() -> None:
+def test_declared_limits_are_combined_with_the_largest_torque() -> None:
     world = largest_of([100.0, "largest", 50.0, "largest", 20.0, 10.0, 10.0])
     data = world.make_data()
     world.set_input(data, "lwr.torques", np.full(7, 400.0))
@@ -502,7 +502,7 @@ def test_limits_set_by_hand_stay_beside_the_largest_seen() -> None:
         ([9.0] * 7, "torque limit"),
     ],
 )
-def test_legend_and_cards_say_that_the_limit_is_the_largest_seen(
+def test_legend_and_billboards_name_the_largest_torque_as_scale(
     limits: object, expected: str
 ) -> None:
     world = largest_of(limits, show_arrows=True, torques=np.full(7, 5.0))
@@ -523,7 +523,7 @@ def test_legend_and_cards_say_that_the_limit_is_the_largest_seen(
     ("limits", "expected"),
     [(None, "stanford"), ([9.0, np.inf, 9.0, 9.0, 9.0, 9.0], "without a limit")],
 )
-def test_legend_says_which_arrows_have_no_limit(limits: object, expected: str) -> None:
+def test_legend_names_robots_without_torque_limits(limits: object, expected: str) -> None:
     other = SerialRobot.from_model(
         "stanford", show_arrows=True, torques=np.ones(6), torque_limits=limits
     )
@@ -539,7 +539,7 @@ def test_legend_says_which_arrows_have_no_limit(limits: object, expected: str) -
 
 
 @pytest.mark.parametrize("limits", ["larger", [1.0, "largest", "x", 1, 1, 1, 1]])
-def test_other_words_are_no_limits(limits: object) -> None:
+def test_unknown_words_are_rejected_as_torque_limits(limits: object) -> None:
     with pytest.raises(DeclarationError) as caught:
         SerialRobot.from_model("lwr", torque_limits=limits)
     (problem,) = caught.value.problems
@@ -547,7 +547,7 @@ def test_other_words_are_no_limits(limits: object) -> None:
     assert problem.message == f"found '{word}'; expected a number, inf for no limit, or \"largest\""
 
 
-def test_one_joint_without_data_loses_its_arrow_and_the_others_go_on() -> None:
+def test_joint_without_valid_data_loses_only_its_own_arrow() -> None:
     world = world_of(torques=np.full(7, 20.0), show_arrows=True)
     data = world.make_data()
     slot = world.slots["lwr.torques"]
@@ -558,7 +558,7 @@ def test_one_joint_without_data_loses_its_arrow_and_the_others_go_on() -> None:
     assert len(ribbons(world, data)) == 7
 
 
-def test_a_straight_arrow_beyond_its_limit_is_dark() -> None:
+def test_straight_arrow_beyond_its_limit_is_dark() -> None:
     colours = []
     for force in (10.0, 11.0):
         robot = SerialRobot(
@@ -573,7 +573,7 @@ def test_a_straight_arrow_beyond_its_limit_is_dark() -> None:
     assert colours[1][:3] == pytest.approx(0.4 * np.array(POSITIVE_RGBA[:3]))
 
 
-def test_arrows_about_grown_shapes_are_clear_of_them() -> None:
+def test_arrows_are_outside_of_generated_shapes() -> None:
     for scale in (0.02, 1.0, 30.0):
         robot = SerialRobot(
             dh_convention="craig",
@@ -584,11 +584,11 @@ def test_arrows_about_grown_shapes_are_clear_of_them() -> None:
         )
         world = World(Scene(robots=[robot], floor=False))
         assert (robot.arrow_radii > 1.5 * robot.housing_radii).all()
-        model = world.model  # of cylinders only the pedestal's is as large
+        model = world.model  # only the pedestal's cylinder is as large
         sizes = model.geom_size[model.geom_type == int(GEOM.mjGEOM_CYLINDER), 0]
         assert np.sort(sizes)[-2] == pytest.approx(robot.housing_radii.max())
         assert ribbons(world).shape[0] == 3
-    # Axes that meet: both are clear of the larger housing, whichever row has the offset.
+    # Intersecting axes: both arrows are outside the larger housing, whichever row has the offset.
     for convention, rows in (
         ("craig", [[0, 0, 0, 0.7], [-np.pi / 2, 0, 0, 0], [0, 0.45, 0, 0]]),
         ("standard", [[-np.pi / 2, 0, 0, 0.7], [0, 0.45, 0, 0]]),
@@ -600,7 +600,7 @@ def test_arrows_about_grown_shapes_are_clear_of_them() -> None:
     assert declared.arrow_radii.tolist() == [0.3]
 
 
-def test_a_torque_that_cannot_be_is_said_where_no_arrow_shows_it() -> None:
+def test_implausible_torque_is_reported_where_no_arrow_shows_it() -> None:
     world = world_of(torques=np.full(7, 20.0), show_arrows=True)
     data = world.make_data()
     slot = world.slots["lwr.torques"]
@@ -618,7 +618,7 @@ def test_a_torque_that_cannot_be_is_said_where_no_arrow_shows_it() -> None:
         assert [text for text in shown if "times the limit" in text] == said
 
 
-def test_the_z_axis_is_drawn_at_joints_that_were_clicked_on() -> None:
+def test_z_axis_is_drawn_at_clicked_joints() -> None:
     world = world_of(torques=np.full(7, 20.0), show_arrows=True, joint_angles=POSE)
     data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
     assert "z" not in labels(decor.draw(data, toggles, view_at()).rows[: decor.buffer.count])

@@ -1,4 +1,4 @@
-"""Sources and routes: what is declared wrongly is told, all of it, with what would be right."""
+"""Sources and routes: all errors in their declarations are reported, with suggestions."""
 
 from __future__ import annotations
 
@@ -59,19 +59,19 @@ def written(folder: Path, text: str) -> Path:
 
 
 def problems_in(file: Path, overrides: dict[str, Any] | None = None) -> list[str]:
-    """What `load_scene` finds, without the folder."""
+    """Returns the problems that `load_scene` reports, without the folder."""
     with pytest.raises(DeclarationError) as caught:
         load_scene(file, overrides)
     return [str(problem).replace(f"{file.parent}/", "") for problem in caught.value.problems]
 
 
-def test_a_source_is_made_from_its_table() -> None:
+def test_source_is_made_from_its_table() -> None:
     table = {"kind": "udp", "structure": "1F", "port": 4711}
     source = make_source("robot", table)
     assert isinstance(source, UdpReceiver)
     assert (source.name, source.udpport) == ("robot", 4711)
     assert source.events == {"values0": (1,)}
-    assert table["kind"] == "udp"  # the table is left as it was
+    assert table["kind"] == "udp"  # the table is not changed
     assert make_source("other", source) is source
 
 
@@ -86,13 +86,13 @@ def test_a_source_is_made_from_its_table() -> None:
         ({"kind": {"udp": 1}}, f"kind: no kind {{udp = 1}}; available: {LISTED}"),
     ],
 )
-def test_another_kind_of_source_is_refused(table: dict[str, Any], message: str) -> None:
+def test_unknown_kind_of_source_is_rejected(table: dict[str, Any], message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         make_source("udp", table)
     assert str(caught.value).startswith(message)
 
 
-def test_files_and_python_have_the_same_fields_under_two_names() -> None:
+def test_source_fields_have_one_name_in_files_and_one_in_python() -> None:
     in_file = UdpReceiver(structure="1F", port=4711, double=False)
     in_python = UdpReceiver(structure="1F", udpport=4711, is_double=False)
     assert in_file.model_dump() == in_python.model_dump()
@@ -119,21 +119,21 @@ def test_files_and_python_have_the_same_fields_under_two_names() -> None:
         ({"structure": "1F", "buffer_size": -1}, "buffer_size: found -1; expected greater than"),
     ],
 )
-def test_wrong_fields_of_a_source_are_refused(fields: dict[str, Any], message: str) -> None:
+def test_invalid_fields_of_a_source_are_rejected(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         make_source("udp", {"kind": "udp", **fields})
     assert str(caught.value).startswith(message)
     assert len(caught.value.problems) == 1
 
 
-def test_everything_that_is_wrong_with_a_source_is_told_at_once() -> None:
+def test_all_errors_of_a_source_are_reported_at_once() -> None:
     wiring = wire(scene_of({}, {"udp": {"kind": "udp", "structure": "x", "port": -1, "hots": ""}}))
     keys = ["sources.udp.structure", "sources.udp.port", "sources.udp.hots"]
     assert sorted(problem.key for problem in wiring.problems) == sorted(keys)
     assert wiring.sources == {}
 
 
-def test_a_right_route_is_kept_as_robot_input_source_and_event() -> None:
+def test_valid_route_has_robot_input_source_and_event() -> None:
     scene = scene_of({"arm.joint_angles": "udp.values0", "arm.torques": "udp.values1"})
     wiring, inputs = wire(scene), list_inputs(scene)
     assert wiring.problems == []
@@ -189,7 +189,7 @@ def test_a_right_route_is_kept_as_robot_input_source_and_event() -> None:
         ),
     ],
 )
-def test_a_wrong_route_is_told_with_the_nearest_name(
+def test_invalid_route_is_reported_with_the_nearest_name(
     target: str, event: str, messages: list[str]
 ) -> None:
     wiring = wire(scene_of({target: event, "arm.billboard_values": "udp.values0"}))
@@ -204,13 +204,13 @@ def test_any_text_is_a_route_or_a_problem(target: str, event: str) -> None:
     assert len(wiring.routes) + bool(wiring.problems) == 1
 
 
-def test_a_mirror_refuses_what_is_wrong() -> None:
+def test_mirror_rejects_invalid_routes() -> None:
     with raises_with(key="routes.arm.torques", reason="no source 'upd'; did you mean 'udp'?"):
         Mirror(scene_of({"arm.torques": "upd.values0"}))
 
 
 @pytest.mark.parametrize("key", INPUTS)
-def test_a_router_writes_its_input_and_nothing_else(key: str) -> None:
+def test_router_writes_only_its_input(key: str) -> None:
     scene = Scene(
         robots=[arm("left", 3), arm("right", 3)],
         sources={"udp": {"kind": "udp", "structure": "3F"}},
@@ -257,7 +257,7 @@ def test_one_packet_drives_several_robots() -> None:
     assert (data.userdata[world.slots["right.torques"]] == numbers[21:]).all()
 
 
-def test_one_event_leads_to_several_inputs() -> None:
+def test_one_event_is_routed_to_several_inputs() -> None:
     scene = scene_of(dict.fromkeys((f"arm.{key}" for key in INPUTS), "udp.values0"))
     world, wiring = World(scene), wire(scene)
     assert [route.to.key for route in wiring.routes] == list(INPUTS)
@@ -269,7 +269,7 @@ def test_one_event_leads_to_several_inputs() -> None:
     assert (data.userdata[[world.flags[f"arm.{key}"] for key in INPUTS]] == 1.0).all()
 
 
-def test_everything_wrong_in_a_file_is_told_at_once_with_file_line_and_key(tmp_path: Path) -> None:
+def test_all_errors_in_a_file_are_reported_at_once_with_file_line_and_key(tmp_path: Path) -> None:
     file = written(
         tmp_path,
         ROBOT.replace("craig", "crag")
@@ -292,7 +292,7 @@ structure = "3F"
             "scene.toml:6: sources.udp.structure: structure '2F2F3X', character 6: found 'X', "
             "expected F, V, M, T, x or a type after a count, for example 7F1M",
             "scene.toml:12: routes.arm.torque: no input 'torque' of arm; did you mean 'torques'?",
-            # The robot is there, though it is wrong: its name is near enough to be meant.
+            # The robot exists, although it is invalid, so its name is suggested.
             "scene.toml:13: routes.amr.torques: no robot 'amr'; did you mean 'arm'?",
             "scene.toml:13: routes.amr.torques: no source 'ohter'; did you mean 'other'?",
             "scene.toml:14: routes.arm.torques: "
@@ -321,8 +321,10 @@ structure = "3F"
     ],
     ids=["file", "no file", "entry", "section", "source", "kind"],
 )
-def test_one_mistake_makes_one_problem(tmp_path: Path, robot: str, sources: str, only: str) -> None:
-    # The route to it is right: to call it wrong as well would send its author astray.
+def test_one_mistake_causes_one_problem(
+    tmp_path: Path, robot: str, sources: str, only: str
+) -> None:
+    # The route is valid. Reporting it would mislead the author.
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken/robot.toml").write_text('dh_convention = "crag"\ndh_params = [[0,0,0,1]]')
     routes = '[routes]\n"arm.torques" = "udp.values0"\n'
@@ -330,14 +332,14 @@ def test_one_mistake_makes_one_problem(tmp_path: Path, robot: str, sources: str,
     assert problem.startswith(only)
 
 
-def test_a_route_without_quotes_is_told_with_its_line(tmp_path: Path) -> None:
+def test_route_without_quotes_is_reported_with_its_line(tmp_path: Path) -> None:
     routes = '[routes]\n"arm.joint_angles" = "udp.values0"\narm.torques = "udp.values1"\n'
     (problem,) = problems_in(written(tmp_path, ROBOT + SOURCE + routes))
     assert problem.endswith("; put quotes about the whole name")
     assert problem.startswith("scene.toml:9: routes.arm")
 
 
-def test_a_mistyped_section_is_one_mistake(tmp_path: Path) -> None:
+def test_mistyped_section_is_one_mistake(tmp_path: Path) -> None:
     routes = '[routes]\n"arm.joint_angles" = "udp.values0"\n"arm.torques" = "udp.values1"\n'
     for section in ("sources", "robots"):
         text = (ROBOT + SOURCE + routes).replace(f"[{section}.", f"[{section[:-1]}.")
@@ -345,7 +347,7 @@ def test_a_mistyped_section_is_one_mistake(tmp_path: Path) -> None:
         assert f"{section[:-1]}: unknown section; did you mean '{section}'?" in problem
 
 
-def test_an_input_that_is_set_is_no_longer_routed_to(tmp_path: Path) -> None:
+def test_route_to_an_overridden_input_is_removed(tmp_path: Path) -> None:
     routes = '[routes]\n"arm.joint_angles" = "udp.values0"\n"arm.torques" = "udp.values1"\n'
     file = written(tmp_path, ROBOT + SOURCE + routes)
     assert len(load_scene(file).routes) == 2
@@ -365,6 +367,8 @@ def test_an_input_that_is_set_is_no_longer_routed_to(tmp_path: Path) -> None:
     ],
     ids=["robot", "length", "robots", "routes"],
 )
-def test_what_is_set_wrongly_is_told(tmp_path: Path, text: str, target: str, message: str) -> None:
+def test_invalid_overrides_are_reported(
+    tmp_path: Path, text: str, target: str, message: str
+) -> None:
     problems = problems_in(written(tmp_path, text), {target: [1.0, 2.0, 3.0]})
     assert any(message in problem for problem in problems), problems

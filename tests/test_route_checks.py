@@ -1,4 +1,4 @@
-"""What routes compute is checked when the scene is read: names, shapes, units, circles."""
+"""Route expressions are checked when the scene is read: names, shapes, units, cycles."""
 
 from __future__ import annotations
 
@@ -83,20 +83,20 @@ from sero_mj.robots.declared.inputs import list_inputs
          "an event such as udp.values0, a number, ( or ["),
     ],
 )  # fmt: skip
-def test_shape_and_unit_are_checked_when_the_scene_is_read(
+def test_shapes_and_units_are_checked_when_a_scene_is_read(
     target: str, origin: Any, message: str
 ) -> None:
     assert messages({target: origin}) == ([message] if message else [])
 
 
-def test_every_wrong_name_of_an_expression_is_told() -> None:
+def test_every_unknown_name_of_an_expression_is_reported() -> None:
     found = messages({"lwr.torques": "upd.values0 + udp.values9 * degg"})
     assert [text.partition(";")[0] for text in found] == [
         "no source 'upd'", "no event 'values9' of udp", "no unit 'degg'"
     ]  # fmt: skip
 
 
-def test_a_source_is_meant_where_a_robot_has_the_same_name() -> None:
+def test_source_takes_precedence_over_a_robot_of_the_same_name() -> None:
     sources = {"leader": {"kind": "udp", "structure": "2F"}}
     assert messages({"lwr.torques": "leader.values0 * 2"}, sources=sources) == []
     assert messages({"lwr.torques": "leader.torques * 2"}, sources=sources) == [
@@ -118,12 +118,12 @@ def test_a_source_is_meant_where_a_robot_has_the_same_name() -> None:
         ),
     ],
 )
-def test_circles_are_told(routes: dict[str, str], circle: str) -> None:
+def test_cycles_are_reported(routes: dict[str, str], circle: str) -> None:
     (found,) = messages(routes)
     assert found == f"values that depend on each other: {circle}"
 
 
-def test_circles_of_values_and_of_frames_are_told_together() -> None:
+def test_cycles_of_values_and_frames_are_reported_together() -> None:
     routes = {
         "lwr.torques": "lwr.torques",
         "lwr.base_frame": "leader/flange",
@@ -144,7 +144,7 @@ WORDS += ["lwr/flange", "lwr.fwd_kin_base_to_flange", "deg", "not", *"+-*/()[],:
     st.sampled_from(sorted(list_inputs(scene_of({})))),
     st.lists(st.sampled_from(WORDS), max_size=9).map(" ".join),
 )
-def test_any_words_make_a_route_or_a_problem(target: str, origin: str) -> None:
+def test_any_text_is_a_route_or_a_problem(target: str, origin: str) -> None:
     wiring = wire(scene_of({target: origin}))
     made = len(wiring.routes) + len(wiring.frame_routes)
     in_circles = [problem for problem in wiring.problems if "follow each other" in problem.message]

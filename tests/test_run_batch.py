@@ -1,4 +1,4 @@
-"""Runs that are simulated together: each is the same as by itself, whatever differs or breaks."""
+"""Batched runs: each equals the same run alone, whatever differs or fails."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def run_alone(one: Scenario, compiler: Compiler, steps: int | None = None) -> Si
 
 
 def check(scenarios: list[Scenario], steps: int | None = None) -> list[Simulation]:
-    """Runs scenarios together, and compares each with a run by itself."""
+    """Runs scenarios in a batch and compares each with a run alone."""
     assert len({batch_key(one) for one in scenarios}) == 1
     compiler = Compiler()
     together = Simulation.together(scenarios, compiler)
@@ -101,7 +101,7 @@ def check(scenarios: list[Scenario], steps: int | None = None) -> list[Simulatio
     ],
     ids=["plain", "elastic", "loop", "elastic loop", "late drives"],
 )
-def test_what_differs_between_runs_stays_in_its_run(shared: dict[str, Any]) -> None:
+def test_differences_between_runs_stay_in_their_run(shared: dict[str, Any]) -> None:
     differing: list[dict[str, Any]] = [
         {},
         {"controller": STIFF, "targets": SWING, "seed": 3},
@@ -133,7 +133,7 @@ def test_what_differs_between_runs_stays_in_its_run(shared: dict[str, Any]) -> N
     ],
     ids=["gravity", "torque", "position", "feed-forward", "Cartesian", "in flange", "mixed"],
 )
-def test_controllers_of_all_kinds(controllers: list[dict[str, Any]]) -> None:
+def test_controllers_of_all_kinds_can_be_batched(controllers: list[dict[str, Any]]) -> None:
     check([scenario(controller=each, disturbances=PUSH) for each in controllers])
 
 
@@ -152,7 +152,7 @@ def test_cartesian_controllers_of_elastic_joints_behind_a_torque_loop() -> None:
         2,
     ),
 )
-def test_several_robots_mounted_ones_and_contacts(name: str, steps: int) -> None:
+def test_mounted_robots_and_contacts_can_be_batched(name: str, steps: int) -> None:
     file = find_scenario(name)
     runs = check([read_scenario(file, {"run.seed": seed}) for seed in (1, 2)], steps)
     if name in ("biped_stand", "table_contact"):
@@ -160,7 +160,7 @@ def test_several_robots_mounted_ones_and_contacts(name: str, steps: int) -> None
         assert max(np.abs(force).max() for force in forces) > 1.0
 
 
-def test_pushes_of_many_rows_are_those_of_mujoco_to_the_bit() -> None:
+def test_batched_pushes_equal_those_of_mujoco_bit_for_bit() -> None:
     rng = np.random.default_rng(0)
     given: list[dict[str, Any]] = [
         {"frame": "lwr/flange"},
@@ -188,7 +188,7 @@ def test_pushes_of_many_rows_are_those_of_mujoco_to_the_bit() -> None:
     assert (np.abs(torques).max(axis=1) > 0.1).tolist() == [True, False, True]
 
 
-def test_pushes_and_carried_objects_of_runs_that_begin_at_other_times() -> None:
+def test_pushes_and_carried_objects_can_begin_at_different_times() -> None:
     weight = Object(name="weight", shape="sphere", size=[0.05], frame={"xyz": [0.5, 0.0, 0.1]})
     robot = SerialRobot.from_model("lwr", joint_angles=HOME)
     scene = Scene(robots=[robot], objects=[weight], floor=False)
@@ -205,14 +205,14 @@ def test_pushes_and_carried_objects_of_runs_that_begin_at_other_times() -> None:
     assert np.ptp(frames[:, :3, 3], axis=0).max() > 1e-3
 
 
-def test_targets_that_move_alike_or_not() -> None:
+def test_equal_and_different_target_motions_can_be_batched() -> None:
     fast = {"lwr": {"kind": "sine", "amplitude_deg": 5.0, "frequency": 4.0}}
     check([scenario(targets=SWING), scenario(targets=SWING, controller=STIFF)])
     check([scenario(targets=SWING), scenario(targets=fast), scenario()])
 
 
 class Broken:
-    """Commands something else than numbers from a step on."""
+    """Commands values that are not torques from a step on."""
 
     def __init__(self, torque: float, at: float = 0.05) -> None:
         self.torque, self.at = torque, at
@@ -223,7 +223,7 @@ class Broken:
             out[3] = self.torque
 
 
-def test_a_run_that_breaks_ends_alone() -> None:
+def test_failing_run_ends_alone() -> None:
     free: dict[str, Any] = {"runaway_speed": 0.0, "robot": {"torque_limits": None}}
     broken = [Broken(np.nan), Broken(1e30), Broken(1e8, at=0.1)]
     runs = check([scenario(**free), *(scenario(**free, controller=each) for each in broken)])
@@ -231,7 +231,7 @@ def test_a_run_that_breaks_ends_alone() -> None:
     assert [run.is_done for run in runs[1:]] == [False, False, False]
     asked, motor, moved = (run.error for run in runs[1:])
     assert (asked.joint, asked.time) == ("lwr/A3", pytest.approx(0.05))
-    assert asked.reason == "the controller asks for nan Nm; expected a finite number"
+    assert asked.reason == "the controller requested nan Nm; expected a finite number"
     assert motor.reason.startswith("found a motor torque of 1e+30 Nm; expected ")
     assert (motor.joint, motor.problem.found) == ("lwr/A3", 1e30)
     assert moved.problem.reason == "the motion is unstable: found an acceleration of"
@@ -239,23 +239,23 @@ def test_a_run_that_breaks_ends_alone() -> None:
     assert moved.problem.expected == "lower gains, or a timestep below 0.001 s"
 
 
-def test_a_joint_that_runs_away_ends_its_run_alone() -> None:
+def test_runaway_joint_ends_its_run_alone() -> None:
     off = {"f": {"kind": "controller", "gain": -1.0, "joints": ["A2", "A4"], "begin": 0.02}}
     runs = check([scenario(duration=0.6, disturbances=PUSH), scenario(duration=0.6, faults=off)])
     assert runs[0].error is None
-    told = runs[1].error.problem
-    assert told.of == "rad/s, more than 3 times its velocity limit, 1.963 rad/s"
-    assert told.found > 3 * np.deg2rad(112.5)
+    problem = runs[1].error.problem
+    assert problem.of == "rad/s, more than 3 times its velocity limit, 1.963 rad/s"
+    assert problem.found > 3 * np.deg2rad(112.5)
 
 
 @pytest.mark.filterwarnings("ignore:overflow")
-def test_torques_that_are_not_finite_end_their_run_where_laws_are_asked_together() -> None:
+def test_torques_that_are_not_finite_end_their_run_in_a_joint_evaluation() -> None:
     wrong = {"f": {"kind": "sensor", "signal": "angles", "bias": 1e153, "begin": 0.05}}
     runs = check([scenario(), scenario(faults=wrong), scenario(controller=STIFF)])
     assert [run.error is None for run in runs] == [True, False, True]
 
 
-def test_a_run_that_cannot_be_made_is_told_alone() -> None:
+def test_invalid_run_is_reported_alone() -> None:
     shaking = {"kind": "joint_position", "stiffness": 1e6}
     scenarios = [scenario(controller=each) for each in (SOFT, shaking, STIFF)]
     first, second, third = Simulation.together(scenarios)
@@ -268,7 +268,7 @@ def test_a_run_that_cannot_be_made_is_told_alone() -> None:
     assert first.is_done
 
 
-def test_what_cannot_be_one_batch_has_other_keys() -> None:
+def test_runs_that_cannot_be_batched_have_different_keys() -> None:
     strong = {"f": {"kind": "controller", "gain": 1.5, "begin": 0.05}}
     same: list[dict[str, Any]] = [{}, {"seed": 4}, {"disturbances": PUSH}, {"faults": DRY}]
     others: list[dict[str, Any]] = [{"timestep": 0.002}, {"duration": 0.2}, {"faults": strong}]
@@ -276,7 +276,7 @@ def test_what_cannot_be_one_batch_has_other_keys() -> None:
     assert len({batch_key(scenario(**fields)) for fields in [{}, *others]}) == 4
 
 
-def test_a_controller_of_runs_that_are_controlled_together_is_not_changed() -> None:
+def test_batching_does_not_change_a_controller() -> None:
     compiler = Compiler()
     first, second = Simulation.together([scenario(), scenario()], compiler)
     assert isinstance(first, Simulation)
@@ -290,7 +290,7 @@ def test_a_controller_of_runs_that_are_controlled_together_is_not_changed() -> N
         ),
     ):
         first.use_controller("lwr", stiff)
-    # By itself it takes it over: the same gains from the start are the same run.
+    # Alone, the run takes the gains over: the same gains from the start are the same run.
     alone = Simulation(scenario(), compiler=compiler)
     alone.use_controller("lwr", stiff)
     alone.advance(20)

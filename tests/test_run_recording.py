@@ -32,7 +32,7 @@ from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulated_scene import SOURCE, simulated_scene
 from sero_mj.simulate.simulation import Simulation
 
-# Degrees and mNm; outputs of robots go into others.
+# Degrees and mNm; outputs of robots are used by others.
 SCENE = """\
 [robots.left]
 model = "lwr"
@@ -67,14 +67,14 @@ def mirrored(tmp_path: Path) -> tuple[Path, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(3)
     times = np.cumsum(rng.uniform(0.001, 0.004, 60))
     numbers = np.cumsum(rng.normal(size=(60, 28)), axis=0)
-    numbers[20, 9] = np.nan  # a torque that was not there
+    numbers[20, 9] = np.nan  # a missing torque
     path = tmp_path / "real.mcap"
     rows = {"values0": numbers[:, :7], "values1": numbers[:, 7:21], "values2": numbers[:, 21:]}
     record_packets(path, "7F14F7F", rows, times, {"scenes/mine.toml": SCENE})
     return path, times, numbers
 
 
-def test_a_recorded_simulation_is_the_run_that_it_was(tmp_path: Path) -> None:
+def test_recorded_simulation_equals_its_run(tmp_path: Path) -> None:
     simulation = simulated()
     found = read_run(record_run(simulation, tmp_path / "swing.mcap"))
     log = simulation.log
@@ -88,7 +88,7 @@ def test_a_recorded_simulation_is_the_run_that_it_was(tmp_path: Path) -> None:
             np.testing.assert_array_equal(found.signals[event], values, err_msg=event)
 
 
-def test_nan_in_a_simulation_is_kept(tmp_path: Path) -> None:
+def test_nan_in_a_simulation_is_recorded(tmp_path: Path) -> None:
     simulation = simulated()
     saved = simulation.rows[100].copy()
     column = simulation.layout.columns["lwr_torques"].start
@@ -101,7 +101,7 @@ def test_nan_in_a_simulation_is_kept(tmp_path: Path) -> None:
     assert np.isfinite(found.of("lwr", "torques")[101:]).all()
 
 
-def test_a_recorded_robot_is_read_through_its_routes(
+def test_recorded_robot_is_read_through_its_routes(
     mirrored: tuple[Path, np.ndarray, np.ndarray],
 ) -> None:
     path, times, numbers = mirrored
@@ -119,10 +119,10 @@ def test_a_recorded_robot_is_read_through_its_routes(
     assert np.isnan(run.of("left", "torques")[20, 2])
 
 
-def test_it_is_what_a_mirror_shows(
+def test_recorded_run_equals_the_mirror(
     mirrored: tuple[Path, np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
-    """The second route: the recording played through the mirror, packet by packet."""
+    """The second computation: the recording is played through the mirror, packet by packet."""
     path, times, _ = mirrored
     file = tmp_path / "mine.toml"
     file.write_text(SCENE)
@@ -141,21 +141,21 @@ def test_it_is_what_a_mirror_shows(
                 np.testing.assert_allclose(run.of("left", key)[k], shown, rtol=1e-12)
 
 
-def test_velocities_that_were_not_sent_are_differences(
+def test_missing_velocities_are_differences(
     mirrored: tuple[Path, np.ndarray, np.ndarray],
 ) -> None:
     path, _, numbers = mirrored
     run = read_run(path)
     before, after = run.times[10] - run.times[9], run.times[11] - run.times[10]
     left = np.deg2rad(numbers[:, :7])
-    # The parabola through three points, whose slope in the middle is this.
+    # The slope in the middle of the parabola through three points.
     slope = (
         (left[11] - left[10]) / after * before + (left[10] - left[9]) / before * after
     ) / (before + after)  # fmt: skip
     np.testing.assert_allclose(run.of("left", "joint_velocities")[10], slope, rtol=1e-6)
 
 
-def test_torques_of_models_are_computed_over_time(
+def test_model_torques_are_computed_over_time(
     mirrored: tuple[Path, np.ndarray, np.ndarray],
 ) -> None:
     path, times, numbers = mirrored
@@ -177,7 +177,7 @@ def test_torques_of_models_are_computed_over_time(
     np.testing.assert_allclose(run.of("left", "torques"), expected, atol=1e-6)
 
 
-def test_robots_and_routes_may_be_given(tmp_path: Path) -> None:
+def test_robots_and_routes_can_be_passed(tmp_path: Path) -> None:
     times, angles = np.arange(5) * 0.01, np.arange(35.0).reshape(5, 7)
     path = record_packets(tmp_path / "bare.mcap", "7F", {"values0": angles}, times, {})
     with raises_with(
@@ -197,7 +197,7 @@ def test_robots_and_routes_may_be_given(tmp_path: Path) -> None:
     np.testing.assert_array_equal(run.of("lwr", "joint_angles"), angles)
 
 
-def test_a_recorded_simulation_without_its_robot_asks_for_a_scene(tmp_path: Path) -> None:
+def test_recorded_simulation_without_its_robot_requires_a_scene(tmp_path: Path) -> None:
     path = record_run(simulated(), tmp_path / "alone.mcap", attach=False)
     with raises_with(
         RecordingError,
@@ -212,7 +212,7 @@ def test_a_recorded_simulation_without_its_robot_asks_for_a_scene(tmp_path: Path
         read_run(path, scene=other)
 
 
-def test_robots_with_other_joints_are_refused(tmp_path: Path) -> None:
+def test_robots_with_other_joints_are_rejected(tmp_path: Path) -> None:
     times, rows = np.arange(3) * 0.01, {"time": np.arange(3)[:, None] * 0.01,
                                         "lwr_angles": np.zeros((3, 6))}  # fmt: skip
     files = {"x/mine.toml": '[robots.lwr]\nmodel = "lwr"\n'}
@@ -225,7 +225,9 @@ def test_robots_with_other_joints_are_refused(tmp_path: Path) -> None:
         read_run(path)
 
 
-def test_what_is_wrong_is_told(tmp_path: Path, mirrored: tuple[Path, object, object]) -> None:
+def test_invalid_recordings_are_reported(
+    tmp_path: Path, mirrored: tuple[Path, object, object]
+) -> None:
     path = mirrored[0]
     with raises_with(
         UsageError, reason="no source", found="udq", of=f"in {tmp_path}/real.mcap", near="udp"
@@ -268,7 +270,7 @@ def test_what_is_wrong_is_told(tmp_path: Path, mirrored: tuple[Path, object, obj
         read_run(foreign)
 
 
-def test_a_recording_that_moves_no_robot_is_told(tmp_path: Path) -> None:
+def test_recording_that_moves_no_robot_is_reported(tmp_path: Path) -> None:
     scene = ('[robots.lwr]\nmodel = "lwr"\n[sources.udp]\nkind = "udp"\nstructure = "7F"\n'
              '[routes]\n"lwr.torques" = "udp.values0"\n')  # fmt: skip
     rows = {"values0": np.zeros((3, 7))}
@@ -300,7 +302,7 @@ def test_a_recording_that_moves_no_robot_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("scene_file", "model"), [("x", "rod/robot.toml"), ("rod_robot", "rods/rod 7.toml")]
 )
-def test_a_robot_that_is_not_installed_is_taken_from_the_recording(
+def test_robot_that_is_not_installed_is_read_from_the_recording(
     tmp_path: Path, scene_file: str, model: str
 ) -> None:
     own = ('dh_convention = "craig"\ndh_params = [[0, 0, 0, 0.2]]\ntorque_limits = [5.0]\n'
@@ -313,7 +315,7 @@ def test_a_robot_that_is_not_installed_is_taken_from_the_recording(
     path = record_packets(tmp_path / "rod.mcap", "1F", rows, np.arange(3.0), files)
     run = read_run(path)
     assert run.torque_limits("mine") == [5.0]
-    assert run.robots["mine"].filenames == []  # the meshes are not here: links grow
+    assert run.robots["mine"].filenames == []  # the meshes are not here: links are generated
     files.pop(model)
     path = record_packets(tmp_path / "gone.mcap", "1F", rows, np.arange(3.0), files)
     with pytest.raises(
@@ -322,7 +324,7 @@ def test_a_robot_that_is_not_installed_is_taken_from_the_recording(
         read_run(path)
 
 
-def test_a_urdf_is_taken_from_the_recording_where_the_folder_is_another(
+def test_urdf_is_read_from_the_recording_if_its_folder_has_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     urdf, scenario = tmp_path / "arm.urdf", tmp_path / "arm.toml"
@@ -348,7 +350,7 @@ def test_a_urdf_is_taken_from_the_recording_where_the_folder_is_another(
     assert robot_dynamics(robot).masses == pytest.approx([0.0, 2.0], abs=1e-6)
 
 
-def test_packets_that_came_at_once_count_as_one(tmp_path: Path) -> None:
+def test_packets_with_the_same_arrival_time_count_as_one(tmp_path: Path) -> None:
     times = np.array([0.0, 0.1, 0.1, 0.1, 0.2])
     files = {"x/mine.toml": '[robots.lwr]\nmodel = "lwr"\n[sources.udp]\nkind = "udp"\n'
              'structure = "7F"\n[routes]\n"lwr.joint_angles" = "udp.values0"\n'}  # fmt: skip
@@ -358,14 +360,14 @@ def test_packets_that_came_at_once_count_as_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.of("lwr", "joint_angles")[:, 0], [0.0, 3.0, 4.0])
 
 
-def test_what_was_recorded_is_in_the_file_half_a_second_later(tmp_path: Path) -> None:
+def test_recorded_rows_are_in_the_file_within_half_a_second(tmp_path: Path) -> None:
     simulation = simulated(duration=0.1)
     path = tmp_path / "run.mcap"
     with RunRecorder(simulation, path) as recorder:
         recorder.write(0, 51)
         time.sleep(FLUSH_AFTER + 0.05)
         recorder.write(51, 61)
-        with Recording(path) as recording:  # as it is found when the process is killed now
+        with Recording(path) as recording:  # as found if the process is killed now
             assert [at for at, _ in recording.packets(SOURCE)] == pytest.approx(
                 simulation.rows[:61, 0], abs=1e-6
             )
@@ -376,7 +378,7 @@ def test_values_of_signals_belong_to_their_rows(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with RunRecorder(simulation, path, signals_rate=100.0) as recorder:
         recorder.write(0, 15)
-        recorder.write(15, 16)  # none of them is its turn
+        recorder.write(15, 16)  # none of these rows is due
         recorder.write(16, 101)
     _, _, found = signals_in(path, f"/{SOURCE}/signals")
     assert list(found) == list(range(0, 101, 10))
@@ -403,11 +405,11 @@ structure = "7F7F"
 """
 
 
-# ---- files of before, in which measured angles and velocities had other names
+# ---- older files, in which measured angles and velocities had other names
 
 
 @pytest.mark.extensions
-def test_an_old_recording_is_the_same_run(tmp_path: Path) -> None:
+def test_old_recording_equals_the_same_run(tmp_path: Path) -> None:
     new = read_run(record_run(simulated(), tmp_path / "new.mcap"))
     old = read_run(record_run(simulated(), tmp_path / "old.mcap", is_old=True))
     assert new.signals.keys() == old.signals.keys() >= {"lwr_joint_angles", "lwr_joint_velocities"}
@@ -424,7 +426,7 @@ def exported(recording: Path) -> Path:
 
 
 @pytest.mark.extensions
-def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_from(
+def test_tables_of_simulations_and_packets_equal_their_runs(
     tmp_path: Path,
 ) -> None:
     simulation = simulated()
@@ -435,7 +437,7 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
         np.testing.assert_array_equal(log.times, run.times)
         for signal in ("joint_angles", "joint_velocities", "torques", "commanded_torques"):
             np.testing.assert_array_equal(log.of("lwr", signal), run.of("lwr", signal))
-    # Of a robot, in the units of its packets.
+    # From a robot, in the units of its packets.
     path = tmp_path / "scene.toml"
     path.write_text(DEGREES)
     times = 1e-3 * np.arange(len(run.times))
@@ -480,7 +482,7 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
     [["compare", "{csv}", "{mcap}", "--tolerance-torque", "1e-6"], ["compare", "{csv}"],
      ["identify", "{csv}"], ["plot", "{csv}", "-o", "{out}"]],
 )  # fmt: skip
-def test_commands_for_recordings_take_tables(arguments: list[str], tmp_path: Path) -> None:
+def test_commands_for_recordings_accept_tables(arguments: list[str], tmp_path: Path) -> None:
     mcap = record_run(simulated(), tmp_path / "run.mcap")
     names = {"csv": exported(mcap), "mcap": mcap, "out": tmp_path / "out.svg"}
     with pytest.raises(SystemExit) as ended:
@@ -489,7 +491,7 @@ def test_commands_for_recordings_take_tables(arguments: list[str], tmp_path: Pat
 
 
 @pytest.mark.extensions
-def test_an_old_table_is_the_same_run(tmp_path: Path) -> None:
+def test_old_table_equals_the_same_run(tmp_path: Path) -> None:
     scene = simulated().scenario.scene
     write_run_csv(simulated().layout, simulated().rows, tmp_path / "new.csv")
     text = (tmp_path / "new.csv").read_text()
@@ -502,7 +504,7 @@ def test_an_old_table_is_the_same_run(tmp_path: Path) -> None:
     assert new.signals.keys() == old.signals.keys() >= {"lwr_joint_angles", "lwr_joint_velocities"}
 
 
-def test_an_old_recording_plays_in_the_scene_of_its_scenario(tmp_path: Path) -> None:
+def test_old_recording_plays_in_the_scene_of_its_scenario(tmp_path: Path) -> None:
     simulation = simulated()
     scene = simulated_scene(simulation)
     replay_instead(scene, record_run(simulation, tmp_path / "old.mcap", is_old=True), None)
@@ -561,7 +563,7 @@ def folder_of_claws(folder: Path, scene: str) -> Path:
     return folder / "lab" / "scene.toml"
 
 
-def test_groups_are_read_from_the_recording_itself(
+def test_groups_are_read_from_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = folder_of_claws(tmp_path / "there", CLAWS)
@@ -578,7 +580,8 @@ def test_groups_are_read_from_the_recording_itself(
     assert [*run.robots] == ["arm", "claw_two", "claw_one"]
     assert run.torque_limits("claw_one").tolist() == [3.0, 4.0, 5.0]
     assert run.torque_limits("claw_two").tolist() == [6.0, 7.0, 8.0]
-    two = np.deg2rad(values[:, [2, 3, 3]]) * [1.0, 1.0, 2.0]  # the distal joint turns twice as far
+    # The distal joint rotates twice as far.
+    two = np.deg2rad(values[:, [2, 3, 3]]) * [1.0, 1.0, 2.0]
     np.testing.assert_allclose(run.of("claw_two", "joint_angles"), two)
     np.testing.assert_array_equal(run.of("claw_two", "torques"), values[:, 8:11])
     np.testing.assert_array_equal(run.of("arm", "joint_angles"), np.deg2rad(values[:, 4:5]))
@@ -595,7 +598,7 @@ def test_groups_are_read_from_the_recording_itself(
     )
 
 
-def test_a_simulated_group_is_the_run_that_it_was(tmp_path: Path) -> None:
+def test_simulated_group_equals_its_run(tmp_path: Path) -> None:
     file = folder_of_claws(
         tmp_path / "there",
         '[groups.claw]\nmodel = "parts/claw"\n[run]\nduration = 0.05\n'
@@ -613,7 +616,7 @@ def test_a_simulated_group_is_the_run_that_it_was(tmp_path: Path) -> None:
     np.testing.assert_array_equal(run.of("claw_two", "joint_angles"), angles)
 
 
-def test_a_recorded_group_by_itself_is_called_after_its_folder(tmp_path: Path) -> None:
+def test_recorded_group_alone_is_named_after_its_folder(tmp_path: Path) -> None:
     folder_of_claws(tmp_path, "")
     scene = load_scene(tmp_path / "parts" / "claw" / "group.toml")
     files = {f"{each.parent.name}/{each.name}": each.read_text() for each in scene.files()}
@@ -626,7 +629,7 @@ def test_a_recorded_group_by_itself_is_called_after_its_folder(tmp_path: Path) -
     assert [*read_run(tmp_path / "run.mcap").robots] == ["claw_one", "claw_two"]
 
 
-def test_bunches_are_spread_evenly_and_other_packets_are_left_where_they_came() -> None:
+def test_bursts_are_spread_evenly_and_other_packets_unchanged() -> None:
     rng = np.random.default_rng(3)
     sent = 1e-3 * np.arange(4000)
     sent[2000:] += 5.0  # a pause
@@ -634,7 +637,8 @@ def test_bunches_are_spread_evenly_and_other_packets_are_left_where_they_came() 
     np.testing.assert_array_equal(spread_bunches(uneven), uneven)
     few = np.array([0.0, 0.1, 0.1, 0.5])
     np.testing.assert_array_equal(spread_bunches(few), few)
-    held = sent.reshape(-1, 4).repeat(4, axis=0)[::4, -1].repeat(4)  # all four with the last one
+    # All four together with the last one.
+    held = sent.reshape(-1, 4).repeat(4, axis=0)[::4, -1].repeat(4)
     np.testing.assert_allclose(spread_bunches(held), sent, atol=1e-9)
     lost = np.delete(held, np.arange(3, 4000, 100))
     assert np.abs(spread_bunches(lost) - np.delete(sent, np.arange(3, 4000, 100))).max() < 2e-3

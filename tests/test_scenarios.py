@@ -1,4 +1,4 @@
-"""Scenarios: files, what is wrong in them, and whether what must hold does."""
+"""Scenarios: files, their errors, and their expectations."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def problems(**fields: Any) -> list[str]:
 
 
 @pytest.mark.parametrize("name", list_scenarios())
-def test_everything_that_a_shipped_scenario_expects_holds(name: str) -> None:
+def test_all_expectations_of_a_shipped_scenario_hold(name: str) -> None:
     declared = read_scenario(name)
     assert declared.description and declared.expect
     outcomes = ran(declared).outcomes()
     assert [outcome.text for outcome in outcomes if not outcome.holds] == []
 
 
-def test_the_scenarios_that_the_issue_asks_for_are_there() -> None:
+def test_required_scenarios_are_shipped() -> None:
     assert set(list_scenarios()) >= {
         "hand_guiding", "impedance_push", "drive_home", "table_contact", "sensor_fault",
         "controller_fault", "payload", "singularity_pass", "haptic_position", "haptic_torque",
@@ -87,7 +87,7 @@ def read(tmp_path: Path, text: str, overrides: dict[str, Any] | None = None) -> 
     return read_scenario(path, overrides)
 
 
-def test_run_jit_has_no_effect_any_more_and_that_is_told_once(
+def test_obsolete_run_jit_is_ignored_with_one_warning(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     for value in ("true", "false", "'yes'"):
@@ -100,7 +100,7 @@ def test_run_jit_has_no_effect_any_more_and_that_is_told_once(
     assert caplog.messages == ["run.jit has no effect any more; remove it"]
 
 
-def test_a_file_is_read_and_anything_can_be_set_over_it(tmp_path: Path) -> None:
+def test_file_is_read_and_anything_can_be_overridden(tmp_path: Path) -> None:
     declared = read(tmp_path, BASE)
     assert (declared.name, declared.run.duration, declared.run.timestep) == ("mine", 0.1, 0.001)
     over = {"controllers.lwr.stiffness": 100, "run.seed": 7, "lwr.show_axes": True}
@@ -113,7 +113,7 @@ def test_a_file_is_read_and_anything_can_be_set_over_it(tmp_path: Path) -> None:
     assert not is_scenario(tmp_path / "scene.toml")
 
 
-def test_a_scenario_may_take_another_files_scene(tmp_path: Path) -> None:
+def test_scenario_can_use_the_scene_of_another_file(tmp_path: Path) -> None:
     (tmp_path / "arms.toml").write_text('[robots.arm]\nmodel = "lwr"\n')
     declared = read(tmp_path, 'scene = "arms.toml"\n[targets.arm]\nkind = "constant"\n')
     assert list(declared.scene.robots) == ["arm"]
@@ -175,7 +175,7 @@ def test_a_scenario_may_take_another_files_scene(tmp_path: Path) -> None:
             "[expect.e]\nfinds='torque_error'\ncause='psh'\n",
             Problem("expect.e.cause", "no disturbance or fault", found="psh", available=[]),
         ),
-        (  # and not that there is no push
+        (  # and no error about the missing push
             "[disturbances.push]\nkind='force'\nat='lwr/flange'\nforce=[0,0]\n"
             "[expect.e]\nfinds='torque_error'\ncause='push'\n",
             Problem("disturbances.push.force", "found 2; expected 3 numbers"),
@@ -190,7 +190,9 @@ def test_a_scenario_may_take_another_files_scene(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_told_with_its_key(tmp_path: Path, text: str, problem: Problem) -> None:
+def test_invalid_entries_are_reported_with_their_key(
+    tmp_path: Path, text: str, problem: Problem
+) -> None:
     with pytest.raises(DeclarationError) as caught:
         read(tmp_path, BASE + text)
     (told,) = caught.value.problems
@@ -198,28 +200,28 @@ def test_what_is_wrong_is_told_with_its_key(tmp_path: Path, text: str, problem: 
     assert str(told.file).endswith("mine.toml") and told.line
 
 
-def test_an_unknown_name_lists_what_there_is() -> None:
+def test_unknown_scenario_is_rejected_with_a_suggestion() -> None:
     with raises_with(UnknownName, kind="scenario", name="hand_guidin", near="hand_guiding"):
         read_scenario("hand_guidin")
 
 
-def test_what_is_set_has_to_be_there(tmp_path: Path) -> None:
-    for key, told in (
+def test_overridden_keys_must_exist(tmp_path: Path) -> None:
+    for key, expected in (
         ("controllers.lwrr.stiffness", {"reason": "no robot", "found": "lwrr", "near": "lwr"}),
         ("run.duratio", {"reason": "unknown key", "near": "duration"}),
         ("controllers.lwr.stifness", {"reason": "unknown key", "near": "stiffness"}),
     ):
-        with raises_with(key=key, **told):
+        with raises_with(key=key, **expected):
             read(tmp_path, BASE, {key: 1})
 
 
-# ---- what only shows when it is compiled
+# ---- errors that are detected after compiling
 
 
-def test_what_cannot_work_is_told_before_the_first_step() -> None:
+def test_infeasible_targets_and_controllers_are_rejected_before_the_first_step() -> None:
     far = {"kind": "constant", "angles_deg": [0, 130, 0, 0, 0, 0, 0]}
     assert problems(targets={"lwr": far}) == [
-        "targets.lwr: joint A2 is to be at 130 deg at t = 0.000 s; expected -120 to 120 deg"
+        "targets.lwr: the target of joint A2 is 130 deg at t = 0.000 s; expected -120 to 120 deg"
     ]
     (found,) = problems(
         controllers={"lwr": {"kind": "cartesian_impedance"}},
@@ -239,15 +241,15 @@ def test_what_cannot_work_is_told_before_the_first_step() -> None:
     assert "joint E1 has 0" in found
 
 
-def test_a_log_that_is_too_large_is_told() -> None:
+def test_too_large_log_is_rejected() -> None:
     (found,) = problems(duration=1e5, timestep=1e-4)
     assert found.startswith("run.duration: found 1000000000 steps, a log of ")
 
 
-# ---- pieces
+# ---- parts
 
 
-def test_a_force_acts_by_its_profile() -> None:
+def test_force_follows_its_profile() -> None:
     times = np.array([0.0, 1.0, 1.5, 2.0, 2.5])
     force = {"at": "x", "force": [0, 0, 1.0], "begin": 1.0, "end": 2.0}
     assert Force(**force).share(times).tolist() == [0, 1, 1, 0, 0]
@@ -266,7 +268,7 @@ def test_a_force_acts_by_its_profile() -> None:
 
 
 @pytest.mark.extensions
-def test_a_recorded_motion_is_followed_again(tmp_path: Path) -> None:
+def test_recorded_motion_can_be_a_target(tmp_path: Path) -> None:
     swing = {"lwr": {"kind": "sine", "amplitude_deg": 10.0, "frequency": 0.5}}
     first = Simulation(scenario(targets=swing, duration=2.0))
     with RunRecorder(first, tmp_path / "run.mcap") as recorder:
@@ -281,7 +283,7 @@ def test_a_recorded_motion_is_followed_again(tmp_path: Path) -> None:
         again = ran(read(tmp_path, text))
         assert again.log.of("lwr", "joint_angles")[0] == pytest.approx(angles[0], abs=2e-3)
         target = again.log.of("lwr", "target_angles")
-        # Averages over 20 ms, which belong to their middle.
+        # Averages over 20 ms, centered on their time.
         assert np.abs(target[100:1900] - first.log.of("lwr", "joint_angles")[100:1900]).max() < 0.02
 
 
@@ -291,20 +293,20 @@ def test_a_recorded_motion_is_followed_again(tmp_path: Path) -> None:
     [
         ("file='none.mcap'", "targets.lwr.file: "),
         ("file='none.csv'", "none.csv: cannot be read"),
-        ("file='bad.csv'", "found 2 columns beside time"),
+        ("file='bad.csv'", "found 2 columns in addition to time"),
         ("file='bad.csv'\nof='x'", "targets.lwr.of: is only for recordings"),
         ("file='bad.csv'\ntimes=[0,1]", "targets.lwr.times: is read from the file; remove it or"),
         ("file=5", "targets.lwr.file: found 5; expected the name of a recording or a table"),
     ],
 )
-def test_a_motion_that_is_not_there_is_told(tmp_path: Path, text: str, message: str) -> None:
+def test_missing_recorded_motion_is_reported(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "bad.csv").write_text("time,a,b\n0,1,2\n1,2,3\n")
     with pytest.raises(DeclarationError) as caught:
         read(tmp_path, f"{BASE}[targets.lwr]\nkind='recorded'\n{text}\n")
     assert message in str(caught.value) and "mine.toml:" in str(caught.value)
 
 
-# ---- what a newcomer stumbled on
+# ---- mistakes of newcomers
 
 
 class Returns:
@@ -312,7 +314,7 @@ class Returns:
         return out + 1.0
 
 
-def test_what_would_do_nothing_or_cannot_be_is_told(tmp_path: Path) -> None:
+def test_ineffective_or_impossible_entries_are_rejected(tmp_path: Path) -> None:
     for text, problem in (
         (
             "[faults.x]\nkind='sensor'\nbegin=0\n",
@@ -364,7 +366,7 @@ def test_what_would_do_nothing_or_cannot_be_is_told(tmp_path: Path) -> None:
     assert "joint A1 starts at 171.9 deg" in str(caught.value)
 
 
-def test_contact_needs_something_to_touch() -> None:
+def test_contact_force_requires_something_to_touch() -> None:
     touch = {"expect": {"e": {"measure": "contact_force", "below": 1.0}}, "duration": 0.01}
     assert ran(scenario(**touch)).outcomes()[0].holds  # the floor is there
     with raises_with(
@@ -374,19 +376,19 @@ def test_contact_needs_something_to_touch() -> None:
         Scenario(Scene(robots=[lwr()], floor=False), **touch)
 
 
-def test_controllers_of_ones_own_have_to_write() -> None:
+def test_user_controllers_must_write_into_out() -> None:
     with raises_with(
         SimulationError,
         time=0.0,
         joint="lwr",
-        reason="torques() has returned something; expected it to write into `out`",
+        reason="torques() returned a value; expected None, and torques written to `out`",
     ):
         ran(scenario(controllers={"lwr": Returns()}))
     (found,) = problems(controllers={"lwr": Returns})
     assert "found the class Returns; expected an object: Returns()" in found
 
 
-def test_constant_torques_come_on_top_of_gravity() -> None:
+def test_constant_torques_are_added_to_gravity() -> None:
     pushed = {"kind": "torque", "torques": [5.0, 0, 0, 0, 0, 0, 0]}
     log = ran(scenario(controllers={"lwr": pushed}, duration=0.5)).log
     held = log.of("lwr", "commanded_torques")[1] - log.of("lwr", "torques")[0]
@@ -394,16 +396,16 @@ def test_constant_torques_come_on_top_of_gravity() -> None:
     assert log.of("lwr", "joint_angles")[-1, 0] > 0.05
 
 
-def test_a_motion_that_is_too_fast_names_its_peak_and_its_ramp() -> None:
+def test_too_fast_motion_is_reported_with_its_peak_and_ramp() -> None:
     (found,) = problems(
         targets={"lwr": {"kind": "sine", "amplitude_deg": [90, 0, 0, 0, 0, 0, 0],
                          "frequency": 0.19}}, duration=5.0,
     )  # fmt: skip
-    assert "joint A1 is to move at 1" in found and "expected up to 112.5 deg/s" in found
-    assert found.endswith("; it grows within 1 s: ramp = 2 is gentler")
+    assert "the target velocity of joint A1 is 1" in found and "expected up to 112.5 deg/s" in found
+    assert found.endswith("; only the ramp of 1 s exceeds it: try ramp = 2")
 
 
-def test_a_run_that_ends_before_says_so() -> None:
+def test_early_end_of_a_run_fails_later_expectations() -> None:
     late = {"late": {"measure": "torque", "below": 100.0, "after": 0.4}}
     simulation = Simulation(scenario(expect=late, duration=0.5))
     simulation.advance(100)

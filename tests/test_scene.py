@@ -1,4 +1,4 @@
-"""Scene files: what is read, and what is wrong in them, all at once and with the line."""
+"""Scene files: reading them, and all their errors at once, with lines."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIFTED = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
 
 @pytest.fixture
 def read(tmp_path):
-    """Reads a scene text; returns the scene and its problems with the folder left out."""
+    """Reads a scene text and returns the scene and its problems without the folder."""
 
     def read(text, overrides=None):
         file = tmp_path / "s.toml"
@@ -36,7 +36,7 @@ def read(tmp_path):
 
 
 def plain(value):
-    """Lists and dicts of numbers and words, so that whole robots can be compared."""
+    """Returns lists and dicts of numbers and strings, so that whole robots can be compared."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, BaseModel):
@@ -128,17 +128,17 @@ size = [0.1]
         ("billboard_lines", "[]", []),
     ],
 )
-def test_scene_may_set_any_field_over_the_robots_file(read, tmp_path, field, written, expected):
+def test_scene_can_override_any_field_of_a_robot_file(read, tmp_path, field, written, expected):
     (tmp_path / "arm").mkdir()
     (tmp_path / "arm" / "robot.toml").write_text(MODEL)
     scene, problems = read(f'[robots.one]\nmodel = "arm"\n{field} = {written}\n')
     assert problems == []
     below = plain(SerialRobot.from_model(str(tmp_path / "arm"), name="one"))
-    assert below[field] != expected  # or this would prove nothing
+    assert below[field] != expected  # otherwise this would prove nothing
     assert plain(scene.robots["one"]) == {**below, field: expected}
 
 
-def test_files_are_looked_for_beside_the_scene_unless_a_model_brings_them(read, tmp_path):
+def test_files_are_found_beside_the_scene_or_beside_their_model(read, tmp_path):
     (tmp_path / "arm").mkdir()
     (tmp_path / "arm" / "robot.toml").write_text(MODEL)
     scene, problems = read(
@@ -242,7 +242,7 @@ WRONG = {
         Problem("objects.box.size", found=[math.nan, 1, 1],
                 expected="finite numbers, no NaN or inf", file="s.toml", line=3),
     ],
-    # Lines of keys that follow values over several lines.
+    # Lines of keys that follow values of several lines.
     f"{ARM}dh_params = [\n  [0, 0, 0, 1],\n  [0, 0, 0, 0]\n]\ntorque_limits = [-1, 1]": [
         Problem("robots.arm.torque_limits", found=[-1.0, 1.0], expected="positive numbers",
                 file="s.toml", line=7)
@@ -250,7 +250,7 @@ WRONG = {
     f'{ARM}description = """\n[note]\naxes_size = 3\n"""\naxes_size = -1': [
         Problem("robots.arm.axes_size", found=-1, expected="greater than 0", file="s.toml", line=7)
     ],
-    # U+2028 and U+0085 end a line for str.splitlines, not for TOML and not for an editor.
+    # U+2028 and U+0085 end a line for str.splitlines, but not in TOML or an editor.
     f"# a\u2028b\u0085c\n{ARM}axes_size = -1": [
         Problem("robots.arm.axes_size", found=-1, expected="greater than 0", file="s.toml", line=4)
     ],
@@ -271,18 +271,18 @@ WRONG = {
 
 
 @pytest.mark.parametrize("text", WRONG, ids=range(len(WRONG)))
-def test_all_problems_of_a_file_come_at_once_with_their_lines(read, text):
+def test_all_problems_of_a_file_are_reported_at_once_with_their_lines(read, text):
     _, problems = read(text)
     assert sorted(problems, key=str) == sorted(WRONG[text], key=str)
 
 
-def test_a_model_that_is_no_file_is_told_with_the_line_of_its_name(read, tmp_path):
+def test_missing_model_file_is_reported_with_the_line_of_its_name(read, tmp_path):
     _, (problem,) = read("[robots.arm]\n\nmodel = 'none.toml'")
     missing = f"{tmp_path / 'none.toml'}: no such file"
     assert problem == Problem("robots.arm.model", missing, file="s.toml", line=3)
 
 
-def test_problems_of_a_model_carry_its_file_and_those_of_the_scene_the_scenes(read, tmp_path):
+def test_problems_of_a_model_and_of_the_scene_have_their_own_files(read, tmp_path):
     (tmp_path / "arm.toml").write_text('dh_convention = "craig"\ntorque_limits = [-1]\n')
     _, problems = read('[robots.one]\nmodel = "arm.toml"\naxes_size = -1\naxes_sise = 1\n')
     assert sorted(problems, key=str) == [
@@ -296,13 +296,13 @@ def test_problems_of_a_model_carry_its_file_and_those_of_the_scene_the_scenes(re
     ]
 
 
-def test_what_is_right_is_kept_beside_what_is_wrong(read):
+def test_valid_entries_are_read_beside_invalid_ones(read):
     scene, problems = read(f"{ARM}[robots.leg]\n[objects.a]\nshape = 'axes'\n[objects.b]\n")
     assert len(problems) == 2
     assert (list(scene.robots), [item.name for item in scene.objects]) == (["arm"], ["a"])
 
 
-def test_overrides_stand_over_the_file_and_end_its_routes(read):
+def test_overrides_replace_values_of_the_file_and_their_routes(read):
     text = (
         f"{ARM}axes_size = 0.5\n"
         '[routes]\n"arm.joint_angles" = "a.values0"\n"arm.torques" = "a.values1"\n'
@@ -331,7 +331,7 @@ def test_overrides_stand_over_the_file_and_end_its_routes(read):
                                                       line=1)),
     ],
 )  # fmt: skip
-def test_overrides_that_fit_nothing_are_problems(read, text, target, problem):
+def test_unknown_overrides_are_problems(read, text, target, problem):
     assert problem in read(text, {target: [1.0]})[1]
 
 
@@ -352,13 +352,13 @@ def test_overrides_that_fit_nothing_are_problems(read, text, target, problem):
         ({"view": {"look": "dark"}}, Problem("view", found={"look": "dark"}, expected="a View")),
     ],
 )
-def test_what_is_of_another_type_is_refused(fields, problem):
+def test_values_of_another_type_are_rejected(fields, problem):
     with pytest.raises(DeclarationError) as caught:
         Scene(**fields)
     assert caught.value.problems == [problem]
 
 
-def test_two_robots_of_one_name_are_refused():
+def test_two_robots_with_one_name_are_rejected():
     robots = [SerialRobot(name="arm", dh_convention="craig") for _ in range(2)]
     expected = "different names"
     with raises_with(key="robots.arm", found="arm", expected=expected):
@@ -376,7 +376,7 @@ def test_two_robots_of_one_name_are_refused():
         (b"a = " + b"1" * 5_000, "is not TOML: "),
     ],
 )
-def test_file_that_is_no_toml_is_refused_with_its_name(tmp_path, contents, text):
+def test_file_that_is_not_toml_is_rejected_with_its_name(tmp_path, contents, text):
     file = tmp_path / "s.toml"
     if contents is not None:
         file.write_bytes(contents)
@@ -387,14 +387,14 @@ def test_file_that_is_no_toml_is_refused_with_its_name(tmp_path, contents, text)
     assert "\n" not in str(caught.value)
 
 
-def test_folder_in_place_of_a_file_is_refused(tmp_path):
+def test_folder_in_place_of_a_file_is_rejected(tmp_path):
     with pytest.raises(DeclarationError) as caught:
         read_scene_file(tmp_path)
     assert str(caught.value) == f"{tmp_path}: cannot be read: Is a directory"
 
 
-def test_a_robot_of_a_urdf_stands_on_the_floor_as_when_it_is_opened(tmp_path):
-    # As many humanoids: the base is the trunk.
+def test_urdf_robot_in_a_scene_is_on_the_floor_as_when_opened_alone(tmp_path):
+    # As for many humanoids, the base is the trunk.
     (tmp_path / "leg.urdf").write_text(
         '<robot name="leg"><link name="hip"/><link name="shank"><visual><origin xyz="0 0 -0.4"/>'
         '<geometry><box size="0.1 0.1 0.8"/></geometry></visual></link><joint name="knee" '

@@ -1,4 +1,4 @@
-"""A recording alone shows its scene, wherever it is opened."""
+"""A recording alone shows its scene on any machine."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ structure = "7F"
 
 
 def recorded(folder: Path, model: str, *, copies: bool = True) -> Path:
-    """A recording, without packets, of a scene with a robot of its own, beside the scene."""
+    """Writes a recording without packets of a scene with its own robot, beside the scene."""
     if copies:
         shutil.copytree(paths.models_dir() / "lwr", folder / model)
     file = folder / "cell.toml"
@@ -49,7 +49,7 @@ def recorded(folder: Path, model: str, *, copies: bool = True) -> Path:
 
 
 @pytest.mark.parametrize("model", ["arm", "robots/big/arm"])
-def test_a_recording_is_shown_where_nothing_else_is(
+def test_recording_is_shown_without_its_original_files(
     model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -67,7 +67,7 @@ def test_a_recording_is_shown_where_nothing_else_is(
     assert np.array_equal(after.mesh_vert, before.mesh_vert)
 
 
-def test_meshes_of_more_than_a_recording_takes_are_told(
+def test_meshes_too_large_for_a_recording_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(scene_files, "_MAX_MESH_BYTES", 1000)
@@ -80,7 +80,7 @@ def test_meshes_of_more_than_a_recording_takes_are_told(
         assert sorted(recording.attachments) == ["arm/robot.toml", "here/cell.toml"]
 
 
-def test_a_scene_that_cannot_be_shown_alone_says_what_to_give(
+def test_scene_that_cannot_be_shown_alone_reports_the_missing_option(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -93,7 +93,7 @@ def test_a_scene_that_cannot_be_shown_alone_says_what_to_give(
     assert "/sero-mj-" not in str(error.value)
 
 
-def test_a_shipped_robot_is_taken_from_what_is_installed(tmp_path: Path) -> None:
+def test_shipped_robot_is_loaded_from_the_installation(tmp_path: Path) -> None:
     (folder := tmp_path / "here").mkdir()
     path = Path(shutil.move(recorded(folder, "lwr", copies=False), tmp_path))
     with Recording(path) as recording:
@@ -103,7 +103,7 @@ def test_a_shipped_robot_is_taken_from_what_is_installed(tmp_path: Path) -> None
     assert World(found).model.nmeshvert > 1000
 
 
-def test_a_recording_is_shown_by_its_name_alone(
+def test_recording_is_shown_by_its_name_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, picture = recorded(tmp_path, "arm"), tmp_path / "picture.png"
@@ -119,7 +119,7 @@ def test_a_recording_is_shown_by_its_name_alone(
     assert end.value.code == 0 and picture.stat().st_size > 1000
 
 
-def test_a_recording_writes_nothing_outside_of_its_folder(tmp_path: Path) -> None:
+def test_recording_writes_nothing_outside_its_folder(tmp_path: Path) -> None:
     path, folder = tmp_path / "evil.mcap", tmp_path / "a" / "b"
     with RecordingWriter(path, about={"scene": "cell"}) as writer:
         for name in ("w/cell.toml", "files/../../bad", "files//bad", "../../bad", "files/good"):

@@ -1,4 +1,4 @@
-"""The state of a page in sections: a browser misses states, and never the last of a section."""
+"""The page state in sections: a browser may miss states, but never the last of a section."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from page_client import read_sections
 from sero_mj.viewer.web.sections import Sections, message_of
 
 
-def test_a_message_has_what_changed_and_the_next_one_nothing() -> None:
+def test_message_has_the_changes_and_the_next_one_nothing() -> None:
     sections = Sections()
     assert sections.since(0) == (None, 0)
     sections.put("time", 1.5)
@@ -24,7 +24,7 @@ def test_a_message_has_what_changed_and_the_next_one_nothing() -> None:
     assert message is not None
     assert read_sections(message) == {"time": 1.5, "poses": poses.tobytes()}
     assert sections.since(seen) == (None, seen)
-    sections.put("time", 1.5)  # as it was
+    sections.put("time", 1.5)  # unchanged
     assert sections.since(seen) == (None, seen)
     sections.put("time", 2.0)
     sections.put("name", '</script>"\u2028')
@@ -33,7 +33,7 @@ def test_a_message_has_what_changed_and_the_next_one_nothing() -> None:
     assert read_sections(message) == {"time": 2.0, "name": '</script>"\u2028'}
 
 
-def test_numbers_that_json_has_not_are_refused() -> None:
+def test_values_that_json_cannot_represent_are_rejected() -> None:
     with pytest.raises(ValueError, match="not JSON compliant"):
         Sections().put("time", float("nan"))
 
@@ -45,7 +45,7 @@ def test_numbers_that_json_has_not_are_refused() -> None:
     ),
     st.integers(0, 2**32),
 )
-def test_who_looks_now_and_then_has_everything_in_the_end(
+def test_occasional_reader_ends_up_with_the_complete_state(
     changes: list[tuple[str, Any]], seed: int
 ) -> None:
     sections, chance = Sections(), random.Random(seed)
@@ -69,5 +69,5 @@ def test_who_looks_now_and_then_has_everything_in_the_end(
         assert lookers[k][0] == expected
 
 
-def test_a_message_without_sections_is_one() -> None:
+def test_message_without_sections_is_valid() -> None:
     assert read_sections(message_of({})) == {}

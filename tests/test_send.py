@@ -1,4 +1,4 @@
-"""Sending: the packets of a motion, at the right times, whatever the network says."""
+"""`send`: packets of a motion at exact times, independently of network errors."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ def to(listener: socket.socket) -> Iterator[UdpSink]:
 
 @pytest.mark.realtime
 @pytest.mark.slow
-def test_a_thousand_packets_a_second_leave_at_that_rate(to: UdpSink) -> None:
+def test_packets_are_sent_at_1_khz(to: UdpSink) -> None:
     reports: list[SendReport] = []
-    # A busy machine may stall one run of half a second, hardly three.
+    # A busy machine may delay one run of half a second, but hardly three.
     while len(reports) < 3 and not (reports and 950 < reports[-1].rate < 1050):
         start = time.perf_counter()
         reports.append(send(paced(lambda t: b"1", 1000, 0.5), to))
@@ -71,9 +71,7 @@ def test_a_thousand_packets_a_second_leave_at_that_rate(to: UdpSink) -> None:
     assert 0 <= reports[-1].jitter_p50 <= reports[-1].jitter_p99 < 0.1
 
 
-def test_packets_leave_in_order_each_at_its_time_and_none_is_missing(
-    listener: socket.socket, to: UdpSink
-) -> None:
+def test_packets_are_sent_in_order_and_on_time(listener: socket.socket, to: UdpSink) -> None:
     moments: list[float] = []
     made: list[float] = []
 
@@ -86,19 +84,19 @@ def test_packets_leave_in_order_each_at_its_time_and_none_is_missing(
     send(paced(packet_at, 500, 0.1), to)
     assert made == [k / 500 for k in range(50)]
     assert [struct.unpack("<d", listener.recv(100))[0] for _ in range(50)] == made
-    # The next packet is made when the one before has left: none leaves before its time.
+    # A packet is computed after the previous one was sent, so none is sent early.
     assert (np.array(moments[1:]) >= start + np.array(made[:-1])).all()
 
 
-def test_the_rate_of_a_report_is_packets_over_seconds() -> None:
+def test_reported_rate_is_packets_per_second() -> None:
     assert SendReport(500, 0.5, 0, 0.0, 0.0).rate == 1000.0
     assert SendReport(0, 0.0, 0, 0.0, 0.0).rate == 0.0
 
 
-def test_lateness_is_reported(to: UdpSink) -> None:
+def test_delays_are_reported(to: UdpSink) -> None:
     def packet_at(t: float) -> bytes:
         if t >= 0.05:
-            time.sleep(0.02)  # a motion that takes longer to compute than there is time
+            time.sleep(0.02)  # computing the motion takes too long
         return b""
 
     report = send(paced(packet_at, 100, 0.1), to)
@@ -107,17 +105,17 @@ def test_lateness_is_reported(to: UdpSink) -> None:
     assert report.rate < 80
 
 
-def test_refused_packets_are_counted_and_do_not_stop_it(
+def test_refused_packets_are_counted_and_sending_continues(
     listener: socket.socket, to: UdpSink
 ) -> None:
-    # No UDP packet is that long: the system refuses every other one.
+    # The system rejects every second packet, which is too long for UDP.
     packets = paced(lambda t: bytes(70_000 if round(t * 1000) % 2 else 8), 1000, 0.02)
     report = send(packets, to)
     assert (report.packets, report.refused) == (20, 10)
     assert [len(listener.recv(100)) for _ in range(10)] == [8] * 10
 
 
-def test_nobody_needs_to_listen(listener: socket.socket, to: UdpSink) -> None:
+def test_sending_works_without_a_receiver(listener: socket.socket, to: UdpSink) -> None:
     listener.close()
     assert send(paced(lambda t: b"1", 1000, 0.02), to).packets == 20
 
@@ -127,7 +125,7 @@ def test_at_least_one_packet_is_sent(to: UdpSink) -> None:
 
 
 @pytest.mark.parametrize("duration", [None, 100.0])
-def test_an_interrupt_ends_it_with_a_report(to: UdpSink, duration: float | None) -> None:
+def test_interrupt_ends_sending_with_a_report(to: UdpSink, duration: float | None) -> None:
     def packet_at(t: float) -> bytes:
         if t >= 0.01:
             raise KeyboardInterrupt
@@ -138,7 +136,7 @@ def test_an_interrupt_ends_it_with_a_report(to: UdpSink, duration: float | None)
     assert report.seconds < 5
 
 
-def test_an_interrupt_before_the_first_packet_is_a_report_too(to: UdpSink) -> None:
+def test_interrupt_before_the_first_packet_returns_a_report(to: UdpSink) -> None:
     def packet_at(t: float) -> bytes:
         raise KeyboardInterrupt
 
@@ -147,13 +145,13 @@ def test_an_interrupt_before_the_first_packet_is_a_report_too(to: UdpSink) -> No
 
 
 @pytest.mark.parametrize("host", ["no.such.host.invalid", "x" * 70])
-def test_a_host_that_cannot_be_resolved_is_told(host: str) -> None:
+def test_unresolvable_host_is_reported(host: str) -> None:
     with pytest.raises(SourceError) as caught:
         UdpSink(host, 4711)
     assert str(caught.value).startswith(f"source '{host}:4711': not an address: ")
 
 
-def test_packets_go_to_ipv6() -> None:
+def test_packets_are_sent_to_ipv6() -> None:
     with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sock:
         try:
             sock.bind(("::1", 0))
@@ -166,20 +164,20 @@ def test_packets_go_to_ipv6() -> None:
 
 
 @pytest.mark.parametrize("t", [0.0, 1.25])
-def test_packets_carry_what_the_routes_lead_to_the_robot(t: float) -> None:
+def test_packets_have_the_signals_of_the_routed_inputs(t: float) -> None:
     packets = MotionPackets(scene_of(), amplitude=0.5)
     assert packets.source.udpport == 4711
     assert packets.structure.text == "2F2F2F"
     position, velocity, acceleration = SineMotion(arm(), 0.5).at(t)
     torques = InverseDynamics(arm()).torques(position, velocity, acceleration)
-    # Billboards show what else there is: the velocities.
+    # Billboard values are the velocities.
     expected = struct.pack("<6d", *position, *torques, *velocity)
     assert packets.at(t) == expected
     assert math.isfinite(sum(struct.unpack("<6d", expected)))
 
 
 @pytest.mark.parametrize("key", ["joint_angles", *VALUE_INPUTS])
-def test_whatever_can_be_routed_can_be_sent(key: str) -> None:
+def test_every_routable_input_can_be_sent(key: str) -> None:
     packet = MotionPackets(scene_of({f"arm.{key}": "udp.values0"})).at(0.4)
     numbers = struct.unpack("<6d", packet)
     assert all(map(math.isfinite, numbers))
@@ -187,14 +185,14 @@ def test_whatever_can_be_routed_can_be_sent(key: str) -> None:
     assert not any(numbers[2:])
 
 
-def test_events_that_lead_nowhere_are_zero_and_float32_is_kept() -> None:
+def test_events_without_a_route_are_zero_and_float32_is_used() -> None:
     source = {"kind": "udp", "structure": "5F2F", "double": False}
     packets = MotionPackets(scene_of({"arm.joint_angles": "udp.values1"}, {"udp": source}))
     position, _, _ = SineMotion(arm()).at(0.3)
     assert packets.at(0.3) == struct.pack("<7f", *[0.0] * 5, *position)
 
 
-def test_one_packet_carries_several_robots() -> None:
+def test_one_packet_has_signals_of_several_robots() -> None:
     source = {"kind": "udp", "structure": "3F2F"}
     routes = {"b.joint_angles": "udp.values1", "a.joint_angles": "udp.values0"}
     packets = MotionPackets(scene_of(routes, {"udp": source}, a=3, b=2))
@@ -203,12 +201,12 @@ def test_one_packet_carries_several_robots() -> None:
 
 
 @pytest.mark.parametrize(("double", "code"), [(True, "d"), (False, "f")])
-def test_another_structure_carries_the_events_it_has(double: bool, code: str) -> None:
+def test_other_structure_has_only_its_own_events(double: bool, code: str) -> None:
     packets = MotionPackets(scene_of(ROUTES, {"udp": {**UDP, "double": double}}), structure="2F")
     assert packets.at(0.3) == struct.pack(f"<2{code}", *SineMotion(arm()).at(0.3)[0])
 
 
-def test_one_of_several_sources_is_chosen_by_name() -> None:
+def test_source_is_chosen_by_name() -> None:
     sources = {"left": {**UDP, "port": 1}, "right": {**UDP, "port": 2}}
     routes = {"arm.joint_angles": "left.values0", "arm.torques": "right.values0"}
     packets = MotionPackets(scene_of(routes, sources), source="right")
@@ -237,7 +235,7 @@ OTHER_UDP = {**UDP, "port": 4712}
         (
             {"udp": UDP, "idle": OTHER_UDP},
             {"source": "idle"},
-            "no route leads from 'idle': there is nothing to send",
+            "no route uses source 'idle', so there is nothing to send",
         ),
         (
             {"udp": UDP},
@@ -252,7 +250,7 @@ OTHER_UDP = {**UDP, "port": 4712}
         ),
     ],
 )
-def test_what_cannot_be_sent_is_told(
+def test_unsendable_scenes_are_reported(
     sources: dict[str, Any], choice: dict[str, str], message: str
 ) -> None:
     with pytest.raises(UsageError) as caught:
@@ -260,6 +258,6 @@ def test_what_cannot_be_sent_is_told(
     assert str(caught.value) == message
 
 
-def test_a_wrong_structure_is_told() -> None:
+def test_invalid_structure_is_reported() -> None:
     with raises_with(StructureError, position=1):
         MotionPackets(scene_of(), structure="2X")

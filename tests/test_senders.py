@@ -1,4 +1,4 @@
-"""Who sends: a sender that is started anew from another port, and several at once."""
+"""Detection of restarted senders with another port, and of concurrent senders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ EVERY = 0.005  # s
 def sent_by(
     port: int, count: int, start: float, clock: float = 0.0
 ) -> list[tuple[float, int, bytes]]:
-    """Packets of one run of a robot's program: arrival, port, bytes."""
+    """Returns the packets of one run of a sender: arrival, port, bytes."""
     return [
         (
             start + EVERY * k,
@@ -27,7 +27,7 @@ def sent_by(
 
 
 def taken(packets: list[tuple[float, int, bytes]], batch: int, **fields: str) -> Intake:
-    """An intake that got them in order of arrival, so many at a time."""
+    """Returns an intake that has received the packets in order of arrival, in batches."""
     intake = Intake(LAYOUT, **fields)
     packets = sorted(packets)
     for first in range(0, len(packets), batch):
@@ -44,11 +44,11 @@ def taken(packets: list[tuple[float, int, bytes]], batch: int, **fields: str) ->
 @pytest.mark.parametrize("batch", [1, 7, 256])
 @pytest.mark.parametrize("pause", [0.02, 0.3, 3.0])
 @pytest.mark.parametrize("fields", [{}, {"sequence": "n"}, {"sequence": "n", "time": "t"}])
-def test_a_sender_that_is_started_anew_from_other_ports_has_begun_anew(
+def test_restarted_sender_with_a_new_port_counts_as_a_restart(
     batch: int, pause: float, fields: dict[str, str]
 ) -> None:
     run = 300 * EVERY
-    clocks = (0.0, 500.0, 7.0)  # three runs, none with the clock of the one before
+    clocks = (0.0, 500.0, 7.0)  # three runs with different clocks
     packets = [
         packet
         for k, clock in enumerate(clocks)
@@ -58,28 +58,28 @@ def test_a_sender_that_is_started_anew_from_other_ports_has_begun_anew(
     counters = intake.counters
     assert (counters.restarts, counters.senders) == (2, 1)
     assert (counters.lost, counters.late, counters.duplicates) == (0, 0, 0)
-    assert intake.timing.delay == pytest.approx(0.0, abs=1e-9)  # by the new clock
+    assert intake.timing.delay == pytest.approx(0.0, abs=1e-9)  # on the new clock
 
 
 @pytest.mark.parametrize("batch", [1, 7, 256])
-def test_two_in_turns_are_two_at_once_and_neither_has_begun_anew(batch: int) -> None:
+def test_alternating_senders_are_concurrent_without_restarts(batch: int) -> None:
     packets = [*sent_by(4000, 400, 10.0), *sent_by(4001, 300, 10.502)]
     counters = taken(packets, batch, sequence="n").counters
     assert (counters.restarts, counters.senders, counters.lost) == (0, 2, 0)
 
 
-def test_one_that_goes_on_alone_is_one_again() -> None:
+def test_remaining_sender_is_the_only_sender() -> None:
     packets = [*sent_by(4000, 400, 10.0), *sent_by(4001, 1200, 10.502)]
     counters = taken(packets, 7, sequence="n").counters
     assert (counters.restarts, counters.senders) == (0, 1)
 
 
-def test_one_that_pauses_has_not_begun_anew() -> None:
+def test_pause_of_a_sender_is_not_a_restart() -> None:
     packets = [*sent_by(4000, 10, 10.0), *sent_by(4000, 10, 20.0)]
     assert taken(packets, 7).counters.restarts == 0
 
 
-def test_who_sends_every_packet_from_a_new_port_does_not_begin_anew_each_time() -> None:
+def test_sender_with_a_new_port_for_each_packet_does_not_restart() -> None:
     packets = [
         (arrival, 4000 + k, packet) for k, (arrival, _, packet) in enumerate(sent_by(0, 900, 10.0))
     ]
@@ -88,7 +88,7 @@ def test_who_sends_every_packet_from_a_new_port_does_not_begin_anew_each_time() 
     assert intake.timing.rate == pytest.approx(200.0)
 
 
-def test_one_that_comes_back_to_its_first_port_has_begun_anew_once_more() -> None:
+def test_sender_that_returns_to_its_first_port_restarts_again() -> None:
     ports = (4000, 4001, 4000)
     packets = [p for k, port in enumerate(ports) for p in sent_by(port, 300, 10.0 + 5.0 * k)]
     counters = taken(packets, 1, sequence="n").counters

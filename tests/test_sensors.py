@@ -1,4 +1,4 @@
-"""What sensors add to the truth, how they fail, and that a seed repeats it."""
+"""Sensor errors, sensor faults, and their reproducibility from a seed."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def run(sensors: Sensors, truth: np.ndarray = RAMP) -> np.ndarray:
     return np.array([sensors.measure(row).copy() for row in truth])
 
 
-def test_perfect_sensors_read_the_truth():
+def test_perfect_sensors_measure_the_actual_values():
     np.testing.assert_array_equal(run(Sensors(4)), RAMP)
 
 
-def test_gain_bias_and_resolution_are_those_of_their_signal_and_joint():
+def test_gain_bias_and_resolution_apply_to_their_signal_and_joint():
     sensors = Sensors(
         4,
         angles=SensorErrors(bias=[0.1, 0, 0, 0.4]),
@@ -38,18 +38,18 @@ def test_gain_bias_and_resolution_are_those_of_their_signal_and_joint():
 
 
 @given(resolution=st.floats(1e-4, 10), value=st.floats(-1e3, 1e3))
-def test_quantised_values_lie_on_the_grid_next_to_the_truth(resolution, value):
+def test_quantized_values_are_on_the_grid_next_to_the_actual_ones(resolution, value):
     sensors = Sensors(1, angles=SensorErrors(resolution=resolution))
     read = sensors.measure(np.full((3, 1), value))[0, 0]
     assert abs(read - value) <= resolution / 2 * (1 + 1e-9)
     assert read / resolution == pytest.approx(round(read / resolution), abs=1e-6)
 
 
-def test_noise_has_its_deviation_and_no_memory():
+def test_noise_has_the_declared_deviation_and_no_memory():
     sensors = Sensors(4, torques=SensorErrors(noise=[0.5, 0.5, 0.1, 0.0]), seed=1)
     error = run(sensors, np.zeros((20_000, 3, 4)))
     assert not error[:, :2].any() and not error[:, 2, 3].any()
-    # Of 20,000 values: four standard errors of deviation (1 / 200) and of mean (1 / 141).
+    # Of 20,000 values: four standard errors of deviation (1 / 200) and mean (1 / 141).
     np.testing.assert_allclose(error[:, 2, :3].std(axis=0), [0.5, 0.5, 0.1], rtol=0.02)
     assert (np.abs(error[:, 2, :3].mean(axis=0)) < 0.03 * np.array([0.5, 0.5, 0.1])).all()
     left, right = error[:-1, 2, 0], error[1:, 2, 0]
@@ -57,7 +57,7 @@ def test_noise_has_its_deviation_and_no_memory():
     assert abs(np.corrcoef(error[:, 2, 0], error[:, 2, 1])[0, 1]) < 0.03
 
 
-def test_a_seed_repeats_the_noise_and_another_does_not():
+def test_seed_repeats_the_noise_and_another_does_not():
     def noise(seed: int) -> np.ndarray:
         return run(Sensors(4, angles=SensorErrors(noise=1.0), seed=seed), np.zeros((600, 3, 4)))
 
@@ -70,7 +70,7 @@ def test_a_seed_repeats_the_noise_and_another_does_not():
 
 
 @pytest.mark.parametrize("steps", [0, 1, 5, 100])
-def test_delayed_values_are_those_of_so_many_steps_before(steps):
+def test_delayed_values_are_those_of_previous_steps(steps):
     sensors = Sensors(4, velocities=SensorErrors(delay=steps), torques=SensorErrors(delay=2))
     sensors.reset(RAMP[0])
     read = run(sensors)
@@ -80,13 +80,13 @@ def test_delayed_values_are_those_of_so_many_steps_before(steps):
     np.testing.assert_array_equal(read[2:, 2], RAMP[:-2, 2])
 
 
-def test_a_delay_can_begin_and_end_while_time_passes():
+def test_delay_can_begin_and_end_during_a_run():
     sensors = Sensors(4)
     sensors.reset(RAMP[0])
     run(sensors, RAMP[:50])
     sensors.delay("torques", 3)
     read = run(sensors, RAMP[50:80])
-    # What went by before was not kept; it begins with the last that was read.
+    # Earlier values were not stored; it begins with the last that was read.
     assert read[:, 2, 0].tolist() == [49, 49, 49, *range(50, 77)]
     sensors.delay("torques", 1)
     assert run(sensors, RAMP[80:85])[:, 2, 0].tolist() == [79, 80, 81, 82, 83]
@@ -94,7 +94,7 @@ def test_a_delay_can_begin_and_end_while_time_passes():
     np.testing.assert_array_equal(run(sensors, RAMP[85:90]), RAMP[85:90])
 
 
-def test_faults_come_while_time_passes_and_are_repaired():
+def test_faults_begin_during_a_run_and_are_repaired():
     sensors = Sensors(4, torques=SensorErrors(bias=0.5))
     run(sensors, RAMP[:10])
     sensors.kill("torques", 2)
@@ -113,7 +113,7 @@ def test_faults_come_while_time_passes_and_are_repaired():
     np.testing.assert_array_equal(run(sensors, RAMP[20:25])[:, 2], RAMP[20:25, 2] + 0.5)
 
 
-def test_the_truth_is_left_alone():
+def test_measuring_does_not_change_the_actual_values():
     truth = RAMP[5].copy()
     Sensors(4, angles=SensorErrors(gain=3.0, noise=1.0, delay=2)).measure(truth)
     np.testing.assert_array_equal(truth, RAMP[5])
@@ -136,13 +136,13 @@ def test_the_truth_is_left_alone():
         ),
     ],
 )
-def test_wrong_errors_are_told(errors, problem):
+def test_invalid_sensor_errors_are_rejected(errors, problem):
     with pytest.raises(DeclarationError) as caught:
         SensorErrors(**errors)
     assert caught.value.problems == [problem]
 
 
-def test_wrong_names_and_counts_are_told():
+def test_invalid_names_and_counts_are_rejected():
     with raises_with(key="torques.bias", found=3):
         Sensors(4, torques=SensorErrors(bias=[1, 2, 3]))
     with raises_with(UnknownName, kind="signal", name="torque", near="torques"):
@@ -160,7 +160,7 @@ def test_wrong_names_and_counts_are_told():
         Sensors(4).change("torques", 0, noise=-1.0)
 
 
-def test_noise_that_begins_late_is_there_at_once():
+def test_noise_that_begins_later_is_present_at_once():
     sensors = Sensors(4)
     run(sensors, RAMP[:10])
     sensors.change("torques", 1, noise=0.5)
@@ -168,7 +168,7 @@ def test_noise_that_begins_late_is_there_at_once():
     assert error[:, 2, 1].all() and not error[:, :2].any() and not error[:, 2, [0, 2, 3]].any()
 
 
-def test_a_delay_may_be_of_some_joints_only():
+def test_delay_can_apply_to_some_joints_only():
     sensors = Sensors(3)
     values = [np.full((3, 3), float(k)) for k in range(10)]
     for k in range(5):
@@ -181,7 +181,7 @@ def test_a_delay_may_be_of_some_joints_only():
     assert sensors.measure(values[3])[0].tolist() == [3, 3, 3]
 
 
-def test_velocities_are_differentiated_from_what_encoders_read() -> None:
+def test_velocities_are_differentiated_from_encoder_angles() -> None:
     bandwidth, step, speed = 200.0, 1e-3, 0.7
     filters = np.array([bandwidth, 0.0])
     sensors = Sensors(2, velocity_filter=filters, timestep=step)
@@ -198,7 +198,7 @@ def test_velocities_are_differentiated_from_what_encoders_read() -> None:
     assert (own == speed).all()
 
 
-def test_a_coarse_encoder_makes_velocities_rough_and_a_low_pass_smooth() -> None:
+def test_coarse_encoder_makes_velocities_rough_and_a_low_pass_smooth() -> None:
     grid, step, speed = 1e-4, 1e-3, 0.033
     spreads = []
     for bandwidth in (1e5, 50.0):
@@ -218,7 +218,7 @@ def test_a_coarse_encoder_makes_velocities_rough_and_a_low_pass_smooth() -> None
     assert spreads[1] < 0.1 * spreads[0]
 
 
-def test_differentiated_velocities_have_faults_of_their_own() -> None:
+def test_differentiated_velocities_have_their_own_faults() -> None:
     sensors = Sensors(1, velocity_filter=np.array([1e5]), timestep=1e-3)
     actual = np.zeros((3, 1))
     sensors.reset(actual)

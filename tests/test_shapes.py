@@ -1,4 +1,4 @@
-"""Shapes: links generated from any DH table; objects, their sizes, their files and their names."""
+"""Shapes: links generated from any DH table; sizes, files and names of objects."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from sero_mj.robots.importers.mesh_files import mesh_endings
 from sero_mj.robots.kinematics.dh import DhTable
 
 ANGLES = st.sampled_from([0.0, pi / 2, -pi / 2, pi]) | st.floats(-pi, pi)
-# From a watch to a crane; shorter steps than 1 um are not drawn, so none are asked for here.
+# From a watch to a crane; steps below 1 um are not drawn, so none are generated here.
 LENGTHS = st.just(0.0) | st.floats(1e-4, 100.0) | st.floats(-100.0, -1e-4)
 ROWS = st.tuples(ANGLES, LENGTHS, ANGLES, LENGTHS)
 TABLES = st.builds(
@@ -70,7 +70,7 @@ def in_world(T, points):
 @example(zeros(64, "standard"), (0.0, 0.0, 0.0))
 @example(zeros(3, revolute=False), (0.0, 0.0, 0.0))
 @settings(max_examples=examples(80), deadline=None)
-def test_every_size_is_positive_and_finite_and_every_link_with_a_joint_shows(table, point):
+def test_every_size_is_positive_and_every_link_with_a_joint_is_visible(table, point):
     links = generate_shapes(table, flange_at(point))
     assert len(links) == len(table) + 1
     for i, shapes in enumerate(links):
@@ -85,13 +85,13 @@ def test_every_size_is_positive_and_finite_and_every_link_with_a_joint_shows(tab
 
 @given(TABLES, POINTS, st.integers(0, 2**32 - 1))
 @settings(max_examples=examples(80), deadline=None)
-def test_capsules_lead_from_the_base_through_every_joint_to_the_flange(table, point, seed):
-    # A turn never opens a gap. A rod slides past the frame before it, which stays on its line.
+def test_capsules_connect_the_base_with_every_joint_and_the_flange(table, point, seed):
+    # A rotation never opens a gap. A rod slides past the previous frame, which stays on its line.
     q = np.random.default_rng(seed).uniform(-pi, pi, len(table)) * table.revolute
     frames = table.frames(q)
     flange = flange_at(point)
     base, *links = generate_shapes(table, flange)
-    # What stands on the base begins above it by its round end, within the pedestal.
+    # Shapes on the base begin above it by their round end, inside the pedestal.
     base = [
         replace(shape, ends=np.array([np.zeros(3), shape.ends[1]]))
         if np.linalg.norm(shape.ends[0]) <= 1.001 * shape.size[0]
@@ -108,7 +108,7 @@ def test_capsules_lead_from_the_base_through_every_joint_to_the_flange(table, po
     tolerance = 1e-10 * max(1.0, np.abs(stops).max())
     reached = [np.array([stops[0], stops[0]])]
     left = rods
-    while True:  # walk along rods that touch what is already reached
+    while True:  # walk along rods that touch reached points
         touching = [rod for rod in left if min(_gap(rod, at) for at in reached) < tolerance]
         if not touching:
             break
@@ -121,7 +121,7 @@ def test_capsules_lead_from_the_base_through_every_joint_to_the_flange(table, po
 
 
 def _gap(rod, other):
-    """The least distance of an end of either of two rods from the other rod."""
+    """Returns the minimum distance of an end of either rod from the other rod."""
     return min(
         np.linalg.norm(ends[0] + np.clip(share, 0, 1) * along - end)
         for ends, points in ((rod, other), (other, rod))
@@ -154,19 +154,20 @@ def test_every_joint_has_a_housing_about_its_axis(table):
 
 
 def housings_by_joint(table, links):
-    """Every joint's housing, and the link that carries it: it turns, or the rod slides through."""
+    """Returns each joint's housing and the link that carries it."""
     found = []
     for i, turns in enumerate(table.revolute):
         carrier = i + 1 if turns else i
         kind = "cylinder" if turns else "box"
-        # Before it in link 0 is the pedestal, a cylinder; in every other link the last joint's.
+        # In link 0 the pedestal, a cylinder, precedes it; in every other link the last joint's
+        # housing.
         (housing,) = [s for s in links[carrier] if s.kind == kind and (carrier or kind == "box")]
         found.append((carrier, housing))
     return found
 
 
 @pytest.mark.parametrize("convention", ["craig", "standard"])
-def test_the_rod_of_a_prismatic_joint_stays_in_its_housing_over_its_stroke(convention):
+def test_rod_of_a_prismatic_joint_stays_in_its_housing_over_its_stroke(convention):
     table = DhTable.from_rows([[0.7, 0.2, 0.3, 0.1]], convention, revolute=[False])
     base, link = generate_shapes(table, np.eye(4), np.array([0.25]))
     (housing,) = [shape for shape in base if shape.kind == "box"]
@@ -180,8 +181,8 @@ def test_the_rod_of_a_prismatic_joint_stays_in_its_housing_over_its_stroke(conve
         assert -1e-9 <= share <= 1
 
 
-def test_arrows_stand_at_the_housings_of_a_standard_table():
-    # Joint 1 of the Puma turns at its shoulder, not at the foot of its pedestal.
+def test_arrows_are_at_the_housings_of_a_standard_table():
+    # Joint 1 of the Puma rotates at its shoulder, not at the foot of its pedestal.
     puma = SerialRobot.from_model("puma560")
     puma = SerialRobot(name="puma560", dh_params=puma.dh_params, dh_convention="standard")
     world = World(Scene(robots=[puma]))
@@ -205,7 +206,7 @@ def test_housings_get_thinner_so_that_nested_joints_share_no_surface(table):
     assert not rods or max(rods) < radii[0]
 
 
-def test_sizes_follow_the_reach_so_a_finger_and_a_crane_look_alike():
+def test_sizes_are_proportional_to_the_reach():
     def sizes(scale):
         rows = np.array([[0, 0.3, 0, 0.1], [pi / 2, 0, 0, 0.4]]) * [1, scale, 1, scale]
         links = generate_shapes(DhTable.from_rows(rows, "craig"), np.eye(4))
@@ -215,12 +216,12 @@ def test_sizes_follow_the_reach_so_a_finger_and_a_crane_look_alike():
 
 
 @pytest.mark.parametrize("convention", ["craig", "standard"])
-def test_capsule_before_a_turning_joint_ends_at_its_anchor(convention):
-    # By hand: a link of 0.5 m along the joint's axis, seen in the frame it stands still in.
+def test_capsule_before_a_revolute_joint_ends_at_its_anchor(convention):
+    # By hand: a link of 0.5 m along the joint axis, in the frame in which it is fixed.
     table = DhTable.from_rows([[pi / 2, 0, 0.3, 0.5]], convention)
     (rod,) = [shape for shape in generate_shapes(table, np.eye(4))[0] if shape.kind == "capsule"]
     end = np.array([0, -0.5, 0] if convention == "craig" else [0, 0, 0.5])
-    # Its round end stands on the ground.
+    # Its round end is on the ground.
     np.testing.assert_allclose(rod.ends, [rod.size[0] / 0.5 * end, end], atol=1e-15)
 
 
@@ -228,7 +229,7 @@ def test_capsule_before_a_turning_joint_ends_at_its_anchor(convention):
 @example(zeros(64), (0.0, 0.0, 0.0))
 @example(zeros(2, "standard", revolute=False), (0.0, 0.0, 0.0))
 @settings(max_examples=examples(20), deadline=None)
-def test_any_table_compiles_into_geoms_where_the_shapes_are(table, point):
+def test_any_table_compiles_into_geoms_at_its_shapes(table, point):
     robot = robot_of(table, flange_at(point))
     world = World(Scene(robots=[robot], floor=False))
     model, data = world.model, world.make_data()
@@ -318,20 +319,20 @@ def test_object_fields_are_checked():
         ),
     ],
 )
-def test_object_is_exactly_one_thing_of_a_size(fields, problem):
+def test_object_has_exactly_one_kind_and_a_valid_size(fields, problem):
     with pytest.raises(DeclarationError) as caught:
         Object(name="a", **fields)
     assert caught.value.problems == [problem]
 
 
-def test_axes_have_the_protos_length_by_default():
+def test_axes_have_the_length_of_the_proto_by_default():
     assert Object(name="a", shape="axes").size.tolist() == [0.2]
 
 
 SNIPPET = '<mujoco><worldbody><geom name="g" size="1"/></worldbody></mujoco>'
 ARM = '[robots.arm]\ndh_convention = "craig"\n'
 NO_FILE = "No such file or directory"
-# What MuJoCo and the XML parser say themselves is theirs to word, so texts are compared up to it.
+# Messages of MuJoCo and of the XML parser are theirs, so texts are compared up to them.
 UNREADABLE = [
     (
         f'{ARM}filenames = ["a.stl",\n "text.stl"]\ndirectory = "."',
@@ -372,9 +373,7 @@ UNREADABLE = [
 
 
 @pytest.mark.parametrize(("text", "expected"), UNREADABLE)
-def test_files_that_cannot_be_used_are_named_all_at_once_with_key_and_line(
-    tmp_path, text, expected
-):
+def test_unusable_files_are_reported_at_once_with_key_and_line(tmp_path, text, expected):
     for name in ("text.stl", "text.obj"):
         (tmp_path / name).write_bytes(b"This is not a mesh at all.\n")
     (tmp_path / "s.toml").write_text(text)
@@ -398,10 +397,10 @@ PIECE = {"mjcf": SNIPPET}
         ([("a", BALL), ("a", BALL)], "objects.a"),
         ([("a", PIECE), ("a", PIECE)], "objects.a"),
         ([("floor", BALL)], "objects.floor"),  # the floor is a geom of that name
-        ([("arm", PIECE)], "objects.arm"),  # a robot and a piece of MJCF share the name space
+        ([("arm", PIECE)], "objects.arm"),  # a robot and an MJCF object share the namespace
     ],
 )
-def test_two_things_of_one_name_are_refused_by_that_name(items, key):
+def test_two_items_with_one_name_are_rejected_by_that_name(items, key):
     objects = [Object(name=name, **fields) for name, fields in items]
     robot = SerialRobot(name="arm", dh_convention="craig")
     with pytest.raises(DeclarationError) as caught:
@@ -410,21 +409,21 @@ def test_two_things_of_one_name_are_refused_by_that_name(items, key):
     assert "name" in caught.value.problems[0].message
 
 
-def test_robot_keeps_its_name_and_bodies_beside_an_object_of_that_name():
-    # A geom and a robot do not share a name space, so this is no clash.
+def test_robot_has_its_name_and_bodies_beside_an_object_of_that_name():
+    # A geom and a robot do not share a namespace, so there is no conflict.
     robot = SerialRobot(name="arm", dh_convention="craig")
     world = World(Scene(robots=[robot], objects=[Object(name="arm", **BALL)]))
     assert world.robots["arm"].bodies.tolist() == [1, 2]
 
 
-def test_child_may_have_the_name_of_a_link_mesh():
+def test_child_can_have_the_name_of_a_link_mesh():
     meshes = paths.models_dir() / "lwr" / "meshes"
     child = Object(name="link0_0", mesh="base_white.stl", directory=str(meshes))
     world = World(Scene(robots=[SerialRobot.from_model("lwr", children=[child])]))
     assert world.model.geom("lwr/link0_0").type[0] == mujoco.mjtGeom.mjGEOM_MESH
 
 
-def test_a_finish_is_a_material_of_links_and_objects_which_doubles_lack() -> None:
+def test_finish_is_a_material_of_links_and_objects_but_not_doubles() -> None:
     ball = Object(name="ball", **BALL, finish="rubber")
     robot = SerialRobot.from_model("lwr")
     double = Double(name="wanted", of="lwr")
@@ -437,7 +436,7 @@ def test_a_finish_is_a_material_of_links_and_objects_which_doubles_lack() -> Non
     assert names == {"", "floor", "metal", "rubber"}
     assert of["rubber"] == [model.geom("ball").id]
     metal = next(geoms for name, geoms in of.items() if name.endswith("metal"))
-    assert len(metal) == 2  # base and flange of the robot, and not of the double
+    assert len(metal) == 2  # base and flange of the robot, but not of the double
     look = FINISHES["metal"]
     material = model.geom_matid[metal[0]]
     assert model.mat_metallic[material] == pytest.approx(look.metallic)
@@ -446,7 +445,7 @@ def test_a_finish_is_a_material_of_links_and_objects_which_doubles_lack() -> Non
     assert model.geom_rgba[of["rubber"][0]] == pytest.approx(ball.rgba)
 
 
-def test_a_finish_that_does_not_exist_is_refused_with_the_nearest() -> None:
+def test_unknown_finish_is_rejected_with_the_nearest() -> None:
     with raises_with(key="finish", found="metall"):
         LinkGeometry(shape="sphere", size=[1], finish="metall")
     with pytest.raises(DeclarationError, match="did you mean 'metal'"):
@@ -454,6 +453,6 @@ def test_a_finish_that_does_not_exist_is_refused_with_the_nearest() -> None:
 
 
 @pytest.mark.parametrize("what", [{"shape": "axes"}, PIECE])
-def test_what_has_no_surface_of_ours_has_no_finish(what) -> None:
+def test_objects_without_our_surface_reject_a_finish(what) -> None:
     with pytest.raises(DeclarationError, match="finish: found 'metal' for"):
         Object(name="a", **what, finish="metal")

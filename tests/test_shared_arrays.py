@@ -1,4 +1,4 @@
-"""What a viewer and its process share, without a process: both ends are here."""
+"""Arrays shared by a viewer and its process, tested without a process: both ends are here."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from sero_mj.viewer.program.memory import OverlayMemory, SceneMemory, SharedArra
 from sero_mj.viewer.program.process import _pickled
 
 
-def test_an_array_is_read_once_and_whole_or_not_at_all() -> None:
+def test_array_is_read_once_and_whole_or_not_at_all() -> None:
     ours = SharedArrays([3, 0, 2])
     theirs = SharedArrays([3, 0, 2], ours.path)
-    assert not ours.path.exists()  # nothing is left behind, whoever ends first and how
+    assert not ours.path.exists()  # no file remains, whichever end closes first
     assert theirs.changed() == [] and theirs.read(0) is None
     ours.write(0, np.array([1.0, np.nan, -np.inf]))
     ours.write(1, np.empty(0))
@@ -35,7 +35,7 @@ def test_an_array_is_read_once_and_whole_or_not_at_all() -> None:
     assert str(theirs.read(0)) == "[  1.  nan -inf]" and theirs.read(0) is None
     found = theirs.read(1)
     assert found is not None and found.size == 0
-    # As if the writer stood still in the middle of a write.
+    # As if the writer stopped in the middle of a write.
     ours.write(2, np.array([5.0, 6.0]))
     ours._cells[-1] = 7.0
     assert theirs.changed() == [2] and theirs.read(2) is None
@@ -45,7 +45,7 @@ def test_an_array_is_read_once_and_whole_or_not_at_all() -> None:
 
 @pytest.fixture
 def ends() -> tuple[SceneMemory, SceneMemory]:
-    """The memory of a scene, as its user has it, and as the process that shows it."""
+    """Returns the memory of a scene at its user and at the process that shows it."""
 
     def world() -> World:
         return World(
@@ -61,10 +61,10 @@ def ends() -> tuple[SceneMemory, SceneMemory]:
     return memory, SceneMemory(theirs, theirs.make_data(), memory.arrays.path)
 
 
-def test_what_is_set_arrives_and_nothing_else(ends: tuple[SceneMemory, SceneMemory]) -> None:
+def test_values_that_are_set_arrive_and_nothing_else(ends: tuple[SceneMemory, SceneMemory]) -> None:
     ours, theirs = ends
     world, data = theirs._world, theirs.data
-    world.set_input(data, "lwr.torques", np.full(7, 3.0))  # of a source, say
+    world.set_input(data, "lwr.torques", np.full(7, 3.0))  # from a source, for example
     moved = np.eye(4)
     moved[:3, 3] = 1.0, 2.0, 3.0
     ours.set("lwr.joint_angles", [0.1] * 7)
@@ -87,13 +87,15 @@ def test_what_is_set_arrives_and_nothing_else(ends: tuple[SceneMemory, SceneMemo
         world.set_input(expected, target, values)
     for field in ("qpos", "userdata", "mocap_pos", "mocap_quat"):
         assert np.array_equal(getattr(data, field), getattr(expected, field), equal_nan=True), field
-    # What was applied is not applied again over what a source has brought since.
+    # Applied values are not applied again over newer values of a source.
     world.set_input(data, "lwr.joint_angles", [0.7] * 7)
     theirs.apply()
     assert data.qpos[world.robots["lwr"].qpos].tolist() == [0.7] * 7
 
 
-def test_what_is_wrong_is_told_where_it_is_set(ends: tuple[SceneMemory, SceneMemory]) -> None:
+def test_invalid_values_are_rejected_where_they_are_set(
+    ends: tuple[SceneMemory, SceneMemory],
+) -> None:
     ours, theirs = ends
     with raises_with(
         key="lwr.joint_angles",
@@ -106,7 +108,7 @@ def test_what_is_wrong_is_told_where_it_is_set(ends: tuple[SceneMemory, SceneMem
     assert theirs.arrays.changed() == []
 
 
-def test_what_is_shown_comes_back_but_over_nothing_set_since(
+def test_displayed_values_come_back_except_over_newer_inputs(
     ends: tuple[SceneMemory, SceneMemory],
 ) -> None:
     ours, theirs = ends
@@ -127,9 +129,9 @@ def test_what_is_shown_comes_back_but_over_nothing_set_since(
     assert torques[:7].tolist() == [2.0] * 7 and np.isnan(torques[7:]).all()
     assert mine.time == 4.5 and ours.frame_count == 1
     assert np.array_equal(mine.qpos, data.qpos)
-    flange = ours._world.frame(mine, "two/flange")  # frames are up to date as well
+    flange = ours._world.frame(mine, "two/flange")  # frames are up to date, too
     assert flange[:2, 3] == pytest.approx([1.0, 2.0], abs=0.3)
-    # Once it has been shown, what the other side makes of it comes back too (a reset, say).
+    # Once displayed, changes by the other side come back, too (for example a reset).
     theirs.apply()
     world.set_input(data, "lwr.torques", np.full(7, 9.0))
     theirs.show()
@@ -151,7 +153,7 @@ def overlay_ends() -> tuple[OverlayMemory, OverlayMemory]:
     return ours, OverlayMemory(theirs, ours.arrays.path)
 
 
-def test_the_state_of_a_user_s_model_arrives_with_what_decor_shows_of_it() -> None:
+def test_state_of_a_user_model_arrives_with_its_decor() -> None:
     ours, theirs = overlay_ends()
     world, data = ours._world, ours.data
     data.ctrl[:] = 0.4
@@ -160,7 +162,8 @@ def test_the_state_of_a_user_s_model_arrives_with_what_decor_shows_of_it() -> No
     mujoco.mj_forward(world.model, data)
     world.set_input(data, "goal.joint_angles", [0.1, 0.2, 0.3, 0.01])
     world.set_input(data, "push.vector", [1.0, 2.0, 3.0])
-    for torques in (None, {"elbow": 12.0}, None):  # the model's own, the user's, the model's again
+    # The model's torques, the user's, the model's again.
+    for torques in (None, {"elbow": 12.0}, None):
         if torques is None:
             world.clear_input("arm.torques")
         else:
@@ -179,7 +182,7 @@ def test_the_state_of_a_user_s_model_arrives_with_what_decor_shows_of_it() -> No
             assert np.array_equal(values, theirs_values[key], equal_nan=True), key
 
 
-def test_a_scene_is_handed_over_whole() -> None:
+def test_scene_is_pickled_completely() -> None:
     here = load_scene("lwr_contact")
     there = pickle.loads(_pickled(here))
     assert there.routes == here.routes and there.sources == here.sources
@@ -189,7 +192,7 @@ def test_a_scene_is_handed_over_whole() -> None:
     assert (one.model.geom_rgba == other.model.geom_rgba).all()
 
 
-def test_a_simulation_is_simulated_anew_to_the_same_log_unless_it_is_over() -> None:
+def test_simulation_is_repeated_to_the_same_log_unless_it_has_ended() -> None:
     scene = load_scene("drive_home")
     (source,) = scene.sources.values()
     source.run.advance(20)
@@ -203,7 +206,7 @@ def test_a_simulation_is_simulated_anew_to_the_same_log_unless_it_is_over() -> N
     assert done.about == source.about and done.layout.events == source.layout.events
 
 
-def test_pieces_of_mjcf_and_sources_that_were_open_are_handed_over() -> None:
+def test_mjcf_objects_and_opened_sources_are_pickled() -> None:
     spec = mujoco.MjSpec.from_string(
         '<mujoco><worldbody><geom type="sphere" size="0.125"/></worldbody></mujoco>'
     )
@@ -222,7 +225,7 @@ def test_pieces_of_mjcf_and_sources_that_were_open_are_handed_over() -> None:
     assert np.array_equal(world.model.geom_size, other.model.geom_size)
 
 
-def test_what_cannot_be_pickled_is_told() -> None:
+def test_unpicklable_scene_is_reported() -> None:
     scene = Scene(robots=[SerialRobot.from_model("lwr")])
     scene.sources["mine"] = lambda: None
     with pytest.raises(errors.UsageError, match="scene: cannot be sent to the viewer's process"):
@@ -244,7 +247,7 @@ def test_what_cannot_be_pickled_is_told() -> None:
     ],
     ids=lambda error: type(error).__name__,
 )
-def test_errors_come_from_another_process_as_they_are(error: SeroError) -> None:
+def test_errors_are_pickled_unchanged(error: SeroError) -> None:
     found: Any = pickle.loads(pickle.dumps(error))
     assert type(found) is type(error) and str(found) == str(error)
     assert vars(found) == vars(error)

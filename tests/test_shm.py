@@ -1,4 +1,4 @@
-"""`ShmReader` on real shared memory: what is applied, and what is told when nothing is."""
+"""`ShmReader` on real shared memory: applied packets, and reasons why none are applied."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LOCKED: dict[str, Any] = {"structure": "lock:1Q v:2d", "lock": "lock"}
 
 @pytest.fixture(autouse=True)
 def patient_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thread that a busy machine holds up in its read is waited for, else nothing new is seen."""
+    """Reads the latest values; waits if the receiving thread is delayed during a read."""
     monkeypatch.setattr(shm, "_LOCK_TIMEOUT", 5.0)
 
 
@@ -46,11 +46,11 @@ def shown(reader: ShmReader, event: str = "v") -> list[float] | None:
     return None if packet is None else packet.values[event].tolist()
 
 
-def test_a_packet_is_there_as_soon_as_it_is_written(block: str) -> None:
+def test_latest_reads_a_packet_immediately_after_it_is_written(block: str) -> None:
     reader = ShmReader(block=block, poll_rate=1.0, **LOCKED)
     with ShmWriter(block, reader.layout, "lock") as writer, reader:
         assert reader.latest() is None
-        for k in range(1, 4):  # one look a second would find one of them
+        for k in range(1, 4):  # polling once per second would find only one
             before = time.monotonic()
             writer.put(locked(0, k, -k))
             packet = reader.latest()
@@ -62,7 +62,7 @@ def test_a_packet_is_there_as_soon_as_it_is_written(block: str) -> None:
         assert (reader.counters.received, reader.counters.torn, reader.trouble) == (3, 0, "")
 
 
-def test_its_thread_finds_packets_by_itself_and_says_so(block: str) -> None:
+def test_thread_receives_packets_and_calls_back(block: str) -> None:
     called: list[str] = []
     reader = ShmReader(block=block, name="r", **LOCKED)
     reader.on_receive(lambda: called.append(threading.current_thread().name))
@@ -71,12 +71,12 @@ def test_its_thread_finds_packets_by_itself_and_says_so(block: str) -> None:
         assert reader.wait(5.0)
         assert until(lambda: called)
         writer.put(locked(0, 3, 4))
-        assert shown(reader) == [3, 4]  # found by this thread, but called back by the other
+        assert shown(reader) == [3, 4]  # read by this thread, but called back by the other
         assert until(lambda: len(called) >= 2)
     assert set(called) == {"shm r"}
 
 
-def test_no_packet_need_be_lost(block: str) -> None:
+def test_lossless_reader_returns_all_packets(block: str) -> None:
     reader = ShmReader(block=block, only_latest_packet=False, sequence="n", structure="n:1I v:1d")
     seen: list[float] = []
     with ShmWriter(block, reader.layout) as writer, reader:
@@ -92,7 +92,7 @@ def test_no_packet_need_be_lost(block: str) -> None:
     assert (reader.counters.lost, reader.counters.duplicates) == (0, 0)
 
 
-def test_a_block_that_is_not_there_is_told_and_taken_up_when_it_appears(
+def test_missing_block_is_reported_and_opened_when_it_is_created(
     block: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     with ShmReader(block=block.removeprefix("/"), **LOCKED) as reader:
@@ -103,7 +103,7 @@ def test_a_block_that_is_not_there_is_told_and_taken_up_when_it_appears(
         made = Block(block, writable=True, create=True)
         assert until(lambda: reader.trouble == f"shared memory {block} has 0 bytes; expected 24")
         made.resize(24)
-        assert until(lambda: "(24 bytes), nothing is written yet" in reader.trouble)
+        assert until(lambda: "(24 bytes), but nothing is written yet" in reader.trouble)
         made.write(locked(2, 5, 6))
         assert reader.wait(5.0)
         assert shown(reader) == [5, 6]
@@ -114,21 +114,21 @@ def test_a_block_that_is_not_there_is_told_and_taken_up_when_it_appears(
         assert shown(reader) == [5, 6]
 
 
-def test_a_block_made_anew_is_taken_up_within_some_tens_of_ms(block: str) -> None:
+def test_recreated_block_is_opened_quickly(block: str) -> None:
     structure = "n:1I v:1d"
     with ShmReader(block=block, structure=structure, sequence="n") as reader:
         for life in range(1, 4):
-            made = make(block, struct.pack("<Id", 1, life))  # it counts from 1 each time
+            made = make(block, struct.pack("<Id", 1, life))  # each writer counts from 1
             born = time.monotonic()
             assert until(lambda life=life: shown(reader) == [life])
-            assert time.monotonic() - born < 1.0  # 20 ms, on a machine that is not busy
+            assert time.monotonic() - born < 1.0  # 20 ms on an idle machine
             counters = reader.counters
             assert (counters.restarts, counters.late, counters.duplicates) == (life - 1, 0, 0)
             remove(made)
 
 
 @pytest.mark.skipif(not LINUX, reason="blocks are files on Linux only")
-def test_a_block_that_another_one_is_moved_over_is_noticed(block: str) -> None:
+def test_replaced_block_is_detected(block: str) -> None:
     first, second = make(block, locked(2, 1, 1)), make(f"{block}_b", locked(2, 2, 2))
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: shown(reader) == [1, 1])
@@ -140,7 +140,7 @@ def test_a_block_that_another_one_is_moved_over_is_noticed(block: str) -> None:
     remove(second)
 
 
-def test_a_block_that_shrinks_ends_nobody_and_is_taken_up_when_it_grows(block: str) -> None:
+def test_shrunk_block_is_reported_and_read_again_when_it_grows(block: str) -> None:
     made = make(block, locked(2, 1, 2))
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: shown(reader) == [1, 2])
@@ -152,14 +152,14 @@ def test_a_block_that_shrinks_ends_nobody_and_is_taken_up_when_it_grows(block: s
             assert reader.trouble == f"shared memory {block} has {size} bytes; expected 24"
         assert shown(reader) == [1, 2]
         assert (counters.received, counters.wrong_size) == (3, 2)
-        made.resize(5000)  # more than is needed, as systems that count pages have it
+        made.resize(5000)  # larger than necessary, as on systems that round to pages
         made.write(locked(4, 3, 4))
         assert until(lambda: shown(reader) == [3, 4])
         assert reader.trouble == ""
     remove(made)
 
 
-def test_it_is_shrunk_and_grown_all_the_time_while_it_is_read(block: str) -> None:
+def test_block_can_be_resized_while_it_is_read(block: str) -> None:
     made = make(block, locked(2, 1, 1))
     with ShmReader(block=block, poll_rate=1e4, **LOCKED) as reader:
         assert until(lambda: shown(reader) == [1, 1])
@@ -172,7 +172,7 @@ def test_it_is_shrunk_and_grown_all_the_time_while_it_is_read(block: str) -> Non
     remove(made)
 
 
-def test_the_packet_may_stand_anywhere_in_the_block(block: str) -> None:
+def test_packet_is_read_at_an_offset(block: str) -> None:
     made = make(block, bytes(40) + locked(2, 7, 8))
     with ShmReader(block=block, offset=40, **LOCKED) as reader:
         assert until(lambda: shown(reader) == [7, 8])
@@ -182,9 +182,7 @@ def test_the_packet_may_stand_anywhere_in_the_block(block: str) -> None:
     remove(made)
 
 
-def test_the_same_bytes_are_no_new_packet_so_it_goes_stale(
-    block: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unchanged_bytes_are_not_a_new_packet(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     made = make(block, struct.pack("<d", 1.5))
     with ShmReader(block=block, structure="v:1d", poll_rate=1e4) as reader:
         assert until(lambda: shown(reader) == [1.5])
@@ -197,7 +195,7 @@ def test_the_same_bytes_are_no_new_packet_so_it_goes_stale(
     remove(made)
 
 
-def test_what_nobody_has_written_is_not_applied(block: str) -> None:
+def test_unwritten_block_is_not_applied(block: str) -> None:
     made = make(block, bytes(24))
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: reader.trouble)
@@ -211,7 +209,7 @@ def test_what_nobody_has_written_is_not_applied(block: str) -> None:
     remove(made)
 
 
-def test_a_lock_that_stays_odd_or_is_not_counted_is_told(block: str) -> None:
+def test_lock_that_stays_odd_or_unchanged_is_reported(block: str) -> None:
     made = make(block, locked(2, 1, 2))
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: shown(reader) == [1, 2])
@@ -230,7 +228,7 @@ def test_a_lock_that_stays_odd_or_is_not_counted_is_told(block: str) -> None:
     remove(made)
 
 
-def test_a_packet_is_not_applied_before_its_counter_has_changed(block: str) -> None:
+def test_packet_is_applied_only_after_its_counter_has_changed(block: str) -> None:
     made = make(block, struct.pack("<Qd", 1, 1.0))
     with ShmReader(block=block, structure="n:1Q v:1d", sequence="n") as reader:
         assert until(lambda: shown(reader) == [1.0])
@@ -243,15 +241,15 @@ def test_a_packet_is_not_applied_before_its_counter_has_changed(block: str) -> N
     remove(made)
 
 
-def test_a_packet_has_to_stand_still_for_as_long_as_is_said(block: str) -> None:
+def test_packet_is_applied_after_the_settle_time(block: str) -> None:
     made = make(block, struct.pack("<2d", 1.0, 1.0))
-    start = time.monotonic()  # the reader looks as soon as it is made
+    start = time.monotonic()  # the reader starts immediately
     with ShmReader(block=block, structure="v:2d", settle=0.3) as reader:
         assert until(lambda: shown(reader) == [1.0, 1.0])
         assert time.monotonic() - start >= 0.3
         made.write(struct.pack("<d", 2.0))
         looked = reader.receive_trigger
-        assert until(lambda: reader.latest() and reader._packets._standing[:8] != bytes(8))
+        assert until(lambda: reader.latest() and reader._packets._candidate[:8] != bytes(8))
         made.write(struct.pack("<d", 2.0), 8)
         assert until(lambda: reader.receive_trigger > looked)
         assert shown(reader) == [2.0, 2.0]
@@ -260,19 +258,19 @@ def test_a_packet_has_to_stand_still_for_as_long_as_is_said(block: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["1B", "1i", "> 1H", "1d", "1f", "1q"])
-def test_a_lock_may_be_of_any_type(block: str, kind: str) -> None:
+def test_lock_can_have_any_type(block: str, kind: str) -> None:
     order, letter = kind.rpartition(" ")[0], kind[-1]
     structure = Structure(f"{order} lock:1{letter} v:1d".strip(), alignment=8)
     fields: dict[str, Any] = {"structure": structure.text, "lock": "lock", "alignment": 8}
     reader = ShmReader(block=block, poll_rate=1.0, **fields)
     with ShmWriter(block, structure, "lock") as writer, reader:
-        for k in range(300):  # some of them wrap
+        for k in range(300):  # some types wrap
             writer.put(structure.encode({"v": [k + 1]}))
             assert shown(reader) == [k + 1]
         assert reader.counters.torn == 0
 
 
-def test_where_shared_memory_is_no_file_it_is_mapped(
+def test_block_is_mapped_if_shared_memory_is_not_a_file(
     block: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shm_block, "_PREAD", None)
@@ -289,7 +287,7 @@ def test_where_shared_memory_is_no_file_it_is_mapped(
             writer.put(locked(0, 1, 1))
 
 
-def test_closing_is_immediate_and_frees_everything(
+def test_close_is_immediate_and_frees_all_resources(
     block: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -303,14 +301,14 @@ def test_closing_is_immediate_and_frees_everything(
             start = time.monotonic()
         assert time.monotonic() - start < 0.5
         assert not [t for t in threading.enumerate() if t.name == "shm closing"]
-        assert shown(reader) == [1, 2]  # what came last stays to be seen
+        assert shown(reader) == [1, 2]  # the last packet remains available
     reader.close()
     assert not LINUX or len(os.listdir("/proc/self/fd")) == open_files
     assert f"source 'closing': reading shared memory {block}" in caplog.text
     remove(made)
 
 
-def test_a_reader_that_ends_takes_no_block_with_it(block: str) -> None:
+def test_exiting_reader_does_not_remove_the_block(block: str) -> None:
     made = make(block, locked(2, 1, 2))
     code = (
         "from sero_mj import ShmReader\n"
@@ -323,28 +321,28 @@ def test_a_reader_that_ends_takes_no_block_with_it(block: str) -> None:
     remove(made)
 
 
-def test_status_says_why_nothing_comes(block: str) -> None:
-    def told(reader: ShmReader) -> str:
+def test_status_reports_why_no_packets_arrive(block: str) -> None:
+    def reported(reader: ShmReader) -> str:
         return describe(report(reader))[0][2]
 
     with ShmReader(block=block, **LOCKED) as reader:
-        assert told(reader) == f"no valid packet yet: no shared memory {block} yet"
+        assert reported(reader) == f"no valid packet yet: no shared memory {block} yet"
         made = make(block, bytes(16))
         about = f"no valid packet yet: shared memory {block}"
-        assert until(lambda: told(reader) == f"{about} has 16 bytes; expected 24")
+        assert until(lambda: reported(reader) == f"{about} has 16 bytes; expected 24")
         made.resize(24)
         assert until(
-            lambda: told(reader) == f"{about} exists (24 bytes), but nothing is written yet"
+            lambda: reported(reader) == f"{about} exists (24 bytes), but nothing is written yet"
         )
         made.write(locked(2, 5, 6))
         assert reader.wait(5.0)
-        assert "jitter" in told(reader)
+        assert "jitter" in reported(reader)
         remove(made)
         gone = f": shared memory {block} is gone"
-        assert until(lambda: "for" in told(reader) and told(reader).endswith(gone))
+        assert until(lambda: "for" in reported(reader) and reported(reader).endswith(gone))
 
 
-def test_what_was_read_can_be_replayed(block: str, tmp_path: Path) -> None:
+def test_recorded_shared_memory_is_replayed(block: str, tmp_path: Path) -> None:
     reader = ShmReader(name="arm", block=block, **LOCKED)
     with (
         ShmWriter(block, reader.layout, "lock") as writer,

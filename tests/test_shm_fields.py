@@ -1,4 +1,4 @@
-"""What cannot be read from or written to shared memory is told before it is tried, or clearly."""
+"""Errors of shared-memory declarations, readers and writers."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ def run(arguments: list[str]) -> int:
         ("ö" * 200, "found 400 bytes; expected at most"),
     ],
 )
-def test_names_that_no_block_can_have_are_told(name: str, message: str) -> None:
+def test_invalid_block_names_are_reported(name: str, message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         make_source("robot", {"kind": "shm", "block": name, "structure": "1F"})
     assert message in str(caught.value)
-    with pytest.raises(SourceError) as told:
+    with pytest.raises(SourceError) as reported:
         ShmWriter(name, Structure("1F"))
-    assert message in str(told.value)
+    assert message in str(reported.value)
 
 
-def test_a_name_has_a_slash_or_none() -> None:
+def test_block_name_can_begin_with_a_slash() -> None:
     assert block_path("robot") == block_path("/robot") == "/robot"
 
 
@@ -66,7 +66,7 @@ def test_a_name_has_a_slash_or_none() -> None:
         ({"lock": "v"}, "'v' has 2 numbers; expected one, as in v:1I"),
         (
             {"lock": "lock", "sequence": "lock"},
-            "'lock' is lock and sequence; a lock increases by two",
+            "'lock' is both lock and sequence, but a lock increases by two",
         ),
         ({"lock": "late"}, "lock 'late' is at byte 9; expected a multiple of 8"),
         ({"lock": "lock", "offset": 2}, "lock 'lock' is at byte 2; expected a multiple of 8"),
@@ -75,23 +75,21 @@ def test_a_name_has_a_slash_or_none() -> None:
         ({"offset": -1}, "offset"),
     ],
 )
-def test_fields_that_cannot_be_are_told(fields: dict[str, Any], message: str) -> None:
+def test_invalid_fields_are_reported(fields: dict[str, Any], message: str) -> None:
     with pytest.raises((DeclarationError, ValidationError)) as caught:
         ShmReader(block="x", structure="lock:1Q v:2d gap:1B late:1Q", **fields)
     assert message in str(caught.value)
 
 
 @pytest.mark.skipif(not LINUX, reason="blocks are files on Linux only")
-def test_what_is_no_shared_memory_or_may_not_be_read_is_told(
-    block: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unreadable_blocks_are_reported(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkdir(f"/dev/shm{block}")
     try:
         with pytest.raises(SourceError) as caught:
             ShmReader(block=block, structure="1F").open()
     finally:
         os.rmdir(f"/dev/shm{block}")
-    assert str(caught.value) == f"source 'shm': shared memory {block}: it is no shared memory"
+    assert str(caught.value) == f"source 'shm': shared memory {block}: not shared memory"
 
     def refuse(*_: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
@@ -105,7 +103,7 @@ def test_what_is_no_shared_memory_or_may_not_be_read_is_told(
         ShmReader(block=block, structure="1F").open()
 
 
-def test_a_system_without_shared_memory_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_shared_memory_support_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shm_block, "_posixshmem", None)
     with raises_with(
         SourceError, source="shm", reason="shared memory /x: this system has no POSIX shared memory"
@@ -113,11 +111,11 @@ def test_a_system_without_shared_memory_is_told(monkeypatch: pytest.MonkeyPatch)
         ShmReader(block="x", structure="1F").open()
 
 
-def test_check_says_what_is_read_from_where(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_prints_block_size_and_events(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", "lwr_shm"]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     events = "lock (1), angles (7), torques (7)"
-    assert f"source  robot: shared memory /sero_lwr, 120 bytes: {events}" in said
+    assert f"source  robot: shared memory /sero_lwr, 120 bytes: {events}" in output
 
 
 @pytest.mark.parametrize(
@@ -131,17 +129,17 @@ def test_check_says_what_is_read_from_where(capsys: pytest.CaptureFixture[str]) 
         (["lwr_shm", "--shm", "a/b"], "source 'writer': shared memory a/b: found '/' in 'a/b'"),
     ],
 )
-def test_what_send_cannot_do_is_told(
+def test_invalid_send_options_are_reported(
     options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["send", *options]) != 0
     assert message in capsys.readouterr().err
 
 
-def test_a_robot_without_a_scene_is_played_to_shared_memory(
+def test_robot_without_a_scene_is_sent_to_shared_memory(
     block: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["send", "lwr", "--shm", block, "--duration", "0.05"]) == 0
-    said = capsys.readouterr().out
-    assert f"sending 7F7F (112 bytes) to shared memory {block} at 1000 Hz" in said
-    assert "sent 50 packets" in said
+    output = capsys.readouterr().out
+    assert f"sending 7F7F (112 bytes) to shared memory {block} at 1000 Hz" in output
+    assert "sent 50 packets" in output

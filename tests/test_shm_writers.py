@@ -1,4 +1,4 @@
-"""Writers of shared memory: the shipped ones, our own, those that die, and hostile ones."""
+"""Writers of shared memory: the examples, `ShmWriter`, killed writers, and hostile writers."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture
 def running() -> Iterator[Any]:
-    """Starts programs, and ends those that still run."""
+    """Starts programs, and finally ends the running ones."""
     started: list[subprocess.Popen[str]] = []
 
     def start(*command: str | Path) -> subprocess.Popen[str]:
@@ -68,7 +68,7 @@ def shipped_reader(block: str) -> ShmReader:
 
 
 def check_motion(reader: ShmReader) -> None:
-    """Whether what comes is what both examples write."""
+    """Checks that packets have the motion of both examples."""
     assert reader.wait(20.0), reader.trouble
     assert until(lambda: reader.receive_trigger > 50, seconds=20.0)
     packet = reader.latest()
@@ -77,10 +77,10 @@ def check_motion(reader: ShmReader) -> None:
     t = np.arctan2(angles[0] / 0.6, torques[0] / 20.0)
     np.testing.assert_allclose(angles, 0.6 * np.sin(t + np.arange(7)), atol=1e-9)
     np.testing.assert_allclose(torques, 20.0 * np.cos(t + np.arange(7)), atol=1e-9)
-    assert reader.counters.malformed == reader.counters.wrong_size  # what was there before
+    assert reader.counters.malformed == reader.counters.wrong_size  # the previous contents
 
 
-def test_the_writer_in_c_is_understood_and_one_that_was_killed_is_replaced(
+def test_c_example_is_read_and_replaced_after_a_kill(
     programs: dict[str, Path], running: Any, block: str
 ) -> None:
     with shipped_reader(block) as reader:
@@ -96,15 +96,11 @@ def test_the_writer_in_c_is_understood_and_one_that_was_killed_is_replaced(
     unlink(block)
 
 
-def test_the_writer_in_c_ends_by_itself_and_removes_its_block(
-    programs: dict[str, Path], block: str
-) -> None:
+def test_c_example_exits_and_removes_its_block(programs: dict[str, Path], block: str) -> None:
     subprocess.run([programs["example"], block, "0.02"], check=True, timeout=20.0)
 
 
-def test_the_writer_in_python_is_understood_and_makes_the_block_anew(
-    running: Any, block: str
-) -> None:
+def test_python_example_is_read_and_recreates_the_block(running: Any, block: str) -> None:
     script = SCENES / "lwr_shm_writer.py"
     left = make(block, bytes(10))  # by a writer that was killed, with another structure
     left.close()
@@ -117,7 +113,7 @@ def test_the_writer_in_python_is_understood_and_makes_the_block_anew(
         assert until(lambda: reader.trouble == f"shared memory {block} is gone")
 
 
-def test_the_shipped_scene_is_moved_by_shared_memory(block: str) -> None:
+def test_shared_memory_moves_the_shipped_scene(block: str) -> None:
     scene = load_scene(find_scene("lwr_shm"))
     scene.sources["robot"] = {**scene.sources["robot"], "block": block}
     with Mirror(scene) as mirror:
@@ -130,7 +126,7 @@ def test_the_shipped_scene_is_moved_by_shared_memory(block: str) -> None:
             assert mirror.advance()
             qpos = mirror.data.qpos[mirror.world.robots["lwr"].qpos]
             np.testing.assert_array_equal(qpos, angles)
-            for _ in range(20):  # what is read in this very moment is not older than nothing
+            for _ in range(20):  # a read during the update is allowed
                 writer.put(source.layout.encode(packet))  # type: ignore[attr-defined]
                 assert mirror.advance()
                 assert Staleness(mirror.world).find(mirror.data) == {}
@@ -152,7 +148,7 @@ def test_the_shipped_scene_is_moved_by_shared_memory(block: str) -> None:
         ("none", 0, 0, 2e-5, {}),
     ],
 )
-def test_a_torn_packet_is_never_applied(
+def test_torn_packets_are_never_applied(
     programs: dict[str, Path],
     running: Any,
     block: str,
@@ -169,7 +165,7 @@ def test_a_torn_packet_is_never_applied(
         values = rows[:, 16:].view("<f8")
         counts = rows[:, 8:16].view("<u8")[:, 0]
         same = (values == values[:, :1]).all(axis=1)
-        same &= counts == values[:, 0] if fields else True  # else the count is but one more value
+        same &= counts == values[:, 0] if fields else True  # otherwise, the count is a plain value
         torn.extend(counts[~same].tolist())
         good.extend(counts[same].tolist())
 
@@ -182,7 +178,7 @@ def test_a_torn_packet_is_never_applied(
     with reader:
         packets = reader._packets
         begin = time.monotonic()
-        # A busy machine can need longer to catch a writer that never stops in the middle.
+        # On a busy machine, it can take longer to observe a continuous writer during a write.
         while (gone := time.monotonic() - begin) < 20.0:
             reader.latest()
             reads += 1
@@ -192,12 +188,12 @@ def test_a_torn_packet_is_never_applied(
     written, held_up = map(int, writer.communicate(timeout=20.0)[0].split())
     unlink(block)
     assert packets is not None and reads > 200 and written > 50
-    # Without a lock nobody can notice a writer that the system holds up in the middle of a packet.
+    # Without a lock, an interruption of the writer during a packet cannot be detected.
     assert len(torn) <= (0 if mode == "lock" else held_up), (torn, held_up)
     if between:
         assert len(good) > 20
         assert good == sorted(set(good))
-    else:  # it never stops writing: that is told
+    else:  # continuous writing is reported
         assert reader.counters.torn > 0
 
 
@@ -211,12 +207,12 @@ def exists(block: str) -> bool:
     return size > 0
 
 
-def test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced(
+def test_writer_killed_during_a_write_is_replaced(
     programs: dict[str, Path], running: Any, block: str
 ) -> None:
     reader = ShmReader(block=block, structure=PACKET, lock="lock")
     with reader:
-        # It stops in the middle of its first packet.
+        # The writer stops during its first packet.
         writer = running(programs["hostile"], block, "lock", "1e9", "0", "0")
         assert until(lambda: "'lock' is odd" in reader.trouble, seconds=20.0)
         writer.kill()
@@ -231,7 +227,7 @@ def test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced(
     unlink(block)
 
 
-def test_a_writer_of_ours_goes_on_where_one_that_died_has_stopped(block: str) -> None:
+def test_writer_continues_the_lock_of_a_dead_writer(block: str) -> None:
     made = make(block, struct.pack("<Qd", 7, 0.5))
     structure = Structure("lock:1Q v:1d")
     with ShmWriter(block, structure, "lock") as writer:
@@ -241,11 +237,11 @@ def test_a_writer_of_ours_goes_on_where_one_that_died_has_stopped(block: str) ->
         assert struct.unpack("<Qd", made.read(16)) == (10, 2.5)
         with raises_with(found=3):
             writer.put(b"abc")
-    assert exists(block)  # it was not the writer's own
+    assert exists(block)  # because the writer did not create it
     remove(made)
 
 
-def test_our_writer_makes_room_and_removes_what_it_has_made(block: str) -> None:
+def test_writer_enlarges_blocks_and_removes_those_it_created(block: str) -> None:
     structure = Structure("v:1d")
     with ShmWriter(block, structure, offset=100) as writer:
         writer.put(struct.pack("<d", 4.5))
@@ -260,7 +256,7 @@ def test_our_writer_makes_room_and_removes_what_it_has_made(block: str) -> None:
     remove(small)
 
 
-def test_our_writer_removes_no_block_of_another_one(block: str) -> None:
+def test_writer_does_not_remove_blocks_of_others(block: str) -> None:
     with ShmWriter(block, Structure("v:1d")):
         unlink(block)
         other = make(block, bytes(8))
@@ -268,7 +264,7 @@ def test_our_writer_removes_no_block_of_another_one(block: str) -> None:
     remove(other)
 
 
-def test_what_our_writer_cannot_write_is_told(block: str) -> None:
+def test_invalid_use_of_the_writer_is_reported(block: str) -> None:
     with pytest.raises(ValueError, match="lock 'v' has 2 numbers"):
         ShmWriter(block, Structure("v:2d"), "v")
     if sys.platform == "linux":
@@ -279,15 +275,15 @@ def test_what_our_writer_cannot_write_is_told(block: str) -> None:
 
 
 @pytest.mark.parametrize("options", [[], ["--rate", "3000"]])
-def test_the_command_plays_to_shared_memory(running: Any, block: str, options: list[str]) -> None:
+def test_send_command_writes_shared_memory(running: Any, block: str, options: list[str]) -> None:
     command = [sys.executable, "-m", "sero_mj", "send", "lwr_shm", "--shm", block, *options]
     with shipped_reader(block) as reader:
         writer = running(*command)
         assert reader.wait(30.0)
         assert until(lambda: reader.receive_trigger > 100)
         writer.send_signal(signal.SIGINT)
-        said = writer.communicate(timeout=20.0)[0]
-        assert f"(120 bytes) to shared memory {block} at " in said
-        assert "sent " in said
+        output = writer.communicate(timeout=20.0)[0]
+        assert f"(120 bytes) to shared memory {block} at " in output
+        assert "sent " in output
         assert reader.counters.malformed == 0
         assert until(lambda: reader.trouble == f"shared memory {block} is gone")

@@ -1,4 +1,4 @@
-"""Recorded values by the name of their joint and with their unit, for other programs."""
+"""Recorded values by joint name and with units, for third-party programs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TWO = {
 }
 
 
-def test_routed_values_are_called_after_their_joint(tmp_path: Path) -> None:
+def test_routed_values_are_named_after_their_joint(tmp_path: Path) -> None:
     source = UdpReceiver(structure=STRUCTURE)
     scene = Scene(
         robots=[SerialRobot(name="two", **TWO)],  # type: ignore[arg-type]
@@ -65,12 +65,12 @@ def test_routed_values_are_called_after_their_joint(tmp_path: Path) -> None:
     lines = schema.data.decode().splitlines()
     assert lines[0] == f"float64 two_turn_angle  # two.turn.angle [rad], from {origin}"
     assert lines[3] == "float64 two_slide_torque  # two.slide.torque [N], from values1[1]"
-    with Recording(tmp_path / "a.mcap") as recording:  # where the packet is whole
+    with Recording(tmp_path / "a.mcap") as recording:  # if the packet is complete
         ((_, kept),) = recording.packets("udp")
     assert kept == packet
 
 
-def test_values_of_a_group_lead_from_their_own_places_in_the_packet() -> None:
+def test_values_of_a_group_are_read_from_their_places_in_the_packet() -> None:
     robots = [SerialRobot(name=name, **TWO) for name in ("first", "second")]  # type: ignore[arg-type]
     robots[0].couplings = {"slide": {"to": "turn", "ratio": 2.0}}  # type: ignore[assignment]
     scene = Scene(
@@ -93,11 +93,11 @@ def test_values_of_a_group_lead_from_their_own_places_in_the_packet() -> None:
         "first.slide.billboard_value": "(-1 * udp.values1)[3]",
         "second.turn.torque [Nm]": "(2 * udp.values2)[0]",
         "second.slide.torque [N]": "(2 * udp.values2)[1]",
-        "first.turn.torque [Nm]": "(2 * udp.values2)[2]",  # of the coupled joint nothing is known
+        "first.turn.torque [Nm]": "(2 * udp.values2)[2]",  # the coupled joint is unknown
     }  # fmt: skip
 
 
-def test_a_simulation_has_them_too(tmp_path: Path) -> None:
+def test_recorded_simulation_has_signal_names(tmp_path: Path) -> None:
     out = tmp_path / "run.mcap"
     with pytest.raises(SystemExit):
         main(["simulate", "impedance_push", "--record", str(out)])
@@ -109,7 +109,7 @@ def test_a_simulation_has_them_too(tmp_path: Path) -> None:
     assert channel.metadata["lwr.A2.commanded_torque [Nm]"] == "lwr_commanded_torques[1]"
 
 
-def test_names_of_any_characters_are_told_beside_those_that_ros_allows() -> None:
+def test_names_of_any_characters_are_listed_beside_valid_ros_names() -> None:
     names = ["r.hüfte.angle [rad]", "r.关节.angle [rad]", "r.関節.angle [rad]", "r.1/a.angle [rad]"]
     signals = Signals({"r.joint_angles": (4,), "2d": (1,)}, {"r.joint_angles": names})
     assert signals.fields == ["r_hufte_angle", "r_angle", "r_angle_2", "r_1_a_angle", "n2d"]
@@ -118,7 +118,7 @@ def test_names_of_any_characters_are_told_beside_those_that_ros_allows() -> None
     assert Signals({}).schema() == b"uint8 structure_needs_at_least_one_member"
 
 
-def test_an_input_of_its_own_has_the_unit_of_its_billboard() -> None:
+def test_declared_input_has_the_unit_of_its_billboard() -> None:
     robot = SerialRobot(
         name="two",
         inputs=["temperatures", "load"],

@@ -1,4 +1,4 @@
-"""Plots of any signals: of sources and runs, of joints, and of a program."""
+"""Plots of signals: of sources and runs, of joints, and of a program."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def make_tool(scene: Scene | None = None) -> tuple[Plots, Shown]:
 
 
 def choose(tool: Plots, plot: str, group: str, signal: str) -> ScriptedWidgets:
-    """What is built after the user has chosen a signal."""
+    """Returns the panel after the user has chosen a signal."""
     tool.build_area(ScriptedWidgets({"##plot": plot, "##group": group, "##signal": signal}))
     ui = ScriptedWidgets()
     tool.build_area(ui)
@@ -43,11 +43,11 @@ def choose(tool: Plots, plot: str, group: str, signal: str) -> ScriptedWidgets:
 
 
 def samples(values: Any, ages: Any) -> np.ndarray:
-    """Rows of a program."""
+    """Returns samples of a program."""
     return np.column_stack([time.monotonic() - np.asarray(ages), values])
 
 
-def test_what_a_program_plots_is_shown_in_plots_of_its_own_with_peaks_and_gaps() -> None:
+def test_program_signals_are_plotted_separately_with_peaks_and_gaps() -> None:
     tool, shown = make_tool()
     shown.data.time = 100.0
     tool.watch()
@@ -71,13 +71,13 @@ def test_what_a_program_plots_is_shown_in_plots_of_its_own_with_peaks_and_gaps()
     assert line.x[np.isnan(line.y)] == pytest.approx(-3.0, abs=0.5)
     assert speed.y_range[0] < 3.0 < speed.y_range[1] < 3.1
     assert len(line.x) < 1.5 * ui.points
-    # Of the samples of a paused view nobody could say when they were.
+    # Samples for a paused view would have no time.
     shown.clock.is_paused = True
     tool.receive({"later": samples([1.0], [0.0])})
     assert "later" not in tool.signals.groups[PROGRAM]
 
 
-def test_signals_are_put_into_plots_and_taken_out_of_them() -> None:
+def test_signals_are_added_to_plots_and_removed() -> None:
     tool, _ = make_tool()
     ui = choose(tool, "new plot", "lwr", "A1.joint_angles")
     ui = choose(tool, "plot 1", "lwr", "A2.joint_angles")
@@ -110,7 +110,7 @@ def test_signals_are_put_into_plots_and_taken_out_of_them() -> None:
 
 
 @pytest.mark.slow
-def test_a_signal_of_a_run_shows_the_past_as_soon_as_it_is_chosen() -> None:
+def test_signal_of_a_run_shows_the_past_once_selected() -> None:
     scene = load_scene("impedance_push")
     with Mirror(scene) as mirror:
         shown = Shown(mirror)
@@ -136,7 +136,7 @@ def test_a_signal_of_a_run_shows_the_past_as_soon_as_it_is_chosen() -> None:
         assert torque.y.min() == pytest.approx(wanted.min(), rel=1e-6)
         assert angle.y[-1] == pytest.approx(rows[-1, columns["lwr_joint_angles"].start + 1])
         assert len(angle.x) >= 100
-        clock.seek(1.0)  # what comes later is not there any more
+        clock.seek(1.0)  # later values are no longer there
         clock.advance(0.0)
         ui = ScriptedWidgets()
         tool.build_area(ui)
@@ -174,7 +174,7 @@ def test_every_packet_of_a_live_source_counts_and_silence_is_a_gap() -> None:
     assert BinnedHistory().until(None)[0].shape == (0,)
 
 
-def test_plots_are_kept_for_their_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plots_are_saved_for_their_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tool, _ = make_tool()
     assert tool.saved_state is None
     for signal in (PlotSignal("lwr", "A3.torques"), PlotSignal(PROGRAM, "error")):
@@ -202,7 +202,7 @@ def test_plots_are_kept_for_their_scene(tmp_path: Path, monkeypatch: pytest.Monk
         ("more", 1.0, "plot 'more': found 101 signals; expected at most 100"),
     ],
 )
-def test_what_cannot_be_plotted_is_told(name: Any, value: Any, message: str) -> None:
+def test_invalid_signals_are_rejected(name: Any, value: Any, message: str) -> None:
     outbox = Outbox(lambda tool, message: True)
     outbox.add = lambda tool, take: None  # type: ignore[method-assign]
     signals = UserSignals(outbox)
@@ -213,7 +213,7 @@ def test_what_cannot_be_plotted_is_told(name: Any, value: Any, message: str) -> 
     assert message in str(caught.value)
 
 
-def test_samples_that_nobody_takes_are_few() -> None:
+def test_samples_that_are_not_fetched_are_limited() -> None:
     taken = []
     outbox = Outbox(lambda tool, message: True)
     outbox.add = lambda tool, take: taken.append(take)  # type: ignore[method-assign]
@@ -228,7 +228,7 @@ def test_samples_that_nobody_takes_are_few() -> None:
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(NO_WINDOW), reason=f"needs {', '.join(NO_WINDOW)}")
-def test_a_window_opens_its_plots_for_what_a_program_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_window_opens_plots_for_signals_of_a_program(monkeypatch: pytest.MonkeyPatch) -> None:
     with screen() as display:
         monkeypatch.setenv("DISPLAY", display)
         monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)

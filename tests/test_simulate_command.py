@@ -1,4 +1,4 @@
-"""`sero-mj simulate`: records, tables, pictures, films, streams, and what it says."""
+"""`sero-mj simulate`: recordings, tables, images, videos, streams, and reports."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def rows_of(scenario: Path) -> Simulation:
     return simulation
 
 
-def test_it_says_what_held(scenario: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_simulate_reports_expectations(scenario: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert simulate(scenario) == 0
     out = capsys.readouterr().out
     assert re.search(
@@ -87,7 +87,7 @@ def test_it_says_what_held(scenario: Path, capsys: pytest.CaptureFixture[str]) -
     assert "  FAILED  torques: torque share 0." in capsys.readouterr().out
 
 
-def test_json_holds_all_of_it(scenario: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_contains_the_whole_report(scenario: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert simulate(scenario, "--json", "--set", "monitor.external_torque=0.02") == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["scenario"], found["seconds"], found["error"]) == ("mine", 0.4, None)
@@ -95,7 +95,7 @@ def test_json_holds_all_of_it(scenario: Path, capsys: pytest.CaptureFixture[str]
     assert {"kind": "external_torque", "robot": "lwr"}.items() <= found["findings"][0].items()
 
 
-def test_a_recording_holds_every_row_and_replays_to_the_same_states(
+def test_recording_contains_every_row_and_replays_to_the_same_states(
     scenario: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "run.mcap"
@@ -120,7 +120,7 @@ def test_a_recording_holds_every_row_and_replays_to_the_same_states(
     assert np.array_equal(states[3], row)
 
 
-def test_a_recording_is_not_written_over_by_chance(
+def test_recording_is_not_overwritten_by_default(
     scenario: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run.mcap"
@@ -130,7 +130,7 @@ def test_a_recording_is_not_written_over_by_chance(
     assert simulate(scenario, "--record", out, "--quiet", "--overwrite") == 0
 
 
-def test_a_table_holds_every_number(scenario: Path, tmp_path: Path) -> None:
+def test_table_contains_every_value(scenario: Path, tmp_path: Path) -> None:
     out = tmp_path / "run.csv"
     assert simulate(scenario, "--csv", out, "--quiet") == 0
     simulation = rows_of(scenario)
@@ -142,7 +142,7 @@ def test_a_table_holds_every_number(scenario: Path, tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_a_picture_shows_arrow_double_and_push(scenario: Path, tmp_path: Path) -> None:
+def test_image_shows_arrow_double_and_push(scenario: Path, tmp_path: Path) -> None:
     pictures = []
     for at in (0.1, 0.4):
         out = tmp_path / f"at{at}.png"
@@ -153,14 +153,14 @@ def test_a_picture_shows_arrow_double_and_push(scenario: Path, tmp_path: Path) -
     magenta = [
         int(((p[..., 0] > 120) & (p[..., 2] > 70) & (p[..., 1] < 60)).sum()) for p in pictures
     ]
-    assert magenta[0] == 0  # nobody pushes yet
+    assert magenta[0] == 0  # there is no push yet
     assert magenta[1] > 60
     assert np.abs(pictures[0] - pictures[1]).max() > 50
 
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_a_film_has_a_frame_for_every_thirtieth_of_a_second(scenario: Path, tmp_path: Path) -> None:
+def test_video_has_a_frame_for_every_thirtieth_of_a_second(scenario: Path, tmp_path: Path) -> None:
 
     out = tmp_path / "run.mp4"
     assert simulate(scenario, "--render", out, "--size", "160x120", "--quiet") == 0
@@ -168,8 +168,8 @@ def test_a_film_has_a_frame_for_every_thirtieth_of_a_second(scenario: Path, tmp_
         assert sum(1 for _ in container.decode(video=0)) == 12
 
 
-def test_a_film_and_the_log_show_the_same(scenario: Path) -> None:
-    """A mirror that simulates while it films shows what the finished log says."""
+def test_video_and_log_show_the_same_states(scenario: Path) -> None:
+    """A mirror that simulates while rendering shows the states of the finished log."""
     finished = rows_of(scenario)
     fresh = Simulation(read_scenario(scenario))
     scene = with_routes(fresh.scenario, fresh.layout.columns, RunSource(run=fresh))
@@ -215,18 +215,18 @@ def test_one_process_simulates_and_another_mirrors(scenario: Path, tmp_path: Pat
     assert "sent 401 packets in " in done.stdout
 
 
-def test_real_time_is_no_faster_than_the_clock(
+def test_real_time_is_not_faster_than_the_clock(
     scenario: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert simulate(scenario, "--real-time", "--json") == 0
     assert json.loads(capsys.readouterr().out)["took"] >= 0.4
 
 
-# ---- what goes wrong
+# ---- errors
 
 
 @pytest.mark.parametrize("options", [[], ["--json"], ["--quiet"]])
-def test_what_is_interrupted_is_kept_and_not_judged(
+def test_interrupted_run_is_saved_and_not_judged(
     options: list[str],
     scenario: Path,
     tmp_path: Path,
@@ -244,32 +244,32 @@ def test_what_is_interrupted_is_kept_and_not_judged(
     monkeypatch.setattr(RunRecorder, "write", interrupted)
     out = tmp_path / "run.mcap"
     assert simulate(scenario, "--record", out, "--real-time", *options) == 130
-    said = capsys.readouterr()
-    (text,) = re.findall(r"sero-mj: stopped at (0\.\d+) s of 0\.4 s; what is ex.*", said.err)
+    output = capsys.readouterr()
+    (text,) = re.findall(r"sero-mj: stopped at (0\.\d+) s of 0\.4 s; expect.*", output.err)
     step = round(1000 * float(text))
     assert step == written[-1] - 1
     assert all(stop <= 100 for stop in written[:-1])
-    assert "held" not in said.out and "FAILED" not in said.out
+    assert "held" not in output.out and "FAILED" not in output.out
     if options == ["--json"]:
-        found = json.loads(said.out)
-        assert found["error"] in said.err and found["expect"] == []
+        found = json.loads(output.out)
+        assert found["error"] in output.err and found["expect"] == []
     with Recording(out) as recording:
         assert recording.sources[SOURCE].count == step + 1
 
 
-def test_what_came_before_an_error_is_kept(
+def test_rows_before_an_error_are_saved(
     scenario: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # Nothing holds this arm against a push of 1e9 N.
+    # This arm cannot resist a push of 1e9 N.
     scenario.write_text(MINE.replace("-40.0", "-1e9"))
     out = tmp_path / "run.mcap"
     assert simulate(scenario, "--record", out, "--csv", tmp_path / "run.csv") == 1
-    said, error = capsys.readouterr()
-    assert "  so far  torques: " in said and "held" not in said
+    output, error = capsys.readouterr()
+    assert "  so far  torques: " in output and "held" not in output
     assert re.search(r"sero-mj: lwr/\w\d at 0\.2\d+ s: found .* rad/s, more than 3 times", error)
     with Recording(out) as recording:
         count = recording.sources[SOURCE].count
-    assert count == 202  # the last one is that in which it runs away
+    assert count == 202  # the last row is the one in which it runs away
     assert len((tmp_path / "run.csv").read_text().splitlines()) == count + 1
 
 
@@ -288,14 +288,14 @@ def test_what_came_before_an_error_is_kept(
         (["--send", "lwr_udpp"], "no scene or robot 'lwr_udpp'; did you mean 'lwr_udp'?"),
     ],
 )
-def test_options_that_do_not_fit_are_told(
+def test_incompatible_options_are_rejected(
     scenario: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
 ) -> None:
     assert simulate(scenario, *options) == 2
     assert message in capsys.readouterr().err
 
 
-def test_it_renders_with_decor_from_python(scenario: Path) -> None:
+def test_simulation_is_rendered_with_decor_from_python(scenario: Path) -> None:
     simulation = rows_of(scenario)
     scene = with_routes(simulation.scenario, simulation.layout.columns, RunSource(run=simulation))
     with Mirror(scene) as mirror, HeadlessRenderer(mirror.world, 160, 120) as renderer:

@@ -1,4 +1,4 @@
-"""The simulation loop: physics by second routes, determinism, faults, and what stops it."""
+"""The simulation loop: physics by a second computation, determinism, faults, and errors."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from sero_mj.simulate.simulation import Simulation
 PUSH = {"kind": "force", "at": "lwr/flange", "force": [5.0, 10.0, -40.0]}
 
 
-def test_a_pushed_spring_gives_way_as_statics_say() -> None:
+def test_pushed_spring_yields_as_in_statics() -> None:
     push = {"push": PUSH}
     log = ran(scenario(disturbances=push, duration=4.0)).log
     error = (log.of("lwr", "target_angles") - log.of("lwr", "actual_angles"))[-1]
     robot = lwr()
     jacobian = robot.dh.jacobian(log.of("lwr", "actual_angles")[-1], None, robot.flange_frame)
     expected = -jacobian[:3].T @ np.array(PUSH["force"]) / 800.0
-    # Friction may hold every joint off by as much as it has.
+    # Friction can hold each joint off by its own torque.
     friction = np.array([0.5, 0.8, 0.4, 0.3, 0.2, 0.1, 0.05]) / 800.0
     assert (np.abs(error - expected) <= friction + 1e-5).all()
     assert np.abs(expected).max() > 10 * friction.max()
 
 
-def test_external_torques_are_those_of_the_push() -> None:
+def test_external_torques_equal_those_of_the_push() -> None:
     log = ran(scenario(disturbances={"push": PUSH}, duration=3.0)).log
     robot = lwr()
     jacobian = robot.dh.jacobian(log.of("lwr", "actual_angles")[-1], None, robot.flange_frame)
@@ -39,7 +39,7 @@ def test_external_torques_are_those_of_the_push() -> None:
     assert log.of("lwr", "external_torques")[-1] == pytest.approx(expected, abs=0.05)
 
 
-def test_a_payload_weighs_what_it_weighs() -> None:
+def test_payload_causes_the_torques_of_its_weight() -> None:
     load = {"kind": "payload", "robot": "lwr", "mass": 3.0, "center_of_mass": [0.05, 0, 0.1],
             "begin": 0.5}  # fmt: skip
     log = ran(scenario(disturbances={"load": load}, duration=3.0)).log
@@ -53,7 +53,7 @@ def test_a_payload_weighs_what_it_weighs() -> None:
     assert np.abs(log.of("lwr", "external_torques")[:490]).max() < 0.05
 
 
-def test_measured_torque_is_commanded_less_what_motor_and_friction_take() -> None:
+def test_measured_torque_is_commanded_minus_motor_inertia_and_friction() -> None:
     swing = {"lwr": {"kind": "sine", "amplitude_deg": 8.0, "frequency": 0.7}}
     log = ran(scenario(targets=swing, duration=2.0)).log
     speeds = log.of("lwr", "actual_velocities")
@@ -69,7 +69,7 @@ def test_measured_torque_is_commanded_less_what_motor_and_friction_take() -> Non
     )
 
 
-def test_a_table_carries_what_presses_on_it() -> None:
+def test_table_carries_the_force_of_the_flange() -> None:
     table = Object(name="table", shape="box", size=[0.5, 0.5, 0.4],
                    frame={"xyz": [-0.6, 0.0, 0.2 - 0.2]})  # fmt: skip
     robot = lwr(joint_angles=[0.0, 0.8, 0.0, -1.3, 0.0, 1.04, 0.0])
@@ -84,7 +84,7 @@ def test_a_table_carries_what_presses_on_it() -> None:
     force = log.signals["lwr_contact_force"].reshape(-1, 3)
     assert np.abs(force[:500]).max() == 0.0
     assert force[-1, 2] > 20.0
-    # At rest, what the table gives is what the joints feel.
+    # At rest, the table's reaction force equals the external torques.
     jacobian = robot.dh.jacobian(log.of("lwr", "actual_angles")[-1], None, robot.flange_frame)
     felt = np.linalg.lstsq(jacobian.T, log.of("lwr", "external_torques")[-1], rcond=None)[0]
     assert felt[:3] == pytest.approx(force[-1], abs=1.0)
@@ -99,7 +99,7 @@ def noisy(**fields: Any) -> Any:
 
 
 @pytest.mark.slow
-def test_the_same_seed_is_the_same_run_bit_for_bit_however_it_is_cut() -> None:
+def test_same_seed_gives_the_same_run_bit_for_bit_in_any_chunks() -> None:
     whole = ran(noisy()).rows
     again = Simulation(noisy())
     while not again.is_done:
@@ -109,7 +109,7 @@ def test_the_same_seed_is_the_same_run_bit_for_bit_however_it_is_cut() -> None:
     assert np.array_equal(ran(noisy(), seed=1).rows, ran(noisy(seed=1)).rows)
 
 
-def test_two_robots_do_what_each_does_alone() -> None:
+def test_two_robots_behave_like_each_alone() -> None:
     other = lwr(name="other", base_frame={"xyz": [0.0, 2.0, 0.0]})
     gains = {"kind": "joint_impedance", "stiffness": 800.0}
     both = ran(
@@ -125,7 +125,7 @@ def test_two_robots_do_what_each_does_alone() -> None:
     assert still == pytest.approx(np.tile(HOME, (501, 1)), abs=1e-9)
 
 
-def test_elastic_joints_feel_the_same_push() -> None:
+def test_elastic_joints_measure_the_same_push() -> None:
     stiff = ran(scenario(disturbances={"push": PUSH}, duration=2.0)).log
     elastic = ran(scenario(disturbances={"push": PUSH}, duration=2.0, elastic=True)).log
     assert elastic.of("lwr", "torques")[-1] == pytest.approx(
@@ -171,15 +171,17 @@ def found(fault: dict[str, Any], **fields: Any) -> list[tuple[str, str]]:
         ),
     ],
 )
-def test_faults_are_found_at_their_joint(fault: dict[str, Any], finding: tuple[str, str]) -> None:
+def test_faults_are_detected_at_their_joint(
+    fault: dict[str, Any], finding: tuple[str, str]
+) -> None:
     assert finding in found(fault)
 
 
-def test_nothing_is_found_where_nothing_is_wrong() -> None:
+def test_nothing_is_detected_without_a_fault() -> None:
     assert found({"kind": "sensor", "bias": 0.0}) == []
 
 
-def test_a_delay_of_the_angles_makes_a_spring_swing() -> None:
+def test_delayed_angles_make_a_spring_oscillate() -> None:
     late = {"kind": "sensor", "signal": "angles", "delay_ms": 120.0}
     swung = ran(scenario(faults={"late": late}, disturbances={"push": PUSH}, duration=1.0)).log
     calm = ran(scenario(disturbances={"push": PUSH}, duration=1.0)).log
@@ -187,11 +189,11 @@ def test_a_delay_of_the_angles_makes_a_spring_swing() -> None:
     assert speeds[0] > 3 * speeds[1]
 
 
-# ---- what stops it
+# ---- runs that stop
 
 
 class Wave:
-    """A user's controller that breaks."""
+    """A user controller that fails."""
 
     def torques(self, sensed: Any, target: Any, out: Any) -> None:
         out[:] = 0.0
@@ -200,26 +202,26 @@ class Wave:
 
 
 class Counts:
-    """A user's controller that goes on from its last torques."""
+    """A user controller that continues from its last torques."""
 
     def torques(self, sensed: Any, target: Any, out: Any) -> None:
         out += 0.001
 
 
-def test_a_users_controller_finds_its_last_torques() -> None:
+def test_user_controller_finds_its_last_torques() -> None:
     simulation = ran(scenario(controllers={"lwr": Counts()}, duration=0.05))
     asked = simulation.log.of("lwr", "commanded_torques")[1:]
     np.testing.assert_allclose(asked, 0.001 * np.arange(1, 51)[:, None] * np.ones(7), rtol=1e-12)
 
 
-def test_nan_of_a_users_controller_stops_it_with_joint_and_time() -> None:
+def test_nan_of_a_user_controller_stops_the_run_with_joint_and_time() -> None:
     simulation = Simulation(scenario(controllers={"lwr": Wave()}, duration=1.0))
     seen = []
     with pytest.raises(SimulationError) as caught:
         for rows in simulation.run(chunk=10):
             seen.append(rows)
     assert (caught.value.joint, caught.value.time) == ("lwr/A3", pytest.approx(0.0505, abs=6e-4))
-    assert caught.value.reason == "the controller asks for nan Nm; expected a finite number"
+    assert caught.value.reason == "the controller requested nan Nm; expected a finite number"
     assert simulation.step in (50, 51)
     assert seen[-1][1] == simulation.step + 1
     assert np.isfinite(simulation.log.of("lwr", "joint_angles")).all()
@@ -231,9 +233,7 @@ def runs_away(share: float) -> str:
 
 
 @pytest.mark.parametrize(("share", "elastic"), [(3.0, False), (2.0, False), (3.0, True)])
-def test_a_joint_that_runs_away_ends_the_run_with_joint_and_time(
-    share: float, elastic: bool
-) -> None:
+def test_runaway_joint_ends_the_run_with_joint_and_time(share: float, elastic: bool) -> None:
     wrong_sign = {"kind": "controller", "joints": ["A3"], "begin": 0.2}
     simulation = Simulation(
         scenario(
@@ -246,7 +246,7 @@ def test_a_joint_that_runs_away_ends_the_run_with_joint_and_time(
     assert (caught.value.joint, caught.value.time) == ("lwr/A3", simulation.time)
     speeds = np.abs(simulation.log.of("lwr", "actual_velocities")[:, 3])
     limit = np.deg2rad(112.5)
-    if not elastic:  # there it is the motor
+    if not elastic:  # for elastic joints, the motor
         assert speeds[-1] > share * limit and (speeds[:-1] <= share * limit).all()
     told = caught.value.problem
     assert told.of == runs_away(share)
@@ -254,11 +254,11 @@ def test_a_joint_that_runs_away_ends_the_run_with_joint_and_time(
     assert elastic or told.found == pytest.approx(speeds[-1], rel=1e-9)
 
 
-def test_a_motor_that_runs_away_ends_the_run_while_its_link_does_not() -> None:
+def test_runaway_motor_ends_the_run_while_its_link_is_slow() -> None:
     simulation = Simulation(scenario(duration=0.1, elastic=True))
     joints = simulation.plant.joints
     simulation.plant.data.qvel[joints.motor_dofs][6] = -31.0
-    simulation.plant.data.qvel[joints.sensor_dofs[6]] = 31.0  # the spring: the link stands still
+    simulation.plant.data.qvel[joints.sensor_dofs[6]] = 31.0  # the spring: the link does not move
     with raises_with(
         SimulationError,
         time=0.001,
@@ -289,7 +289,7 @@ def test_joints_without_a_limit_run_away_at_three_times_twenty_rad_per_second() 
     spun(64.0, runaway_speed=0.0).advance(1)
 
 
-def test_the_log_says_what_its_columns_are() -> None:
+def test_log_describes_its_columns() -> None:
     simulation = ran(scenario(disturbances={"push": PUSH}, duration=0.01))
     layout = simulation.layout
     assert layout.structure.size == 8 * layout.width
@@ -302,7 +302,7 @@ def test_the_log_says_what_its_columns_are() -> None:
     assert decoded["time"].tolist() == pytest.approx([0.01])
 
 
-def test_external_torques_of_several_robots_begin_at_zero_as_of_one() -> None:
+def test_external_torques_of_several_robots_begin_at_zero() -> None:
     other = lwr(name="other", base_frame={"xyz": [0.0, 2.0, 0.0]})
     gains = {"kind": "joint_impedance", "stiffness": 800.0}
     both = ran(
@@ -312,10 +312,10 @@ def test_external_torques_of_several_robots_begin_at_zero_as_of_one() -> None:
         assert np.abs(both.of(robot, "external_torques")).max() < 0.05
 
 
-# ---- what the user handed in stays as it was
+# ---- objects of the user are not changed
 
 
-def test_a_run_with_elastic_joints_leaves_the_users_robot_rigid() -> None:
+def test_run_with_elastic_joints_leaves_the_robot_of_the_user_rigid() -> None:
     robot = lwr()
     declared = scenario(robots=[robot], elastic=True, duration=0.01)
     simulation = ran(declared)
@@ -324,7 +324,7 @@ def test_a_run_with_elastic_joints_leaves_the_users_robot_rigid() -> None:
     assert declared.scene.robots["lwr"] is robot
 
 
-def test_one_fault_may_be_in_two_scenarios_with_other_robots() -> None:
+def test_one_fault_can_be_in_two_scenarios_with_different_robots() -> None:
     fault = DeadSensor(robot="lwr", joints=["A2"])
     before = fault.model_dump()
     other = lwr(name="other", base_frame={"xyz": [0.0, 2.0, 0.0]})

@@ -1,4 +1,4 @@
-"""Nearness to singularity, against finite differences and known singular poses."""
+"""Distance from singularities, against finite differences and known singular poses."""
 
 import mujoco
 import numpy as np
@@ -14,7 +14,7 @@ def condition_at(world, data, q) -> tuple[float, np.ndarray]:
     return inverse_condition(jacobian(world, data, world.robots["lwr"]))
 
 
-def test_jacobian_is_that_of_the_dh_table(lwr_world) -> None:
+def test_jacobian_equals_that_of_the_dh_table(lwr_world) -> None:
     data = lwr_world.make_data()
     q = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
     data.qpos[:] = q
@@ -43,14 +43,14 @@ def test_gradient_agrees_with_finite_differences(lwr_world) -> None:
         assert gradient == pytest.approx(numeric, abs=1e-5)
 
 
-def test_a_stretched_arm_is_singular_and_a_bent_one_is_not(lwr_world) -> None:
+def test_stretched_arm_is_singular_and_a_bent_one_is_not(lwr_world) -> None:
     data = lwr_world.make_data()
     assert condition_at(lwr_world, data, np.zeros(7))[0] < 1e-9
     bent = np.deg2rad([0, 40, 0, -90, 0, 60, 0])
     assert condition_at(lwr_world, data, bent)[0] > 0.05
 
 
-def test_arrows_point_the_way_that_leads_to_the_singularity(lwr_world) -> None:
+def test_arrows_point_towards_the_singularity(lwr_world) -> None:
     data = lwr_world.make_data()
     part = lwr_world.robots["lwr"]
     q = np.deg2rad([0, 40, 0, -8, 0, 60, 0])  # the elbow is nearly stretched

@@ -1,4 +1,4 @@
-"""Smart arrows as numbers: place, direction, length, width, turning, colour, count."""
+"""Smart arrows: position, direction, length, width, rotation, color, count."""
 
 from typing import Any
 
@@ -42,7 +42,7 @@ SENSOR = rigid(turned([0, 1, 1], -0.7), [0.5, 0.1, 0.3])
 
 
 def frame_by_hand(world: World, name: str) -> np.ndarray:
-    """T_world_name from the DH table."""
+    """Returns T_world_name from the DH table."""
     robot = world.scene.robots["lwr"]
     if name == "world":
         return np.eye(4)
@@ -70,11 +70,11 @@ def tip_of(row: Any) -> Any:
 
 
 def distance_of_ends(row: Any, point: Any) -> float:
-    """The distance of a point from the closer end of a straight arrow, m."""
+    """Returns the distance of a point from the closer end of a straight arrow, m."""
     return min(float(np.linalg.norm(end - point)) for end in (row["pos"], tip_of(row)))
 
 
-def test_an_arrow_whose_head_would_be_inside_a_link_ends_at_its_point() -> None:
+def test_arrow_whose_head_would_be_inside_a_link_ends_at_its_point() -> None:
     world = world_with(SmartArrow(name="push", at="lwr/flange", scale=0.005))
     data, decor, toggles = world.make_data(), Decor(world), toggles_of(world)
     flange = frame_by_hand(world, "lwr/flange")[:3, 3]
@@ -90,7 +90,7 @@ def test_an_arrow_whose_head_would_be_inside_a_link_ends_at_its_point() -> None:
 
     assert drawn(0, 0, 20.0)["pos"] == pytest.approx(flange, abs=1e-6)  # away from the hand
     assert tip_of(drawn(0, 0, -20.0)) == pytest.approx(flange, abs=1e-6)
-    # Neither end is inside: it stays so until its head is well outside.
+    # Neither end is inside: it is unchanged until its head is well outside.
     assert tip_of(drawn(0, 10.0, -20.0)) == pytest.approx(flange, abs=1e-6)
     assert drawn(0, 40.0, 0)["pos"] == pytest.approx(flange, abs=1e-6)
 
@@ -112,9 +112,7 @@ def test_an_arrow_whose_head_would_be_inside_a_link_ends_at_its_point() -> None:
     ],
 )
 @pytest.mark.parametrize("kind", ["force", "torque"])
-def test_an_arrow_stands_at_its_frame_and_points_where_its_components_say(
-    kind: str, at, expressed_in
-) -> None:
+def test_arrow_is_at_its_frame_and_points_along_its_components(kind: str, at, expressed_in) -> None:
     arrow = SmartArrow(name="push", kind=kind, at=at, expressed_in=expressed_in, vector=VECTOR)
     world = world_with(arrow)
     buffer = draw(world)
@@ -146,22 +144,22 @@ def test_an_arrow_stands_at_its_frame_and_points_where_its_components_say(
         ("angular_velocity", 0.05, (0.36, 0.42, 0.05, 1.0)),
     ],
 )
-def test_every_kind_has_its_colour_scale_and_shape(kind: str, scale: float, rgba) -> None:
-    vector = np.array([0.0, 0.03, 0.04]) / scale  # shown 50 mm long or wide
+def test_every_kind_has_its_color_scale_and_shape(kind: str, scale: float, rgba) -> None:
+    vector = np.array([0.0, 0.03, 0.04]) / scale  # drawn 50 mm long or wide
     rows = belonging(draw(world_with(SmartArrow(name="v", kind=kind, at=POINT, vector=vector))), 5)
     turns = kind in ("torque", "angular_velocity")
     assert len(rows) == (ARROW_GEOMS if turns else 1)
     shapes = {GEOM.mjGEOM_BOX, GEOM.mjGEOM_TRIANGLE} if turns else {GEOM.mjGEOM_ARROW}
     assert set(rows["type"].tolist()) == {int(shape) for shape in shapes}
     assert rows["rgba"] == pytest.approx(np.tile(rgba, (len(rows), 1)))
-    # MuJoCo draws an arrow half as long as its size says.
+    # MuJoCo draws an arrow half as long as its size.
     drawn = 2 * rows["size"][0, 2] if turns else rows["size"][0, 2] / 2
     assert drawn == pytest.approx(0.05, rel=1e-5)
     assert (rows["label"] == b"").all()
 
 
 @pytest.mark.parametrize("length", [0.01, 0.08, 0.2, 0.4])
-def test_length_is_scale_times_magnitude_and_thickness_stays_slender(length: float) -> None:
+def test_length_is_scale_times_magnitude_and_thickness_is_limited(length: float) -> None:
     arrow = SmartArrow(name="push", at=POINT, scale=0.02, vector=VECTOR / 13 * length / 0.02)
     (row,) = belonging(draw(world_with(arrow)), Kind.VECTOR)
     assert row["size"][2] / 2 == pytest.approx(length, rel=1e-5)
@@ -170,7 +168,7 @@ def test_length_is_scale_times_magnitude_and_thickness_stays_slender(length: flo
 
 
 @pytest.mark.parametrize("longest", [None, 0.25])
-def test_a_straight_arrow_is_no_longer_than_longest_and_then_dark(longest: float | None) -> None:
+def test_straight_arrow_is_limited_to_longest_and_then_dark(longest: float | None) -> None:
     limit = longest or 0.5
     own = np.array([0.2, 0.4, 0.6, 0.8])
     for size, length, bright in ((0.99, 0.99, 1), (1.0, 1.0, 1), (1.01, 1.0, 0.4), (9, 1.0, 0.4)):
@@ -185,7 +183,7 @@ def test_a_straight_arrow_is_no_longer_than_longest_and_then_dark(longest: float
 
 
 @pytest.mark.parametrize(("longest", "limit"), [(None, 0.25), (0.125, 0.125)])
-def test_a_round_arrow_is_no_wider_than_longest_and_then_striped(longest, limit) -> None:
+def test_round_arrow_is_limited_to_longest_and_then_striped(longest, limit) -> None:
     for size, width, stripes in ((0.5, 0.5, 0), (1.0, 1.0, 0), (1.01, 1.0, 9), (9.0, 1.0, 9)):
         arrow = SmartArrow(
             name="turn", kind="torque", at=POINT, radius=0.25, scale=0.5, longest=longest,
@@ -205,14 +203,14 @@ def test_a_round_arrow_is_no_wider_than_longest_and_then_striped(longest, limit)
 
 
 @pytest.mark.parametrize("kind", ["force", "torque"])
-def test_below_four_millimetres_nothing_is_drawn(kind: str) -> None:
+def test_vectors_below_four_millimeters_are_not_drawn(kind: str) -> None:
     for size, there in ((0.0, False), (0.0039, False), (0.0041, True)):
         arrow = SmartArrow(name="v", kind=kind, at=POINT, scale=0.1, vector=[0, size / 0.1, 0])
         assert (draw(world_with(arrow)).count > 0) == there
 
 
 @pytest.mark.parametrize("kind", ["force", "torque"])
-def test_without_data_or_with_nan_nothing_is_drawn_and_the_others_go_on(kind: str) -> None:
+def test_vector_without_data_or_with_nan_is_not_drawn(kind: str) -> None:
     world = world_with(
         SmartArrow(name="first", kind=kind, at="lwr/flange"),
         SmartArrow(name="second", at=POINT, vector=VECTOR),
@@ -253,7 +251,7 @@ def test_any_direction_gets_a_rotation_with_that_z(direction: tuple[float, float
 
 @pytest.fixture(scope="module")
 def both() -> World:
-    """A force and a torque at a link, in its frame."""
+    """Returns a world with a force and a torque at a link, in its frame."""
     return world_with(
         SmartArrow(name="push", kind="force", at="lwr/link6", scale=0.1),
         SmartArrow(name="turn", kind="torque", at="lwr/link6", scale=0.1, radius=0.2),
@@ -291,14 +289,14 @@ def test_force_and_torque_of_any_direction_are_drawn_by_the_right_hand_rule(
     for out, then in zip(first, later, strict=True):
         assert np.linalg.norm(out) == pytest.approx(0.2, abs=1e-6)
         assert abs(out @ axis) < 1e-6
-        # In a tenth of a second every box has gone on by 0.16 rad about the vector.
+        # In a tenth of a second each box has moved by 0.16 rad about the vector.
         sin, cos = np.cross(out, then) @ axis / 0.04, out @ then / 0.04
         assert np.arctan2(sin, cos) == pytest.approx(TURNING * 0.1, abs=1e-4)
     ahead = np.cross(first[:-1], first[1:]) @ axis
-    assert (ahead > 0).all()  # tail to tip the way it turns
+    assert (ahead > 0).all()  # tail to tip in the direction of rotation
 
 
-def test_what_is_switched_off_is_not_drawn_and_a_packet_switches_it() -> None:
+def test_hidden_arrow_is_not_drawn_and_a_packet_switches_it() -> None:
     world = world_with(
         SmartArrow(name="first", at=POINT, vector=VECTOR),
         SmartArrow(name="second", kind="torque", at=POINT, vector=VECTOR, show=False),
@@ -316,21 +314,21 @@ def test_what_is_switched_off_is_not_drawn_and_a_packet_switches_it() -> None:
     assert draw(world, data, toggles=toggles).count == 0
 
 
-def test_a_round_arrow_has_no_more_geoms_than_its_host_grants() -> None:
+def test_round_arrow_respects_the_geom_budget_of_its_viewer() -> None:
     world = world_with(SmartArrow(name="turn", kind="torque", at=POINT, vector=VECTOR))
-    decor = Decor(world, 1024, 34)  # a page's
+    decor = Decor(world, 1024, 34)  # a page's budget
     data = world.make_data()
     Placer(world).place(data)
     buffer = decor.draw(data, toggles_of(world), view_at())
     assert len(belonging(buffer, Kind.VECTOR)) == 34
 
 
-def test_an_arrow_follows_the_robot() -> None:
+def test_arrow_follows_the_robot() -> None:
     world = world_with(SmartArrow(name="push", at="lwr/flange", vector=VECTOR))
     data = world.make_data()
     world.set_input(data, "lwr.joint_angles", TARGET)
     (row,) = belonging(draw(world, data), Kind.VECTOR)
-    flange = frame_by_hand(world, "goal/flange")  # it stands there
+    flange = frame_by_hand(world, "goal/flange")  # the arrow is at the flange
     assert row["pos"] == pytest.approx(flange[:3, 3], abs=1e-6)
     assert row["mat"][:, 2] == pytest.approx(flange[:3, :3] @ VECTOR / 13, abs=1e-6)
 

@@ -1,4 +1,4 @@
-"""Snippets for control loops are compiled and run, and what they send moves their scene."""
+"""Snippets for control loops are compiled and run, and their data moves the scene."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 N = 7
 ANGLES, TORQUES, COMMANDED = 0.1 * np.arange(N), 2.0 * np.arange(N), 3.0 + np.arange(N)
 TIME = 1.5e9
-# C's `double angles[7] = {...}` and so on, by what stands before and behind the numbers.
+# Array literals such as C's `double angles[7] = {...}`, matched by the text around the numbers.
 _NAMES = {"angles": ANGLES, "torques": TORQUES, "commanded": COMMANDED}
 
 
@@ -52,7 +52,7 @@ def c(folder: Path, text: str) -> list[str]:
 
 def franka_cpp(folder: Path, text: str) -> list[str]:
     (folder / "franka").mkdir()
-    (folder / "franka" / "robot_state.h").write_text(  # these fields are in libfranka's as well
+    (folder / "franka" / "robot_state.h").write_text(  # these fields are libfranka's, too
         "#pragma once\n#include <array>\nnamespace franka { struct RobotState {"
         " std::array<double, 7> q, tau_J, tau_J_d; }; }\n"
     )
@@ -75,7 +75,7 @@ def rust(folder: Path, text: str) -> list[str]:
 
 
 def simulink(folder: Path, text: str) -> list[str]:
-    """Runs it by Octave: what it returns is sent by Python."""
+    """Runs the snippet in Octave; Python sends its return value."""
     if shutil.which("octave-cli") is None:
         pytest.skip("needs the interpreter octave-cli")
     (folder / "sero_packet.m").write_text(text)
@@ -95,7 +95,7 @@ def simulink(folder: Path, text: str) -> list[str]:
 
 
 def python(**modules: str) -> Callable[[Path, str], list[str]]:
-    """How a snippet in Python runs with modules that stand for the robot's, which end it."""
+    """Runs a Python snippet with fake robot modules, which end it."""
 
     def build(folder: Path, text: str) -> list[str]:
         values = "".join(f"{name} = {list(map(float, v))}\n" for name, v in _NAMES.items())
@@ -195,19 +195,20 @@ OF_EXTENSIONS = ("franka-cpp", "franka-python", "ros2", "ur")
 
 
 def cases(*values: tuple[str, ...]) -> list[Any]:
-    """Cases whose first value is a snippet, which an extension may have."""
+    """Returns cases whose first value is a snippet, which an extension may provide."""
     marks = {name: [pytest.mark.extensions] for name in OF_EXTENSIONS}
     return [pytest.param(*each, marks=marks.get(each[0], [])) for each in values]
 
 
 @pytest.mark.extensions
-def test_all_are_tried() -> None:
+def test_all_snippets_are_tested() -> None:
     controllers = {name for name in snippets() if name.startswith("controller-")}
-    assert BUILD.keys() == snippets().keys() - controllers  # which test_external_control tries
+    # These are tested by test_external_control.
+    assert BUILD.keys() == snippets().keys() - controllers
 
 
 @pytest.mark.parametrize("name", cases(*((name,) for name in BUILD)))
-def test_what_a_snippet_sends_is_what_its_scene_shows(name: str, tmp_path: Path) -> None:
+def test_scene_shows_the_data_that_a_snippet_sends(name: str, tmp_path: Path) -> None:
     port, words = str(free_udp_port()), ["new", "--snippet", name, "--robot", "lwr"]
     status, text = run_command([*words, "--port", port], tmp_path, os.environ)
     assert status == 0
@@ -233,7 +234,7 @@ def test_what_a_snippet_sends_is_what_its_scene_shows(name: str, tmp_path: Path)
         assert (counters.malformed, counters.wrong_size, counters.lost) == (0, 0, 0)
 
 
-def test_a_robot_gives_the_number_of_joints_and_a_mistyped_name_is_told(tmp_path: Path) -> None:
+def test_robot_sets_the_number_of_joints_and_unknown_snippets_are_rejected(tmp_path: Path) -> None:
     status, text = run_command(
         ["new", "--snippet", "c", "--robot", "hit_finger", "--host", "10.1.2.3"],
         tmp_path,
@@ -241,22 +242,20 @@ def test_a_robot_gives_the_number_of_joints_and_a_mistyped_name_is_told(tmp_path
     )
     assert status == 0 and '#define SERO_HOST "10.1.2.3"' in text
     assert "#define SERO_JOINTS 3\n" in text  # the last of four is coupled
-    status, said = run_command(["new", "--snippet", "simulnik"], tmp_path, os.environ)
-    assert status == 2 and said == "sero-mj: no snippet 'simulnik'; did you mean 'simulink'?\n"
+    status, output = run_command(["new", "--snippet", "simulnik"], tmp_path, os.environ)
+    assert status == 2 and output == "sero-mj: no snippet 'simulnik'; did you mean 'simulink'?\n"
 
 
 @pytest.mark.parametrize("standard", ["c11", "c17", "gnu99", "gnu11"])
-def test_c_compiles_in_any_standard_and_beside_macros_of_a_user(
-    standard: str, tmp_path: Path
-) -> None:
+def test_c_compiles_in_any_standard_and_beside_user_macros(standard: str, tmp_path: Path) -> None:
     mine = "\n".join(f"#define {name} (mine)" for name in ("JOINTS", "HOST", "PORT"))
     options = [f"-std={standard}", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-nonnull"]
-    for call in ("", "sero_send(0, 0, 0); "):  # a file may include it and not call it
+    for call in ("", "sero_send(0, 0, 0); "):  # a file may include it without calling it
         text = f"{mine}\n{snippets()['c'].text}\nint main(void) {{ {call}return 0; }}\n"
         compiled(tmp_path, "sender.c", text, "gcc", *options)
 
 
-def test_controllers_in_c_compile_in_strict_c_without_names_of_a_user(tmp_path: Path) -> None:
+def test_controllers_in_c_compile_in_strict_c_without_user_names(tmp_path: Path) -> None:
     options = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
     for name, more in (("controller-c", ["-shared", "-fPIC"]), ("controller-udp-c", [])):
         status, text = run_command(["new", "--snippet", name], tmp_path, os.environ)
@@ -270,7 +269,7 @@ def test_controllers_in_c_compile_in_strict_c_without_names_of_a_user(tmp_path: 
     ("name", "robot"),
     cases(("ur", "ur5e"), ("franka-cpp", "fr3"), ("lcm", "iiwa14"), ("c", "lwr")),
 )
-def test_a_snippet_is_for_the_robot_that_it_is_of(name: str, robot: str, tmp_path: Path) -> None:
+def test_snippet_uses_the_robot_it_is_made_for(name: str, robot: str, tmp_path: Path) -> None:
     status, text = run_command(["new", "--snippet", name, "--scene"], tmp_path, os.environ)
     assert status == 0
     (tmp_path / "scene.toml").write_text(text)

@@ -1,4 +1,4 @@
-"""A kind of source of another package: found, mirrored, recorded and replayed as ours are."""
+"""A third-party kind of source is found, mirrored, recorded and replayed like ours."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ json_lines = json_lines_example:JsonLines
 broken = json_lines_example.missing:JsonLines
 udp = json_lines_example:JsonLines
 """
-# Passes on what comes by its standard input to the first who connects.
+# Forwards its standard input to the first client.
 SERVER = """
 import socket, sys
 listening = socket.create_server(("127.0.0.1", 0))
@@ -55,7 +55,7 @@ sequence = "count"
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The example as a package on `sys.path`, as pip leaves it."""
+    """Installs the example as a package on `sys.path`, as pip does."""
     site = tmp_path / "site"
     (site / "json_lines_example").mkdir(parents=True)
     (site / "json_lines_example" / "__init__.py").write_text("from ._source import JsonLines\n")
@@ -114,7 +114,7 @@ def line(count: int, angle: float) -> str:
 
 
 @pytest.mark.usefixtures("installed")
-def test_a_kind_of_another_package_is_mirrored_recorded_and_replayed(
+def test_third_party_source_is_mirrored_recorded_and_replayed(
     tmp_path: Path, server: Server
 ) -> None:
     scene = load_scene(write_scene(tmp_path, server.port))
@@ -144,7 +144,7 @@ def test_a_kind_of_another_package_is_mirrored_recorded_and_replayed(
 
 
 @pytest.mark.usefixtures("installed")
-def test_every_packet_of_another_package_is_handed_on(tmp_path: Path, server: Server) -> None:
+def test_every_packet_of_a_third_party_source_is_passed_on(tmp_path: Path, server: Server) -> None:
     scene = load_scene(write_scene(tmp_path, server.port, more="only_latest_packet = false"))
     with Mirror(scene) as mirror:
         source = mirror.sources["arm"]
@@ -157,17 +157,18 @@ def test_every_packet_of_another_package_is_handed_on(tmp_path: Path, server: Se
 
 
 @pytest.mark.usefixtures("installed")
-def test_kinds_of_other_packages_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_third_party_sources_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["list"])
     assert ended.value.code == 0
     out = capsys.readouterr().out
     assert "  json_lines         json_lines_example:JsonLines from json-lines-example\n" in out
-    assert "  udp                sero_mj.data.receive.udp:UdpReceiver\n" in out  # ours stays
+    # Ours is listed, too.
+    assert "  udp                sero_mj.data.receive.udp:UdpReceiver\n" in out
 
 
 @pytest.mark.usefixtures("installed")
-def test_what_cannot_be_loaded_says_which_package_is_at_fault(tmp_path: Path) -> None:
+def test_source_that_cannot_be_loaded_names_its_package(tmp_path: Path) -> None:
     path = write_scene(tmp_path, 5, kind="broken")
     with pytest.raises(DeclarationError) as caught:
         load_scene(path)
@@ -179,13 +180,13 @@ def test_what_cannot_be_loaded_says_which_package_is_at_fault(tmp_path: Path) ->
 
 
 @pytest.mark.usefixtures("installed")
-def test_fields_and_places_of_another_kind_are_checked(tmp_path: Path, server: Server) -> None:
+def test_fields_of_a_third_party_source_are_checked(tmp_path: Path, server: Server) -> None:
     with raises_with(key="sources.arm.prot", reason="unknown key", near="port"):
         load_scene(write_scene(tmp_path, server.port, more="prot = 3"))
 
 
 @pytest.mark.usefixtures("installed")
-def test_an_example_reconnects_and_shows_what_is_wrong(tmp_path: Path) -> None:
+def test_example_source_reconnects_and_shows_its_errors(tmp_path: Path) -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as listening,
         Mirror(load_scene(write_scene(tmp_path, listening.getsockname()[1]))) as mirror,
@@ -204,7 +205,7 @@ def test_an_example_reconnects_and_shows_what_is_wrong(tmp_path: Path) -> None:
             assert source.trouble == ""
 
 
-def test_as_many_arrivals_as_packets_are_taken(installed: None, server: Server) -> None:
+def test_numbers_of_arrivals_and_packets_must_match(installed: None, server: Server) -> None:
     source = plugins(SOURCES)["json_lines"].load()(port=server.port, structure="1F")
     source.open()
     source.accept([])
@@ -216,7 +217,7 @@ def test_as_many_arrivals_as_packets_are_taken(installed: None, server: Server) 
 
 
 class Rows(Source):
-    """Plays a row every 10 ms up to 2 s: a source that does not follow the real time."""
+    """Plays a row every 10 ms up to 2 s: a source without real time."""
 
     structure: str = "7F"
     _played: int = PrivateAttr(0)
@@ -249,7 +250,7 @@ class Rows(Source):
         self._played = row
 
 
-def test_a_source_without_real_time_has_a_time_line() -> None:
+def test_source_without_real_time_has_a_timeline() -> None:
     scene = Scene(
         robots=[SerialRobot.from_model("lwr")],
         sources={"table": Rows(name="table")},
@@ -272,7 +273,7 @@ def test_a_source_without_real_time_has_a_time_line() -> None:
 
 
 def write_source(folder: Path, monkeypatch: pytest.MonkeyPatch, methods: str) -> Path:
-    """A scene with a source of a package, whose class has these methods and a file."""
+    """Writes a scene with a source from a package, whose class has these methods and a file."""
     code = (
         "from pathlib import Path\n"
         "from sero_mj.data.receive.source import Source\n"
@@ -306,7 +307,7 @@ def test_files_of_a_source_are_relative_to_the_scene(
 
 
 @pytest.mark.usefixtures("forgotten")
-def test_a_source_that_lacks_a_method_is_told(
+def test_source_that_lacks_a_method_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = write_source(tmp_path, monkeypatch, "    def open(self): ...\n")

@@ -1,4 +1,4 @@
-"""A robot without fresh data is grey and says so, in geoms and in pictures."""
+"""A robot without fresh data is gray and labeled, in geoms and in images."""
 
 import mujoco
 import numpy as np
@@ -24,7 +24,7 @@ GEOM = mujoco.mjtGeom
 
 
 def two_arms(**fields) -> World:
-    """`left` is fed by a source, `right` stands as declared."""
+    """Returns a world in which a source feeds `left`, and `right` stays as declared."""
     tool = Object(name="tool", shape="sphere", size=[0.05])
     return World(
         Scene(
@@ -57,7 +57,7 @@ def with_age(world: World, age: float, **more: float) -> mujoco.MjData:
         (7200.0, "left: no data for 2 h"),
     ],
 )
-def test_a_robot_says_how_old_its_data_is(age: float, text: str | None) -> None:
+def test_robot_shows_the_age_of_its_data(age: float, text: str | None) -> None:
     world = two_arms()
     decor = Decor(world)
     buffer = decor.draw(with_age(world, age), toggles_of(world), view_at(distance=5))
@@ -69,14 +69,14 @@ def test_a_robot_says_how_old_its_data_is(age: float, text: str | None) -> None:
 @pytest.mark.parametrize(
     ("target", "ages", "text"),
     [
-        ("joint_angles", (-1.0, -1.0), None),  # whoever steers it awaits no packet
-        ("joint_angles", (12.3, -1.0), "no data for 12.3 s"),  # its accelerations came as well
-        ("joint_angles", (0.0, 4.5), "no data for 4.5 s"),  # torques came and come no more
+        ("joint_angles", (-1.0, -1.0), None),  # whoever moves it does not wait for packets
+        ("joint_angles", (12.3, -1.0), "no data for 12.3 s"),  # its accelerations arrived, too
+        ("joint_angles", (0.0, 4.5), "no data for 4.5 s"),  # torques arrived once and no more
         ("joint_accelerations", (-1.0, 0.0), None),
         ("joint_accelerations", (4.5, 0.0), "no data for 4.5 s"),
     ],
 )
-def test_what_a_program_sets_is_data(
+def test_inputs_set_by_a_program_count_as_data(
     target: str, ages: tuple[float, float], text: str | None
 ) -> None:
     sources = {
@@ -102,7 +102,7 @@ def test_what_a_program_sets_is_data(
     assert Staleness(world).find(data) == {"lwr": "no data yet"}
 
 
-def test_a_robot_without_fresh_data_has_no_numbers_of_its_flange_check() -> None:
+def test_flange_check_without_fresh_data_shows_no_values() -> None:
     world = two_arms()
     for age, text in ((0.0, b"left flange check   0.00 mm    0.00 deg"),
                       (1.2, b"left flange check: no data for 1.2 s")):  # fmt: skip
@@ -115,7 +115,7 @@ def test_a_robot_without_fresh_data_has_no_numbers_of_its_flange_check() -> None
         assert found == [text]
 
 
-def test_bad_packets_are_no_silence() -> None:
+def test_malformed_packets_are_not_silence() -> None:
     world = two_arms()
     data = with_age(world, 1.2, fault_age=0.01)
     decor = Decor(world)
@@ -124,7 +124,7 @@ def test_bad_packets_are_no_silence() -> None:
     assert b"left: no valid data for 1.2 s" in rows["label"].tolist()
 
 
-def test_the_robot_with_its_tool_is_grey_and_the_other_is_not() -> None:
+def test_stale_robot_and_its_tool_are_gray_and_others_are_not() -> None:
     world = two_arms()
     buffer = Decor(world).draw(with_age(world, -1), toggles_of(world), view_at(distance=5))
     assert buffer.grey is not None
@@ -135,14 +135,14 @@ def test_the_robot_with_its_tool_is_grey_and_the_other_is_not() -> None:
     assert sum(of_left) == 25
 
 
-def test_how_long_it_takes_is_declared() -> None:
+def test_stale_after_is_declared() -> None:
     world = two_arms(stale_after=2.0)
     decor, toggles, view = Decor(world), toggles_of(world), view_at(distance=5)
     assert decor.draw(with_age(world, 1.9), toggles, view).grey is None
     assert decor.draw(with_age(world, 2.1), toggles, view).grey is not None
 
 
-def test_arrows_and_billboards_of_the_robot_are_grey_and_the_other_s_are_not() -> None:
+def test_arrows_and_billboards_of_a_stale_robot_are_gray() -> None:
     world = two_arms(show_arrows=True, show_billboards=True)
     decor, toggles, view = Decor(world), toggles_of(world), view_at(distance=5)
     toggles.arrows[:] = toggles.billboards[:] = True
@@ -159,14 +159,14 @@ def test_arrows_and_billboards_of_the_robot_are_grey_and_the_other_s_are_not() -
         for joint in range(14):
             fresh, stale = colours[0.1, kind, joint], colours[3.0, kind, joint]
             if joint < 7:
-                assert np.ptp(stale[:3]) < 0.02  # grey
+                assert np.ptp(stale[:3]) < 0.02  # gray
                 assert stale[3] == fresh[3]
                 assert np.abs(stale - fresh).max() > 0.05
             else:
                 assert stale.tolist() == fresh.tolist()
 
 
-def test_what_a_label_in_front_covers_is_not_written() -> None:
+def test_labels_covered_by_one_in_front_are_not_drawn() -> None:
     world = two_arms()
     decor, toggles, view = Decor(world), toggles_of(world), view_at(distance=5)
     toggles.billboards[:] = True
@@ -186,7 +186,7 @@ def test_what_a_label_in_front_covers_is_not_written() -> None:
 
 
 @pytest.mark.parametrize("fast", [True, False])
-def test_a_host_greys_what_it_is_told_and_nothing_else(fast: bool) -> None:
+def test_scene_writer_grays_the_marked_geoms_only(fast: bool) -> None:
     world = two_arms()
     data = with_age(world, -1)
     scene = mujoco.MjvScene(world.model, 200)
@@ -212,7 +212,7 @@ def test_a_host_greys_what_it_is_told_and_nothing_else(fast: bool) -> None:
 
 
 @pytest.mark.parametrize("fast", [True, False])
-def test_a_host_does_not_show_what_is_hidden(fast: bool) -> None:
+def test_scene_writer_does_not_show_hidden_geoms(fast: bool) -> None:
     world = fed_world()
     toggles = toggles_of(world)
     toggles.doubles[:] = False
@@ -234,7 +234,7 @@ def test_a_host_does_not_show_what_is_hidden(fast: bool) -> None:
 
 
 @pytest.mark.gl
-def test_a_stale_robot_is_seen_grey_in_the_picture_and_fresh_again() -> None:
+def test_stale_robot_is_rendered_gray_and_then_fresh_again() -> None:
     world = two_arms()
     with HeadlessRenderer(world, 400, 300, "150,-14,3") as renderer:
         fresh = renderer.render(with_age(world, 0.1)).astype(int)
@@ -246,7 +246,7 @@ def test_a_stale_robot_is_seen_grey_in_the_picture_and_fresh_again() -> None:
 
 
 def fed_world(**routes: str) -> World:
-    """A robot with a double, smart arrows and frames, and what is routed to them."""
+    """Returns a world of a robot with a double, smart arrows and frames, with these routes."""
     sources = {
         name: {"kind": "udp", "port": port, "structure": "7F1V1M1F"}
         for port, name in enumerate(("arm", "goal_in", "sensor", "tracker", "keys"), 1)
@@ -275,7 +275,7 @@ def fed_world(**routes: str) -> World:
 
 
 def drawn_with(world: World, **ages: float):
-    """The buffer with these ages of sources; the others are fresh."""
+    """Returns the buffer with these ages of sources; other sources are fresh."""
     data = world.make_data()
     for name in world.scene.sources:
         set_source(data, world, name, received=5, age=ages.get(name, 0.1), size=216)
@@ -291,7 +291,7 @@ def geoms_of(world: World, start: str) -> list[bool]:
     return [world.model.body(int(body)).name.startswith(start) for body in world.model.geom_bodyid]
 
 
-def test_a_stale_double_is_grey_alone_and_says_so_at_its_robots_base() -> None:
+def test_stale_double_alone_is_gray_and_labeled_at_its_robot_base() -> None:
     world = fed_world(lwr__joint_angles="arm.values0", goal__joint_angles="goal_in.values0")
     buffer = drawn_with(world, goal_in=1.4)
     assert written(buffer) == ["goal: no data for 1.4 s"]
@@ -303,7 +303,7 @@ def test_a_stale_double_is_grey_alone_and_says_so_at_its_robots_base() -> None:
     assert buffer.grey.tolist() == geoms_of(world, "lwr/")
 
 
-def test_a_robot_and_its_double_have_their_lines_under_each_other() -> None:
+def test_lines_of_a_robot_and_its_double_are_stacked() -> None:
     world = fed_world(
         lwr__joint_angles="arm.values0",
         goal__joint_angles="goal_in.values0",
@@ -329,7 +329,7 @@ def test_a_robot_and_its_double_have_their_lines_under_each_other() -> None:
     assert buffer.grey.tolist() == both.tolist()
 
 
-def test_a_stale_arrow_is_grey_and_the_others_are_not() -> None:
+def test_stale_arrow_is_gray_and_the_others_are_not() -> None:
     world = fed_world(
         **{f"{name}__vector": "sensor.vectors0" for name in ("push", "long", "turn", "wide")}
     )
@@ -348,7 +348,7 @@ def test_a_stale_arrow_is_grey_and_the_others_are_not() -> None:
             assert unstriped == pytest.approx(np.tile(colour, (len(unstriped), 1)), rel=1e-5)
 
 
-def test_a_stale_frame_is_grey_and_the_others_are_not() -> None:
+def test_stale_frame_is_gray_and_the_others_are_not() -> None:
     world = fed_world(seen__frame="tracker.matrices0")
     for age in (0.1, 0.6, -1.0):
         buffer = drawn_with(world, tracker=age)
@@ -360,7 +360,7 @@ def test_a_stale_frame_is_grey_and_the_others_are_not() -> None:
             assert bars["rgba"][:, :3] == pytest.approx(expected, rel=1e-5)
 
 
-def test_what_only_switches_is_no_data() -> None:
+def test_switches_do_not_count_as_data() -> None:
     world = fed_world(
         lwr__show_arrows="keys.values1",
         lwr__arrow_quantity="keys.values1",
@@ -379,7 +379,7 @@ def test_what_only_switches_is_no_data() -> None:
         assert bars["rgba"][:, :3] == pytest.approx(AXIS_RGB)
 
 
-def test_beside_data_a_switch_of_another_source_does_not_make_stale() -> None:
+def test_silent_switch_source_does_not_make_data_stale() -> None:
     world = fed_world(
         lwr__joint_angles="arm.values0",
         lwr__show_arrows="keys.values1",
@@ -390,7 +390,7 @@ def test_beside_data_a_switch_of_another_source_does_not_make_stale() -> None:
     assert written(drawn_with(world, keys=-1, arm=2.0)) == ["lwr: no data for 2.0 s"]
 
 
-def test_the_oldest_of_several_sources_counts_a_received_flange_among_them() -> None:
+def test_oldest_of_several_sources_counts_including_the_flange_check() -> None:
     world = fed_world(lwr__joint_angles="arm.values0", lwr__flange_check="tracker.matrices0")
     assert written(drawn_with(world, arm=0.2)) == []
     assert written(drawn_with(world, arm=0.2, tracker=0.7)) == ["lwr: no data for 0.7 s"]
@@ -398,7 +398,7 @@ def test_the_oldest_of_several_sources_counts_a_received_flange_among_them() -> 
     assert written(drawn_with(world, arm=1.2, tracker=-1)) == ["lwr: no data yet"]
 
 
-def test_what_follows_a_frame_has_no_age() -> None:
+def test_robot_that_follows_a_frame_has_no_age() -> None:
     world = fed_world(other__base_frame="lwr/flange", lwr__joint_angles="arm.values0")
     buffer = drawn_with(world, arm=5.0)
     assert written(buffer) == ["lwr: no data for 5.0 s"]

@@ -1,4 +1,4 @@
-"""The start page: what it lists, what was viewed lately, what is awaited, and what files mean."""
+"""The start page: its list, recent views, ports that receive data, and opened files."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def titles(section: str) -> list[str]:
     return [tile.title for each in sections() if each.title == section for tile in each.tiles]
 
 
-def test_all_that_is_shipped_is_shown_once_with_its_picture() -> None:
+def test_every_shipped_item_is_listed_once_with_its_image() -> None:
     found = sections()
     assert [section.title for section in found] == [
         "Simulations", "Live robots", "Robots", "Parts of robots",
@@ -75,7 +75,7 @@ def test_all_that_is_shipped_is_shown_once_with_its_picture() -> None:
     assert {file.name for file in (paths.scenes_dir() / "pictures").iterdir()} == shown
 
 
-def test_a_tile_opens_what_its_name_says_also_where_a_scene_hides_a_group() -> None:
+def test_tile_opens_the_item_it_names() -> None:
     (tile,) = [
         tile for each in sections() if each.title == "Robots" for tile in each.tiles
         if tile.title == "biped"
@@ -84,12 +84,12 @@ def test_a_tile_opens_what_its_name_says_also_where_a_scene_hides_a_group() -> N
     assert load_scene("biped").sources  # the live one
 
 
-def test_what_was_viewed_comes_first_with_how_it_was_left(tmp_path: Path, state: Path) -> None:
+def test_recent_views_come_first_with_their_last_state(tmp_path: Path, state: Path) -> None:
     scene = tmp_path / "mine.toml"
     scene.write_text(ARM.format(port=0))
     grey = np.full((800, 1280, 3), 77, np.uint8)
     remember_view(RecentView(str(scene)), grey)
-    remember_view(RecentView("lwr_udp"), None)  # without a picture it has the shipped one
+    remember_view(RecentView("lwr_udp"), None)  # without its own image, it has the shipped one
     remember_view(RecentView(str(scene)), grey)
     first = sections()[0]
     assert first.title == "Recent views"
@@ -104,7 +104,7 @@ def test_what_was_viewed_comes_first_with_how_it_was_left(tmp_path: Path, state:
     assert titles("Recent views") == ["lwr_udp"]
 
 
-def test_only_the_latest_are_remembered_and_damage_is_forgotten(state: Path) -> None:
+def test_only_the_latest_views_are_stored_and_damaged_ones_ignored(state: Path) -> None:
     names = paths.list_all()[: MAX_VIEWS + 3]
     for name in names:
         remember_view(RecentView(name), np.zeros((30, 40, 3), np.uint8))
@@ -119,7 +119,7 @@ def test_only_the_latest_are_remembered_and_damage_is_forgotten(state: Path) -> 
 
 @contextmanager
 def hearing(tmp_path: Path, *sizes: int) -> Iterator[tuple[PortMonitor, socket.socket, int]]:
-    """Who listens for scenes with packets of these sizes at one port, and who sends to it."""
+    """Yields a monitor for scenes with packets of these sizes at one port, and its sender."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -134,7 +134,7 @@ def hearing(tmp_path: Path, *sizes: int) -> Iterator[tuple[PortMonitor, socket.s
 
 
 def until(listening: PortMonitor, text: str) -> ExpectedPackets:
-    """What is awaited, once its text has this in it."""
+    """Returns the expected item once its text contains `text`."""
     end = time.monotonic() + 10.0
     while time.monotonic() < end:
         (found,) = listening.expected()
@@ -144,7 +144,7 @@ def until(listening: PortMonitor, text: str) -> ExpectedPackets:
     raise AssertionError(found.text)
 
 
-def test_data_that_is_awaited_is_heard(tmp_path: Path) -> None:
+def test_incoming_data_is_shown(tmp_path: Path) -> None:
     with hearing(tmp_path, 16, 24) as (listening, sender, port), listening:
         (nothing,) = listening.expected()
         assert nothing.text == f"UDP 127.0.0.1:{port}: no packets yet"
@@ -161,7 +161,7 @@ def test_data_that_is_awaited_is_heard(tmp_path: Path) -> None:
         assert found.mood == "bad"
 
 
-def test_a_port_that_is_in_use_is_told(tmp_path: Path) -> None:
+def test_port_in_use_is_reported(tmp_path: Path) -> None:
     with hearing(tmp_path, 16) as (listening, _, port):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.bind(("127.0.0.1", port))
@@ -171,7 +171,7 @@ def test_a_port_that_is_in_use_is_told(tmp_path: Path) -> None:
         assert (found.mood, found.command) == ("bad", "")
 
 
-def test_scenes_that_are_wrong_are_not_listened_for(tmp_path: Path) -> None:
+def test_invalid_scenes_are_not_monitored(tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.toml"
     for text in ("[", "sources = 3", "[sources]\na = 1", '[sources.a]\nkind = "udp"\nport = -1\n'):
         wrong.write_text(text)
@@ -180,7 +180,7 @@ def test_scenes_that_are_wrong_are_not_listened_for(tmp_path: Path) -> None:
 
 
 def record(path: Path, scene: str, files: Mapping[str, bytes]) -> None:
-    """A recording of `moving` packets of a source `arm`."""
+    """Writes a recording of `moving` packets of a source `arm`."""
     with RecordingWriter(path, about={"scene": scene}) as writer:
         writer.add_source("arm", kind="udp", declared=DECLARED, events=EVENTS, size=168)
         for name, contents in files.items():
@@ -189,7 +189,7 @@ def record(path: Path, scene: str, files: Mapping[str, bytes]) -> None:
             writer.write_raw("arm", packet, writer.clock.monotonic_ns / 1e9 + k)
 
 
-def test_a_recording_is_shown_by_the_scene_of_its_sources(tmp_path: Path) -> None:
+def test_recording_is_shown_by_the_scene_of_its_sources(tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     record(recording, "mine", {})
     with pytest.raises(UsageError) as told:
@@ -214,7 +214,7 @@ def test_a_recording_is_shown_by_the_scene_of_its_sources(tmp_path: Path) -> Non
         view_of_file(recording, "lwr_udp")
 
 
-def test_a_recording_brings_its_own_scene(tmp_path: Path) -> None:
+def test_recording_contains_its_own_scene(tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     files = {"cell/mine.toml": ARM.format(port=0).encode()}
     record(recording, "mine", files)
@@ -223,7 +223,7 @@ def test_a_recording_brings_its_own_scene(tmp_path: Path) -> None:
     assert is_temporary(view)
 
 
-def test_files_are_told_apart(tmp_path: Path) -> None:
+def test_files_are_opened_by_kind(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"nothing\.mcap: no such file"):
         view_of_file(tmp_path / "nothing.mcap", None)
     view = view_of_file(Path("robot.urdf"), None)
@@ -241,7 +241,7 @@ def test_files_are_told_apart(tmp_path: Path) -> None:
         (["RUN.MCAP", "notes.txt"], "RUN.MCAP"),
     ],
 )
-def test_of_several_files_one_is_opened(names: list[str], chosen: str) -> None:
+def test_main_file_of_several_files_is_opened(names: list[str], chosen: str) -> None:
     assert uploads.main_file([PurePosixPath(name) for name in names]) == PurePosixPath(chosen)
 
 
@@ -255,7 +255,7 @@ def test_of_several_files_one_is_opened(names: list[str], chosen: str) -> None:
         (["a.urdf", "b.urdf"], "found a.urdf and b.urdf; drop only one of them, or its folder"),
     ],
 )
-def test_what_cannot_be_opened_is_told(names: list[str], text: str) -> None:
+def test_files_that_cannot_be_opened_are_reported(names: list[str], text: str) -> None:
     with pytest.raises(UsageError) as told:
         uploads.main_file([PurePosixPath(name) for name in names])
     assert str(told.value).startswith(text)
@@ -306,7 +306,7 @@ def test_lists_of_files_are_checked(message: str | bytes, text: str) -> None:
 
 
 class Uploading:
-    """A connection over which a browser says some things and then leaves."""
+    """A connection over which a browser sends some messages and then leaves."""
 
     def __init__(self, said: list[str | bytes]) -> None:
         self.left, self.answers = said, list[dict[str, str]]()
@@ -331,14 +331,14 @@ PARTS = st.lists(st.one_of(st.binary(max_size=5), st.text(max_size=3)), max_size
     PARTS,
     st.booleans(),
 )
-def test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all(
+def test_uploads_are_stored_completely_or_not_at_all(
     tmp_path_factory: pytest.TempPathFactory,
     files: list[tuple[str, bytes]],
     longer: int,
     said: list[bytes | str],
     honest: bool,
 ) -> None:
-    """An honest browser says what it has listed, another one something else, of other lengths."""
+    """An honest browser sends what it has listed; another one sends something else."""
     folder = tmp_path_factory.mktemp("uploaded")
     listed = [
         {"path": path, "size": len(content) + (0 if honest else longer)} for path, content in files
@@ -347,7 +347,7 @@ def test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all(
         said = [content for _, content in files if content]
     first = json.dumps({"key": "k", "files": listed})
     line, opened = Uploading([first, *said]), list[Path]()
-    # On a thread of its own: Playwright keeps a loop running on that of tests.
+    # On its own thread: Playwright keeps an event loop running on the test thread.
     with (
         patch.object(uploads, "make_temporary_folder", lambda: folder),
         patch.object(uploads, "drops", uploads.Drops()),

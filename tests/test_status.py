@@ -1,4 +1,4 @@
-"""The corner of the picture that says what is wrong with sources."""
+"""The corner of the image with errors of sources."""
 
 from __future__ import annotations
 
@@ -36,34 +36,34 @@ def udp_scene(**udp: Any) -> Scene:
     return Scene(robots=[lwr], sources={"udp": source}, routes={"lwr.joint_angles": "udp.values0"})
 
 
-def test_what_is_awaited_is_said_until_something_comes() -> None:
+def test_expected_packets_are_shown_until_some_arrive() -> None:
     scene = load_scene("lwr_udp")
     scene.toggles.legend = False
     world = World(scene)
     decor, data, toggles = Decor(world), world.make_data(), Toggles(world)
 
-    def said() -> list[str]:
+    def shown_lines() -> list[str]:
         buffer = decor.draw(data, toggles, view_at())
         return [text for text in labels(buffer.rows[: buffer.count]) if "lwr: no data" not in text]
 
     set_source(data, world, "udp", received=0, size=112, age=-1)
-    assert said() == [
+    assert shown_lines() == [
         "no packet yet on UDP 127.0.0.1:32000",
         "  expected: packets of 112 bytes",
         "  test with: sero-mj send lwr_udp",
     ]
     toggles.status = False
-    assert said() == []
+    assert shown_lines() == []
     toggles.status = True
-    # What is wrong with packets is said instead.
+    # Errors of packets are shown instead.
     set_source(data, world, "udp", received=1, malformed=1, wrong_size=1, last_size=5, size=112,
                fault_age=0.1, age=-1)  # fmt: skip
-    assert said() == ["udp: 1 of 1 packets not applied", "  5 bytes, expected 112"]
+    assert shown_lines() == ["udp: 1 of 1 packets not applied", "  5 bytes, expected 112"]
     set_source(data, world, "udp", received=1, size=112)
-    assert said() == []
+    assert shown_lines() == []
 
 
-def test_nothing_is_awaited_from_files(tmp_path: Path) -> None:
+def test_nothing_is_expected_from_files(tmp_path: Path) -> None:
     scene = udp_scene()
     scene.sources = {"replay": {"kind": "replay", "file": str(tmp_path / "run.mcap")}}
     scene.routes = {}
@@ -76,7 +76,7 @@ def test_nothing_is_awaited_from_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("counts", "said"),
+    ("counts", "expected"),
     [
         ({"received": 9}, []),
         (
@@ -105,7 +105,7 @@ def test_nothing_is_awaited_from_files(tmp_path: Path) -> None:
             ["udp: 3 packets lost, 1 late", "  2 packets duplicated, 5 dropped by this machine"],
         ),
         ({"received": 12, "lost": 3, "late": 1, "link_age": 5.5}, []),
-        (  # they may be the same ones
+        (  # they may be the same packets
             {"received": 12, "malformed": 3, "wrong_size": 3, "last_size": 5, "fault_age": 1,
              "lost": 3, "link_age": 1},
             ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56",
@@ -125,14 +125,16 @@ def test_nothing_is_awaited_from_files(tmp_path: Path) -> None:
         ({"received": 12, "foreign": 3, "foreign_age": 5.5}, []),
     ],
 )  # fmt: skip
-def test_faults_of_a_source_stand_in_the_corner(counts: dict[str, float], said: list[str]) -> None:
+def test_errors_of_a_source_are_shown_in_the_corner(
+    counts: dict[str, float], expected: list[str]
+) -> None:
     world = World(udp_scene())
     data = world.make_data()
     set_source(data, world, "udp", **{"age": 0.1, "size": 56, **counts})
     view = view_at()
     buffer = Decor(world).draw(data, Toggles(world), view)
     rows = buffer.rows[: buffer.count]
-    assert labels(rows) == said
+    assert labels(rows) == expected
     for row in of_kind(rows, GEOM.mjGEOM_BOX):
         low, high = rectangle(view, row)
         assert low[0] >= 0 and high[1] <= view.height
@@ -149,7 +151,7 @@ FAULTS = {"received": 99, "age": 0.1, "size": 56, "malformed": 9, "wrong_size": 
 @pytest.mark.parametrize("size", [(640, 480), (800, 600), (1280, 800)])
 @pytest.mark.parametrize("distance", [1.2, 2.0, 3.5])
 @pytest.mark.parametrize("azimuth", [0.7, 2.9])
-def test_faults_cover_no_billboard(
+def test_errors_cover_no_billboard(
     counts: dict[str, float], size: tuple[int, int], distance: float, azimuth: float
 ) -> None:
     scene = udp_scene()
@@ -176,15 +178,15 @@ def test_faults_cover_no_billboard(
 
 
 @pytest.mark.parametrize(("width", "lowered"), [(400.0, 40.0), (200.0, 0.0)])
-def test_faults_stand_below_the_flange_check_where_they_meet(width: float, lowered: float) -> None:
-    # In a picture of 640 x 480: a line in the right corner, and faults in the left one.
+def test_errors_are_below_the_flange_check_if_they_overlap(width: float, lowered: float) -> None:
+    # In an image of 640 x 480: a line in the right corner and errors in the left one.
     right = Panels(np.array([[480.0, 455.0]]), np.array([[300.0, 30.0]]), [[b"off"]])
     faults = Panels(np.array([[10 + width / 2, 430.0]]), np.array([[width, 100.0]]), [[b"lost"]])
     moved = move_below(right, faults)
     assert moved.centres.tolist() == [[10 + width / 2, 430.0 - lowered]]
 
 
-def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:
+def test_source_without_routes_is_not_reported() -> None:
     lwr = SerialRobot.from_model("lwr")
     world = World(Scene(robots=[lwr], sources={"udp": {"kind": "udp", "structure": "7F"}}))
     data = world.make_data()
@@ -193,12 +195,12 @@ def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:
 
 
 def corner(mirror: Mirror) -> list[str]:
-    """What the corner says after what has come is applied."""
+    """Returns the text of the corner after the received packets are applied."""
     mirror.advance()
     return corner_lines(mirror)
 
 
-def test_what_a_link_loses_and_mixes_up_is_written() -> None:
+def test_lost_and_mixed_packets_are_shown() -> None:
     layout = Structure("number:1I 7F")
     scene = udp_scene(structure=layout.text, sequence="number")
     with Mirror(scene) as mirror, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -222,20 +224,22 @@ def test_what_a_link_loses_and_mixes_up_is_written() -> None:
             other.sendto(layout.encode({"number": [9]}), ("127.0.0.1", source.port))
             come += 1
             assert until(lambda: source.counters.received == come)
-            send(5)  # who sends beside it has not taken its place
+            send(5)  # the second sender has not replaced it
         assert corner(mirror)[-1] == "udp: 2 concurrent senders; set sender = ... to choose one"
 
 
-def test_received_angles_in_degrees_are_noticed() -> None:
+def test_received_angles_in_degrees_are_detected() -> None:
     layout = Structure("7F")
     with Mirror(udp_scene()) as mirror, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         source: Any = mirror.sources["udp"]
         decor = Decor(mirror.world)
-        for come, (angle, said) in enumerate([(1.0, []), (80.0, ["lwr.A2", "Is it in degrees?"])]):
+        for come, (angle, expected) in enumerate(
+            [(1.0, []), (80.0, ["lwr.A2", "Is it in degrees?"])]
+        ):
             values = {"values0": [0, angle, 0, 0, 0, 0, 0]}
             sender.sendto(layout.encode(values), ("127.0.0.1", source.port))
             assert until(lambda wanted=come + 1: source.counters.received == wanted)
             mirror.advance()
             buffer = decor.draw(mirror.data, Toggles(mirror.world), view_at())
             lines = labels(buffer.rows[: buffer.count])
-            assert [line.strip().split(":")[0] for line in lines] == said
+            assert [line.strip().split(":")[0] for line in lines] == expected

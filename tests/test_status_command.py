@@ -1,4 +1,4 @@
-"""`sero-mj status`: what sources receive, by cause, in a process of its own."""
+"""`sero-mj status`: packets received by sources, by cause, in a separate process."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def watch(file: Path, *options: str) -> tuple[int, str]:
 
 
 def while_sending(port: int, work: Callable[[], tuple[int, str]]) -> tuple[int, str]:
-    """Sends good and bad packets again and again until the work is done."""
+    """Sends valid and malformed packets repeatedly until the work is done."""
     stop = threading.Event()
 
     def send() -> None:
@@ -70,7 +70,8 @@ def while_sending(port: int, work: Callable[[], tuple[int, str]]) -> tuple[int, 
                     packet(number + 2, value=float("nan")), packet(number + 3, corner=2.0),
                 ):  # fmt: skip
                     sock.sendto(data, ("127.0.0.1", port))
-                number += 6  # one is passed over, and the one with the wrong identity is not seen
+                # One number is skipped, and the packet with the wrong identity is not counted.
+                number += 6
 
     sender = threading.Thread(target=send)
     sender.start()
@@ -82,7 +83,7 @@ def while_sending(port: int, work: Callable[[], tuple[int, str]]) -> tuple[int, 
 
 
 @pytest.mark.slow
-def test_every_cause_is_told_with_its_number(scene: Callable[[], tuple[Path, int]]) -> None:
+def test_every_cause_is_reported_with_its_count(scene: Callable[[], tuple[Path, int]]) -> None:
     file, port = scene()
     status, text = while_sending(port, lambda: watch(file))
     assert status == 0
@@ -101,7 +102,7 @@ def test_every_cause_is_told_with_its_number(scene: Callable[[], tuple[Path, int
     assert abs(int(told["lost"][0]) - 3 * rounds) <= 6
 
 
-def test_what_may_be_lost_or_unread_is_said_so() -> None:
+def test_ambiguous_losses_are_explained() -> None:
     found = report(UdpReceiver(structure="n:1I", sequence="n"))
     for more, why in (
         ({}, "missing sequence numbers"),
@@ -113,7 +114,7 @@ def test_what_may_be_lost_or_unread_is_said_so() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("value", "joint"), [(60.0, "arm.J1"), (0.6, "")])
-def test_angles_that_look_like_degrees_are_noticed(
+def test_angles_in_degrees_are_detected(
     scene: Callable[[], tuple[Path, int]], value: float, joint: str
 ) -> None:
     file, port = scene()
@@ -138,7 +139,7 @@ def test_angles_that_look_like_degrees_are_noticed(
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_json_has_the_same(scene: Callable[[], tuple[Path, int]]) -> None:
+def test_json_contains_the_same_report(scene: Callable[[], tuple[Path, int]]) -> None:
     file, port = scene()
     status, text = while_sending(port, lambda: watch(file, "--json"))
     (found,) = json.loads(text)
@@ -149,7 +150,7 @@ def test_json_has_the_same(scene: Callable[[], tuple[Path, int]]) -> None:
     assert found["received"] == found["good"] + found["malformed"] + found["duplicates"]
 
 
-def test_a_silent_source_makes_it_fail(
+def test_silent_source_makes_status_fail(
     scene: Callable[[], tuple[Path, int]], capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, _ = scene()
@@ -160,14 +161,14 @@ def test_a_silent_source_makes_it_fail(
     assert "state silent no valid packet yet received 0 0 applied" in text
 
 
-def test_a_scene_without_sources_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_scene_without_sources_is_rejected(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["status", "lwr"])
     assert caught.value.code == 2
     assert capsys.readouterr().err == "sero-mj: scene 'lwr' has no source to watch\n"
 
 
-def test_a_source_that_has_gone_quiet_is_told() -> None:
+def test_source_that_went_silent_is_reported() -> None:
     with UdpReceiver(structure="t:1F", time="t") as receiver:
         with socket.socket(type=socket.SOCK_DGRAM) as sock:
             sock.sendto(struct.pack("<d", 1.0), ("127.0.0.1", receiver.port))

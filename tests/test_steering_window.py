@@ -1,4 +1,4 @@
-"""A simulated robot that is steered in a window: handles, sliders, pushes, the simulate button."""
+"""A simulated robot controlled in a window: handles, sliders, pushes, the simulate button."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def pixel(window: Driven, point: str) -> tuple[int, int]:
 
 
 @pytest.mark.thorough
-def test_a_dragged_handle_moves_the_target_and_the_robot_follows(
+def test_dragged_handle_moves_the_target_and_the_robot_follows(
     display: str, tmp_path: Path
 ) -> None:
     options = {"settings": _SETTINGS, "control": "cartesian"}
     with Driven(display, tmp_path, "lwr", **options) as window:
         window.until("w.toggles.handles is not None and w.clock.time > 0.2")
-        # The arrow along the flange's z, which points down.
+        # The arrow along the flange's z axis, which points down.
         window.ask("globals().update(start=w.toggles.handles.pose.copy())")
         unit = "__import__('sero_mj.viewer.decor.handles', fromlist=['x']).handle_length"
         tip = f"start[:3, 3] + 5.5 * {unit}(start[:3, 3], w.decor.view) * start[:3, 2]"
@@ -69,19 +69,19 @@ def test_a_dragged_handle_moves_the_target_and_the_robot_follows(
             " - w.tools['steering'].goals['lwr'].flange(np.eye(4))[:3, 3]).max()"
         )
         window.until(f"{error} < 2e-3")
-        # While it holds its target it is pulled, and gives way as its springs do.
+        # While holding its target it is pulled and yields like its springs.
         window.tool("mousemove", *pixel(window, "w.data.xpos[w.world.robots['lwr'].bodies[4]]"))
         window.tool("keydown", "ctrl", "mousedown", 1, "mousemove_relative", 50, 20)
         window.until("w.tools['pulling'].is_on")
         window.until("np.linalg.norm(w.tools['pulling']._force.force) > 10")
         window.tool("mouseup", 1, "keyup", "ctrl")
         window.until("not w.tools['pulling'].is_on")
-        # The panel changes the controller; End comes back from the past.
+        # The panel changes the controller; End returns from the past.
         window.key("Tab")
         window.until("w.shows_panel")
         assert window.ask("w.tools['steering']._toggles.handles is not None")
-        left, *_ = window.until("places.get('of turning')")
-        _, y = window.middle("of turning")
+        left, *_ = window.until("places.get('rotational')")
+        _, y = window.middle("rotational")
         before = window.ask("w.tools['steering'].robots['lwr'].controller.stiffness[3, 3]")
         window.tool("mousemove", round(left) + 12, round(y), "mousedown", 1)
         window.settle()
@@ -97,7 +97,7 @@ def test_a_dragged_handle_moves_the_target_and_the_robot_follows(
 
 
 @pytest.mark.thorough
-def test_the_button_simulates_what_is_shown_from_where_it_is(display: str, tmp_path: Path) -> None:
+def test_simulate_button_starts_from_the_shown_pose(display: str, tmp_path: Path) -> None:
     environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
     environment.pop("WAYLAND_DISPLAY", None)
     program = """

@@ -1,4 +1,4 @@
-"""Pictures for two eyes: where things are for each, and that text is where both see the same."""
+"""Stereo images: the disparity of points, and text at the same place for both eyes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def lwr(*, show_billboards: bool = True) -> SerialRobot:
 
 
 def pixel(scene: mujoco.MjvScene, point: Array) -> Array:
-    """Where a point is in a square picture, by the frustum of the scene's camera, -1 to 1."""
+    """Returns the position of a point in a square image by the camera frustum, -1 to 1."""
     camera = scene.camera[0]
     forward, up = np.array(camera.forward), np.array(camera.up)
     at = point - np.array(camera.pos)
@@ -38,7 +38,7 @@ def pixel(scene: mujoco.MjvScene, point: Array) -> Array:
     return np.array([x, at @ up / depth]) / half
 
 
-def test_a_point_is_apart_for_the_eyes_by_its_distance_alone() -> None:
+def test_disparity_of_a_point_depends_on_its_distance_only() -> None:
     world = World(Scene(robots=[lwr()]))
     data, camera = world.make_data(), mujoco.MjvCamera()
     mujoco.mj_kinematics(world.model, data)
@@ -59,7 +59,7 @@ def test_a_point_is_apart_for_the_eyes_by_its_distance_alone() -> None:
     assert distance == pytest.approx(2.5)
     depths = np.array([1.0, 2.5, 10.0, 1.6 * near])
     points = [middle + z * (forward + 0.1 * right - 0.2 * up) for z in depths]
-    # What is laid out in pixels is in front of everything, and is to stay where it is.
+    # Decor in pixels is in front of everything and must not move.
     leader = scene.geoms[scene.ngeom]
     mujoco.mjv_initGeom(
         leader,
@@ -84,7 +84,7 @@ def test_a_point_is_apart_for_the_eyes_by_its_distance_alone() -> None:
     assert np.allclose(leaders, centre, atol=2e-4)
 
 
-def test_grey_stays_grey_in_an_anaglyph_and_each_eye_has_its_colour() -> None:
+def test_gray_is_unchanged_in_an_anaglyph_and_each_eye_has_its_color() -> None:
     grey = np.repeat(np.arange(256, dtype=np.uint8)[None, :, None], 3, axis=2)
     assert np.abs(anaglyph(grey, grey).astype(int) - grey).max() <= 1
     white, black = np.full((1, 1, 3), 255, np.uint8), np.zeros((1, 1, 3), np.uint8)
@@ -108,14 +108,14 @@ def picture(
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_numbers_are_at_the_same_pixels_for_both_eyes_and_as_without_stereo() -> None:
+def test_text_is_at_the_same_pixels_for_both_eyes_and_without_stereo() -> None:
     one = picture(None)
     bare = picture(None, show_billboards=False)
     is_text = (one > 230).all(axis=2) & (np.abs(one - bare) > 40).any(axis=2)
     assert is_text.sum() > 200
     mixed = picture("anaglyph")
     assert np.abs(mixed - one)[is_text].max() < 30
-    assert np.abs(mixed - one).mean() > 1  # the scene itself is another
+    assert np.abs(mixed - one).mean() > 1  # the scene itself differs
     both = picture("side-by-side", (2 * WIDTH, HEIGHT))
     left, right = both[:, :WIDTH], both[:, WIDTH:]
     for eye in (left, right):
@@ -124,7 +124,7 @@ def test_numbers_are_at_the_same_pixels_for_both_eyes_and_as_without_stereo() ->
 
 
 @pytest.mark.gl
-def test_pictures_and_films_of_a_scene_are_written_for_two_eyes(tmp_path: Path) -> None:
+def test_stereo_images_and_videos_are_written(tmp_path: Path) -> None:
     scene = Scene(robots=[lwr()])
     small = {"size": (160, 100), "quality": "draft", "stereo": "side-by-side"}
     render_image(scene, tmp_path / "a.png", **small)  # type: ignore[arg-type]
@@ -139,7 +139,7 @@ def test_pictures_and_films_of_a_scene_are_written_for_two_eyes(tmp_path: Path) 
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
-def test_a_window_shows_both_eyes_and_takes_clicks_of_either(tmp_path: Path) -> None:
+def test_window_shows_both_eyes_and_accepts_clicks_in_either(tmp_path: Path) -> None:
     settings = ("lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0", "lwr.torques=20,60,-30,40,-9,5,3")
     joint = "w.decor.view.project(w.data.site_xpos[w.world.joints.centre_site])[0][1].tolist()"
     with (
@@ -154,7 +154,7 @@ def test_a_window_shows_both_eyes_and_takes_clicks_of_either(tmp_path: Path) -> 
         halves = "[w.image()[:, :320].astype(int), w.image()[:, 320:].astype(int)]"
         apart = f"(lambda a, b: float(abs(a - b).mean()))(*{halves})"
         assert 0.3 < window.ask(apart) < 20
-        # Red is the left eye's, green and blue are the right one's.
+        # Red is the left eye's channel, green and blue are the right one's.
         window.ask("setattr(w.decor, '_is_anaglyph', True)")
         window.settle()
         mixed = "w.image().astype(int)"
@@ -166,7 +166,7 @@ def test_a_window_shows_both_eyes_and_takes_clicks_of_either(tmp_path: Path) -> 
         assert window.ask("int(abs(w._mixed - w.image()).max())") <= 2
 
 
-def test_what_is_no_stereo_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_stereo_options_are_rejected(capsys: pytest.CaptureFixture[str]) -> None:
     world = World(Scene(robots=[lwr()]))
     for fields, message in (
         ({"stereo": "3d"}, "found stereo '3d'; expected side-by-side or anaglyph"),

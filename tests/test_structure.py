@@ -1,6 +1,6 @@
-"""The packet language, against Python's `struct` and against a recogniser of its own.
+"""The structure language, compared with Python's `struct` and with a reference recognizer.
 
-At the end every float32 goes through a socket; `test_matrices` sends whatever bytes there are.
+The last test sends every float32 through a socket; `test_matrices` sends arbitrary bytes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ bit_patterns = st.one_of(
     st.integers(0, 2**64 - 1),
     st.sampled_from([0x7FF0000000000001, 0x7FF8000000000000, 0xFFF0000000000000, 1, 1 << 63]),
 )
-# What a tired typist writes, and digits that are none of ours.
+# Strings with typing errors, and digits that are not ASCII.
 almost_structures = st.text(alphabet="0123456789FFFVVMMTfdbBhHiIqQ?xvm ,\nX.-é٣²", max_size=12)
 
 
@@ -48,7 +48,7 @@ def length_of(items: Items) -> int:
 
 
 def places_of(items: Items, *, column_major: bool) -> dict[str, np.ndarray]:
-    """By event, for each of its elements, which number of the packet it is."""
+    """Returns the index in the packet of each number of each event."""
     places: dict[str, np.ndarray] = {}
     start = 0
     for k, (count, letter) in enumerate(items):
@@ -71,7 +71,7 @@ TYPE_BYTES = dict(zip("fdbBhHiIqQ?", (4, 8, 1, 1, 2, 2, 4, 4, 8, 8, 1), strict=T
 
 
 def recognise(text: str, number_bytes: int = 8) -> Items | int:
-    """The items, or the index of the first wrong character, by a regular expression.
+    """Returns the items, or the index of the first invalid character, by a regular expression.
 
     Knows no names, byte orders and constants.
     """
@@ -100,7 +100,7 @@ def recognise(text: str, number_bytes: int = 8) -> Items | int:
         at = found.end()
 
 
-def test_the_events_are_numbered_in_order_and_the_size_is_theirs_together() -> None:
+def test_events_are_numbered_by_kind_and_sizes_add_up() -> None:
     structure = Structure("7F2V7F1M3F1V")
     assert list(structure.events.items()) == [
         ("values0", (7,)),
@@ -116,7 +116,7 @@ def test_the_events_are_numbered_in_order_and_the_size_is_theirs_together() -> N
     assert Structure("7F2V7F1M3F1V", is_double=False).size == 42 * 4
 
 
-def test_the_example_of_the_documentation_is_right() -> None:
+def test_documented_example_has_the_stated_events_and_size() -> None:
     structure = Structure("7F1V7F1M")
     assert structure.events == {
         "values0": (7,),
@@ -127,7 +127,7 @@ def test_the_example_of_the_documentation_is_right() -> None:
     assert structure.size == 264
 
 
-def test_spaces_and_commas_may_stand_between_items() -> None:
+def test_spaces_and_commas_are_allowed_between_items() -> None:
     assert Structure(" 7F, 6F\n").events == {"values0": (7,), "values1": (6,)}
 
 
@@ -139,9 +139,9 @@ def test_spaces_and_commas_may_stand_between_items() -> None:
             "character 1: found the end, "
             "expected a count and F, V, M, T, x or a type, for example 7F1M",
         ),
-        ("F", "character 1: found 'F', expected a count before it, for example 1F"),
-        ("V", "character 1: found 'V', expected a count before it, for example 1V"),
-        ("7FM", "character 3: found 'M', expected a count before it, for example 1M"),
+        ("F", "character 1: found 'F', expected a count before 'F', as in 1F"),
+        ("V", "character 1: found 'V', expected a count before 'V', as in 1V"),
+        ("7FM", "character 3: found 'M', expected a count before 'M', as in 1M"),
         (
             "-7F",
             "character 1: found '-', "
@@ -194,7 +194,7 @@ def test_spaces_and_commas_may_stand_between_items() -> None:
         ),
     ],
 )
-def test_an_error_points_at_the_first_wrong_character(text: str, message: str) -> None:
+def test_error_marks_the_first_invalid_character(text: str, message: str) -> None:
     with pytest.raises(StructureError) as caught:
         Structure(text)
     assert str(caught.value) == f"structure '{text}', {message}"
@@ -208,7 +208,7 @@ def test_an_error_points_at_the_first_wrong_character(text: str, message: str) -
 TOO_LONG = "the packet would be too long; expected at most 65507 bytes"
 
 
-def test_a_packet_may_be_as_long_as_udp_carries_and_no_longer() -> None:
+def test_maximum_packet_size_is_that_of_udp() -> None:
     assert Structure("8188F").size == 65_504
     assert Structure("16376F", is_double=False).size == 65_504
     assert UdpReceiver(structure="16376F", is_double=False).layout.size == 65_504
@@ -234,8 +234,8 @@ def test_a_packet_may_be_as_long_as_udp_carries_and_no_longer() -> None:
 
 
 @pytest.mark.parametrize("digits", [20, 4300, 5000])
-def test_a_count_of_thousands_of_digits_is_refused_like_any_other(digits: int) -> None:
-    # Python itself refuses to turn more than 4300 digits into a number.
+def test_count_with_thousands_of_digits_is_rejected(digits: int) -> None:
+    # Python does not convert more than 4300 digits to a number.
     with raises_with(StructureError, position=2, reason=TOO_LONG):
         Structure("1F" + "9" * digits + "F")
 
@@ -245,7 +245,7 @@ def test_a_count_of_thousands_of_digits_is_refused_like_any_other(digits: int) -
 @example("7F0")
 @example("0X")
 @example("0M")
-def test_a_string_parses_or_the_error_points_at_the_first_wrong_character(text: str) -> None:
+def test_parser_agrees_with_the_reference_recognizer(text: str) -> None:
     expected = recognise(text)
     if isinstance(expected, int):
         with pytest.raises(StructureError) as caught:
@@ -259,7 +259,7 @@ def test_a_string_parses_or_the_error_points_at_the_first_wrong_character(text: 
 
 
 @given(st.text())
-def test_no_string_at_all_raises_anything_else(text: str) -> None:
+def test_arbitrary_text_raises_only_structure_errors(text: str) -> None:
     try:
         structure = Structure(text)
     except StructureError as error:
@@ -269,7 +269,7 @@ def test_no_string_at_all_raises_anything_else(text: str) -> None:
 
 
 @given(items_lists, st.booleans(), st.data())
-def test_doubles_are_decoded_bit_for_bit_as_struct_does(
+def test_doubles_are_decoded_bit_for_bit(
     items: Items, column_major: bool, data: st.DataObject
 ) -> None:
     n = length_of(items)
@@ -286,14 +286,14 @@ def test_doubles_are_decoded_bit_for_bit_as_struct_does(
     assert structure.encode(decoded) == packet
 
 
-def test_a_signalling_nan_is_decoded_without_a_warning() -> None:
-    packet = struct.pack("<I", 0x7F800001)  # numpy tells when it makes a quiet one of it
+def test_signaling_nan_is_decoded_without_a_warning() -> None:
+    packet = struct.pack("<I", 0x7F800001)  # NumPy would warn when it converts a signaling NaN
     assert np.isnan(Structure("1F", is_double=False).decode(packet)["values0"]).all()
 
 
 @pytest.mark.slow
 @given(items_lists, st.booleans(), st.data())
-def test_floats_are_decoded_as_struct_does(
+def test_floats_are_decoded_as_by_struct(
     items: Items, column_major: bool, data: st.DataObject
 ) -> None:
     n = length_of(items)
@@ -309,7 +309,7 @@ def test_floats_are_decoded_as_struct_does(
 
 
 @given(items_lists, st.booleans(), st.booleans(), st.data())
-def test_packets_are_encoded_as_struct_does(
+def test_packets_are_encoded_as_by_struct(
     items: Items, is_double: bool, column_major: bool, data: st.DataObject
 ) -> None:
     n = length_of(items)
@@ -326,13 +326,13 @@ def test_packets_are_encoded_as_struct_does(
         np.testing.assert_array_equal(again[event], rounded)
 
 
-def test_events_that_are_not_given_are_zero() -> None:
+def test_missing_events_are_encoded_as_zeros() -> None:
     assert Structure("2F1F").encode({"values1": [3.5]}) == struct.pack("<3d", 0.0, 0.0, 3.5)
     assert Structure("2F1F").encode({}) == bytes(24)
 
 
 @pytest.mark.parametrize("column_major", [True, False])
-def test_decoding_copies_nothing(column_major: bool) -> None:
+def test_decoded_arrays_are_views_of_the_packet(column_major: bool) -> None:
     packet = bytearray(20 * 8)
     decoded = Structure("1F1V1M", column_major=column_major).decode(packet)
     packet[:] = struct.pack("<20d", *range(20))
@@ -342,7 +342,7 @@ def test_decoding_copies_nothing(column_major: bool) -> None:
     assert first.tolist() == [4.0, 5.0, 6.0, 7.0]
 
 
-def test_a_leading_one_may_be_left_out_when_encoding() -> None:
+def test_leading_axis_of_length_one_can_be_omitted() -> None:
     structure = Structure("1F1V1M")
     matrix = np.arange(16.0).reshape(4, 4)
     packet = structure.encode({"values0": 0.5, "vectors0": [1, 2, 3], "matrices0": matrix})
@@ -352,12 +352,12 @@ def test_a_leading_one_may_be_left_out_when_encoding() -> None:
 
 
 @pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
-def test_packets_come_in_any_bytes(kind: type) -> None:
+def test_packets_can_be_any_bytes_like_object(kind: type) -> None:
     assert Structure("1F").decode(kind(struct.pack("<d", -0.5)))["values0"].tolist() == [-0.5]
 
 
 @pytest.mark.parametrize("length", [0, 1, 111, 113, 224])
-def test_a_packet_of_another_length_is_refused(length: int) -> None:
+def test_packet_of_wrong_length_is_rejected(length: int) -> None:
     with raises_with(found=length, of="bytes", expected="112 for '7F7F'"):
         Structure("7F7F").decode(bytes(length))
 
@@ -376,21 +376,21 @@ def test_a_packet_of_another_length_is_refused(length: int) -> None:
         ("1M", "matrices0", (16,), "(1, 4, 4) or (4, 4)"),
     ],
 )
-def test_arrays_of_another_shape_are_refused(
+def test_arrays_of_wrong_shape_are_rejected(
     text: str, event: str, shape: tuple[int, ...], expected: str
 ) -> None:
     with raises_with(key=event, found=shape, expected=expected):
         Structure(text).encode({event: np.zeros(shape)})
 
 
-def test_an_event_that_is_not_there_is_refused_by_name() -> None:
+def test_unknown_event_is_rejected_by_name() -> None:
     with raises_with(UnknownName, kind="event", name="values2", near="values1"):
         Structure("7F7F").encode({"values2": np.zeros(7)})
 
 
 @settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32 - 1) | st.sampled_from([0x7F800001, 0xFF800000, 1, 0x7F7FFFFF]))
-def test_any_float32_is_applied_or_counted(bits: int) -> None:
+def test_any_float32_is_applied_or_counted_as_not_finite(bits: int) -> None:
     packet = struct.pack("<I", bits)
     (number,) = struct.unpack("<f", packet)
     with (

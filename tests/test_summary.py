@@ -22,7 +22,7 @@ def printed(rows: list, title: str = "") -> str:
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
-def test_a_sine_has_the_peak_and_rms_of_a_sine() -> None:
+def test_sine_has_the_peak_and_rms_of_a_sine() -> None:
     turn, slide = summarise(sine_run(amplitude=3.0))
     assert turn.peak_torque_error is not None
     assert abs(turn.peak_torque_error) == pytest.approx(3.0, rel=1e-6)
@@ -37,7 +37,7 @@ def test_a_sine_has_the_peak_and_rms_of_a_sine() -> None:
     assert (turn.angle_unit, slide.angle_unit) == ("rad", "m")
 
 
-def test_a_simulation_is_summed_up_as_numpy_does() -> None:
+def test_summary_of_a_simulation_equals_numpy() -> None:
     log = simulated().log
     rows = summarise(log)
     error = log.of("lwr", "commanded_torques") - log.of("lwr", "torques")
@@ -75,7 +75,7 @@ def test_findings_are_counted_at_their_joints() -> None:
     assert "2, 1.000 s" in printed([turn, slide])
 
 
-def test_what_is_missing_is_none_and_no_column() -> None:
+def test_missing_values_are_none_and_have_no_column() -> None:
     log = sine_run(robot=two_joints(torque_limits=None))
     only = RunLog(log.robots, {"arm_joint_angles": log.signals["arm_joint_angles"]}, log.times)
     rows = summarise(only)
@@ -90,11 +90,11 @@ def test_what_is_missing_is_none_and_no_column() -> None:
     assert summarise(RunLog(log.robots, blank, log.times))[0].peak_torque is None
 
 
-def test_the_table_has_units_where_they_belong_and_json_has_si() -> None:
+def test_printed_table_has_units_and_json_has_si() -> None:
     rows = summarise(sine_run())
     shown = printed(rows, "a run")
     assert "a run" in shown
-    assert "+4 Nm" in shown  # joints of two units: each number has its own
+    assert "+4 Nm" in shown  # joints of two units: each value has its own
     assert "40.0" in shown
     lwr = printed(summarise(simulated().log))
     above, _, below = lwr.partition("A1")
@@ -105,7 +105,7 @@ def test_the_table_has_units_where_they_belong_and_json_has_si() -> None:
     assert found[0]["peak_torque"] == pytest.approx(4.0)
 
 
-def test_a_table_is_printed_whole_where_the_terminal_is_narrower(
+def test_table_wider_than_the_terminal_is_printed_whole(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     table = Table()

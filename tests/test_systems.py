@@ -1,4 +1,4 @@
-"""The robots of section 4 of the paper, as scenes that ship."""
+"""The robots of section 4 of the paper, as shipped scenes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.toggles import Toggles
 
-# Of the haptic device's user, half axes of an ellipsoid, m.
+# Half axes of the haptic device's user, an ellipsoid, m.
 CHEST, CHEST_SIZE = np.array([0.0, 0.0, 1.02]), np.array([0.12, 0.19, 0.27])
 LINK = 0.07  # radius of an LWR's links, m
 
 
 @pytest.mark.extensions
 def test_shipped_scenes_can_be_shown_at_the_same_time() -> None:
-    """Of two that listened on one port, the second one refused to start."""
+    """If two scenes used one port, the second would fail to start."""
     places: dict[str, str] = {}
     for name in list_scenes():
         scene = load_scene(name)
@@ -34,7 +34,7 @@ def test_shipped_scenes_can_be_shown_at_the_same_time() -> None:
     assert len(places) == len(list_scenes())
 
 
-def test_hands_reach_the_haptic_device_and_its_arms_leave_the_user_free() -> None:
+def test_hands_reach_the_haptic_device_and_its_arms_clear_the_user() -> None:
     world = World(load_scene(find_scene("haptic_device")))
     data = world.make_data()
     for name, side in (("left", 1.0), ("right", -1.0)):
@@ -46,7 +46,7 @@ def test_hands_reach_the_haptic_device_and_its_arms_leave_the_user_free() -> Non
 
 
 @pytest.mark.parametrize("mode", [0, 1])
-def test_a_number_of_the_packet_switches_the_haptic_device_between_its_modes(mode: int) -> None:
+def test_packet_value_switches_the_mode_of_the_haptic_device(mode: int) -> None:
     scene = load_scene(find_scene("haptic_device"))
     scene.sources["udp"]["port"] = 0
     numbers = [*np.full(14, 0.3), *np.full(14, 0.5), *np.full(14, 20.0), mode]

@@ -1,4 +1,4 @@
-"""Target motions: end points, limits, continuity, derivatives, and messages."""
+"""Target motions: end points, limits, continuity, derivatives, and errors."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ positive = st.floats(0.05, 20.0)
 
 
 def by_differences(motion: Motion, tolerance: float, jumps: int = 0) -> None:
-    """Velocities are the slope of angles and accelerations that of velocities."""
+    """Asserts that velocities and accelerations are finite differences."""
     t = motion.times
     for values, slopes in (
         (motion.angles, motion.velocities),
@@ -72,7 +72,7 @@ def by_differences(motion: Motion, tolerance: float, jumps: int = 0) -> None:
 
 
 @given(positive)
-def test_a_quintic_starts_and_ends_at_rest_without_acceleration(duration: float) -> None:
+def test_quintic_starts_and_ends_at_rest_without_acceleration(duration: float) -> None:
     for t, way in ((-1.0, 0.0), (0.0, 0.0), (duration, 1.0), (duration + 1.0, 1.0)):
         np.testing.assert_allclose(quintic(np.array([t]), duration), [[way], [0], [0]], atol=1e-12)
     times = np.linspace(0, duration, 2001)
@@ -84,7 +84,7 @@ def test_a_quintic_starts_and_ends_at_rest_without_acceleration(duration: float)
 
 
 @given(positive, positive)
-def test_the_shortest_durations_use_a_limit_up_and_keep_both(speed: float, rate: float) -> None:
+def test_shortest_durations_reach_one_limit_and_respect_both(speed: float, rate: float) -> None:
     duration = quintic_duration(speed, rate)
     times = np.linspace(0, duration, 4001)
     _, ds, dds = quintic(times, duration)
@@ -100,7 +100,7 @@ def test_the_shortest_durations_use_a_limit_up_and_keep_both(speed: float, rate:
 
 
 @given(positive, st.floats(1.0, 50.0))
-def test_a_trapezoid_takes_the_time_that_it_is_given(duration: float, more: float) -> None:
+def test_trapezoid_takes_the_requested_duration(duration: float, more: float) -> None:
     rate = 4.0 / duration**2 * more
     blend = trapezoid_blend(duration, rate)
     assert 0 < blend <= duration / 2 * (1 + 1e-9)
@@ -119,7 +119,7 @@ def test_a_trapezoid_takes_the_time_that_it_is_given(duration: float, more: floa
     st.floats(0.1, 1.0),
     st.floats(0.0, 0.5),
 )
-def test_way_points_at_speed_keep_all_limits_and_reach_all_points(
+def test_way_points_at_speed_respect_all_limits_and_reach_all_points(
     points: list[tuple[float, ...]], law: str, speed: float, dwell: float
 ) -> None:
     declared = WayPoints(
@@ -138,20 +138,20 @@ def test_way_points_at_speed_keep_all_limits_and_reach_all_points(
 
 
 @pytest.mark.parametrize("law", ["quintic", "trapezoidal"])
-def test_way_points_at_times_are_there_at_those_times_on_straight_lines(law: str) -> None:
+def test_way_points_at_times_are_reached_on_time_on_straight_lines(law: str) -> None:
     points = np.array([[1.0, -0.5, 0.1], [1.0, 1.0, -0.3], [0.0, 0.0, 0.0]])
     declared = WayPoints(way_points=points, times=[2.0, 5.0, 9.0], time_law=law)
     motion = declared.sample(np.arange(0.0, 10.0, 1e-3), ARM, np.array([0.2, 0.0, 0.0]))
     for t, point in zip([2000, 5000, 9000], points, strict=True):
         np.testing.assert_allclose(motion.angles[t], point, atol=1e-9)
         np.testing.assert_allclose(motion.velocities[t], 0, atol=1e-9)
-    # Joints share one way: B of the second line is a straight function of C.
+    # Joints share one path: B of the second line is a linear function of C.
     part = motion.angles[2000:5000]
     np.testing.assert_allclose((part[:, 1] + 0.5) / 1.5, (part[:, 2] - 0.1) / -0.4, atol=1e-9)
     by_differences(motion, 5e-3, jumps=0 if law == "quintic" else 13)
 
 
-def test_a_first_time_of_zero_is_where_it_starts() -> None:
+def test_first_time_of_zero_sets_the_start() -> None:
     declared = WayPoints(way_points=[[0.5, 0, 0], [1, 0, 0]], times=[0.0, 4.0])
     motion = declared.sample(np.array([0.0, 2.0, 4.0]), ARM, ZERO)
     np.testing.assert_allclose(motion.angles[:, 0], [0.5, 0.75, 1.0])
@@ -159,7 +159,7 @@ def test_a_first_time_of_zero_is_where_it_starts() -> None:
     np.testing.assert_array_equal(single.angles[:, 0], [0.5] * 3)
 
 
-def test_degrees_are_radians_in_the_end() -> None:
+def test_degrees_are_converted_to_radians() -> None:
     declared = WayPoints(way_points_deg=[[90.0, 45.0, 0.0]], times=[4.0])
     assert declared.way_points is not None
     np.testing.assert_allclose(declared.way_points, [[np.pi / 2, np.pi / 4, 0]])
@@ -169,7 +169,7 @@ def test_degrees_are_radians_in_the_end() -> None:
 
 @settings(deadline=None)
 @given(st.floats(0.0, 0.3), st.floats(0.05, 0.2), st.floats(-3, 3), st.floats(0.5, 3.0))
-def test_sines_and_chirps_start_at_rest_and_derivatives_are_slopes(
+def test_sines_and_chirps_start_at_rest_with_consistent_derivatives(
     amplitude: float, frequency: float, phase: float, ramp: float
 ) -> None:
     times = np.arange(0.0, 8.0, 1e-3)
@@ -185,13 +185,13 @@ def test_sines_and_chirps_start_at_rest_and_derivatives_are_slopes(
     assert np.abs(motion.angles[-1]).max() < 1e-12
 
 
-def test_a_sine_after_its_ramp_is_that_sine() -> None:
+def test_sine_after_its_ramp_is_the_declared_sine() -> None:
     sine = Sine(amplitude_deg=[10.0, 5.0, 1.0], frequency=0.25, ramp=1.0)
     motion = sine.sample(np.array([2.0, 3.0, 5.0]), ARM, ZERO)
     np.testing.assert_allclose(motion.angles[:, 0], np.deg2rad([0, -10, 10]), atol=1e-12)
 
 
-def test_steps_and_constants() -> None:
+def test_steps_and_constants_have_the_declared_values() -> None:
     times = np.array([0.0, 0.999, 1.0, 1.5, 2.0])
     step = Step(amplitude=[0.1, 0.0, 0.0], time=1.0, duration=1.0).sample(times, ARM, ZERO + 0.1)
     np.testing.assert_allclose(step.angles[:, 0], [0.1, 0.1, 0.2, 0.2, 0.1])
@@ -202,7 +202,7 @@ def test_steps_and_constants() -> None:
     np.testing.assert_allclose(there.angles, np.pi / 6)
 
 
-def test_a_recorded_motion_goes_through_its_rows_and_is_smooth() -> None:
+def test_recorded_motion_passes_its_rows_smoothly() -> None:
     knots = np.linspace(1.0, 5.0, 60)
     rows = 0.3 * np.sin(knots[:, None] * [1.0, 1.5, 0.5])
     law = Recorded(times=knots, angles=rows)
@@ -228,16 +228,20 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
     law = {"kind": "way_points", "way_points": [[2.5, 0, 0.7]], "times": [5.0]}
     first, second = refusal(law).splitlines()
     assert re.match(
-        r"joint A is to be at 143\.239 deg at t = 5\.\d+ s; expected -114\.6 to 114\.6 deg$", first
+        r"the target of joint A is 143\.239 deg at t = 5\.\d+ s; expected -114\.6 to 114\.6 deg$",
+        first,
     )
-    assert re.match(r"joint C is to be at 0\.7 m at t = 5\.\d+ s; expected -0.4 to 0.6 m$", second)
+    assert re.match(
+        r"the target of joint C is 0\.7 m at t = 5\.\d+ s; expected -0.4 to 0.6 m$", second
+    )
     law = {"kind": "way_points", "way_points": [[1.5, 0, 0]], "times": [1.0]}
     assert re.match(
-        r"joint A is to move at 161\.\d+ deg/s at t = 0\.5\d* s; expected up to 57\.3 deg/s$",
+        r"the target velocity of joint A is 161\.\d+ deg/s at t = 0\.5\d* s; "
+        r"expected up to 57\.3 deg/s$",
         refusal(law),
     )
     swing = {"kind": "sine", "amplitude": [0, 0, 0.3], "frequency": 1.0}
-    assert refusal(swing).endswith("at 1.88496 m/s at t = 1.000 s; expected up to 0.5 m/s")
+    assert refusal(swing).endswith("is 1.88496 m/s at t = 1.000 s; expected up to 0.5 m/s")
 
 
 @pytest.mark.parametrize(
@@ -261,7 +265,7 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
         ),
         (
             {"kind": "way_points", "way_points": [[1, 1, 0]] * 2, "times": [2, 2]},
-            Problem("times", found=[2.0, 2.0], expected="times that rise"),
+            Problem("times", found=[2.0, 2.0], expected="ascending times"),
         ),
         (
             {"kind": "way_points", "way_points": [[1, 1, 0]], "times": [-1]},
@@ -325,13 +329,13 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
         ({"kind": "constant", "angle": 1}, Problem("angle", "unknown key", available=["angles"])),
     ],
 )
-def test_wrong_laws_are_told(law: Any, problem: Problem) -> None:
+def test_invalid_target_motions_are_rejected(law: Any, problem: Problem) -> None:
     with pytest.raises(DeclarationError) as caught:
         target_motion_from(law).sample(np.arange(0.0, 10.0, 1e-3), ARM, ZERO)
     assert caught.value.problems == [problem]
 
 
-def test_a_robot_without_limits_needs_times_or_accelerations() -> None:
+def test_robot_without_limits_requires_times_or_accelerations() -> None:
     law = {"kind": "way_points", "way_points": [[1, 1, 0]], "speed": 0.5}
     bare = arm(velocity_limits=None)
     assert refusal(law, bare) == "speed: robot 'arm' has no velocity_limits; expected times here"
@@ -341,7 +345,7 @@ def test_a_robot_without_limits_needs_times_or_accelerations() -> None:
     target_motion_from({**law, "accelerations": 2.0}).sample(np.arange(3.0), bare, ZERO)
 
 
-def test_every_kind_comes_from_a_table() -> None:
+def test_every_kind_of_target_motion_is_made_from_a_table() -> None:
     tables = tomllib.loads("""
     rest = { kind = "constant" }
     go = { kind = "way_points", way_points_deg = [[10, 20, 0], [0, 0, 0]], speed = 0.3 }

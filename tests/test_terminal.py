@@ -1,4 +1,4 @@
-"""What commands print: nothing from a file controls the terminal."""
+"""Output of commands: text from a file cannot control the terminal."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_any_text_is_printable_and_escaped_once(text: str) -> None:
         assert escaped == text
 
 
-def test_what_is_no_control_character_is_as_it_is() -> None:
+def test_text_without_control_characters_is_unchanged() -> None:
     assert printable(HOSTILE) == ESCAPED
     for text in ("A1\tqäß 手首 Ω 😀\n", "840\u00a0kg/m³", ""):
         assert printable(text) == text
@@ -57,13 +57,13 @@ def test_what_is_no_control_character_is_as_it_is() -> None:
     UnknownName(HOSTILE, HOSTILE, [HOSTILE]), CsvError(HOSTILE, HOSTILE, column=HOSTILE),
     SourceError(HOSTILE, Problem(HOSTILE, HOSTILE, expected=HOSTILE)),
 ], ids=lambda error: type(error).__name__)  # fmt: skip
-def test_texts_of_errors_are_printable_wherever_they_are_shown(error: Exception) -> None:
+def test_error_messages_are_printable(error: Exception) -> None:
     for each in (error, pickle.loads(pickle.dumps(error))):
         assert is_harmless(str(each))
         assert r"\u202eevil" in str(each)
 
 
-# Keys, names and values, as a stranger's file has them.
+# Keys, names and values, as in an untrusted file.
 FILE = rf"""
 description = "{TITLE.encode("unicode_escape").decode().replace(chr(92) + "x", chr(92) + "u00")}"
 [robots."\u001b[31mX\u202e"]
@@ -103,7 +103,7 @@ def test_streams_escape_what_is_printed_logged_and_raised(
 ) -> None:
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)
     escape_output()
-    escape_output()  # once is enough
+    escape_output()  # the second call does nothing
     assert isinstance(sys.stdout, EscapedStream)
     assert not isinstance(plain(sys.stdout), EscapedStream)
     print(HOSTILE, end="|")
@@ -123,7 +123,7 @@ def test_streams_escape_what_is_printed_logged_and_raised(
     assert is_harmless(err)
 
 
-def test_tables_have_their_own_colors_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tables_have_only_the_colors_of_rich(monkeypatch: pytest.MonkeyPatch) -> None:
     from rich.live import Live
     from rich.progress import Progress, TextColumn
     from rich.table import Table
@@ -134,7 +134,7 @@ def test_tables_have_their_own_colors_and_no_others(monkeypatch: pytest.MonkeyPa
             return True
 
     screen = Terminal()
-    monkeypatch.setenv("TERM", "xterm-256color")  # as terminals do
+    monkeypatch.setenv("TERM", "xterm-256color")  # like terminals
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.setattr(sys, "stdout", EscapedStream(screen))
     console = make_console(width=400)
@@ -153,7 +153,7 @@ def test_tables_have_their_own_colors_and_no_others(monkeypatch: pytest.MonkeyPa
     shown = screen.getvalue()
     assert "\x1b[31m" in shown  # of the first row, by its style
     assert shown.count(escaped) >= 5
-    # All else are rich's own sequences, for colors and for the cursor.
+    # Everything else is rich's own sequences for colors and the cursor.
     rest = re.sub(r"\x1b\[[\d;?]*[A-Za-z]|\r", "", shown)
     assert is_harmless(rest), [c for c in rest if not is_harmless(c)]
     assert "evil.example]x[/link] :smile:" in rest

@@ -1,4 +1,4 @@
-"""Rate, jitter and delay: the same whether packets come one by one or many at once."""
+"""Rate, jitter and delay are the same for single packets and for batches."""
 
 from __future__ import annotations
 
@@ -21,21 +21,22 @@ _GAPS = st.floats(0.0, 0.1) | st.sampled_from([0.0, 1.9, 2.1, 11.0])
     st.booleans(),
     st.integers(1, 40),
 )
-def test_packets_one_by_one_are_as_many_at_once(
+def test_timing_of_single_packets_equals_that_of_a_batch(
     gaps: list[tuple[float, float]], stamped: bool, first: int
 ) -> None:
-    begin = [(100.0, 5.0), (0.01, 0.01)]  # which are the measure of what is usual
+    begin = [(100.0, 5.0), (0.01, 0.01)]  # which are the reference
     arrivals, stamps = np.cumsum(np.array([*begin, *gaps]), axis=0).T
     one, many = Timing(), Timing()
     for each in (one, many):
         each.add(arrivals[:2], stamps[:2] if stamped else None)
     for k in range(2, len(arrivals)):
         one.add(arrivals[k : k + 1], stamps[k : k + 1] if stamped else None)
-    if stamped and len(arrivals) > 2:  # without stamps jitter is from the mean of the batch before
+    # Without time stamps, jitter is relative to the mean of the previous batch.
+    if stamped and len(arrivals) > 2:
         for part in (slice(2, 2 + first), slice(2 + first, None)):
             if len(arrivals[part]):
                 many.add(arrivals[part], stamps[part])
-        if np.ptp(arrivals) < 10.0:  # the base line is looked at once a batch
+        if np.ptp(arrivals) < 10.0:  # the baseline is updated once per batch
             assert one.delay == pytest.approx(many.delay, abs=1e-9)
         assert one.jitter == pytest.approx(many.jitter, abs=1e-9)
         assert one.interval == pytest.approx(many.interval, abs=1e-9)
@@ -43,7 +44,7 @@ def test_packets_one_by_one_are_as_many_at_once(
 
 
 @pytest.mark.realtime
-def test_a_steady_sender_at_1_khz() -> None:
+def test_steady_sender_at_1_khz_has_no_jitter_and_no_delay() -> None:
     timing = Timing()
     for k in range(100):
         timing.add(np.array([k * 1e-3 + 0.002]), np.array([k * 1e-3]))

@@ -1,4 +1,4 @@
-"""What the user is told when a key has switched something."""
+"""Messages about a key that has switched something."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def world() -> World:
     )
 
 
-def test_it_is_what_is_shown_now(world: World) -> None:
+def test_message_describes_what_is_shown_now(world: World) -> None:
     toggles, data = Toggles(world), world.make_data()
     world.set_input(data, "lwr.torques", np.full(7, 5.0))
 
@@ -44,7 +44,7 @@ def test_it_is_what_is_shown_now(world: World) -> None:
     assert not toggles.billboards.any()
 
 
-def test_every_key_says_something_even_where_there_is_nothing() -> None:
+def test_every_key_has_a_message_in_an_empty_scene() -> None:
     world = World(Scene())
     for key in KEYS:
         said = press_toggle(key, world, world.make_data(), Toggles(world))

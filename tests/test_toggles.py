@@ -1,4 +1,4 @@
-"""Switches: those that a scene declares, those that packets set, and what gestures do."""
+"""Toggles: declared by a scene, set by packets, and changed by gestures."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def picked(kind: str, index: int = 0, owner: str = "lwr") -> Picked:
         ("toggles.frame_names", lambda t: t.frame_names),
     ],
 )
-def test_a_value_switches_its_feature_and_no_other(world, target, read) -> None:
+def test_input_switches_its_feature_and_no_other(world, target, read) -> None:
     data, toggles = placed(world), Toggles(world)
     assert world.frames.names[9] == "goal/link1"
     declared = toggles.snapshot()
@@ -85,7 +85,7 @@ def test_a_value_switches_its_feature_and_no_other(world, target, read) -> None:
     assert len(others) >= len(declared) - 1
 
 
-def test_a_switch_acts_when_its_value_changes_so_that_a_click_in_between_holds(world) -> None:
+def test_input_acts_when_its_value_changes_so_that_clicks_persist(world) -> None:
     data, toggles = placed(world), Toggles(world)
     world.set_input(data, "lwr.show_arrows", 1.0)
     toggles.apply_inputs(data)
@@ -103,7 +103,7 @@ def test_a_switch_acts_when_its_value_changes_so_that_a_click_in_between_holds(w
     assert toggles.arrows[:7].all()
 
 
-def test_a_packet_chooses_the_quantity_and_what_is_none_is_left(world) -> None:
+def test_packet_selects_the_quantity_and_invalid_values_are_ignored(world) -> None:
     data, toggles = placed(world), Toggles(world)
     for value, expected in ((2.0, 2), (3.0, 3), (9.0, 3), (-1.0, 3)):
         world.set_input(data, "lwr.arrow_quantity", value)
@@ -112,7 +112,7 @@ def test_a_packet_chooses_the_quantity_and_what_is_none_is_left(world) -> None:
     assert (toggles.arrow_quantity[7:] == 0).all()
 
 
-def test_a_scene_declares_its_toggles() -> None:
+def test_scene_declares_its_toggles() -> None:
     off = SceneToggles(legend=False, status=False, frame_names=True, flange_checks=False)
     toggles = Toggles(World(Scene(robots=[SerialRobot.from_model("lwr")], toggles=off)))
     assert not (toggles.legend or toggles.status or toggles.flange_checks)
@@ -144,7 +144,7 @@ def test_gestures_switch_on_and_off_again(world, gesture, kind, field, where) ->
         assert on == (list(where) if shown else [])
 
 
-def test_a_double_is_clicked_on_like_a_robot(world) -> None:
+def test_double_can_be_clicked_like_a_robot(world) -> None:
     toggles = Toggles(world)
     assert click(world, toggles, picked("double", 9, "goal"))
     assert toggles.billboards.nonzero()[0].tolist() == [9]
@@ -153,7 +153,7 @@ def test_a_double_is_clicked_on_like_a_robot(world) -> None:
     assert not click(world, toggles, picked("double", -1, "path"))
 
 
-def test_the_rest_of_the_table(world) -> None:
+def test_other_clicks_follow_the_click_table(world) -> None:
     toggles = Toggles(world)
     click(world, toggles, picked("vector", 0, ""))
     assert toggles.cards.all()
@@ -173,11 +173,11 @@ def test_the_rest_of_the_table(world) -> None:
     assert not toggles.flange_checks
     assert not click(world, toggles, picked("object", -1, ""))
     assert not click(world, toggles, None)
-    assert click(world, toggles, None, "double")  # what the scene declares
+    assert click(world, toggles, None, "double")  # as declared by the scene
     assert toggles.flange_checks and not toggles.billboards.any()
 
 
-def test_every_entry_of_the_tables_does_something(world) -> None:
+def test_every_entry_of_the_click_table_changes_a_toggle(world) -> None:
     for gesture, kind in itertools.product(
         ("click", "shift", "double"), {kind for _, kind in CLICKS}
     ):
@@ -188,7 +188,7 @@ def test_every_entry_of_the_tables_does_something(world) -> None:
         did = click(world, toggles, picked(kind), gesture)
         after = toggles.snapshot()
         changed = any(not np.array_equal(before[key], after[key]) for key in before)
-        # A host turns its view about an object; nothing that is shown changes.
+        # The viewer moves its view to an object; no toggle changes.
         moves_view = (gesture, kind) == ("double", "object")
         assert did == ((gesture, kind) in CLICKS), (gesture, kind)
         assert changed == (did and not moves_view), (gesture, kind)
@@ -201,7 +201,7 @@ def test_every_entry_of_the_tables_does_something(world) -> None:
         assert any(not np.array_equal(before[k], after[k]) for k in before), key
 
 
-def test_two_quick_presses_are_a_double_click_and_leave_the_billboard_as_it_was(world) -> None:
+def test_double_click_leaves_the_billboard_unchanged(world) -> None:
     toggles = Toggles(world)
     detector = ClickDetector(world, toggles)
     link = picked("link", 2)
@@ -209,7 +209,7 @@ def test_two_quick_presses_are_a_double_click_and_leave_the_billboard_as_it_was(
     assert toggles.billboards[2]
     assert detector.press(link, HERE, 10.0 + 0.9 * DOUBLE_CLICK_TIME) == "double"
     assert not toggles.billboards.any() and toggles.axes[:9].all()
-    # A third press begins anew.
+    # A third press begins a new click.
     assert detector.press(link, HERE, 10.0 + 1.5 * DOUBLE_CLICK_TIME) == "click"
 
 
@@ -221,7 +221,7 @@ def test_two_quick_presses_are_a_double_click_and_leave_the_billboard_as_it_was(
         (HERE, 0.1, "vector"),  # which has no double click
     ],
 )
-def test_other_presses_are_two_clicks(world, second, time, kind) -> None:
+def test_slow_or_distant_presses_are_two_clicks(world, second, time, kind) -> None:
     toggles = Toggles(world)
     before = toggles.snapshot()
     detector = ClickDetector(world, toggles)
@@ -239,13 +239,13 @@ def test_shift_never_begins_a_double_click(world) -> None:
     assert detector.press(None, HERE, 2.1) == "double"
 
 
-def test_hovering_names_a_link_as_its_own_file_does(world) -> None:
+def test_hovering_shows_the_link_name_of_the_robot_file(world) -> None:
     toggles = Toggles(world)
     hover(toggles, Picked("link", "human/link20", "human", 19, 1.0, "human/left_hand"), HERE)
     assert toggles.hover == ("human/left_hand", HERE)
 
 
-def test_hovering_writes_a_name_inside_the_picture(world) -> None:
+def test_hover_name_is_inside_the_image(world) -> None:
     toggles, view, decor = toggles_of(world), view_at(), Decor(world)
     data = placed(world)
     for x, y in itertools.product((0.0, view.width), (0.0, view.height)):
@@ -260,14 +260,14 @@ def test_hovering_writes_a_name_inside_the_picture(world) -> None:
         half = panel["size"][:2] / view.pixel_size(float(depth))
         assert (centre - half > -1).all()
         assert (centre + half < [view.width + 1, view.height + 1]).all()
-    for nothing in (None, picked("billboard")):  # which has its name on it
+    for nothing in (None, picked("billboard")):  # which shows its name already
         toggles.hover = ("something", HERE)
         hover(toggles, nothing, HERE)
         assert toggles.hover is None
 
 
 @pytest.mark.gl
-def test_a_double_that_is_off_is_neither_rendered_nor_picked(world) -> None:
+def test_hidden_double_is_neither_rendered_nor_picked(world) -> None:
     data = placed(world)
     plain = World(Scene(robots=[SerialRobot.from_model("lwr", joint_angles=Q)], floor=False))
     with HeadlessRenderer(world, 320, 240) as renderer, HeadlessRenderer(plain, 320, 240) as bare:
@@ -284,7 +284,7 @@ def test_a_double_that_is_off_is_neither_rendered_nor_picked(world) -> None:
         assert (np.abs(expected.astype(int) - without).max(axis=2) > 8).mean() < 0.002
         view = renderer.decor.view
         assert view is not None
-        for x in range(0, 320, 4):  # the ray goes through to what is behind
+        for x in range(0, 320, 4):  # the ray passes to the item behind
             found = renderer.pick(data, x, 120)
             behind = bare.pick(plain.make_data(), x, 120)
             assert (found is None) == (behind is None)
@@ -292,7 +292,7 @@ def test_a_double_that_is_off_is_neither_rendered_nor_picked(world) -> None:
                 assert (found.kind, found.name) == (behind.kind, behind.name)
 
 
-def test_a_tolerance_takes_no_click_from_what_is_exactly_there(world) -> None:
+def test_tolerance_does_not_override_an_exact_hit(world) -> None:
     data, toggles, view = placed(world), toggles_of(world), view_at()
     toggles.arrows[:] = toggles.billboards[:] = toggles.axes[:] = True
     buffer = Decor(world).draw(data, toggles, view)
@@ -303,7 +303,7 @@ def test_a_tolerance_takes_no_click_from_what_is_exactly_there(world) -> None:
             assert pick(world, data, buffer, view, tuple(pixel), 12.0) == exact
 
 
-def test_the_name_under_the_pointer_stands_where_it_covers_no_number(world) -> None:
+def test_hover_name_covers_no_values(world) -> None:
     toggles, view, decor = toggles_of(world), view_at(), Decor(world)
     data = placed(world)
     toggles.billboards[:] = True

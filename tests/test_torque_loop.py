@@ -1,4 +1,4 @@
-"""Joint torque control against closed forms of one joint, and what a robot feels like with it."""
+"""Joint torque control against closed forms of one joint, and the robot's behavior with it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CARTESIAN = {"kind": "cartesian_impedance", "stiffness": [1000.0, 1000, 1000, 80
 
 
 def single(elastic: bool = False, viscous: float = 0.0, **control: Any) -> SerialRobot:
-    """One upright joint, which gravity does not load."""
+    """Returns one upright joint, which gravity does not load."""
     tensor = [LINK, LINK, LINK, 0.0, 0.0, 0.0]
     return SerialRobot(
         name="one",
@@ -52,7 +52,7 @@ def single(elastic: bool = False, viscous: float = 0.0, **control: Any) -> Seria
 
 
 def step_response(robot: SerialRobot, asked: float, seconds: float) -> tuple[Array, Array]:
-    """Times, s, and measured torques, Nm, after a step of the command, with physics at 100 kHz."""
+    """Returns times, s, and measured torques, Nm, after a command step, with physics at 100 kHz."""
     run = Run(timestep=1e-5, torque_control=True)
     plant = Plant(World(Scene(robots=[robot], floor=False), dynamic=True), timestep=1e-5)
     drives = Drives(plant.rows, {robot.name: robot}, run)
@@ -83,7 +83,7 @@ def ran(made: Simulation) -> Simulation:
 
 
 def flanges(made: Simulation, rows: Any = slice(None)) -> Array:
-    """Where the flange was, (T, 3), m."""
+    """Returns the flange positions, (T, 3), m."""
     angles = made.log.of("lwr", "joint_angles")[rows]
     model = made.robot_model(made.robots["lwr"])
     found = []
@@ -93,20 +93,21 @@ def flanges(made: Simulation, rows: Any = slice(None)) -> Array:
     return np.array(found)
 
 
-def test_a_rigid_joint_answers_a_step_as_a_first_order_lag() -> None:
+def test_rigid_joint_responds_to_a_step_as_a_first_order_lag() -> None:
     bandwidth, ratio, asked = 400.0, 4.0, 5.0
     robot = single(bandwidth=bandwidth, inertia_ratio=1 / ratio, friction_bandwidth=0.0)
     times, torques = step_response(robot, asked, 0.01)
-    share = LINK / (LINK + MOTOR)  # of the motor's torque that goes on to the link
+    share = LINK / (LINK + MOTOR)  # of the motor torque that reaches the link
     last = asked * LINK / (LINK + MOTOR / ratio)
     rate = bandwidth * (1.0 + share * (ratio - 1.0))
     expected = last + (asked * share - last) * np.exp(-rate * times)
-    np.testing.assert_allclose(torques, expected, rtol=0.01)  # the first step's lag is in it
+    # It includes the lag of the first step.
+    np.testing.assert_allclose(torques, expected, rtol=0.01)
     assert torques[-1] > 1.5 * torques[0]
 
 
 @pytest.mark.parametrize("damping", [0.2, 0.7])
-def test_an_elastic_joint_answers_a_step_as_a_second_order_one(damping: float) -> None:
+def test_elastic_joint_responds_to_a_step_as_a_second_order_system(damping: float) -> None:
     robot = single(elastic=True, damping=damping, bandwidth=4000.0, friction_bandwidth=0.0)
     asked, shaped, stiffness = 5.0, MOTOR / 4, 8000.0
     times, torques = step_response(robot, asked, 0.1)
@@ -121,10 +122,10 @@ def test_an_elastic_joint_answers_a_step_as_a_second_order_one(damping: float) -
         * (np.cos(swing * times) + slope / (2 * swing) * np.sin(swing * times))
     )
     assert np.abs(torques - expected).max() < 0.03 * last
-    assert torques.max() > 1.01 * last  # it swings
+    assert torques.max() > 1.01 * last  # it oscillates
 
 
-def test_the_friction_observer_is_a_first_order_low_pass() -> None:
+def test_friction_observer_is_a_first_order_low_pass() -> None:
     bandwidth, timestep = 80.0, 1 / 3000
     control = TorqueControl(friction_bandwidth=bandwidth)
     gains = LoopGains.of(control, robot_dynamics(single()), False)
@@ -139,7 +140,7 @@ def test_the_friction_observer_is_a_first_order_low_pass() -> None:
         loop.step(given[None])
         found.append(loop.friction[0, 0])
         motors.append(given[0])
-        torque = rng.normal(0.0, 5.0, 1)  # whatever the link does
+        torque = rng.normal(0.0, 5.0, 1)  # regardless of the link's motion
         velocity = velocity + timestep / MOTOR * (given - torque - 3.0)
     expected = 3.0 * -np.expm1(-bandwidth * timestep * np.arange(200))
     np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -147,12 +148,12 @@ def test_the_friction_observer_is_a_first_order_low_pass() -> None:
 
 
 @pytest.mark.parametrize("elastic", [False, True])
-def test_the_inertia_felt_in_hand_guiding_is_the_shaped_one(elastic: bool) -> None:
+def test_inertia_felt_in_hand_guiding_is_the_shaped_one(elastic: bool) -> None:
     pushed = np.array([0.0, 15.0, 0.0])
     made = ran(simulation(FREE, elastic, duration=0.3, disturbances={"p": force(*pushed, begin=0)}))
     velocities = made.log.of("lwr", "joint_velocities")
     angles = made.log.of("lwr", "joint_angles")
-    first, last = 100, 250  # behind the loop's own transients
+    first, last = 100, 250  # after the loop's own transients
     found = (velocities[last] - velocities[first]) / (last - first) / 1e-3
     shaped = robot_dynamics(made.robots["lwr"]).motor_inertias / 4
     model = made.robot_model(made.robots["lwr"])
@@ -168,7 +169,7 @@ def test_the_inertia_felt_in_hand_guiding_is_the_shaped_one(elastic: bool) -> No
 
 @pytest.mark.parametrize("elastic", [False, True])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_cartesian_stiffness_is_right_in_spite_of_friction(axis: int, elastic: bool) -> None:
+def test_cartesian_stiffness_is_accurate_despite_friction(axis: int, elastic: bool) -> None:
     pushed = np.roll([20.0, 0.0, 0.0], axis)
     disturbances = {"p": force(*pushed, begin=0.2)}
     made = ran(simulation(CARTESIAN, elastic, duration=2.0, disturbances=disturbances))
@@ -179,7 +180,7 @@ def test_cartesian_stiffness_is_right_in_spite_of_friction(axis: int, elastic: b
     assert np.abs(error).max() < 0.02
 
 
-def test_friction_is_in_the_way_without_the_loop() -> None:
+def test_friction_reduces_accuracy_without_the_loop() -> None:
     disturbances = {"p": force(0.0, 0.0, 8.0, begin=0.2)}
     stiffness = []
     for on in (False, True):
@@ -189,7 +190,7 @@ def test_friction_is_in_the_way_without_the_loop() -> None:
     assert abs(stiffness[0] - 1000.0) > 10 * abs(stiffness[1] - 1000.0)
 
 
-def test_elastic_joints_hang_still_without_friction() -> None:
+def test_elastic_joints_hold_still_without_friction() -> None:
     drifts = []
     for on in (False, True):
         made = ran(simulation(FREE, True, dynamics=FRICTIONLESS, on=on, duration=2.0))
@@ -199,12 +200,12 @@ def test_elastic_joints_hang_still_without_friction() -> None:
     assert drifts[1] < 1e-9
 
 
-def test_the_links_of_elastic_joints_are_held_at_the_target() -> None:
+def test_links_of_elastic_joints_are_held_at_the_target() -> None:
     made = ran(simulation(SOFT, True, duration=0.5))
     np.testing.assert_allclose(made.log.of("lwr", "joint_angles")[-1], HOME, atol=1e-9)
 
 
-def test_joint_stiffness_is_felt_at_the_links_of_elastic_joints() -> None:
+def test_joint_stiffness_acts_at_the_links_of_elastic_joints() -> None:
     pushed, stiffness = np.array([6.0, -5.0, 8.0]), 2000.0
     made = ran(
         simulation(
@@ -219,7 +220,7 @@ def test_joint_stiffness_is_felt_at_the_links_of_elastic_joints() -> None:
     np.testing.assert_allclose((after - before) * stiffness, torques, atol=1e-3)
 
 
-def test_springs_as_stiff_as_the_elastic_joints_are_refused() -> None:
+def test_springs_as_stiff_as_the_elastic_joints_are_rejected() -> None:
     found = problems({**SOFT, "stiffness": 4500.0}, True)
     assert (
         "controllers.lwr.stiffness: joint A4: found 4500 Nm/rad; expected at most 4000, 80 % of "
@@ -228,18 +229,18 @@ def test_springs_as_stiff_as_the_elastic_joints_are_refused() -> None:
     assert "joint A3" not in found
 
 
-def test_a_flange_as_stiff_as_the_joints_behind_it_is_refused() -> None:
+def test_flange_as_stiff_as_the_elastic_joints_is_rejected() -> None:
     stiff = {**CARTESIAN, "stiffness": [20000.0, 20000, 20000, 500, 500, 500]}
     found = problems(stiff, True)
     assert (
-        "controllers.lwr.stiffness: is more than 80 % of what the elastic joints have at the "
+        "controllers.lwr.stiffness: is above 80 % of the stiffness of the elastic joints at the "
         "flange; expected at most" in found
     )
     most = float(found.rpartition("at most ")[2].partition(" %")[0]) / 100
     simulation({**CARTESIAN, "stiffness": [20000.0 * most] * 3 + [500.0 * most] * 3}, True)
 
 
-def test_damping_that_the_loop_cannot_hold_is_told_as_such() -> None:
+def test_damping_unstable_with_the_loop_is_reported() -> None:
     found = problems({**FREE, "damping": 500.0})
     assert "controllers.lwr.damping: joint" in found and "% of each damping" in found
 
@@ -249,10 +250,10 @@ def test_damping_that_the_loop_cannot_hold_is_told_as_such() -> None:
     [({"timestep": 4e-5, "physics_timestep": 2e-5}, 0.002), ({}, 0.03)],
     ids=["short steps", "default"],
 )
-def test_a_stiff_position_controller_before_the_loop_is_full_state_feedback(
+def test_stiff_position_controller_before_the_loop_is_full_state_feedback(
     steps: dict[str, float], within: float
 ) -> None:
-    """Against the closed form of u = -Kp theta - Kd dtheta - Kt tau - Ks dtau, without a hold."""
+    """Against the closed form of u = -Kp theta - Kd dtheta - Kt tau - Ks dtau without a hold."""
     stiffness, joint, ratio, damping, target = 2000.0, 8000.0, 4.0, 0.7, 0.01
     robot = single(elastic=True, damping=damping, bandwidth=20000.0, friction_bandwidth=0.0)
     scenario = Scenario(
@@ -283,7 +284,7 @@ def test_a_stiff_position_controller_before_the_loop_is_full_state_feedback(
 @pytest.mark.parametrize("elastic", [False, True])
 @pytest.mark.parametrize("controller", [FREE, SOFT, CARTESIAN])
 def test_energy_is_never_created(controller: dict[str, Any], elastic: bool) -> None:
-    """What a hand has put in at the flange, from rest, is never less than nothing."""
+    """The energy that a hand has put in at the flange, from rest, is never negative."""
     pushes = {
         f"p{k}": force(*way, begin=0.05 + 0.1 * k, end=0.15 + 0.1 * k)
         for k, way in enumerate(np.random.default_rng(3).normal(0.0, 15.0, (8, 3)).tolist())
@@ -302,7 +303,7 @@ def test_energy_is_never_created(controller: dict[str, Any], elastic: bool) -> N
 
 
 @pytest.mark.parametrize("elastic", [False, True])
-def test_torque_error_in_free_motion_is_a_fraction_of_what_motors_take(elastic: bool) -> None:
+def test_torque_error_in_free_motion_is_a_fraction_of_the_motor_torque(elastic: bool) -> None:
     errors = []
     swing = {"lwr": {"kind": "sine", "amplitude_deg": 8.0, "frequency": 0.5}}
     for on in (False, True):
@@ -313,7 +314,7 @@ def test_torque_error_in_free_motion_is_a_fraction_of_what_motors_take(elastic: 
     assert (errors[1] < 0.3 * errors[0]).all()
 
 
-def test_real_sensors_do_not_upset_the_loop() -> None:
+def test_real_sensors_do_not_destabilize_the_loop() -> None:
     real = {
         "torques": {"noise": 0.05, "resolution": 0.01},
         "velocities": {"noise": 1e-3},
@@ -325,7 +326,7 @@ def test_real_sensors_do_not_upset_the_loop() -> None:
     assert error.std(axis=0).max() < 0.2
 
 
-def test_drives_saturate_last() -> None:
+def test_drives_saturate_at_the_torque_limits() -> None:
     limits = SerialRobot.from_model("lwr").torque_limits
     assert limits is not None
     fault = {"kind": "controller", "robot": "lwr", "joints": ["A2"], "gain": 50.0, "begin": 0.1}
@@ -336,13 +337,13 @@ def test_drives_saturate_last() -> None:
             while not made.is_done:
                 made.advance(made.step + 1)
                 peak = np.maximum(peak, np.abs(made.plant.motor_torques))
-        except SimulationError:  # of the motion, which is a wild one
+        except SimulationError:  # of a diverging motion
             pass
         assert peak[1] == limits[1]
         assert (peak <= limits).all()
 
 
-def test_physics_may_run_faster_than_the_controllers() -> None:
+def test_physics_can_run_faster_than_the_controllers() -> None:
     push = {"p": force(0.0, 20.0, 0.0, begin=0.1)}
     ways = [
         ran(simulation(SOFT, on=False, duration=0.6, disturbances=push, **fields))
@@ -355,7 +356,7 @@ def test_physics_may_run_faster_than_the_controllers() -> None:
     assert np.ptp(one[:, 0]) > 0.01
 
 
-def test_delays_of_sensors_are_steps_of_the_controllers() -> None:
+def test_sensor_delays_are_steps_of_the_controllers() -> None:
     push = {"p": force(0.0, 20.0, 0.0, begin=0.0)}
     sensors = {"lwr": {"angles": {"delay": 5}}}
     made = ran(
@@ -366,7 +367,7 @@ def test_delays_of_sensors_are_steps_of_the_controllers() -> None:
     np.testing.assert_array_equal(measured[5:], actual[:-5])
 
 
-def test_drives_may_be_late() -> None:
+def test_drives_can_have_a_delay() -> None:
     made = simulation(
         {"kind": "torque", "torques": [5.0, 0, 0, 0, 0, 0, 0]},
         on=False,
@@ -381,14 +382,14 @@ def test_drives_may_be_late() -> None:
     assert moved == [0.0, 0.0, pytest.approx(5.0), pytest.approx(5.0)]
 
 
-def test_a_restarted_run_is_the_same_again() -> None:
+def test_restarted_run_is_identical() -> None:
     made = ran(simulation(SOFT, True, duration=0.1, drive_delay=1 / 3000))
     first = made.rows.copy()
     made.restart(np.array(HOME), 0)
     np.testing.assert_array_equal(ran(made).rows, first)
 
 
-def test_a_high_observer_gain_is_fast() -> None:
+def test_high_observer_gain_is_fast() -> None:
     push = {"p": force(0.0, 20.0, 0.0, begin=0.1)}
     shares = []
     for gain in (50.0, 500.0):
@@ -401,8 +402,8 @@ def test_a_high_observer_gain_is_fast() -> None:
     assert 0.9 < shares[1] < 1.1
 
 
-def test_a_simulation_is_freed_as_soon_as_nobody_has_it() -> None:
-    """MuJoCo's memory is not counted by Python's collector, so that it would come late."""
+def test_simulation_is_freed_with_its_last_reference() -> None:
+    """Python's garbage collector does not count MuJoCo's memory, so it would run too late."""
     gc.disable()
     try:
         made = weakref.ref(simulation(SOFT, True, duration=0.01))
@@ -417,7 +418,7 @@ def problems(*args: Any, **fields: Any) -> str:
     return "\n".join(map(str, error.value.problems))
 
 
-def test_a_loop_that_the_step_cannot_hold_is_refused_with_the_least_that_it_can() -> None:
+def test_loop_unstable_at_the_step_is_rejected_with_the_minimum_inertia() -> None:
     found = problems(SOFT, torque_control={"inertia_ratio": 0.02})
     key = "robots.lwr.torque_control.motor_inertias"
     assert found.startswith(f"{key}: ") and "joint A2 unstable at 0.061; expected at lea" in found
@@ -429,8 +430,8 @@ def test_a_loop_that_the_step_cannot_hold_is_refused_with_the_least_that_it_can(
         simulation(SOFT, torque_control={"inertia_ratio": 0.9 * least / motors[1]})
 
 
-def test_what_is_refused_would_shake_and_what_is_not_would_not() -> None:
-    # One joint: the filter's pole is 1 - c (1 + g (B / Bt - 1)), beyond -1 where it shakes.
+def test_rejected_loops_oscillate_and_accepted_ones_do_not() -> None:
+    # One joint: the filter's pole is 1 - c (1 + g (B / Bt - 1)), unstable below -1.
     filtered, passed = -np.expm1(-1000.0 / 3000), LINK / (LINK + MOTOR)
     limit = 1 / (1 + (2 / filtered - 1) / passed)
     peaks = []
@@ -450,7 +451,7 @@ def test_what_is_refused_would_shake_and_what_is_not_would_not() -> None:
     assert peaks == [(True, True), (False, False)]
 
 
-def test_gains_that_the_loop_cannot_hold_are_refused_with_the_largest_that_it_can() -> None:
+def test_gains_unstable_with_the_loop_are_rejected_with_the_largest_stable_one() -> None:
     table = {"bandwidth": 20.0, "inertia_ratio": 0.1}
     found = problems({"kind": "joint_position"}, torque_control=table)
     assert "controllers.lwr.stiffness: joint" in found
@@ -459,7 +460,7 @@ def test_gains_that_the_loop_cannot_hold_are_refused_with_the_largest_that_it_ca
 
 
 @pytest.mark.parametrize("elastic", [False, True])
-def test_what_a_robot_file_says_of_its_loop_is_checked(elastic: bool) -> None:
+def test_torque_control_of_a_robot_file_is_checked(elastic: bool) -> None:
     found = problems(SOFT, elastic, torque_control={"motor_inertias": [4.0] + [0.1] * 6})
     assert "robots.lwr.torque_control.motor_inertias: joint 1: found 4" in found
     with raises_with(
@@ -476,7 +477,7 @@ def test_what_a_robot_file_says_of_its_loop_is_checked(elastic: bool) -> None:
         assert "joint 1: found 0; expected more than 0 where run.torque_control is true" in found
 
 
-def test_rates_that_do_not_fit_are_all_told_at_once() -> None:
+def test_incompatible_rates_are_all_reported_at_once() -> None:
     with pytest.raises(DeclarationError) as error:
         Run(physics_timestep=3e-4, observer_gain=2000.0)
     found = "\n".join(map(str, error.value.problems))

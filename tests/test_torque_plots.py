@@ -1,4 +1,4 @@
-"""The plots of live hosts: what they hold, and where they have gaps."""
+"""Live plots: their data and their gaps."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def world(lwr_world: World) -> World:
     return lwr_world
 
 
-def test_the_history_is_a_window_that_moves(world: World) -> None:
+def test_history_is_a_moving_window(world: World) -> None:
     history, data = TorqueHistory(world), world.make_data()
     for k in range(1500):
         data.time = k * 0.01
@@ -55,8 +55,8 @@ def test_plots_are_in_the_unit_of_the_robot() -> None:
     assert torques.lines[0].y[-1] == pytest.approx(0.1)
 
 
-def test_every_packet_counts_at_any_frame_rate() -> None:
-    """At 1 kHz 13 spikes of 5 ms; frames at 15 Hz."""
+def test_every_packet_is_plotted_at_any_frame_rate() -> None:
+    """At 1 kHz, 13 spikes of 5 ms; frames at 15 Hz."""
     scene = load_scene("lwr_udp")
     fed, routes = World(scene), wire(scene).check(scene).routes
     (events,) = {o.key for r in routes for o in r.value.origins if "torques" in r.to.key}
@@ -82,7 +82,7 @@ def test_every_packet_counts_at_any_frame_rate() -> None:
     assert {30.0 + k for k in range(13)} <= set(measured.tolist())
     assert times[measured == 36.0] == pytest.approx(spikes[6] - times[-1] - data.time, abs=0.006)
     assert np.nanmin(error) == 1.0 - 42.0
-    for points in (980, 320):  # of windows and of pages
+    for points in (980, 320):  # for windows and pages
         torques, below = TorquePlots(fed, points).plots(history, 3)
         shown = torques.lines[0].y
         assert {30.0 + k for k in range(13)} <= set(shown.tolist())
@@ -90,7 +90,7 @@ def test_every_packet_counts_at_any_frame_rate() -> None:
         assert len(shown) < 1.5 * points
 
 
-def test_the_plots_hold_both_lines_their_error_and_the_limit(world: World) -> None:
+def test_plots_contain_both_lines_their_error_and_the_limit(world: World) -> None:
     history, plots, data = TorqueHistory(world), TorquePlots(world, 980), world.make_data()
     limit = float(world.joints.torque_limit[1])
     for k in range(50):
@@ -113,7 +113,7 @@ def test_the_plots_hold_both_lines_their_error_and_the_limit(world: World) -> No
 
 
 def history_of(world: World, *received: str) -> TorqueHistory:
-    """A second of a robot that tells these."""
+    """Returns a second of data of a robot that sends these signals."""
     history, data = TorqueHistory(world), world.make_data()
     for k in range(50):
         data.time = k * 0.02
@@ -126,7 +126,7 @@ def history_of(world: World, *received: str) -> TorqueHistory:
 @pytest.mark.parametrize(("height", "labels"), [
     (40.0, ["torque [Nm]", "error [Nm]"]), (12.0, ["torque [Nm]"]), (1.0, []),
 ])  # fmt: skip
-def test_a_joint_is_chosen_beside_its_limit_and_plotted_where_there_is_room(
+def test_joint_is_selected_and_plotted_if_there_is_space(
     world: World, height: float, labels: list[str]
 ) -> None:
     ui = ScriptedWidgets({"##joint": "lwr/A3"}, size=(30.0, height))
@@ -137,12 +137,12 @@ def test_a_joint_is_chosen_beside_its_limit_and_plotted_where_there_is_room(
     assert [label for kind, label in ui.built if kind == "plot"] == labels
 
 
-def test_without_a_limit_the_largest_torque_of_all_packets_stands_in() -> None:
+def test_largest_torque_of_all_packets_replaces_a_missing_limit() -> None:
     scene = load_scene("lwr_udp", overrides={"lwr.torque_limits": "largest"})
     fed, routes = World(scene), wire(scene).check(scene).routes
     history, data = TorqueHistory(fed, routes), fed.make_data()
     torques = np.full((20, 7), 2.0)
-    torques[7, 3] = -31.0  # which is in no picture
+    torques[7, 3] = -31.0  # which no frame contains
     torques[9, 4] = np.nan
     packets = Packets({"values1": torques}, np.linspace(100.0, 100.02, 20), 1)
     data.time = 0.1
@@ -154,29 +154,27 @@ def test_without_a_limit_the_largest_torque_of_all_packets_stands_in() -> None:
     plots = TorquePlots(fed, 320)
     plots.build(ui, history, 3)
     assert ui.texts()[0] == "largest so far 31 Nm"
-    assert not np.isfinite(plots.plots(history, 3)[0].limits).any()  # it is no line there
+    assert not np.isfinite(plots.plots(history, 3)[0].limits).any()  # there is no line for it
 
 
 @pytest.mark.parametrize(("received", "which"), [
     (["torques"], "commanded "), (["commanded_torques"], "measured "), ([], ""),
 ])  # fmt: skip
-def test_it_says_why_there_is_no_error_to_plot(
-    world: World, received: list[str], which: str
-) -> None:
+def test_missing_error_plot_is_explained(world: World, received: list[str], which: str) -> None:
     ui = ScriptedWidgets(size=(30.0, 40.0))
     TorquePlots(world, 320).build(ui, history_of(world, *received), 1)
     assert ui.texts()[-1].startswith(f"no {which}torques are received")
     assert [label for kind, label in ui.built if kind == "plot"] == ["torque [Nm]"]
 
 
-def test_a_plot_has_a_gap_while_there_is_no_fresh_data() -> None:
+def test_plot_has_a_gap_while_there_is_no_fresh_data() -> None:
     scene = load_scene("lwr_udp")
     fed = World(scene)
     history, plots, data = TorqueHistory(fed), TorquePlots(fed, 980), fed.make_data()
     fed.set_input(data, "lwr.torques", np.full(7, 5.0))
     for k in range(400):
         data.time = 0.01 * k
-        # The last packet came with sample 149; that it is quiet is noticed half a second later.
+        # The last packet is sample 149. Its silence is detected half a second later.
         set_source(data, fed, "udp", age=0.01 * (k - 149) if 150 <= k < 250 else 0.001)
         history.add(data)
     times, values = history.of(2)
@@ -187,10 +185,10 @@ def test_a_plot_has_a_gap_while_there_is_no_fresh_data() -> None:
     assert np.isnan(line.y).sum() == 1
     assert times[pieces[0][-1]] < line.x[np.isnan(line.y)][0] <= times[pieces[1][0]]
     short = np.where((times > -1.0) & (times < -0.9), np.nan, 1.0)
-    assert len(split_at_gaps(times, short)) == 1  # nobody would see it
+    assert len(split_at_gaps(times, short)) == 1  # too short to be visible
 
 
-def test_the_range_of_a_plot_holds_what_is_in_it() -> None:
+def test_plot_range_contains_the_values_and_near_limits() -> None:
     low, high = y_range(np.full(3, np.nan), 10.0, 0.5)
     assert low < 0 < high
     low, high = y_range(np.array([2.0, np.nan, 6.0]), np.inf, 0.5)
@@ -201,7 +199,7 @@ def test_the_range_of_a_plot_holds_what_is_in_it() -> None:
 
 
 @given(st.floats(-500, 500), st.floats(1e-3, 1000), st.sampled_from([20.0, 176.0, np.inf]))
-def test_the_range_of_a_plot_is_round(low: float, span: float, limit: float) -> None:
+def test_plot_range_has_round_ends(low: float, span: float, limit: float) -> None:
     bottom, top = y_range(np.array([low, low + span]), limit, 1e-9)
     assert bottom <= low and low + span <= top
     step = 10.0 ** np.floor(np.log10(top - bottom)) / 20

@@ -1,4 +1,4 @@
-"""Recording what is about events: conditions, the seconds before and after, bounded memory."""
+"""Recording around events: conditions, the seconds before and after, bounded memory."""
 
 from __future__ import annotations
 
@@ -85,13 +85,13 @@ ANGLES = EVENTS["values0"]
         ("min(lwr.torques) - 1 != min(lwr.torques) - 1", np.zeros(200, bool)),
     ],
 )  # fmt: skip
-def test_conditions_are_what_numpy_says(text: str, expected: Array) -> None:
+def test_conditions_equal_the_numpy_result(text: str, expected: Array) -> None:
     found = trigger(text).find("udp", EVENTS)
     assert np.array_equal(found.holds, expected)
     assert expected.any() != ("!=" in text) and not expected.all()
 
 
-def test_what_holds_is_told_with_joint_and_value() -> None:
+def test_satisfied_condition_is_described_with_joint_and_value() -> None:
     events = {key: np.zeros((2, 7)) for key in EVENTS}
     events["values2"][1, 4] = 23.456
     hits = trigger("abs(lwr.torque_error) > 20").find("udp", events)
@@ -104,7 +104,7 @@ def test_what_holds_is_told_with_joint_and_value() -> None:
 
 
 @pytest.mark.thorough
-def test_models_of_robots_are_signals() -> None:
+def test_model_outputs_are_signals() -> None:
     of = scene()
     lwr = SerialRobot.from_model("lwr", inputs=["joint_velocities"])
     moved = Scene(
@@ -139,7 +139,7 @@ def test_models_of_robots_are_signals() -> None:
             trigger(text, still)
 
 
-def test_no_data_fulfils_nothing_and_other_sources_keep_their_last_values() -> None:
+def test_missing_data_satisfies_nothing_and_other_sources_hold_their_values() -> None:
     two = Scene(
         robots=[SerialRobot.from_model("lwr")],
         sources={
@@ -149,7 +149,7 @@ def test_no_data_fulfils_nothing_and_other_sources_keep_their_last_values() -> N
         routes={"lwr.joint_angles": "udp.values0", "lwr.torques": "other.values0 - udp.values1"},
     )
     found = trigger("lwr.torques[0] > 5", two)
-    assert not found.find("udp", EVENTS).holds.any()  # nothing of the other has come
+    assert not found.find("udp", EVENTS).holds.any()  # nothing of the other source has arrived
     later = found.find("other", {"values0": np.full((3, 7), 1e3)})
     assert later.holds.all()
     assert found.find("udp", EVENTS).holds.tolist() == (1e3 - EVENTS["values1"][:, 0] > 5).tolist()
@@ -184,13 +184,13 @@ def test_no_data_fulfils_nothing_and_other_sources_keep_their_last_values() -> N
         ("lwr.receiving > 1", "expected a signal of scene 'cell'"),
     ],
 )  # fmt: skip
-def test_what_is_no_condition_is_told_with_its_place(text: str, message: str) -> None:
+def test_invalid_condition_is_reported_with_its_position(text: str, message: str) -> None:
     with pytest.raises(RouteError) as caught:
         trigger(text)
     assert message in str(caught.value)
 
 
-def test_the_torque_error_needs_both_torques() -> None:
+def test_torque_error_requires_both_torques() -> None:
     of = scene()
     of.routes = {key: route for key, route in of.routes.items() if "commanded" not in key}
     reason = "it needs routes to lwr.commanded_torques"
@@ -202,7 +202,7 @@ def test_the_torque_error_needs_both_torques() -> None:
 
 
 def numbered(count: int, hits: dict[int, float], rate: float = 100.0) -> tuple[list[bytes], Array]:
-    """Packets with their number as an angle, and a torque where they are to be found."""
+    """Returns packets with their number as an angle and a torque at the listed packets."""
     packets = []
     for k in range(count):
         torques = [0.0] * 7
@@ -234,8 +234,8 @@ def recorder(folder: Path, **options: Any) -> TriggeredRecorder:
 
 
 @pytest.mark.parametrize("at_once", [1, 7, 1000])
-def test_each_event_has_what_came_before_and_after_it(tmp_path: Path, at_once: int) -> None:
-    # At 100 Hz: one event, one that another prolongs, one at the very end.
+def test_each_event_contains_the_packets_before_and_after_it(tmp_path: Path, at_once: int) -> None:
+    # At 100 Hz: one event, one that another extends, and one at the very end.
     packets, times = numbered(1000, {200: 25, 500: -30, 520: 40, 551: 22, 990: 21})
     with recorder(tmp_path) as made:
         for k in range(0, 1000, at_once):
@@ -257,7 +257,7 @@ def test_each_event_has_what_came_before_and_after_it(tmp_path: Path, at_once: i
     assert made.statistics.packets == 1000
 
 
-def test_waiting_lasts_until_all_packets_have_been_looked_at(tmp_path: Path) -> None:
+def test_waiting_lasts_until_all_packets_have_been_examined(tmp_path: Path) -> None:
     looking, goes_on = threading.Event(), threading.Event()
 
     def find_slowly(name: str, rows: Any, lengths: Any) -> Any:
@@ -270,7 +270,7 @@ def test_waiting_lasts_until_all_packets_have_been_looked_at(tmp_path: Path) -> 
     seen: list[int] = []
     with recorder(tmp_path, find=find_slowly) as made:
         assert made.take("udp", rows, lengths, times)
-        assert looking.wait(60)  # the queue is empty, and nothing has been seen
+        assert looking.wait(60)  # the queue is empty, and nothing has been examined
 
         def wait() -> None:
             made.wait_until_handled()
@@ -283,29 +283,29 @@ def test_waiting_lasts_until_all_packets_have_been_looked_at(tmp_path: Path) -> 
     assert seen == [30]
 
 
-def test_memory_holds_no_more_than_the_last_seconds(tmp_path: Path) -> None:
+def test_memory_holds_only_the_last_seconds(tmp_path: Path) -> None:
     packets, _ = numbered(1000, {})
     rows, lengths = pad_packets(packets, LAYOUT.size)
     with recorder(tmp_path, before=1.0) as made:
         for k in range(100):
             made.take("udp", rows, lengths, k + np.arange(1000) / 1000)
             made.wait_until_handled()
-        size = made.statistics.kept_bytes
+        size = made.statistics.buffer_bytes
     assert 1000 * LAYOUT.size < size < 4000 * (LAYOUT.size + 100)
-    assert made.statistics.forgotten == 0 and not made.events
-    # With room for less, the oldest go, and are counted.
-    with recorder(tmp_path, before=60.0, kept_bytes=500_000) as made:
+    assert made.statistics.evicted == 0 and not made.events
+    # If the memory is smaller, the oldest packets are dropped and counted.
+    with recorder(tmp_path, before=60.0, buffer_bytes=500_000) as made:
         for k in range(20):
             made.take("udp", rows, lengths, k + np.arange(1000) / 1000)
             made.wait_until_handled()
-        assert made.statistics.kept_bytes < 700_000
-        assert made.statistics.forgotten > 15_000
+        assert made.statistics.buffer_bytes < 700_000
+        assert made.statistics.evicted > 15_000
         late = pad_packets([numbered(1, {0: 99})[0][0]], LAYOUT.size)
         made.take("udp", *late, np.array([20.0]))
     assert len(made.events) == 1 and made.events[0].packets > 1000
 
 
-def test_a_live_event_ends_though_nothing_comes_any_more(tmp_path: Path) -> None:
+def test_live_event_ends_without_further_packets(tmp_path: Path) -> None:
     packets, _ = numbered(3, {1: 30})
     ended: list[float] = []
     with recorder(tmp_path, after=0.1, now=time.monotonic) as made:
@@ -317,7 +317,7 @@ def test_a_live_event_ends_though_nothing_comes_any_more(tmp_path: Path) -> None
     assert np.isnan(ended[0]) and ended[1] == pytest.approx(now + 0.02)
 
 
-def test_what_cannot_be_written_ends_it_and_is_told(tmp_path: Path) -> None:
+def test_write_error_ends_recording_and_is_reported(tmp_path: Path) -> None:
     (tmp_path / "1.mcap").write_text("mine")
     packets, times = numbered(3, {1: 30})
     made = recorder(tmp_path)
@@ -367,7 +367,7 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
     return int(ended.value.code or 0), out, err
 
 
-def test_packets_of_another_process_are_kept_about_an_event_and_can_be_replayed_and_compared(
+def test_packets_of_another_process_are_recorded_around_an_event_and_replayed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     port = free_udp_port()
@@ -399,7 +399,7 @@ def test_packets_of_another_process_are_kept_about_an_event_and_can_be_replayed_
     assert status == 0 and "lwr" in out, err
 
 
-def test_events_are_found_in_a_recording_as_they_were_live(
+def test_events_in_a_recording_equal_the_live_ones(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = write_scene(tmp_path / "cell.toml", free_udp_port())
@@ -420,7 +420,7 @@ def test_events_are_found_in_a_recording_as_they_were_live(
     with Recording(whole) as all_of_it, Recording(tmp_path / "hit_002.mcap") as part:
         apart = (part.start - all_of_it.start).total_seconds()
         first = all_of_it.sources["udp"].first
-    assert apart == pytest.approx(first + 6.0, abs=2e-3)  # at the time that it was
+    assert apart == pytest.approx(first + 6.0, abs=2e-3)  # at its original time
     status, _, err = run(line, capsys)
     assert status == 2 and "hit_001.mcap: exists already" in err
 
@@ -438,7 +438,7 @@ def test_events_are_found_in_a_recording_as_they_were_live(
          "'lwr_udp'; did you mean 'lwr.torques'?"),
     ],
 )  # fmt: skip
-def test_wrong_options_are_told(
+def test_invalid_options_are_rejected(
     options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     status, _, err = run(["record", "lwr_udp", *options], capsys)
@@ -446,7 +446,7 @@ def test_wrong_options_are_told(
     assert record_events is not None
 
 
-def test_what_came_last_is_recorded_when_asked_for_also_when_nothing_comes_any_more(
+def test_recent_packets_are_recorded_on_request_without_further_packets(
     tmp_path: Path,
 ) -> None:
     of = scene()

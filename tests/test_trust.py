@@ -1,4 +1,4 @@
-"""Files from strangers: nothing in them runs unless their user has trusted them."""
+"""Files from strangers: nothing in them runs unless the user has trusted them."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ void control(void *robot) {}
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A library whose constructor leaves the file `ran` beside it."""
+    """Compiles a library whose constructor creates the file `ran` beside it."""
     if shutil.which("cc") is None:
         pytest.skip("needs a C compiler")
     folder = tmp_path_factory.mktemp("evil")
@@ -95,13 +95,13 @@ def test_commands_that_only_show_a_file_run_nothing(command: str, library, tmp_p
         assert not (folder / "ran").exists()
 
 
-def test_check_says_what_a_scenario_would_run(tmp_path, capsys):
+def test_check_reports_the_program_a_scenario_would_run(tmp_path, capsys):
     status, out, _ = run(capsys, "check", str(with_program(tmp_path)))
     assert status == 0
     assert "asks to run the program sh -c 'echo > ran; exit 9' x '{port}' (controllers.lwr)" in out
 
 
-def test_check_finds_what_is_wrong_beside_what_it_does_not_run(tmp_path, capsys):
+def test_check_reports_errors_in_a_scenario_it_does_not_run(tmp_path, capsys):
     file = tmp_path / "wrong.toml"
     missing = PROGRAM.replace('"sh"', '"./missing"')
     motion = "\n[targets.lwr]\nkind = 'constant'\nangles = [0, 9, 0]"
@@ -112,14 +112,14 @@ def test_check_finds_what_is_wrong_beside_what_it_does_not_run(tmp_path, capsys)
     assert "targets.lwr" in err
 
 
-def test_simulate_runs_the_scenario_that_its_user_names_and_says_so(tmp_path, capsys):
+def test_simulate_runs_the_scenario_named_by_the_user_and_reports_it(tmp_path, capsys):
     _, _, err = run(capsys, "simulate", str(with_program(tmp_path)))
     assert (tmp_path / "ran").exists()
     assert "will run the program sh -c" in err
 
 
 @pytest.mark.extensions
-def test_sweep_says_what_it_runs(tmp_path, capsys):
+def test_sweep_reports_the_program_it_runs(tmp_path, capsys):
     options = ("--vary", "run.seed=1,2", "--jobs", "1")
     _, _, err = run(capsys, "sweep", str(with_program(tmp_path)), *options)
     assert (tmp_path / "ran").exists()
@@ -127,7 +127,7 @@ def test_sweep_says_what_it_runs(tmp_path, capsys):
 
 
 def recording_with(file: Path, folder: Path) -> Path:
-    """A recording of a simulation, with another scenario in the place of its own."""
+    """Writes a recording of a simulation with another scenario in place of its own."""
     own = folder / "own.toml"
     plain = SCENARIO.format(controller='kind = "gravity_compensation"')
     own.write_text(plain.replace("0.05", "0.6"))
@@ -169,7 +169,7 @@ def recording_with(file: Path, folder: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_recording_is_played_and_its_scenario_never_runs(tmp_path, capsys, monkeypatch):
+def test_recording_is_played_and_its_scenario_never_runs(tmp_path, capsys, monkeypatch):
     gift = recording_with(with_program(tmp_path), tmp_path)
     made: list[object] = []
     monkeypatch.setattr(Simulation, "__init__", lambda *given, **more: made.append(given))
@@ -186,14 +186,14 @@ def test_a_recording_is_played_and_its_scenario_never_runs(tmp_path, capsys, mon
     assert (tmp_path / "a.png").stat().st_size > 1000
 
 
-def test_the_scene_of_a_withheld_scenario_stands_still(tmp_path):
+def test_scene_of_an_untrusted_scenario_does_not_move(tmp_path):
     file = with_program(tmp_path)
     scene = load_scene(file)
     assert scene.sources == {}
     assert scene.withheld is not None
     assert [action.key for action in scene.withheld.actions] == ["controllers.lwr"]
     assert load_scene(file, trusted=True).withheld is None
-    assert not (tmp_path / "ran").exists()  # it is started with the first step
+    assert not (tmp_path / "ran").exists()  # the program starts with the first step
 
 
 def test_only_a_trusted_scenario_can_be_simulated(tmp_path):
@@ -202,22 +202,22 @@ def test_only_a_trusted_scenario_can_be_simulated(tmp_path):
         Simulation(read_scenario(file, trusted=False))
     assert refused.value.file == file
     assert "sh -c" in refused.value.actions[0]
-    Simulation(read_scenario(file))  # its user names it
+    Simulation(read_scenario(file))  # the user names it
 
 
-def test_a_controller_with_other_gains_is_of_the_same_file(tmp_path):
+def test_controller_with_other_gains_has_the_same_origin(tmp_path):
     scenario = read_scenario(with_program(tmp_path), trusted=False)
     declared = scenario.controllers["lwr"]
     assert declared.changed({"patience": 2.0}).origin == declared.origin
 
 
-def test_a_controller_declared_in_python_is_its_users(tmp_path):
+def test_controller_declared_in_python_is_trusted(tmp_path):
     declared = UdpProgram(command=["sh", "-c", "exit 0", "x", "{port}"])
     assert declared.origin is None
     trust.require(declared.origin, declared.actions())
 
 
-def test_a_request_is_allowed_for_its_contents_alone(tmp_path):
+def test_request_is_allowed_for_its_exact_contents(tmp_path):
     script = tmp_path / "control.sh"
     script.write_text("exit 9")
     script.chmod(0o755)
@@ -237,7 +237,7 @@ def test_a_request_is_allowed_for_its_contents_alone(tmp_path):
     assert load_scene(file).withheld is not None
 
 
-def test_a_scenario_that_extends_another_one_asks_for_both(tmp_path):
+def test_scenario_that_extends_another_requests_both(tmp_path):
     with_program(tmp_path)
     file = tmp_path / "more.toml"
     file.write_text('extends = "evil.toml"\n[set]\n"run.seed" = 2\n')
@@ -249,7 +249,7 @@ def test_a_scenario_that_extends_another_one_asks_for_both(tmp_path):
     assert load_scene(file).withheld is not None
 
 
-def test_a_trusted_folder_covers_what_is_below_it_and_nothing_else(tmp_path, monkeypatch):
+def test_trusted_folder_covers_its_contents_only(tmp_path, monkeypatch):
     monkeypatch.setattr(trust, "_folders", set())
     (tmp_path / "mine").mkdir()
     (tmp_path / "others").mkdir()
@@ -265,7 +265,7 @@ def test_a_trusted_folder_covers_what_is_below_it_and_nothing_else(tmp_path, mon
     assert load_scene(mine).withheld is not None
 
 
-def test_the_dialog_names_the_program_and_allows_it_on_this_machine_only(tmp_path):
+def test_dialog_names_the_program_and_allows_it_on_this_machine_only(tmp_path):
     request = load_scene(with_program(tmp_path)).withheld
     assert request is not None
     closed: list[bool] = []
@@ -309,7 +309,7 @@ XACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="arm">
         "${python.len(python.list(python.range(10**12)))}",
     ],
 )
-def test_xacro_does_not_reach_python(expression: str, tmp_path):
+def test_xacro_expressions_cannot_run_python(expression: str, tmp_path):
     pytest.importorskip("xacro")
     file = tmp_path / "arm.urdf.xacro"
     file.write_text(XACRO.format(expression=expression))
@@ -332,7 +332,7 @@ def test_xacro_does_not_reach_python(expression: str, tmp_path):
         "${min(0.3, 2**-3)}",
     ],
 )
-def test_expressions_of_xacro_have_the_values_that_xacro_gives_them(expression: str, tmp_path):
+def test_xacro_expressions_have_the_values_of_xacro(expression: str, tmp_path):
     xacro = pytest.importorskip("xacro")
     pytest.importorskip("simpleeval")
     from sero_mj.robots.importers.xacro_file import expand
@@ -347,7 +347,7 @@ def test_expressions_of_xacro_have_the_values_that_xacro_gives_them(expression: 
     assert 'xyz="${' not in expected
 
 
-def test_a_module_that_a_file_names_is_imported_only_if_its_package_lists_it():
+def test_module_named_in_a_file_is_imported_only_if_listed_by_its_package():
     assert trust.import_listed("json", "decoder", ["decoder"]).__name__ == "json.decoder"
     with pytest.raises(UnknownName) as refused:
         trust.import_listed("json", "tool", ["decoder"])
@@ -355,8 +355,8 @@ def test_a_module_that_a_file_names_is_imported_only_if_its_package_lists_it():
 
 
 @pytest.mark.extensions
-def test_the_type_names_of_a_bag_are_no_code(tmp_path, capsys):
-    """rosbags makes classes of them, by `exec`."""
+def test_type_names_in_a_bag_are_not_executed(tmp_path, capsys):
+    """rosbags makes classes from them with `exec`."""
     pytest.importorskip("rosbags")
     ran = tmp_path / "ran"
     file = tmp_path / "evil.mcap"
@@ -373,7 +373,7 @@ def test_the_type_names_of_a_bag_are_no_code(tmp_path, capsys):
     assert not ran.exists()
 
 
-# What starts a program, loads code or evaluates text, and why it needs nobody's trust.
+# Code that starts a program, loads code or evaluates text, and why it needs no trust.
 _GUARDED: dict[str, str] = {
     "base/trust.py": "asks whether the package lists the module",
     "base/child_process.py": "starts what others ask for, see below",
@@ -411,7 +411,7 @@ def _starts_something(node: ast.AST) -> bool:
 
 
 @pytest.mark.slow
-def test_every_place_that_starts_something_is_known():
+def test_every_place_that_starts_a_program_or_loads_code_is_listed():
     root = Path(sero_mj.__file__).parent
     found = {
         file.relative_to(root).as_posix()
@@ -422,7 +422,7 @@ def test_every_place_that_starts_something_is_known():
     assert found == {*_GUARDED, "robots/importers/xacro_file.py"}
 
 
-def test_make_controller_asks_before_it_makes(tmp_path, monkeypatch):
+def test_make_controller_requires_trust_first(tmp_path, monkeypatch):
     made: list[object] = []
     monkeypatch.setattr(UdpProgram, "make", lambda *given: made.append(given))
     with pytest.raises(NotTrusted):
@@ -431,7 +431,7 @@ def test_make_controller_asks_before_it_makes(tmp_path, monkeypatch):
 
 
 def button_of(state: dict[str, Any], label: str) -> str | None:
-    """The id of a button in the dialog of a page."""
+    """Returns the id of a button in the dialog of a page."""
     todo = [*((state.get("request") or {}).get("nodes", ()))]
     while todo:
         node = todo.pop()
@@ -466,7 +466,7 @@ def test_only_a_browser_on_this_machine_can_allow_a_file(is_near: bool, tmp_path
                     assert not trust.is_allowed(request)
                     assert shown == []
                     show_only = button_of(far.state, "display only")
-                    assert show_only  # it can see what the file asks for
+                    assert show_only  # it can see what the file requests
                 return
             near.say("widget", tree="request", id=run_it, value=True)
             near.until(lambda: shown)
@@ -474,8 +474,8 @@ def test_only_a_browser_on_this_machine_can_allow_a_file(is_near: bool, tmp_path
             assert not page.is_open  # the next page shows the simulation
 
 
-def test_a_scenario_asks_before_it_sends_to_the_network(tmp_path):
-    """A robot's controller that listens there could take a state for a command."""
+def test_scenario_needs_permission_to_send_to_the_network(tmp_path):
+    """A robot controller that listens there could mistake a state for a command."""
     file = tmp_path / "far.toml"
     file.write_text(SCENARIO.format(controller='kind = "udp"\nhost = "192.0.2.7"\nport = 30200'))
     request = load_scene(file).withheld
@@ -484,7 +484,7 @@ def test_a_scenario_asks_before_it_sends_to_the_network(tmp_path):
 
 
 @pytest.mark.extensions
-def test_a_scenario_asks_before_a_node_of_ros_joins_the_network(tmp_path):
+def test_scenario_needs_permission_to_join_a_ros_network(tmp_path):
     file = tmp_path / "far.toml"
     file.write_text(SCENARIO.format(controller='kind = "ros2"\ndomain = 7'))
     request = load_scene(file).withheld
@@ -492,7 +492,7 @@ def test_a_scenario_asks_before_a_node_of_ros_joins_the_network(tmp_path):
     assert "domain 7" in request.actions[0].text
 
 
-def test_the_dialog_shows_characters_that_would_hide_a_command(tmp_path):
+def test_dialog_shows_characters_that_would_hide_a_command(tmp_path):
     file = tmp_path / "hidden.toml"
     command = PROGRAM.replace("echo > ran", "\\u202e nar > ohce \\u0007")
     file.write_text(SCENARIO.format(controller=command))
@@ -506,8 +506,8 @@ def test_the_dialog_shows_characters_that_would_hide_a_command(tmp_path):
     assert r"\u202e nar > ohce \x07" in shown
 
 
-def test_what_is_allowed_is_what_was_shown(tmp_path):
-    """A program that changes while the dialog is open asks again."""
+def test_only_the_shown_contents_are_allowed(tmp_path):
+    """A program that changes while the dialog is open is requested again."""
     script = tmp_path / "control.sh"
     script.write_text("exit 9")
     script.chmod(0o755)
@@ -522,7 +522,7 @@ def test_what_is_allowed_is_what_was_shown(tmp_path):
         assert load_scene(file).withheld is not None
 
 
-def test_the_program_is_named_by_where_it_is(tmp_path):
+def test_program_is_named_by_its_path(tmp_path):
     script = tmp_path / "control.sh"
     script.write_text("")
     script.chmod(0o755)
@@ -532,7 +532,7 @@ def test_the_program_is_named_by_where_it_is(tmp_path):
 
 
 @pytest.mark.parametrize("word", ["x" * 300, "true;" * 100, "a/" * 3000, "a\\u0000b"])
-def test_words_that_no_file_can_be_named_are_words(word: str, tmp_path, capsys):
+def test_words_that_are_not_file_names_are_plain_arguments(word: str, tmp_path, capsys):
     file = tmp_path / "long.toml"
     for command in (f'["sh", "-c", "{word}", "{{port}}"]', f'["./{word}", "{{port}}"]'):
         file.write_text(SCENARIO.format(controller=f'kind = "udp"\ncommand = {command}'))
@@ -540,7 +540,7 @@ def test_words_that_no_file_can_be_named_are_words(word: str, tmp_path, capsys):
         assert status == (0 if '"-c"' in command else 2), err
 
 
-def test_no_line_of_a_command_is_forged(tmp_path, capsys):
+def test_command_cannot_forge_output_lines(tmp_path, capsys):
     file = tmp_path / "forged.toml"
     command = PROGRAM.replace("exit 9", "exit 9\\n  model   10 bodies\\n")
     file.write_text(SCENARIO.format(controller=command))
@@ -549,20 +549,20 @@ def test_no_line_of_a_command_is_forged(tmp_path, capsys):
     assert r"exit 9\n  model" in out
 
 
-def test_a_file_that_fails_in_any_way_ends_no_viewer():
-    said: list[tuple[str, bool]] = []
-    others = OtherScenes(lambda text, is_bad: said.append((text, is_bad)), lambda: None)
+def test_failing_file_does_not_end_the_viewer():
+    messages: list[tuple[str, bool]] = []
+    others = OtherScenes(lambda text, is_bad: messages.append((text, is_bad)), lambda: None)
 
     def fails(path: Path) -> Mirror:
         raise OSError(36, "File name too long")
 
     others.opener = fails
     assert not others.open_file(Path("a.toml"))
-    assert said[0][1]
-    assert "File name too long" in said[0][0]
+    assert messages[0][1]
+    assert "File name too long" in messages[0][0]
 
 
-def test_a_program_ends_with_the_view_of_its_run(tmp_path):
+def test_program_ends_with_the_view_of_its_run(tmp_path):
     file = tmp_path / "mine.toml"
     command = 'kind = "udp"\ncommand = ["sh", "-c", "echo $$ > pid; sleep 99", "x", "{port}"]'
     scenario = SCENARIO.format(controller=f"{command}\non_silence = 'gravity_compensation'\n")

@@ -1,4 +1,4 @@
-"""`UdpReceiver` where no packet may be lost, and where packets are numbered and stamped."""
+"""`UdpReceiver` without losses, and with sequence numbers and time stamps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sero_mj.data.receive.udp import UdpReceiver
 
 LINUX = sys.platform == "linux"
 NUMBERED = "number:1H 1F"
-# Another process that sends COUNT numbered packets, as fast as the reader can take them.
+# A separate process that sends COUNT numbered packets at about the maximum rate of the reader.
 FLOOD = """
 import socket, struct, sys, time
 port, count = map(int, sys.argv[1:])
@@ -57,7 +57,7 @@ def settled(receiver: UdpReceiver, received: int) -> bool:
     return until(lambda: receiver.counters.received == received)
 
 
-def test_arrivals_stay_in_order_where_the_wall_clock_is_set(
+def test_arrivals_are_ordered_when_the_wall_clock_is_set(
     send: Send, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with UdpReceiver(structure=NUMBERED, only_latest_packet=False) as receiver:
@@ -75,14 +75,14 @@ def test_arrivals_stay_in_order_where_the_wall_clock_is_set(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not LINUX, reason="counts what the kernel drops")
-def test_every_packet_is_handed_on_in_order_and_none_is_lost() -> None:
+def test_lossless_receiver_returns_all_packets_in_order() -> None:
     count = 30_000
     receiver = UdpReceiver(
         structure="number:1I time:1F", only_latest_packet=False, sequence="number", time="time"
     )
     taken: list[np.ndarray] = []
 
-    def take_all() -> bool:
+    def collect() -> bool:
         packets = receiver.take()
         if packets is not None:
             assert len(packets) == len(packets.values["number"])
@@ -93,23 +93,23 @@ def test_every_packet_is_handed_on_in_order_and_none_is_lost() -> None:
     with receiver:
         command = [sys.executable, "-c", FLOOD, str(receiver.port), str(count)]
         with subprocess.Popen(command) as robot:
-            assert until(take_all, seconds=60.0)
+            assert until(collect, seconds=60.0)
         assert robot.returncode == 0
         got = np.concatenate(taken)
         assert (np.diff(got) > 0).all()
         assert len(got) == count - receiver.counters.dropped
-        assert receiver.counters.dropped == 0  # with the buffer that it asks for
+        assert receiver.counters.dropped == 0  # with the default buffer
         assert receiver.counters.superseded == receiver.counters.lost == 0
         assert receiver.receive_trigger == count
 
 
-def test_taking_twice_gives_nothing_twice(send: Send) -> None:
+def test_take_returns_each_packet_once(send: Send) -> None:
     for lossless, expected in ((True, [1.0, 2.0, 3.0]), (False, [3.0])):
         with UdpReceiver(structure=NUMBERED, only_latest_packet=not lossless) as receiver:
             assert receiver.take() is None
             send(receiver, 1, 2, 3)
             assert settled(receiver, 3)
-            assert receiver.latest().values["values0"].tolist() == [3.0]  # looking takes nothing
+            assert receiver.latest().values["values0"].tolist() == [3.0]  # `latest` takes nothing
             assert numbers_of(receiver) == expected
             assert receiver.take() is None
             assert receiver.counters.superseded == (0 if lossless else 2)
@@ -121,7 +121,7 @@ def test_taking_twice_gives_nothing_twice(send: Send) -> None:
             assert packets.last.values["values0"].tolist() == [4.0]
 
 
-def test_a_reader_that_does_not_take_holds_the_kernel_up_and_nothing_is_thrown_away(
+def test_full_queue_pauses_reception_and_drops_nothing(
     send: Send, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mailbox, "QUEUE_BYTES", 100)  # ten packets
@@ -134,9 +134,7 @@ def test_a_reader_that_does_not_take_holds_the_kernel_up_and_nothing_is_thrown_a
         assert got == list(range(300))
 
 
-def test_closing_does_not_wait_for_a_reader_that_does_not_take(
-    send: Send, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_close_does_not_wait_for_a_consumer(send: Send, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mailbox, "QUEUE_BYTES", 0)
     receiver = UdpReceiver(structure=NUMBERED, only_latest_packet=False)
     receiver.open()
@@ -148,8 +146,8 @@ def test_closing_does_not_wait_for_a_reader_that_does_not_take(
     assert not closing.is_alive()
 
 
-@pytest.mark.parametrize("start", [5, 65_530])  # the second wraps on the way
-def test_loss_late_ones_and_duplicates_are_told_by_number(send: Send, start: int) -> None:
+@pytest.mark.parametrize("start", [5, 65_530])  # the second one wraps to 0
+def test_sequence_numbers_show_lost_late_and_duplicate_packets(send: Send, start: int) -> None:
     with UdpReceiver(structure=NUMBERED, sequence="number", only_latest_packet=False) as receiver:
         offsets = [0, 1, 2, 5, 6, 4, 6, 7, 20]
         send(receiver, *(start + offset for offset in offsets))
@@ -157,11 +155,11 @@ def test_loss_late_ones_and_duplicates_are_told_by_number(send: Send, start: int
         counters = receiver.counters
         assert (counters.lost, counters.late, counters.duplicates) == (1 + 12, 1, 1)
         assert counters.restarts == 0
-        # Nothing that the kernel delivered is lost, but what was there already is not new.
+        # All delivered packets are returned, except duplicates.
         assert numbers_of(receiver) == [start + k for k in (0, 1, 2, 5, 6, 4, 7, 20)]
 
 
-def test_the_latest_is_the_highest_number_not_the_last_arrival(send: Send) -> None:
+def test_latest_packet_has_the_highest_sequence_number(send: Send) -> None:
     with UdpReceiver(structure=NUMBERED, sequence="number") as receiver:
         send(receiver, 1, 2, 5, 4, 3)
         assert settled(receiver, 5)
@@ -170,7 +168,7 @@ def test_the_latest_is_the_highest_number_not_the_last_arrival(send: Send) -> No
 
 
 @pytest.mark.parametrize("numbers", [(1000, 1001, 0, 1, 2), (10, 11, 0, 1, 2, 3, 4, 5)])
-def test_a_sender_that_begins_anew_is_taken_up_again(send: Send, numbers: tuple[int, ...]) -> None:
+def test_restarted_sender_is_detected_and_accepted(send: Send, numbers: tuple[int, ...]) -> None:
     with UdpReceiver(structure=NUMBERED, sequence="number") as receiver:
         send(receiver, *numbers)
         assert settled(receiver, len(numbers))
@@ -178,7 +176,7 @@ def test_a_sender_that_begins_anew_is_taken_up_again(send: Send, numbers: tuple[
         assert numbers_of(receiver) == [numbers[-1]]
 
 
-def test_time_stamps_give_delay_and_jitter_and_tell_a_restart() -> None:
+def test_time_stamps_show_jitter_and_restarts() -> None:
     receiver = UdpReceiver(structure="t:1Q", time="t", time_scale=1e-6)
     with receiver, socket.socket(type=socket.SOCK_DGRAM) as sock:
         for stamp in (10_000_000, 10_000_000, 9_990_000, 10_001_000, 5, 1005):
@@ -191,7 +189,7 @@ def test_time_stamps_give_delay_and_jitter_and_tell_a_restart() -> None:
         assert receiver.latest().values["t"].tolist() == [1005.0]
 
 
-def test_receiving_says_whether_packets_come(send: Send) -> None:
+def test_receiving_is_true_while_packets_arrive(send: Send) -> None:
     called = threading.Event()
     with UdpReceiver(structure=NUMBERED) as receiver:
         receiver.on_receive(called.set)
@@ -215,22 +213,22 @@ def test_receiving_says_whether_packets_come(send: Send) -> None:
              "3 packets lost", "1 valid packets"]),
     ],
 )  # fmt: skip
-def test_the_debug_level_says_how_much_is_logged(
+def test_debug_level_selects_log_messages(
     send: Send, caplog: pytest.LogCaptureFixture, level: int, expected: list[str]
 ) -> None:
     caplog.set_level(logging.INFO)
     with UdpReceiver(structure=NUMBERED, sequence="number", debug_level=level) as receiver:
         with socket.socket(type=socket.SOCK_DGRAM) as sock:
-            for k in range(3):  # a flood is told once
+            for k in range(3):  # repeated faults are logged once
                 sock.sendto(b"x", ("127.0.0.1", receiver.port))
                 assert settled(receiver, k + 1)
         send(receiver, 1)
         assert settled(receiver, 4)
         send(receiver, 5)
         assert settled(receiver, 5)
-    told = [text for text in caplog.messages if "0 valid" not in text]
-    assert len(told) == len(expected), told
-    for text, part in zip(told, expected, strict=True):
+    reported = [text for text in caplog.messages if "0 valid" not in text]
+    assert len(reported) == len(expected), reported
+    for text, part in zip(reported, expected, strict=True):
         assert text.startswith("source 'udp': ") and part in text
 
 
@@ -247,7 +245,7 @@ def test_the_debug_level_says_how_much_is_logged(
         ({"only_latest": True}, "only_latest: unknown key; did you mean 'only_latest_packet'?"),
     ],
 )
-def test_what_is_declared_wrongly_is_told(fields: dict[str, object], message: str) -> None:
+def test_invalid_declarations_are_reported(fields: dict[str, object], message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         UdpReceiver(structure="number:1I joints:7F", **fields)
     assert str(caught.value).startswith(message)

@@ -1,4 +1,4 @@
-"""`UdpReceiver` on networks: groups, IPv6, senders by name; and reading without recvmmsg."""
+"""`UdpReceiver` on networks: multicast groups, IPv6, declared senders, and no recvmmsg."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ def two() -> Iterator[tuple[socket.socket, socket.socket]]:
         yield socks[0], socks[1]
 
 
-def test_only_the_sender_that_is_named_is_heard(two: tuple[socket.socket, socket.socket]) -> None:
+def test_only_packets_of_the_declared_sender_are_accepted(
+    two: tuple[socket.socket, socket.socket],
+) -> None:
     friend, stranger = two
     name = f"127.0.0.1:{friend.getsockname()[1]}"
     with UdpReceiver(structure="1F", sender=name) as receiver:
@@ -54,7 +56,7 @@ def test_only_the_sender_that_is_named_is_heard(two: tuple[socket.socket, socket
         assert receiver.receive_trigger == 5
 
 
-def test_a_sender_is_named_without_its_port_and_several_are_too(
+def test_senders_are_declared_without_ports_and_in_lists(
     two: tuple[socket.socket, socket.socket],
 ) -> None:
     for sender, foreign in ((["127.0.0.1"], 0), (["192.0.2.1"], 2), (["::1", "192.0.2.1"], 2)):
@@ -65,14 +67,14 @@ def test_a_sender_is_named_without_its_port_and_several_are_too(
             assert receiver.counters.foreign == foreign
 
 
-def test_ten_senders_at_once_are_counted_and_each_is_followed() -> None:
+def test_ten_concurrent_senders_are_tracked_separately() -> None:
     receiver = UdpReceiver(structure="n:1H 1F", sequence="n", only_latest_packet=False)
     with ExitStack() as stack:
         stack.enter_context(receiver)
         socks = [stack.enter_context(socket.socket(type=socket.SOCK_DGRAM)) for _ in range(10)]
         for k in range(50):
             for i, sock in enumerate(socks):
-                if (k, i) != (20, 3):  # one that is lost
+                if (k, i) != (20, 3):  # one lost packet
                     sock.sendto(struct.pack("<Hd", 1000 * i + k, i), ("127.0.0.1", receiver.port))
         assert until(lambda: receiver.counters.received == 499)
         counters = receiver.counters
@@ -82,7 +84,7 @@ def test_ten_senders_at_once_are_counted_and_each_is_followed() -> None:
 
 
 @pytest.mark.parametrize("sender", ["192.168.0", "somebody", "127.0.0.1:x", "127.0.0.1:70000", ""])
-def test_a_sender_that_is_no_address_is_told(sender: str) -> None:
+def test_sender_that_is_not_an_address_is_rejected(sender: str) -> None:
     UdpReceiver(structure="1F", sender="[::1]:7")
     with pytest.raises(DeclarationError) as caught:
         UdpReceiver(structure="1F", sender=sender)
@@ -92,7 +94,7 @@ def test_a_sender_that_is_no_address_is_told(sender: str) -> None:
     )
 
 
-def test_a_group_is_joined_and_two_can_listen() -> None:
+def test_two_receivers_can_join_a_multicast_group() -> None:
     with ExitStack() as stack:
         first = stack.enter_context(UdpReceiver(structure="1F", host=GROUP, interface="127.0.0.1"))
         second = UdpReceiver(structure="1F", host=GROUP, interface="127.0.0.1", udpport=first.port)
@@ -107,7 +109,7 @@ def test_a_group_is_joined_and_two_can_listen() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the loopback interface is called lo")
-def test_a_group_is_joined_by_the_name_of_the_interface_over_ipv6_too() -> None:
+def test_multicast_group_is_joined_on_a_named_interface() -> None:
     with ExitStack() as stack:
         sock = stack.enter_context(socket.socket(socket.AF_INET6, socket.SOCK_DGRAM))
         index = socket.if_nametoindex("lo")
@@ -124,7 +126,7 @@ def test_a_group_is_joined_by_the_name_of_the_interface_over_ipv6_too() -> None:
         assert receiver.port
 
 
-def test_an_interface_that_is_not_there_is_told_with_those_that_are() -> None:
+def test_unknown_interface_is_reported_with_available_ones() -> None:
     receiver = UdpReceiver(structure="1F", host=GROUP, interface="eth77", udpport=32_123)
     with pytest.raises(SourceError) as caught:
         receiver.open()
@@ -134,14 +136,14 @@ def test_an_interface_that_is_not_there_is_told_with_those_that_are() -> None:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "192.168.77.200", "::1", "fe80::1234:5"])
-def test_addresses_are_packed_as_the_kernel_has_them(host: str) -> None:
+def test_packed_addresses_round_trip(host: str) -> None:
     packed = pack_address(host, 54_321)
     assert len(packed) == 28
     assert unpack_address(packed) == (host, 54_321)
 
 
 @pytest.mark.parametrize("at_once", [True, False])
-def test_both_ways_of_reading_give_the_same(
+def test_recvmmsg_and_fallback_read_the_same_packets(
     two: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch, at_once: bool
 ) -> None:
     sent = [b"", b"ab", bytes(range(10)), bytes(65_507), b"z"]
@@ -167,7 +169,7 @@ def test_both_ways_of_reading_give_the_same(
         assert (batch.arrivals[1:] >= batch.arrivals[:-1]).all()
 
 
-def test_more_than_a_batch_comes_in_several() -> None:
+def test_more_packets_than_a_batch_are_read_in_several_batches() -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**21)
         sock.bind(("127.0.0.1", 0))
@@ -184,7 +186,7 @@ def test_more_than_a_batch_comes_in_several() -> None:
 
 @pytest.fixture
 def six() -> Iterator[socket.socket]:
-    """A sender on the loopback of IPv6."""
+    """A sender on the IPv6 loopback."""
     with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sock:
         try:
             sock.bind(("::1", 0))
@@ -204,7 +206,7 @@ def six() -> Iterator[socket.socket]:
         ([], []),
     ],
 )
-def test_a_socket_for_both_families_knows_senders_of_both(
+def test_dual_stack_socket_accepts_declared_ipv4_and_ipv6_senders(
     two: tuple[socket.socket, socket.socket],
     six: socket.socket,
     sender: list[str],
@@ -219,7 +221,7 @@ def test_a_socket_for_both_families_knows_senders_of_both(
         assert receiver.receive_trigger == 6 - 3 * len(foreign)
 
 
-def test_a_sender_with_its_port_is_known_on_a_socket_for_both_families(
+def test_dual_stack_socket_accepts_a_sender_with_port(
     two: tuple[socket.socket, socket.socket], six: socket.socket
 ) -> None:
     sender = f"127.0.0.1:{two[0].getsockname()[1]}"
@@ -231,7 +233,7 @@ def test_a_sender_with_its_port_is_known_on_a_socket_for_both_families(
 
 
 @pytest.mark.parametrize("sender", ["0.0.0.0", "0.0.0.0:4711", "::", "239.0.0.1", "[ff02::1]:5"])
-def test_a_sender_that_nobody_can_be_is_told(sender: str) -> None:
+def test_unspecified_and_multicast_senders_are_rejected(sender: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         UdpReceiver(structure="1F", sender=sender)
     expected = f"found {sender!r}, which no sender has. Leave it out to accept any sender"
@@ -239,7 +241,7 @@ def test_a_sender_that_nobody_can_be_is_told(sender: str) -> None:
 
 
 @pytest.mark.parametrize("host", ["ff02::1", "ff01::1", "fe80::1"])
-def test_an_address_of_every_network_asks_for_the_interface(host: str) -> None:
+def test_link_local_address_requires_an_interface(host: str) -> None:
     with pytest.raises(SourceError) as caught:
         UdpReceiver(structure="1F", host=host, udpport=32_124).open()
     names = ", ".join(name for _, name in socket.if_nameindex())
@@ -250,7 +252,7 @@ def test_an_address_of_every_network_asks_for_the_interface(host: str) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the loopback interface is called lo")
-def test_an_address_of_every_network_is_this_machines_on_the_interface_or_is_told() -> None:
+def test_link_local_address_of_another_machine_is_reported() -> None:
     for fields in ({"host": "fe80::1234", "interface": "lo"}, {"host": "fe80::1234%lo"}):
         wrong = f"UDP port 0 on {fields['host']}: not an address of this machine"
         reason = f"{wrong}; expected 127.0.0.1 or 0.0.0.0, for example"
@@ -262,7 +264,7 @@ def test_an_address_of_every_network_is_this_machines_on_the_interface_or_is_tol
 
 @pytest.mark.parametrize("at_once", [True, False])
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1", "::"])
-def test_what_is_sent_back_reaches_its_sender(
+def test_answer_reaches_the_sender(
     monkeypatch: pytest.MonkeyPatch, host: str, at_once: bool
 ) -> None:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -282,7 +284,7 @@ def test_what_is_sent_back_reaches_its_sender(
             reader.send(b"answer to " + data[:length], sender)
 
         reader.on_arrival = answer
-        to = "127.0.0.1" if host == "::" else host  # a socket for both hears IPv4
+        to = "127.0.0.1" if host == "::" else host  # a dual-stack socket receives IPv4
         with socket.socket(socket.AF_INET6 if ":" in to else socket.AF_INET, sock.type) as other:
             other.settimeout(5.0)
             for data in (b"one", b"two"):

@@ -1,4 +1,4 @@
-"""URDF files as tables of a robot, against a walk through the XML that knows nothing of them."""
+"""URDF files as tables of a robot, against an independent walk through the XML."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sero_mj.robots.importers.imported_tables import ImportedTables
 from sero_mj.robots.importers.urdf import UrdfFile, read_urdf
 
 # A gripper on an arm: axes along and across, a fixed sensor with a mass, a mimic finger, odd names,
-# a prismatic joint, a continuous one, materials global and local.
+# a prismatic joint, a continuous one, global and local materials.
 GRIPPER = """<?xml version="1.0"?>
 <robot name="arm 1.0">
   <material name="red"><color rgba="0.8 0.1 0.1 1"/></material>
@@ -88,7 +88,7 @@ def described(tmp_path: Path, text: str, **more: Any) -> ImportedTables:
 
 
 def problems(tmp_path: Path, text: str) -> list[str]:
-    """What is wrong with a file, without its folder."""
+    """Returns the problems of a file without its folder."""
     with pytest.raises(DeclarationError) as caught:
         described(tmp_path, text)
     return [str(problem).replace(f"{tmp_path}/", "") for problem in caught.value.problems]
@@ -105,14 +105,14 @@ def origin(element: ElementTree.Element) -> Array:
 
 
 def about(axis: Array, angle: float) -> Array:
-    """Rotation about any axis, by Rodrigues' formula."""
+    """Returns the rotation about any axis by Rodrigues' formula."""
     x, y, z = axis / np.linalg.norm(axis)
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
 def poses_in_xml(text: str, values: dict[str, float]) -> dict[str, Array]:
-    """T_base_link of every link of a URDF."""
+    """Returns T_base_link of every link of a URDF."""
     root = ElementTree.fromstring(text)
     below: dict[str, list[ElementTree.Element]] = {}
     children = set()
@@ -140,7 +140,7 @@ def poses_in_xml(text: str, values: dict[str, float]) -> dict[str, Array]:
 
 
 def poses_in_tables(tables: dict[str, Any], q: Array) -> Array:
-    """T_base_body of the base and every link of the tables."""
+    """Returns T_base_body of the base and every link of the tables."""
     names = tables["joint_names"]
     revolute = np.array([kind == "revolute" for kind in tables["joint_types"]])
     if "dh_params" in tables:
@@ -172,14 +172,14 @@ def test_links_have_the_poses_of_the_file(tmp_path: Path, text: str) -> None:
 
 
 def points_of(mass: float, center: Array, tensor: Array) -> tuple[Array, Array]:
-    """Six point masses that have a body's mass, centre and tensor."""
+    """Returns six point masses with a body's mass, center and tensor."""
     moments, axes = np.linalg.eigh(np.trace(tensor) / 2 * np.eye(3) - tensor)
     away = (axes * np.sqrt(3 * moments / mass)).T
     return np.concatenate([center + away, center - away]), np.full(6, mass / 6)
 
 
 @pytest.mark.parametrize("text", [GRIPPER, CHAIN])
-def test_inertias_are_those_of_the_point_masses_of_all_links(tmp_path: Path, text: str) -> None:
+def test_inertias_equal_those_of_the_point_masses_of_all_links(tmp_path: Path, text: str) -> None:
     tables = described(tmp_path, text).tables
     dynamics = tables["dynamics"]
     q = np.array([0.3, 0.2, -0.4, 0.7])[: len(tables["joint_names"])]
@@ -222,7 +222,7 @@ def test_inertias_are_those_of_the_point_masses_of_all_links(tmp_path: Path, tex
     assert dynamics["masses"][:2] == [4.0, 2.5]
 
 
-def test_limits_couplings_colours_and_shapes(tmp_path: Path) -> None:
+def test_limits_couplings_colors_and_shapes_are_read(tmp_path: Path) -> None:
     read = described(tmp_path, GRIPPER)
     tables = read.tables
     assert tables["name"] == "arm_1_0"
@@ -232,9 +232,9 @@ def test_limits_couplings_colours_and_shapes(tmp_path: Path) -> None:
     inf = np.inf
     assert tables["position_limits"] == [[-inf, inf], [0.1, 0.4], [-0.5, 1.0], [-0.5, 1.0]]
     assert tables["velocity_limits"] == [inf, 0.3, 2.0, 2.0]
-    assert tables["torque_limits"] == [inf, 200.0, inf, inf]  # zero is none
+    assert tables["torque_limits"] == [inf, 200.0, inf, inf]  # zero means no limit
     assert tables["couplings"] == {"finger-b": {"to": "finger a", "ratio": -2.0, "offset": 0.25}}
-    assert tables["joint_angles"] == [0.0, 0.1, 0.0, 0.25]  # where 0 is out of reach
+    assert tables["joint_angles"] == [0.0, 0.1, 0.0, 0.25]  # where 0 is out of range
     assert tables["dynamics"]["viscous_friction"] == [0.5, 0, 0, 0]
     assert tables["dynamics"]["coulomb_friction"] == [0.1, 0, 0, 0]
     assert tables["colors"] == {"red": [0.8, 0.1, 0.1, 1.0], "own": [0.0, 0.5, 1.0, 0.5]}
@@ -262,7 +262,7 @@ def test_limits_couplings_colours_and_shapes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("flange", ["tool0", "left/end_effector_link"])
-def test_a_chain_has_a_table_and_its_flange(flange: str, tmp_path: Path) -> None:
+def test_chain_has_a_dh_table_and_its_flange(flange: str, tmp_path: Path) -> None:
     text = CHAIN.replace(
         "</robot>",
         '<joint name="t" type="fixed"><origin xyz="0 0 0.1" rpy="0 0 1"/><parent link="lower"/>'
@@ -288,7 +288,7 @@ def test_a_chain_has_a_table_and_its_flange(flange: str, tmp_path: Path) -> None
         ("planar", "", "planar", [1, 0, 0]),  # the default of the specification
     ],
 )
-def test_a_floating_or_planar_root_is_a_free_base(
+def test_floating_or_planar_root_is_a_free_base(
     kind: str, axis: str, free_base: object, normal: object, tmp_path: Path
 ) -> None:
     above = (
@@ -335,7 +335,7 @@ def test_inner_planar_joints_become_three_and_floating_ones_are_fixed(
     )
 
 
-def test_a_scene_has_a_robot_of_a_urdf_file(tmp_path: Path) -> None:
+def test_scene_has_a_robot_of_a_urdf_file(tmp_path: Path) -> None:
     path = write(tmp_path, GRIPPER)
     scene = write(tmp_path, '[robots.arm]\nmodel = "robot.urdf"\nshow_arrows = true', "s.toml")
     robot = load_scene(scene).robots["arm"]
@@ -414,7 +414,9 @@ LINKS = "<robot name='r'>" + "".join(f'<link name="{name}"/>' for name in "abcd"
         ),
     ],
 )  # fmt: skip
-def test_joints_without_tree_are_rejected(tmp_path: Path, joints: str, expected: list[str]) -> None:
+def test_joints_that_do_not_form_a_tree_are_rejected(
+    tmp_path: Path, joints: str, expected: list[str]
+) -> None:
     assert problems(tmp_path, f"{LINKS}{joints}\n</robot>") == expected
 
 
@@ -475,7 +477,7 @@ def test_slightly_invalid_xml_is_checked_like_valid_xml(tmp_path: Path, start: s
     assert f"robot.urdf:{line}: is not valid XML: Opening and ending tag" in mismatch
 
 
-def test_a_misplaced_declaration_sets_the_encoding(tmp_path: Path) -> None:
+def test_misplaced_declaration_sets_the_encoding(tmp_path: Path) -> None:
     text = '\n<?xml version="1.0" encoding="ISO-8859-1"?>' + GRIPPER.partition("?>")[2]
     path = tmp_path / "robot.urdf"
     path.write_bytes(text.replace('"lower"', '"nächster"').encode("latin-1"))
@@ -552,7 +554,7 @@ def test_implausible_numbers_are_ignored_separately(tmp_path: Path) -> None:
     ]
 
 
-def test_a_nearly_flat_tensor_is_raised(tmp_path: Path) -> None:
+def test_nearly_flat_tensor_is_raised(tmp_path: Path) -> None:
     flat = '<inertia ixx="0.2125" ixy="-0.005" ixz="0.0225" iyy="0.205" iyz="0.045" izz="0.0125"/>'
     own = '<inertia ixx="0.01" iyy="0.012" izz="0.005" ixy="0" ixz="0.001" iyz="0"/>'
     path = write(tmp_path, CHAIN.replace(own, flat))
@@ -574,7 +576,7 @@ def test_mass_does_not_grow_with_prismatic_travel(tmp_path: Path) -> None:
     assert 0.1 < found[0.1].sum() < 10
     for masses in found.values():
         np.testing.assert_allclose(masses, found[0.1])
-    assert robot.reach < 1.0  # without limits, as 999,999 m are none
+    assert robot.reach < 1.0  # without limits, because 999,999 m count as none
 
 
 BALL = """<robot name="a ball"><link name="ball">
@@ -590,7 +592,7 @@ CUBE = "".join(f"v {x} {y} {z}\n" for x in (-1, 1) for y in (-1, 1) for z in (-1
 )
 
 
-def test_a_file_without_joints_is_an_object(tmp_path: Path) -> None:
+def test_file_without_joints_is_an_object(tmp_path: Path) -> None:
     path = write(tmp_path, BALL, "ball.urdf")
     (tmp_path / "cube.obj").write_text(CUBE)
     scene = load_scene(path, {"ball.frame": {"xyz": [1, 0, 0]}})
@@ -610,14 +612,14 @@ def test_a_file_without_joints_is_an_object(tmp_path: Path) -> None:
     World(load_scene(write(tmp_path, beside, "s.toml")))
 
 
-def test_an_mjcf_without_joints_is_an_object(tmp_path: Path) -> None:
+def test_mjcf_without_joints_is_an_object(tmp_path: Path) -> None:
     text = '<mujoco><worldbody><geom name="top" type="box" size="1 1 .1"/></worldbody></mujoco>'
     scene = load_scene(write(tmp_path, text, "table.xml"))
     assert [item.name for item in scene.objects] == ["table"]
     assert World(scene).model.geom("table/top").size[2] == 0.1
 
 
-def test_a_missing_file_and_a_folder_are_reported(tmp_path: Path) -> None:
+def test_missing_file_and_folder_are_reported(tmp_path: Path) -> None:
     folder = "cannot be read: Is a directory"
     for path, reason in ((tmp_path / "no.urdf", "no such file"), (tmp_path, folder)):
         with raises_with(file=str(path), reason=reason):
@@ -680,11 +682,11 @@ def test_threads_expand_xacro_with_separate_packages(tmp_path: Path) -> None:
     assert substitution._eval_find is find
 
 
-def test_without_xacro_the_error_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_xacro_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xacro", None)
     (found,) = problems(tmp_path, XACRO)
     assert "is a xacro file. Install the xacro reader with `pip install sero-mj[xacro]`" in found
-    # Only where it is used: what was made by xacro declares its namespace still.
+    # Only if xacro is used: files made by xacro still declare its namespace.
     assert described(tmp_path, GRIPPER.replace("<robot", '<robot xmlns:xacro="xacro"'))
 
 
@@ -753,6 +755,6 @@ def test_joints_have_the_names_of_the_file(tmp_path: Path, names: list[str]) -> 
     for k, name in enumerate(names):
         assert world.model.joint(f"{robot.name}/{name}").id == k
         assert robot.frame_label(name) == ("base" if name == "base" else f"link{k + 1}")
-    # In routes, identifiers stand for other names where that is not ambiguous.
+    # In routes, identifiers stand for other names if that is unambiguous.
     assert robot.frame_label("left_j1") == ("link1" if "left/j1" in names else "left_j1")
     assert robot.frame_label("left_j2") == ("link3" if "left/j1" in names else "left_j2")

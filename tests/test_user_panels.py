@@ -1,4 +1,4 @@
-"""Widgets of a program: what they show, what their users change, and what is wrong with them."""
+"""Widgets of a program: their display, changes by users, and errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from sero_mj.viewer.web.host import WebHost
 
 
 class Both:
-    """A program and its view, with messages that are delivered when a test says so."""
+    """A program and its view; the test delivers their messages."""
 
     def __init__(self) -> None:
         self.is_open = True
@@ -55,14 +55,14 @@ class Both:
             self.panels.receive(answer)
 
     def use(self, **does: Any) -> ScriptedWidgets:
-        """Lets the user of the view do something, and the program hear of it."""
+        """Lets the user of the view act, and delivers the messages to the program."""
         ui = ScriptedWidgets({label.replace("_", " "): value for label, value in does.items()})
         self.tool.build(ui)
         self.to_program()
         return ui
 
 
-def test_what_the_user_sets_is_the_value_and_calls_back_once_in_sync() -> None:
+def test_user_sets_the_value_and_sync_calls_back_once() -> None:
     both, calls = Both(), []
     panel = both.panels.panel("Tuning")
     stiffness = panel.slider("stiffness", 0, 2000, value=500, on_change=calls.append)
@@ -74,7 +74,7 @@ def test_what_the_user_sets_is_the_value_and_calls_back_once_in_sync() -> None:
     assert (stiffness.value, mass.value, log.value, law.value) == (500.0, 1.5, False, "impedance")
     assert (reset.value, text.value) == (0, "idle")
     both.to_view()
-    assert both.shown.shows_panel  # it is opened for what is in it
+    assert both.shown.shows_panel  # it is opened for its contents
     built = both.use().built
     assert built == [
         ("header", "Tuning"),
@@ -96,14 +96,14 @@ def test_what_the_user_sets_is_the_value_and_calls_back_once_in_sync() -> None:
     assert len(calls) == 6 and not both.panels.has_changes
 
 
-def test_what_the_program_sets_is_shown_and_wins_over_what_was_set_before_it() -> None:
+def test_program_sets_the_value_and_overrides_earlier_user_input() -> None:
     both, calls = Both(), []
     panel = both.panels.panel("Tuning")
     gain = panel.slider("gain", 0, 10, on_change=calls.append)
     text = panel.text("idle")
     both.to_view()
     gain.value, text.value = np.float32(3), "moves"  # type: ignore[assignment]
-    both.use(gain=9.0)  # before that has come
+    both.use(gain=9.0)  # sent before the value arrived
     assert gain.value == 3.0
     both.to_view()
     ui = both.use()
@@ -114,7 +114,7 @@ def test_what_the_program_sets_is_shown_and_wins_over_what_was_set_before_it() -
     assert gain.value == 4.0
 
 
-def test_panels_are_in_their_order_and_can_be_cleared_and_filled_again() -> None:
+def test_panels_are_in_order_and_can_be_cleared_and_refilled() -> None:
     both = Both()
     first, second = both.panels.panel("first"), both.panels.panel("second")
     second.button("b")
@@ -135,7 +135,7 @@ def test_panels_are_in_their_order_and_can_be_cleared_and_filled_again() -> None
     assert kept.value == 9
 
 
-def test_numbers_that_are_typed_are_in_range_or_refused_with_the_range() -> None:
+def test_typed_numbers_out_of_range_are_rejected_with_the_range() -> None:
     both = Both()
     panel = both.panels.panel("Tuning")
     mass = panel.number("mass", value=1.0, low=0.0)
@@ -171,7 +171,7 @@ def test_numbers_that_are_typed_are_in_range_or_refused_with_the_range() -> None
         (lambda p: p.check("k", on_change="f"), "k: on_change: found 'f'; expected a function"),
     ],
 )
-def test_what_is_wrong_is_told(act: Callable[[Any], Any], message: str) -> None:
+def test_invalid_widgets_are_rejected(act: Callable[[Any], Any], message: str) -> None:
     both = Both()
     panel = both.panels.panel("Tuning")
     handle = panel.button("old")
@@ -182,7 +182,7 @@ def test_what_is_wrong_is_told(act: Callable[[Any], Any], message: str) -> None:
         handle.value = "x"  # type: ignore[assignment]
 
 
-def test_a_closed_viewer_takes_no_new_widgets_but_the_loop_goes_on() -> None:
+def test_closed_viewer_rejects_new_widgets_and_the_loop_continues() -> None:
     both = Both()
     panel = both.panels.panel("Tuning")
     gain = panel.slider("gain", 0, 1)
@@ -198,7 +198,7 @@ def test_a_closed_viewer_takes_no_new_widgets_but_the_loop_goes_on() -> None:
     both.is_open = True
 
 
-def test_a_callback_that_fails_is_not_called_again_and_the_others_are() -> None:
+def test_failing_callback_is_not_called_again_and_the_others_are() -> None:
     both, calls = Both(), []
     panel = both.panels.panel("Tuning")
 
@@ -215,7 +215,7 @@ def test_a_callback_that_fails_is_not_called_again_and_the_others_are() -> None:
     assert calls == [0.5]
 
 
-def test_the_outbox_waits_for_no_one_and_keeps_the_latest() -> None:
+def test_outbox_never_blocks_and_sends_the_latest_value() -> None:
     sent, is_free, values = [], threading.Event(), [0]
 
     def send(tool: str, message: Any) -> bool:
@@ -272,7 +272,7 @@ def test_widgets_work_on_a_page(home: None) -> None:
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(NO_WINDOW), reason=f"needs {', '.join(NO_WINDOW)}")
-def test_widgets_work_in_a_window_and_outlive_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_widgets_work_in_a_window_and_survive_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     with screen() as display:
         monkeypatch.setenv("DISPLAY", display)
         monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -304,7 +304,7 @@ def test_widgets_work_in_a_window_and_outlive_it(monkeypatch: pytest.MonkeyPatch
             note = panel.text("")
             begin = time.monotonic()
             for k in range(1000):
-                note.value = f"{k}" * 10_000  # more than a pipe holds
+                note.value = f"{k}" * 10_000  # more than a pipe buffers
                 assert viewer.sync()
             assert time.monotonic() - begin < 1.0
             process.send_signal(signal.SIGCONT)

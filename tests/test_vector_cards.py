@@ -1,4 +1,4 @@
-"""Billboards of smart arrows, and the scale that the legend states."""
+"""Billboards of smart arrows, and the scale in the legend."""
 
 import re
 
@@ -109,25 +109,25 @@ def card_texts(buffer, item: int = 0, view=None) -> list[str]:
         ),
     ],
 )
-def test_a_card_says_name_kind_components_size_unit_and_frame(fields, text) -> None:
+def test_billboard_shows_name_kind_components_size_unit_and_frame(fields, text) -> None:
     buffer = draw(world_with(SmartArrow(name="push", vector=VECTOR, **fields)))
     assert card_texts(buffer) == text
     assert labels(buffer.rows[: buffer.count]) == text
 
 
-def test_components_are_those_received_and_not_those_in_the_world() -> None:
+def test_components_are_shown_as_received_not_in_world_coordinates() -> None:
     world = world_with(SmartArrow(name="push", at="lwr/flange"))
     data = world.make_data()
     world.set_input(data, "push.vector", [-0.004, 0.125, 7.5])
     assert card_texts(draw(world, data))[1:5] == [
-        "  x       0.00 N",  # a small negative is no -0.00
+        "  x       0.00 N",  # a small negative value is not -0.00
         "  y       0.12 N",
         "  z       7.50 N",
         "  size    7.50 N",
     ]
 
 
-def test_without_data_a_card_says_so() -> None:
+def test_billboard_without_data_shows_no_data() -> None:
     world = world_with(SmartArrow(name="push", kind="torque", at="lwr/link4"))
     data = world.make_data()
     nothing = ["push: torque", "  no data", "  in lwr/link4"]
@@ -139,7 +139,7 @@ def test_without_data_a_card_says_so() -> None:
         assert card_texts(draw(world, data)) == nothing
 
 
-def test_a_card_is_there_only_when_wanted_and_its_arrow_is_shown() -> None:
+def test_billboard_is_shown_on_request_with_its_arrow() -> None:
     arrows = [SmartArrow(name=f"v{k}", at=[0, 0.1 * k, 0.6], vector=VECTOR) for k in range(3)]
     world = world_with(*arrows)
 
@@ -156,7 +156,7 @@ def test_a_card_is_there_only_when_wanted_and_its_arrow_is_shown() -> None:
     assert not toggles_of(world).cards.any()  # none before a click
 
 
-def test_an_arrow_out_of_the_picture_has_no_card() -> None:
+def test_arrow_outside_the_image_has_no_billboard() -> None:
     world = world_with(
         SmartArrow(name="here", at=[0, 0, 0.6], vector=VECTOR),
         SmartArrow(name="aside", at=[0, 9.0, 0.6], vector=VECTOR),
@@ -168,7 +168,7 @@ def test_an_arrow_out_of_the_picture_has_no_card() -> None:
     assert card_texts(buffer, 0, view)[0] == "here: force"
 
 
-def test_cards_stand_clear_of_each_other_and_point_at_their_arrows() -> None:
+def test_billboards_do_not_overlap_and_point_at_their_arrows() -> None:
     places = ["lwr/flange", "lwr/base", "lwr/link4", [0.1, 0.2, 0.3], "lwr/flange"]
     arrows = [SmartArrow(name=f"v{k}", at=at, vector=VECTOR) for k, at in enumerate(places)]
     world = world_with(*arrows)
@@ -192,9 +192,9 @@ def test_cards_stand_clear_of_each_other_and_point_at_their_arrows() -> None:
 
 
 @pytest.mark.parametrize(
-    ("age", "said"), [(0.1, []), (-1.0, ["  no data yet"]), (12.3, ["  no data for 12.3 s"])]
+    ("age", "expected"), [(0.1, []), (-1.0, ["  no data yet"]), (12.3, ["  no data for 12.3 s"])]
 )
-def test_a_card_says_how_old_its_data_is(age: float, said: list[str]) -> None:
+def test_billboard_shows_the_age_of_its_data(age: float, expected: list[str]) -> None:
     world = world_with(
         SmartArrow(name="push", at="lwr/flange", vector=VECTOR),
         SmartArrow(name="declared", at="lwr/base", vector=VECTOR),
@@ -204,7 +204,7 @@ def test_a_card_says_how_old_its_data_is(age: float, said: list[str]) -> None:
     data = world.make_data()
     set_source(data, world, "udp", received=5, age=age, size=24)
     buffer = draw(world, data)
-    assert card_texts(buffer)[6:] == said
+    assert card_texts(buffer)[6:] == expected
     assert len(card_texts(buffer, 1)) == 6
 
 
@@ -213,7 +213,7 @@ def scales(buffer) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("fields", "said"),
+    ("fields", "expected"),
     [
         ({"kind": "force"}, "v: 80 mm long = 20 N"),
         ({"kind": "torque"}, "v: 100 mm wide = 20 Nm"),
@@ -223,10 +223,10 @@ def scales(buffer) -> list[str]:
         ({"kind": "torque", "scale": 2.5}, "v: 50 mm wide = 0.02 Nm"),
     ],
 )
-def test_the_legend_states_the_scale(fields, said: str) -> None:
+def test_legend_states_the_scale(fields, expected: str) -> None:
     world = world_with(SmartArrow(name="v", at="lwr/flange", vector=VECTOR, **fields))
     buffer = draw(world, cards=False, legend=True)
-    assert scales(buffer) == [said]
+    assert scales(buffer) == [expected]
     view = view_at()
     rows = buffer.rows[: buffer.count]
     (panel,) = [row for row in rows if row["emission"] == 1 and row["type"] == 6]
@@ -236,7 +236,7 @@ def test_the_legend_states_the_scale(fields, said: str) -> None:
     assert scales(draw(world, cards=False, legend=True, vectors=False)) == []
 
 
-def test_arrows_of_one_scale_share_a_line_and_hidden_ones_have_none() -> None:
+def test_arrows_with_one_scale_share_a_line_and_hidden_ones_have_none() -> None:
     world = world_with(
         SmartArrow(name="left", at="lwr/flange", vector=VECTOR),
         SmartArrow(name="turn", kind="torque", at="lwr/flange", vector=VECTOR),
@@ -252,7 +252,7 @@ def test_arrows_of_one_scale_share_a_line_and_hidden_ones_have_none() -> None:
     assert found == [turn, "right: 80 mm long = 20 N"]
 
 
-def test_the_scale_of_many_arrows_is_not_cut_off_behind_their_names() -> None:
+def test_scale_of_many_arrows_is_not_cut_off_after_their_names() -> None:
     names = [f"contact_force_of_finger_{k}" for k in range(6)]
     fields = {"at": "lwr/flange", "kind": "force", "vector": VECTOR}
     world = world_with(*(SmartArrow(name=name, **fields) for name in names))
@@ -261,7 +261,7 @@ def test_the_scale_of_many_arrows_is_not_cut_off_behind_their_names() -> None:
         assert found == [f"{listed}: 80 mm long = 20 N"]
 
 
-def test_the_legend_follows_what_is_switched_live() -> None:
+def test_legend_follows_live_toggles() -> None:
     world = world_with(
         SmartArrow(name="push", at="lwr/flange"),
         SmartArrow(name="turn", kind="torque", at="lwr/flange", vector=VECTOR),
@@ -269,7 +269,7 @@ def test_the_legend_follows_what_is_switched_live() -> None:
     decor, data, toggles = Decor(world), world.make_data(), toggles_of(world)
     toggles.legend = True
     assert scales(decor.draw(data, toggles, view_at())) == ["turn: 100 mm wide = 20 Nm"]
-    world.set_input(data, "push.vector", VECTOR)  # a contact, from which on its scale is told
+    world.set_input(data, "push.vector", VECTOR)  # a contact, which adds its scale
     decor.draw(data, toggles, view_at())
     world.set_input(data, "push.vector", np.zeros(3))
     push, turn = "push: 80 mm long = 20 N", "turn: 100 mm wide = 20 Nm"
@@ -285,7 +285,7 @@ def test_the_legend_follows_what_is_switched_live() -> None:
 
 @settings(max_examples=examples(40), deadline=None)
 @given(scale=st.floats(1e-4, 50), turns=st.booleans())
-def test_what_the_legend_states_is_what_is_drawn(scale: float, turns: bool) -> None:
+def test_stated_scale_equals_the_drawn_size(scale: float, turns: bool) -> None:
     kind = "torque" if turns else "force"
     limits = {"longest": 1.0, "radius": 0.2}
     world = world_with(SmartArrow(name="v", kind=kind, at=[0, 0, 1], scale=scale, **limits))
@@ -307,7 +307,7 @@ def test_what_the_legend_states_is_what_is_drawn(scale: float, turns: bool) -> N
 
 
 @given(st.floats(1e-9, 1e9))
-def test_nice_is_the_largest_round_number_that_is_not_above(value: float) -> None:
+def test_round_down_1_2_5_is_the_largest_step_not_above_the_value(value: float) -> None:
     steps = np.array([step * 10.0**k for k in range(-11, 11) for step in (1, 2, 5)])
     found = steps[steps <= value * (1 - 1e-8)].max(), steps[steps <= value * (1 + 1e-8)].max()
     assert round_down_1_2_5(value) == pytest.approx(found[0]) or round_down_1_2_5(
@@ -316,12 +316,12 @@ def test_nice_is_the_largest_round_number_that_is_not_above(value: float) -> Non
 
 
 @pytest.mark.parametrize("k", range(-6, 7))
-def test_round_numbers_are_nice_themselves(k: int) -> None:
+def test_round_down_1_2_5_returns_round_numbers_unchanged(k: int) -> None:
     for value, expected in ((1, 1), (2, 2), (5, 5), (1.99, 1), (4.99, 2), (9.99, 5)):
         assert round_down_1_2_5(value * 10.0**k) == pytest.approx(expected * 10.0**k)
 
 
-def test_a_card_needs_no_robot() -> None:
+def test_arrow_billboard_needs_no_robot() -> None:
     arrow = SmartArrow(name="push", kind="force", at=[0.0, 0.0, 0.6], vector=[0.0, 0.0, 20.0])
     world = World(Scene(robots=[], arrows=[arrow], floor=False))
     toggles = toggles_of(world)

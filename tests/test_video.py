@@ -1,4 +1,4 @@
-"""Pictures and films on disk, and the sampling of live sources."""
+"""Images and videos on disk, and sampling of live sources."""
 
 import errno
 import itertools
@@ -22,7 +22,7 @@ from sero_mj.viewer.image.image_files import VideoWriter, default_fps, save_imag
 from sero_mj.viewer.image.render import render_image, render_video
 from sero_mj.viewer.image.sampling import sampled_states
 
-# The default view depends on where the scene declares the robot.
+# The default view depends on the declared robot pose.
 VIEW = View(distance=2.0, look_at=[0.0, 0.0, 0.5])
 
 
@@ -30,7 +30,7 @@ def a_frame(k: int, width: int = 64, height: int = 48) -> np.ndarray:
     return np.full((height, width, 3), (10 * k, 128, 255 - 10 * k), np.uint8)
 
 
-def test_a_film_has_its_frames_size_and_rate(tmp_path) -> None:
+def test_mp4_has_its_frames_size_and_rate(tmp_path) -> None:
     path = tmp_path / "new folder" / "film.mp4"
     with VideoWriter(path, 65, 49, 25.0) as film:  # odd sizes lose their last row and column
         for k in range(12):
@@ -44,7 +44,7 @@ def test_a_film_has_its_frames_size_and_rate(tmp_path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["film.mp4"]
 
 
-def test_a_film_for_the_web_has_its_frames(tmp_path) -> None:
+def test_webm_has_its_frames(tmp_path) -> None:
     path = tmp_path / "film.webm"
     with VideoWriter(path, 65, 49, 25.0) as film:
         for k in range(12):
@@ -58,18 +58,18 @@ def test_a_film_for_the_web_has_its_frames(tmp_path) -> None:
     assert np.abs(frames[7].mean(axis=(0, 1)) - (70, 128, 185)).max() < 12
 
 
-def test_a_gif_has_its_frames_colours_and_time(tmp_path) -> None:
+def test_gif_has_its_frames_colors_and_timing(tmp_path) -> None:
     path = tmp_path / "film.gif"
     ramp = np.zeros((49, 65, 3), np.uint8)
     ramp[..., 0] = np.linspace(0, 255, 65)
     ramp[..., 1] = np.linspace(0, 255, 49)[:, None]
     frames = [np.roll(ramp, 7 * k, axis=1) for k in range(5)]
-    for k in range(4):  # something small of another colour, before what stands still
+    for k in range(4):  # a small item of another color in front of a static background
         frames.append(ramp.copy())
         frames[-1][20:30, 10 * k : 10 * k + 8] = (30, 60 * k, 255)
     with VideoWriter(path, 65, 49, 30.0) as film:
         for k, frame in enumerate(frames):
-            film.add(frame if k != 4 else a_frame(4, 65, 49))  # colours of its own
+            film.add(frame if k != 4 else a_frame(4, 65, 49))  # its own colors
     with Image.open(path) as gif:
         assert (gif.n_frames, gif.size, gif.info["loop"]) == (9, (65, 49), 0)
         shown, seconds = [], 0.0
@@ -84,7 +84,7 @@ def test_a_gif_has_its_frames_colours_and_time(tmp_path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["film.gif"]
 
 
-def test_a_gif_that_is_interrupted_is_kept_and_one_that_fails_is_not(tmp_path) -> None:
+def test_interrupted_gif_is_saved_and_failed_one_is_not(tmp_path) -> None:
     for error, kept in ((KeyboardInterrupt, ["film.gif"]), (ZeroDivisionError, [])):
         folder = tmp_path / error.__name__
         with pytest.raises(error), VideoWriter(folder / "film.gif", 64, 48, 20.0) as film:
@@ -96,7 +96,7 @@ def test_a_gif_that_is_interrupted_is_kept_and_one_that_fails_is_not(tmp_path) -
         assert gif.n_frames == 2
 
 
-def test_films_of_other_kinds_and_rates_are_refused(tmp_path) -> None:
+def test_unknown_video_formats_and_rates_are_rejected(tmp_path) -> None:
     with raises_with(
         RenderError,
         file=f"{tmp_path}/x.avi",
@@ -113,20 +113,20 @@ def test_films_of_other_kinds_and_rates_are_refused(tmp_path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_a_gif_and_a_webm_of_a_scene(lwr: SerialRobot, tmp_path) -> None:
+def test_gif_and_webm_of_a_scene_are_written(lwr: SerialRobot, tmp_path) -> None:
     scene = Scene(robots=[lwr], view=VIEW)
     render_image(scene, tmp_path / "still.png", size=(160, 120))
     still = np.asarray(Image.open(tmp_path / "still.png").convert("RGB")).astype(float)
-    assert still.std() > 10  # a robot, and not a plane of one colour
+    assert still.std() > 10  # a robot, and not a uniform area
     for name, frames in (("film.gif", 4), ("film.webm", 6)):
         render_video(scene, tmp_path / name, duration=0.2, size=(160, 120))
         with av.open(str(tmp_path / name)) as container:
             pictures = [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
         assert len(pictures) == frames
-        assert np.abs(pictures[0] - still).mean() < 3  # 0.5 and 1.3; a plane's is 12
+        assert np.abs(pictures[0] - still).mean() < 3  # 0.5 and 1.3; a uniform area has 12
 
 
-def test_a_film_that_breaks_off_leaves_nothing_behind(tmp_path) -> None:
+def test_failed_video_leaves_no_file(tmp_path) -> None:
     path = tmp_path / "film.mp4"
     path.write_bytes(b"the film of yesterday")
     with pytest.raises(ZeroDivisionError), VideoWriter(path, 64, 48, 25.0) as film:
@@ -137,8 +137,8 @@ def test_a_film_that_breaks_off_leaves_nothing_behind(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("ending", [".mp4", ".webm", ".gif", ".png"])
-def test_a_file_that_cannot_be_written_is_named_itself(tmp_path, ending) -> None:
-    """And not the one that would have become it; with the traceback of removing that one."""
+def test_file_that_cannot_be_written_is_named(tmp_path, ending) -> None:
+    """The error names this file, not the temporary one, and no traceback of its removal."""
     path = tmp_path / f"{'x' * 300}{ending}"
     pixels = np.zeros((16, 16, 3), np.uint8)
     with pytest.raises(RenderError) as found:
@@ -149,7 +149,7 @@ def test_a_file_that_cannot_be_written_is_named_itself(tmp_path, ending) -> None
     assert str(found.value) == f"cannot write {path}: {os.strerror(errno.ENAMETOOLONG)}"
 
 
-def test_a_folder_that_cannot_be_made_is_named(tmp_path) -> None:
+def test_folder_that_cannot_be_made_is_named(tmp_path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")
     with raises_with(RenderError, reason=f"cannot write {tmp_path}/file/film.mp4: File exists"):
@@ -163,7 +163,7 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path) -> None:
 
 
 @pytest.mark.gl
-def test_a_scene_without_sources_needs_no_waiting(tmp_path) -> None:
+def test_scene_without_sources_needs_no_waiting(tmp_path) -> None:
     lwr = SerialRobot.from_model("lwr", torques=np.full(7, 20.0), show_arrows=True)
     steps: list[tuple[int, int]] = []
     silent = render_video(
@@ -180,7 +180,7 @@ def test_a_scene_without_sources_needs_no_waiting(tmp_path) -> None:
         frames = [
             frame.to_ndarray(format="rgb24").astype(int) for frame in container.decode(video=0)
         ]
-    # The arrows turn: consecutive frames differ.
+    # The arrows rotate: consecutive frames differ.
     assert all(np.abs(a - b).max() > 40 for a, b in itertools.pairwise(frames))
 
 
@@ -195,7 +195,7 @@ def udp_scene(port: int) -> Scene:
 
 @pytest.mark.realtime
 @pytest.mark.slow
-def test_states_of_a_live_film_are_taken_at_its_rate_however_slow_rendering_is() -> None:
+def test_live_video_samples_states_at_its_rate_despite_slow_rendering() -> None:
     """The joint angle is the sender's clock: frames must be a tenth of a second apart."""
     sender_code = (
         "import socket, struct, sys, time\n"
@@ -214,7 +214,7 @@ def test_states_of_a_live_film_are_taken_at_its_rate_however_slow_rendering_is()
             assert mirror.wait(20) == []
             angles = []
             for k, state in enumerate(sampled_states(mirror, 8, 10.0)):
-                if k < 4:  # rendering of the first frames takes three times as long as they last
+                if k < 4:  # rendering of the first frames takes three times their duration
                     mirror.sources["udp"].wait(0)
                     subprocess.run(["sleep", "0.3"], check=True)
                 angles.append(state[1])  # time, then qpos
@@ -225,7 +225,7 @@ def test_states_of_a_live_film_are_taken_at_its_rate_however_slow_rendering_is()
 
 
 @pytest.mark.gl
-def test_a_picture_shows_the_pose_that_was_received(tmp_path) -> None:
+def test_image_shows_the_received_pose(tmp_path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -272,17 +272,17 @@ def test_a_picture_shows_the_pose_that_was_received(tmp_path) -> None:
         ("x.avi", {}, RenderError),
     ],
 )
-def test_films_that_cannot_be_are_refused(tmp_path, name, options, error) -> None:
-    told = {"found": ".avi", "expected": "a name that ends in .mp4, .webm, .gif"}
+def test_invalid_videos_are_rejected(tmp_path, name, options, error) -> None:
+    expected = {"found": ".avi", "expected": "a name that ends in .mp4, .webm, .gif"}
     for key, value in options.items():
-        told = {"key": key, "found": value, "expected": "a number above 0"}
-    with raises_with(error, **told):
+        expected = {"key": key, "found": value, "expected": "a number above 0"}
+    with raises_with(error, **expected):
         render_video(udp_scene(0), tmp_path / name, **options)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.gl
-def test_an_unknown_camera_is_reported_before_anything_is_written(tmp_path) -> None:
+def test_unknown_camera_is_reported_before_anything_is_written(tmp_path) -> None:
     from sero_mj.base.errors import UnknownName
 
     with raises_with(UnknownName, kind="camera", name="side", available=[]):

@@ -1,4 +1,4 @@
-"""`ImageView`: projection there and back, and against MuJoCo's own camera."""
+"""`ImageView`: projection and its inverse, and against MuJoCo's camera."""
 
 import mujoco
 import numpy as np
@@ -13,7 +13,7 @@ from sero_mj.viewer.decor.image_view import ImageView
 @given(
     st.floats(-3, 3), st.floats(0.3, 30), st.floats(0, 1280), st.floats(0, 800), st.floats(0.1, 9)
 )
-def test_a_point_at_a_pixel_is_projected_to_that_pixel(azimuth, distance, x, y, depth) -> None:
+def test_point_at_a_pixel_is_projected_to_that_pixel(azimuth, distance, x, y, depth) -> None:
     view = view_at(azimuth, distance)
     point = view.at(np.array([[x, y]]), depth)
     pixels, depths = view.project(point)
@@ -21,7 +21,7 @@ def test_a_point_at_a_pixel_is_projected_to_that_pixel(azimuth, distance, x, y, 
     assert depths[0] == pytest.approx(depth)
 
 
-def test_the_middle_of_the_picture_is_straight_ahead_and_up_is_up() -> None:
+def test_center_of_the_image_is_straight_ahead_and_up_is_up() -> None:
     view = view_at()
     ahead = view.position + 2.0 * view.forward
     pixels, _ = view.project(np.array([ahead, ahead + 0.1 * view.up, ahead + 0.1 * view.right]))
@@ -31,18 +31,18 @@ def test_the_middle_of_the_picture_is_straight_ahead_and_up_is_up() -> None:
     assert pixels[2][0] > 640
 
 
-def test_a_point_behind_the_eye_has_negative_depth() -> None:
+def test_point_behind_the_eye_has_negative_depth() -> None:
     view = view_at()
     assert view.project(view.position - view.forward)[1] < 0
 
 
-def test_pixel_size_is_the_distance_between_neighbouring_pixels() -> None:
+def test_pixel_size_is_the_distance_between_adjacent_pixels() -> None:
     view = view_at()
     points = view.at(np.array([[10.0, 20.0], [11.0, 20.0]]), 1.7)
     assert np.linalg.norm(points[1] - points[0]) == pytest.approx(view.pixel_size(1.7))
 
 
-def test_a_view_of_a_scene_is_mujocos_own_camera() -> None:
+def test_view_of_a_scene_equals_the_mujoco_camera() -> None:
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><camera name="c" pos="1 -2 1.5" xyaxes="2 1 0 -.3 .6 2" fovy="33"/>'
         '<geom size=".1"/></worldbody></mujoco>'

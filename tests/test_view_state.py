@@ -1,4 +1,4 @@
-"""What a user has set of a view: as text, taken back, and copied as a command."""
+"""The state of a view: as text, undone, and copied as a command."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def world() -> World:
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=examples(40))
-def test_switches_come_back_from_their_text(world: World, seed: int) -> None:
+def test_toggles_round_trip_through_text(world: World, seed: int) -> None:
     rng = np.random.default_rng(seed)
     toggles, again = Toggles(world), Toggles(world)
     for name in SWITCH_NAMES:
@@ -65,7 +65,7 @@ def test_switches_come_back_from_their_text(world: World, seed: int) -> None:
         assert np.array_equal(getattr(toggles, name), getattr(again, name)), name
 
 
-def test_states_come_back_from_their_text(world: World) -> None:
+def test_states_round_trip_through_text(world: World) -> None:
     state = ViewState("150,-15,2.2,0.1,0,0.5", {"arrows": "10101010101010"}, "lwr/A2", 1.25)
     assert ViewState.from_text(state.to_text()) == state
     assert ViewState().to_text() == "{}"
@@ -86,13 +86,13 @@ def test_states_come_back_from_their_text(world: World) -> None:
         ('{"switches":3}', "switches: "),
     ],
 )
-def test_what_is_no_state_is_refused(text: str, expected: str) -> None:
+def test_invalid_states_are_rejected(text: str, expected: str) -> None:
     with pytest.raises(UsageError) as caught:
         ViewState.from_text(text)
     assert expected in str(caught.value)
 
 
-def test_a_state_of_another_scene_is_shown_as_far_as_it_fits(world: World) -> None:
+def test_state_of_another_scene_is_applied_as_far_as_it_fits(world: World) -> None:
     state = ViewState("there", {"arrow": "1", "legend": "0", "axes": "01"}, "kuka/A9")
     toggles = Toggles(world)
     camera, joint, wrong = apply_state(world, toggles, state)
@@ -104,7 +104,7 @@ def test_a_state_of_another_scene_is_shown_as_far_as_it_fits(world: World) -> No
     assert wrong[3].startswith("no joint 'kuka/A9'")
 
 
-def test_wrong_switches_and_cameras_are_refused(world: World) -> None:
+def test_invalid_toggles_and_cameras_are_rejected(world: World) -> None:
     toggles = Toggles(world)
     with pytest.raises(UsageError, match="legend: found '2'; expected digits from 0 to 1"):
         apply_switches(world, toggles, {"legend": "2"})
@@ -117,7 +117,7 @@ def test_wrong_switches_and_cameras_are_refused(world: World) -> None:
             find_camera(world, wrong)
 
 
-def test_what_is_taken_back_is_as_it_was_to_the_last_bit(world: World) -> None:
+def test_undo_restores_a_view_bit_for_bit(world: World) -> None:
     camera, toggles = find_camera(world), Toggles(world)
     before = ViewSnapshot.of(camera, toggles, follows=False)
     camera.azimuth += 1e-13 * camera.azimuth
@@ -130,7 +130,7 @@ def test_what_is_taken_back_is_as_it_was_to_the_last_bit(world: World) -> None:
     assert ViewSnapshot.of(camera, toggles, follows=True).lookat is None
 
 
-def test_a_view_is_kept_for_its_scene(
+def test_view_is_saved_for_its_scene(
     world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
@@ -154,10 +154,10 @@ def test_a_view_is_kept_for_its_scene(
     file.unlink()
     file.parent.rmdir()
     file.parent.write_text("a file where the folder should be")
-    save_view(scene, state, {}, {})  # is no reason to fail
+    save_view(scene, state, {}, {})  # this must not raise
 
 
-def test_what_changes_without_a_rest_is_one_step() -> None:
+def test_continuous_changes_are_one_undo_step() -> None:
     state = [0]
     undo = Undo(lambda: state[0], lambda value: state.__setitem__(0, value))
     now = 0.0
@@ -174,7 +174,7 @@ def test_what_changes_without_a_rest_is_one_step() -> None:
     assert undo.undo() == "nothing to undo"
     go([1, 2, 3])
     go([4, 5])
-    go([6], seconds=0.0)  # not yet at rest
+    go([6], seconds=0.0)  # not yet settled
     assert undo.undo() == "undone; Ctrl+Y redoes it"
     assert state == [5]
     undo.undo()
@@ -191,7 +191,7 @@ def test_what_changes_without_a_rest_is_one_step() -> None:
 
 
 def blocks(picture: np.ndarray) -> np.ndarray:
-    """Means of 8 x 8 pixels: screens without multisampling have other edges."""
+    """Returns means of 8 x 8 pixels, because screens without multisampling have other edges."""
     high, wide = (size // 8 * 8 for size in picture.shape[:2])
     cut = picture[:high, :wide].astype(float)
     return cut.reshape(high // 8, 8, wide // 8, 8, 3).mean(axis=(1, 3))
@@ -215,12 +215,12 @@ def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
 @pytest.mark.gl
 @pytest.mark.live
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
-def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
+def test_keys_undo_and_redo_and_the_copied_command_renders_the_image(
     window: Driven,
 ) -> None:
     picture = "w.image().tobytes().hex()"
     window.tool("mousemove", 5, 200)
-    window.key("space")  # stands still, so that its arrows do
+    window.key("space")  # paused, so that its arrows do not move
     window.settle()
     first = window.ask(picture)
     window.key("a")
@@ -270,7 +270,7 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     window.until("w.toggles.arrows.all()")
 
 
-def test_a_selected_joint_has_a_ring_about_its_axis() -> None:
+def test_selected_joint_has_a_ring_about_its_axis() -> None:
     world = world_of(joint_angles=[0.3, 0.6, 0.0, -1.2, 0.0, 0.8, 0.0])
     data, toggles, decor = world.make_data(), Toggles(world), Decor(world)
     without = decor.draw(data, toggles, view_at()).count
@@ -279,7 +279,7 @@ def test_a_selected_joint_has_a_ring_about_its_axis() -> None:
     rows = buffer.rows[: buffer.count][-(buffer.count - without) :]
     rows = rows[np.abs(rows["emission"] - 0.9) < 1e-6]
     assert len(rows) == SEGMENTS == buffer.count - without
-    T = world.scene.robots["lwr"].kinematics.frames(data.qpos[:7])[4]  # by numpy
+    T = world.scene.robots["lwr"].kinematics.frames(data.qpos[:7])[4]  # by NumPy
     away = rows["pos"] - data.site_xpos[world.joints.centre_site[3]]
     axis = data.site_xmat[world.joints.centre_site[3]].reshape(3, 3)[:, 2]
     assert np.abs(away @ axis).max() < 1e-6
@@ -291,7 +291,7 @@ def test_a_selected_joint_has_a_ring_about_its_axis() -> None:
 # ---- files that are dropped
 
 
-def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path) -> None:
+def test_dropped_file_is_opened_and_an_invalid_one_changes_nothing(tmp_path: Path) -> None:
     options = view.ViewOptions(scene="lwr_udp")
     session = view.Session(options, on_page=False)
     for name, text, expected in (
@@ -317,7 +317,7 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
     urdf.write_text(urdf_text.replace('<link name="b"/>', f'<link name="b">{mesh}</link>'))
     session.open(urdf)
     warning, *_ = session._warnings
-    assert "gone.stl" in warning  # which the window or page then says, too
+    assert "gone.stl" in warning  # which the window or page then shows, too
     urdf.write_text(urdf_text)
     scene = session.open(urdf).world.scene
     assert not any("gone" in each for each in session._warnings)
@@ -329,7 +329,7 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
 @pytest.mark.gl
 @pytest.mark.live
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
-def test_a_file_dropped_on_a_window_ends_it_for_another_scene(window: Driven) -> None:
+def test_file_dropped_on_a_window_opens_another_scene(window: Driven) -> None:
     drop = "w.gl._on_drop(None, ['/tmp/there.toml'])"  # xdotool drops no files
     window.ask(drop)
     window.until("w.notice.text == 'there.toml: only `sero-mj view` opens dropped files'")
@@ -339,7 +339,7 @@ def test_a_file_dropped_on_a_window_ends_it_for_another_scene(window: Driven) ->
     window.until("\"no scene or robot 'no such scene'\" in w.notice.text and w.notice.is_bad")
     assert window.ask("w.is_open and w.others.chosen is None")
     window.ask("setattr(w.others, 'opener', lambda path: Mirror(load('justin')))")
-    window.ask("setattr(w.others, '_close', lambda: None)")  # else it cannot be asked
+    window.ask("setattr(w.others, '_close', lambda: None)")  # otherwise it cannot be queried
     window.ask(drop)
     assert (
         window.until("w.others.chosen is not None and w.others.chosen.world.scene.name") == "justin"

@@ -1,4 +1,4 @@
-"""The wheel carries models and scenes and works without the checkout."""
+"""The wheel contains models and scenes and works without the checkout."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ from conftest import ROOT
 
 
 @pytest.mark.slow
-def test_the_wheel_works_from_another_directory(tmp_path: Path) -> None:
+def test_wheel_works_from_another_directory(tmp_path: Path) -> None:
     subprocess.run(
         [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation",
          "--disable-pip-version-check", "--wheel-dir", str(tmp_path), str(ROOT)],
@@ -35,7 +35,7 @@ def test_the_wheel_works_from_another_directory(tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         about = archive.read(metadata).decode()
     assert "License-Expression: Apache-2.0" in about and "License-File: LICENSE" in about
-    assert "![" not in about  # a package index has none of the pictures
+    assert "![" not in about  # package indexes do not have the images
     assert not any(name.startswith(("tests/", "benchmarks/", "models/")) for name in names)
 
     code = "import sero_mj; print(sero_mj.__file__); from sero_mj.cli import main; main()"
@@ -54,7 +54,7 @@ def test_the_wheel_works_from_another_directory(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_the_source_distribution_has_all_that_the_readme_s_commands_need(tmp_path: Path) -> None:
+def test_source_distribution_has_everything_for_the_readme_commands(tmp_path: Path) -> None:
     subprocess.run(
         [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)],
         cwd=ROOT,
@@ -84,7 +84,7 @@ print(robot.names + 1)
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_a_downstream_project_s_type_checker_sees_our_types(tmp_path: Path) -> None:
+def test_type_checker_of_a_downstream_project_sees_our_types(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(_DOWNSTREAM)
     cache = ROOT / ".mypy_cache" / "downstream"  # of NumPy and others, which take 5 s
     done = subprocess.run(

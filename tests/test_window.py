@@ -335,12 +335,12 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
             window.until("w.clock.time in [each.time for each in w.tools['bookmarks'].all()]")
             assert window.ask("any(bookmark.is_mark for bookmark in w.tools['bookmarks'].all())")
             window.key("k")
-            window.until("'page of what was kept: live_' in w.notice.text")
+            window.until("'page saved: live_' in w.notice.text")
             window.until("w.tools['rolling_recorder']._exports._made is not None")
             film = window.ask("w.tools['rolling_recorder']._exports._made[0].process.args")
             # It takes its time without a GPU.
             window.ask("w.tools['rolling_recorder']._exports._made[0].process.kill()")
-            window.until("w.notice.text.startswith('no film live_') and w.notice.is_bad")
+            window.until("w.notice.text.startswith('video live_') and w.notice.is_bad")
             kept = tmp_path / next(each for each in film if each.endswith(".mcap"))
             assert kept.with_suffix(".html").stat().st_size > 200_000
             run = read_run(kept)

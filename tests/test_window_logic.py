@@ -23,7 +23,7 @@ from sero_mj.load import load_scene
 from sero_mj.simulate.tools.bookmarks import Bookmarks
 from sero_mj.viewer.host.live import LiveHost
 from sero_mj.viewer.image.clicks import CLICKS, KEYS
-from sero_mj.viewer.panels.help import build_help
+from sero_mj.viewer.panels.dialogs import build_help
 from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line, build_timeline
 from sero_mj.viewer.session.capture import ImageWriter, due_frames, unused_name
 from sero_mj.viewer.session.clock import SPEEDS, Clock, Tick, time_text

@@ -1,4 +1,4 @@
-"""A server: no display, no MUJOCO_GL, and perhaps no dm_control."""
+"""A server: no display, no MUJOCO_GL, and possibly no dm_control."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ with mujoco.Renderer(model, 48, 64) as renderer:
 
 
 def run_on_server(code: str, folder: Path) -> str:
-    """Runs Python as a server's user would, and returns what it prints."""
+    """Runs Python like a user on a server and returns its output."""
     unset = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -59,12 +59,12 @@ def run_on_server(code: str, folder: Path) -> str:
     ],
     ids=["sero_mj alone", "mujoco first", "sero_mj first, own renderer", "a module of sero_mj"],
 )
-def test_pictures_are_rendered_whatever_is_imported_first(code: str, tmp_path: Path) -> None:
+def test_images_are_rendered_regardless_of_the_import_order(code: str, tmp_path: Path) -> None:
     run_on_server(code, tmp_path)
 
 
 @pytest.mark.gl
-def test_a_renderer_of_ones_own_works_with_an_overlay_when_mujoco_came_first(
+def test_user_renderer_works_with_an_overlay_if_mujoco_is_imported_first(
     tmp_path: Path,
 ) -> None:
     overlay = """
@@ -76,8 +76,8 @@ over = sero_mj.overlay(mujoco.MjModel.from_xml_string(
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_no_graphics_driver_is_loaded_before_a_picture(tmp_path: Path) -> None:
-    # Mesa brings an LLVM; a process that loads torch's as well ends with a segmentation fault.
+def test_no_graphics_driver_is_loaded_before_an_image(tmp_path: Path) -> None:
+    # Mesa includes an LLVM; a process that also loads torch's LLVM crashes.
     code = f"""{_LOADED}
 import sero_mj
 environment = sero_mj.make_environment("lwr/reach")
@@ -114,7 +114,7 @@ assert not [name for name in sys.modules if name.startswith("dm_control.")]
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_a_picture_after_mujocos_own_renderer_has_failed_is_refused(tmp_path: Path) -> None:
+def test_image_after_a_failed_mujoco_renderer_is_rejected(tmp_path: Path) -> None:
     """MuJoCo itself would end the process (134)."""
     code = """
 import warnings

@@ -1,4 +1,4 @@
-"""`World`: what a scene is compiled into, its inputs, and the exported MJCF."""
+"""`World`: the model compiled from a scene, its inputs, and the exported MJCF."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SHAPES = [
 
 
 def arm(name="arm", **fields) -> SerialRobot:
-    """Two joints; the flange is nowhere near a special place."""
+    """Returns a robot with two joints and a flange in a general pose."""
     table = [[0.3, 0.1, 0.2, 0.3], [-0.7, 0.4, -0.1, 0.2]]
     flange = {"xyz": [0.1, 0.0, 0.2], "rpy": [0.4, 0.1, 0.0]}
     defaults = {"dh_convention": "craig", "dh_params": table, "flange_frame": flange}
@@ -70,7 +70,7 @@ def pose_of(data, kind, name):
 
 
 def mesh_corners(model, data, geom):
-    """Corners of a mesh geom in the world; MuJoCo moves meshes into their inertia frames."""
+    """Returns the corners of a mesh geom in the world; MuJoCo moves meshes to inertia frames."""
     mesh = model.geom_dataid[geom]
     start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     turned = model.mesh_vert[start : start + count] @ data.geom_xmat[geom].reshape(3, 3).T
@@ -84,7 +84,7 @@ def assert_same_points(found, expected, tolerance=1e-6):
 
 
 def holders(item):
-    """The same object fixed to a flange and standing in the scene: world, scope, its parent."""
+    """Yields world, scope and parent of an object on a flange and of the same one in the scene."""
     world, _, data = compiled(arm(children=[item], joint_angles=[0.5, -1]))
     yield world, data, "arm/", pose_of(data, "body", "arm/flange")
     world, _, data = compiled(objects=[item])
@@ -92,7 +92,7 @@ def holders(item):
 
 
 @pytest.mark.parametrize(("shape", "size", "halves"), SHAPES)
-def test_shape_stands_in_its_size_and_colour_at_its_frame(shape, size, halves):
+def test_shape_has_its_size_and_color_at_its_frame(shape, size, halves):
     item = Object(name="it", shape=shape, size=size, frame=POSE, rgba=[0.1, 0.2, 0.3, 0.4])
     for world, data, scope, parent in holders(item):
         geom = world.model.geom(f"{scope}it")
@@ -107,7 +107,7 @@ def test_shape_stands_in_its_size_and_colour_at_its_frame(shape, size, halves):
     ("shape", "size", "slices"),
     [
         ("sphere", [0.1], 24),
-        ("cylinder", [0.1, 3.0], 24),  # long, but not wide
+        ("cylinder", [0.1, 3.0], 24),  # long but not wide
         ("cylinder", [0.56, 0.1], 48),
         ("ellipsoid", [0.1, 0.1, 0.56], 48),
         ("sphere", [5.0], 60),
@@ -133,7 +133,7 @@ def test_axes_are_a_frame_that_is_always_shown():
         )
 
 
-def test_mesh_stands_at_its_frame_in_metres(tmp_path):
+def test_mesh_is_at_its_frame_in_meters(tmp_path):
     stl(tmp_path / "part.stl", 1000 * CORNERS)
     item = Object(name="it", mesh="part.stl", mesh_scale=0.001, frame=POSE, directory=str(tmp_path))
     for world, data, scope, parent in holders(item):
@@ -143,7 +143,7 @@ def test_mesh_stands_at_its_frame_in_metres(tmp_path):
 
 
 @pytest.mark.parametrize("as_file", [False, True])
-def test_piece_of_mjcf_stands_at_its_frame(tmp_path, as_file):
+def test_mjcf_object_is_at_its_frame(tmp_path, as_file):
     (tmp_path / "tool.xml").write_text(SNIPPET)
     piece = "tool.xml" if as_file else f"\n  {SNIPPET}"
     item = Object(name="it", mjcf=piece, frame=POSE, directory=str(tmp_path))
@@ -155,8 +155,8 @@ def test_piece_of_mjcf_stands_at_its_frame(tmp_path, as_file):
 
 
 @pytest.mark.parametrize("compiler", ["", '<compiler angle="degree"/>'])
-def test_angles_in_a_piece_of_mjcf_are_degrees_unless_it_says_radian(compiler):
-    # MuJoCo's own default, so a piece means the same here as in a file of its own.
+def test_angles_in_mjcf_are_degrees_by_default(compiler):
+    # MuJoCo's default, so that the text means the same as in a separate file.
     text = (
         f'<mujoco>{compiler}<worldbody><geom name="g" type="box" size="1 2 3" euler="0 0 30"/>'
         "</worldbody></mujoco>"
@@ -166,7 +166,7 @@ def test_angles_in_a_piece_of_mjcf_are_degrees_unless_it_says_radian(compiler):
     np.testing.assert_allclose(pose_of(data, "geom", "it/g")[:3, :3], turned, atol=1e-12)
 
 
-def test_angles_in_a_piece_of_mjcf_that_says_radian_are_radians():
+def test_angles_in_mjcf_with_angle_radian_are_radians():
     text = (
         '<mujoco><compiler angle="radian"/><worldbody><geom name="g" type="box" size="1 2 3"'
         ' euler="0 0 0.5"/></worldbody></mujoco>'
@@ -190,8 +190,8 @@ TEXTURED = """
 
 
 @pytest.mark.parametrize("as_file", [False, True])
-def test_files_of_a_piece_are_found_and_exported_under_names_of_their_own(tmp_path, as_file):
-    # Two pieces name their files alike; each has its own.
+def test_files_of_an_mjcf_object_are_found_and_exported_with_unique_names(tmp_path, as_file):
+    # Two objects use the same file names; each has its own files.
     objects = []
     for k in (1, 2):
         folder = tmp_path / f"tool{k}"
@@ -215,7 +215,7 @@ def test_files_of_a_piece_are_found_and_exported_under_names_of_their_own(tmp_pa
             assert_same_points(found, k * CORNERS)
 
 
-def test_text_may_include_files_that_stand_in_its_folder(tmp_path):
+def test_mjcf_text_can_include_files_of_its_folder(tmp_path):
     (tmp_path / "outer.xml").write_text('<mujocoinclude><include file="in.xml"/></mujocoinclude>')
     (tmp_path / "in.xml").write_text('<mujocoinclude><geom name="g" size=".3"/></mujocoinclude>')
     text = '<mujoco><worldbody><include file="outer.xml"/></worldbody></mujoco>'
@@ -224,7 +224,7 @@ def test_text_may_include_files_that_stand_in_its_folder(tmp_path):
 
 
 def mjcf_objects():
-    """The same piece as an `MjSpec`, and as PyMJCF and composer hold it where installed."""
+    """Returns the same MJCF as an `MjSpec`, and as PyMJCF and composer objects if installed."""
     held = {"MjSpec": mujoco.MjSpec.from_string(SNIPPET)}
     if importlib.util.find_spec("dm_control"):
         from dm_control import composer, mjcf
@@ -241,11 +241,11 @@ def mjcf_objects():
     return held
 
 
-def test_what_holds_mjcf_is_taken_as_text_is():
+def test_mjcf_objects_are_accepted_like_text():
     _, wanted, _ = compiled(objects=[Object(name="it", mjcf=SNIPPET, frame=POSE)])
     for kind, held in mjcf_objects().items():
         item = Object(name="it", mjcf=held, frame=POSE)
-        for _ in range(2):  # a second time as well: what is handed in is not changed
+        for _ in range(2):  # a second time: the argument is not changed
             _, model, _ = compiled(objects=[item])
             names = [model.geom(i).name for i in range(model.ngeom)]
             assert "it/pad" in names, kind
@@ -253,7 +253,7 @@ def test_what_holds_mjcf_is_taken_as_text_is():
             np.testing.assert_allclose(model.geom_quat, wanted.geom_quat, atol=1e-12)
 
 
-def test_what_holds_no_mjcf_is_told_by_its_type():
+def test_invalid_mjcf_argument_is_rejected_with_its_type():
     with raises_with(
         key="mjcf",
         reason=(
@@ -264,7 +264,7 @@ def test_what_holds_no_mjcf_is_told_by_its_type():
         Object(name="it", mjcf={})
 
 
-def test_link_meshes_stand_in_their_dh_frames_in_their_colours(tmp_path):
+def test_link_meshes_are_in_their_dh_frames_with_their_colors(tmp_path):
     files = ["", {"file": "a.stl", "color": "red"}, ["b.stl", "a.stl"]]
     for i, name in enumerate("ab"):
         stl(tmp_path / f"{name}.stl", CORNERS * (i + 1) * 1000)
@@ -283,7 +283,7 @@ def test_link_meshes_stand_in_their_dh_frames_in_their_colours(tmp_path):
 
 
 @pytest.mark.parametrize("convention", ["craig", "standard"])
-def test_arrows_stand_at_the_declared_offsets_with_z_along_the_joint(convention):
+def test_arrows_are_at_the_declared_offsets_with_z_along_the_joint(convention):
     offsets = np.array([[0.1, 0.2, 0.3], [0, 0, -0.2]])
     robot = arm(dh_convention=convention, offsets_to_center_of_joints=offsets,
                 base_frame=POSE)  # fmt: skip
@@ -295,7 +295,7 @@ def test_arrows_stand_at_the_declared_offsets_with_z_along_the_joint(convention)
     np.testing.assert_allclose(data.site_xpos[world.joints.centre_site], points + away, atol=1e-12)
 
 
-def test_base_is_a_mocap_body_at_its_frame_and_limits_are_those_declared():
+def test_base_is_a_mocap_body_at_its_frame_with_the_declared_limits():
     limited = arm("a", base_frame=POSE, position_limits=[[-1, 2], [-0.5, 0.25]])
     world, model, data = compiled(arm("b"), limited)
     part = world.robots["a"]
@@ -325,7 +325,7 @@ def test_tables_list_the_joints_and_frames_of_all_robots_in_order():
     assert names == ["left/J1", "left/J2", "right/x", "right/y"]
     taken = [i for slot in world.slots.values() for i in range(slot.start, slot.stop)]
     taken += world.flags.values()
-    assert sorted(taken) == list(range(model.nuserdata))  # no slot lies in another
+    assert sorted(taken) == list(range(model.nuserdata))  # slots do not overlap
     slots = np.r_[world.slots["left.torques"], world.slots["right.torques"]]
     assert joints.slots["torques"].tolist() == slots.tolist()
     flags = [world.flags[f"{name}.torques"] for name in ("left", "left", "right", "right")]
@@ -340,11 +340,11 @@ def test_tables_list_the_joints_and_frames_of_all_robots_in_order():
 
 
 def came(world, data) -> set[str]:
-    """Inputs that something has been set or received for."""
+    """Returns the inputs that have been set or received."""
     return {target for target, flag in world.flags.items() if data.userdata[flag]}
 
 
-def test_data_starts_at_what_is_declared_and_reset_returns_there():
+def test_data_starts_at_the_declared_values_and_reset_returns_there():
     robot = arm(joint_angles=[0.1, 0.2], torques=[3, 4])
     world, _, data = compiled(robot)
     start = data.qpos.tolist(), data.userdata.tolist()
@@ -370,7 +370,7 @@ def test_data_starts_at_what_is_declared_and_reset_returns_there():
         (["a", "b"], "arm.torques: found ['a', 'b']; expected 2 finite numbers"),
     ],
 )
-def test_wrong_values_are_refused_and_change_nothing(values, text):
+def test_invalid_values_are_rejected_and_change_nothing(values, text):
     world, _, data = compiled(arm())
     with pytest.raises(ValueError) as caught:
         world.set_input(data, "arm.torques", values)
@@ -378,7 +378,7 @@ def test_wrong_values_are_refused_and_change_nothing(values, text):
     assert not data.userdata.any()
 
 
-def test_a_value_that_is_no_number_is_no_data_and_moves_nothing():
+def test_nan_counts_as_no_data_and_moves_nothing():
     world, _, data = compiled(arm())
     world.set_input(data, "arm.torques", [np.inf, 5.0])
     np.testing.assert_array_equal(joint_values(world, data)["torques"], [np.nan, 5.0])
@@ -389,7 +389,7 @@ def test_a_value_that_is_no_number_is_no_data_and_moves_nothing():
     assert not data.qpos.any()
 
 
-def test_unknown_inputs_and_robots_are_refused_with_the_nearest_name():
+def test_unknown_inputs_and_robots_are_rejected_with_the_nearest_name():
     world, _, data = compiled(arm())
     for target, text in [
         ("arm.torque", "no input of arm 'torque'; did you mean 'torques'?"),
@@ -430,7 +430,7 @@ def test_cameras_look_at_their_targets_with_the_sky_above():
         assert rotation[2, 1] >= -1e-12  # and up is up
 
 
-def test_lights_are_those_declared_and_one_shines_when_none_is():
+def test_declared_lights_are_used_or_one_default_light():
     lights = {
         "sun": Light(position=[1, 2, 3], direction=[0, 3, -4], diffuse=[0.1, 0.2, 0.3]),
         "spot": Light(position=[0, 0, 1], directional=False, cast_shadow=False),
@@ -447,14 +447,14 @@ def test_lights_are_those_declared_and_one_shines_when_none_is():
     assert compiled()[1].nlight == 1
 
 
-def test_floor_is_at_height_zero_unless_it_is_left_out():
+def test_floor_is_at_height_zero_unless_omitted():
     _, model, data = compiled(floor=True)
     assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE
     np.testing.assert_array_equal(pose_of(data, "geom", "floor"), np.eye(4))
     assert compiled(floor=False)[1].ngeom == 0
 
 
-def test_one_robot_stands_on_the_floor_as_when_its_file_is_opened():
+def test_single_robot_is_on_the_floor_as_when_its_file_is_opened():
     def height(**scene) -> float:
         declared = {"robots": [SerialRobot.from_model("biped_leg")], **scene}
         return float(World(Scene(**declared)).model.geom("floor").pos[2])
@@ -467,8 +467,8 @@ def test_one_robot_stands_on_the_floor_as_when_its_file_is_opened():
     assert height(floor=None, objects=[table]) == 0.0
 
 
-def test_only_the_floor_throws_no_shadow():
-    # Not even when a thing of that name stands where no floor is.
+def test_only_the_floor_casts_no_shadow():
+    # Not even if an object of that name is in a scene without a floor.
     ball = Object(name="floor", shape="sphere", size=[1])
     assert compiled(floor=True, objects=[])[1].geom_castshadow.tolist() == [False]
     assert compiled(floor=False, objects=[ball])[1].geom_castshadow.tolist() == [True]

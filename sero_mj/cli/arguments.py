@@ -30,7 +30,7 @@ from ..base.errors import (
 )
 from ..base.options import Options
 from ..base.plugins import NETWORKS, load_plugin, plugins
-from .options import add_options, read_options
+from .options import add_options, read_options, usage_of
 from .terminal import make_console, plain
 
 if TYPE_CHECKING:
@@ -94,6 +94,7 @@ def command(
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         add_options(parser, kind)
+        parser.usage = f"{parser.prog} [options] {usage_of(kind)}".rstrip()
         parser.set_defaults(run=run_with)
 
     return add_to
@@ -296,7 +297,7 @@ def replay_instead(
             reason = f"scene '{scene.name}' has its own sources ({own}), which are replayed by name"
             raise UsageError(f"--source {source}: {reason}. Leave out --source.")
         look_into(file).choose_source(source)
-    led = look_into(file).lead(scene, source)
+    led = look_into(file).move_robot(scene, source)
     scene.robots, scene.sources, scene.routes = led.robots, led.sources, led.routes
     recording = look_into(file, topics_of(scene))
     recorded = {name: list(source.events) for name, source in recording.sources.items()}

@@ -37,6 +37,22 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
                 _add(to, kind, name, about.get(name, ""))
 
 
+def usage_of(kind: type[Options]) -> str:
+    """Returns the positional arguments and required options of a declaration for a usage line."""
+    words = []
+    for name, field in kind.model_fields.items():
+        option, word = kind.option(name), kind.spelled(name)
+        if not option.is_positional:
+            word = f"{option.flags[0] if option.flags else word} {option.metavar}"
+        if get_origin(_bare(field.annotation)) is list:
+            word += " ..."
+        if field.is_required():
+            words.append(word)
+        elif option.is_positional:
+            words.append(f"[{word}]")
+    return " ".join(words)
+
+
 def _add(to: Any, kind: type[Options], name: str, about: str) -> None:
     field, option = kind.model_fields[name], kind.option(name)
     bare = _bare(field.annotation)

@@ -221,12 +221,12 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     found = recorder.statistics
     recorded = sum(event.packets for event in recorder.events)
     many = f"{found.events} events" if found.events != 1 else "1 event"
-    missed = sum(found.not_seen.values())
+    missed = sum(found.unchecked.values())
     print(
         f"{many} in {found.packets} packets"
         + (f"; {recorded} packets recorded" if found.events else "")
         + (f"; {missed} packets arrived too fast to be checked" if missed else "")
-        + (f"; {found.forgotten} packets before events exceeded memory" if found.forgotten else "")
+        + (f"; {found.evicted} packets before events exceeded memory" if found.evicted else "")
     )
     return _status(found)
 

@@ -1,4 +1,4 @@
-"""Connections by TCP: all addresses of a name are tried, and closing waits for no name."""
+"""TCP connections: all addresses of a name are tried, and closing does not wait for a name."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from polling import until
 from sero_mj import FrankaReceiver, RtdeReceiver
 from sero_mj.data.receive import connecting, receiving_thread
 from sero_mj.data.receive.receiving_thread import Closing
-from sero_mj.data.receive.routed_joints import RoutedJoint
-from sero_mj.data.receive.source import Source
+from sero_mj.data.receive.source import RoutedJoint, Source
 from sero_mj.extensions.ros.foxglove import Foxglove
 from sero_mj.extensions.ros.zenoh import Zenoh
 
@@ -51,7 +50,7 @@ KINDS = pytest.mark.parametrize("kind", ["rtde", "franka", "foxglove", "zenoh"])
 
 @contextmanager
 def listening() -> Iterator[tuple[int, threading.Event]]:
-    """A port of 127.0.0.1 only, and an event that is set once someone connects."""
+    """Yields a port of 127.0.0.1 only and an event that is set once someone connects."""
     came = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:
 
@@ -74,7 +73,7 @@ def listening() -> Iterator[tuple[int, threading.Event]]:
 
 
 def resolve(monkeypatch: pytest.MonkeyPatch, look_up: Callable[[int], Found]) -> None:
-    """Has a resolver know one name more."""
+    """Makes the resolver know one more name."""
     real = socket.getaddrinfo
 
     def known(host: Any, port: Any, *args: Any, **kwargs: Any) -> Any:
@@ -84,7 +83,7 @@ def resolve(monkeypatch: pytest.MonkeyPatch, look_up: Callable[[int], Found]) ->
 
 
 def two_addresses(port: int) -> Found:
-    """IPv6 first, as `localhost` has them on Debian; nobody listens there."""
+    """Returns IPv6 first, as for `localhost` on Debian; nothing listens there."""
     of = (socket.SOCK_STREAM, socket.IPPROTO_TCP, "")
     return [
         (socket.AF_INET6, *of, ("::1", port, 0, 0)),
@@ -93,7 +92,7 @@ def two_addresses(port: int) -> Found:
 
 
 @KINDS
-def test_a_controller_at_the_second_address_of_its_name_is_reached(
+def test_controller_at_the_second_address_of_its_name_is_reached(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if kind == "zenoh":
@@ -119,12 +118,12 @@ def test_closing_does_not_wait_for_a_name(kind: str, monkeypatch: pytest.MonkeyP
         source = made(kind, NAME, 1)
         source.open()
         assert asked.wait(20.0)
-        source.close()  # or the test takes too long
+        source.close()  # otherwise the test takes too long
     finally:
         answer.set()
 
 
-def test_an_unknown_name_is_reported_once(
+def test_unknown_name_is_reported_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     tries = 0
@@ -139,17 +138,17 @@ def test_an_unknown_name_is_reported_once(
     with made("rtde", NAME, 1) as source:
         assert until(lambda: tries > 3)
         assert source.trouble == f"{NAME}:1: Name or service not known"
-        assert (source.error, source.counters.failures) == (None, 0)  # it is no fault of ours
+        assert (source.error, source.counters.failures) == (None, 0)  # not an error of ours
     assert caplog.text.count("Name or service not known") == 1
 
 
-def test_an_address_that_is_silent_is_left_for_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silent_address_is_skipped_for_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connecting, "PATIENCE", 0.05)
     with socket.socket() as full, listening() as (port, came):
         full.bind(("127.0.0.2", port))
         full.listen(0)
         fillers = []
-        for _ in range(4):  # more than its queue has room for: further ones get no answer
+        for _ in range(4):  # more than its backlog, so further connections get no answer
             fillers.append(socket.socket())
             fillers[-1].setblocking(False)
             fillers[-1].connect_ex(("127.0.0.2", port))

@@ -1,4 +1,4 @@
-"""Commands that are ended leave no program, library or unit running, and no file behind."""
+"""Terminated commands leave no program, library or unit running, and no file behind."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ kind = "sine"
 amplitude_deg = 1
 frequency = 0.1
 """
-# Holds the robot, with a child process that has to be killed.
+# Holds the robot, with a child process that must be killed.
 PEER = """
 import os, signal, socket, struct, subprocess, sys
 peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -89,38 +89,38 @@ class Command:
             subprocess.run(compiled, cwd=folder, check=True)
         if controller == UNIT:
             write_fmu(folder, 2)
-        self.shared: list[str] = []  # files that it shares with libraries
+        self.shared: list[str] = []  # files shared with libraries
         self.out = folder / "out.txt"
         with self.out.open("wb") as out:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "sero_mj", *words],
                 cwd=folder, stdout=out, stderr=subprocess.STDOUT,
                 env={**os.environ, "TMPDIR": str(self.temporary)}, start_new_session=True,
-                # It may be ignored here: in the background of a shell, say.
+                # The signal may be ignored here, for example in the background of a shell.
                 preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
             )  # fmt: skip
 
     @property
     def started(self) -> int:
-        """How many programs, libraries or units have started."""
+        """The number of programs, libraries or units that have started."""
         if units := len([*self.temporary.glob("sero-mj-fmu-*")]):
             return units
         file = self.folder / "started"
         return len(file.read_text().splitlines()) if file.exists() else 0
 
     def wait(self, condition: Callable[[], object]) -> None:
-        """Waits for a condition; fails with the output of a command that ends before."""
+        """Waits for a condition; fails with the output of a command that ends earlier."""
         assert until(lambda: condition() or self.process.poll() is not None, 60.0)
         assert self.process.poll() is None, self.out.read_text()
 
     def end(self, sent: signal.Signals, *, group: bool = False) -> int:
-        """Sends a signal, to its process group as a terminal does; returns the exit status."""
+        """Sends a signal, to the process group like a terminal, and returns the exit status."""
         self.shared = re.findall(r"\S*/sero-mj-library-\S+", " ".join(running_in(self.folder)))
         (os.killpg if group else os.kill)(self.process.pid, sent)
         return self.process.wait(30)
 
     def check_nothing_is_left(self, seconds: float = 10.0) -> None:
-        """Fails if a process or a file of it is there after so many seconds."""
+        """Fails if one of its processes or files remains after a number of seconds."""
         assert until(lambda: not running_in(self.folder), seconds), running_in(self.folder)
         assert until(lambda: not [*self.temporary.iterdir()], seconds), [*self.temporary.iterdir()]
         assert until(lambda: not any(Path(each).exists() for each in self.shared), seconds)
@@ -130,7 +130,7 @@ class Command:
     ("controller", "sent"),
     [(PROGRAM, signal.SIGINT), (LIBRARY, signal.SIGTERM), (PROGRAM, signal.SIGKILL)],
 )
-def test_simulate_ends_what_it_has_started(
+def test_simulate_ends_the_programs_it_has_started(
     tmp_path: Path, controller: str, sent: signal.Signals
 ) -> None:
     command = Command(tmp_path, controller, ["simulate", "scenario.toml"])
@@ -151,7 +151,7 @@ SWEEP = ["--vary", "run.seed=0,1,2,3,4,5,6,7", "--jobs", "2", "-o", "out.csv"]
         pytest.param(UNIT, signal.SIGINT, marks=pytest.mark.thorough),
     ],
 )
-def test_a_sweep_starts_a_program_per_worker_and_ends_it(
+def test_sweep_starts_one_program_per_worker_and_ends_it(
     tmp_path: Path, controller: str, sent: signal.Signals
 ) -> None:
     command = Command(tmp_path, controller, ["sweep", "scenario.toml", *SWEEP])
@@ -168,7 +168,7 @@ def test_a_sweep_starts_a_program_per_worker_and_ends_it(
     ("controller", "sent"),
     [(PROGRAM, signal.SIGTERM), pytest.param(LIBRARY, signal.SIGINT, marks=pytest.mark.thorough)],
 )
-def test_a_page_ends_what_it_has_started(
+def test_page_ends_the_programs_it_has_started(
     tmp_path: Path, controller: str, sent: signal.Signals
 ) -> None:
     command = Command(tmp_path, controller, ["view", "scenario.toml", "--web", "--fresh"])

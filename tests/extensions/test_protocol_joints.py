@@ -11,7 +11,7 @@ from sero_mj.simulate.scenario import Scenario
 
 
 @pytest.mark.parametrize(("kind", "robot"), [("fri", "ur5e"), ("franka", "ur5e"), ("rtde", "lwr")])
-def test_a_robot_with_another_number_of_joints_is_rejected(kind: str, robot: str) -> None:
+def test_robot_with_another_number_of_joints_is_rejected(kind: str, robot: str) -> None:
     scene = Scene(robots=[SerialRobot.from_model(robot)])
     with pytest.raises(DeclarationError) as caught:
         Scenario(scene, controllers={robot: {"kind": kind}})

@@ -1,6 +1,6 @@
-"""Torques and forces have one sign, whichever interface of a robot tells them.
+"""Torques and forces have one sign convention for all robot interfaces.
 
-Simulated robots send what real ones do, with their makers' signs; receivers convert to ours.
+Simulated robots send the signs of their makers, and receivers convert them to ours.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def free_port(name: str) -> int:
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_a_push_points_the_same_way_whatever_arm_is_pushed(name: str, tmp_path: Path) -> None:
+def test_push_has_the_same_direction_for_all_arms(name: str, tmp_path: Path) -> None:
     arm, port = ARMS[name], free_port(name)
     routes = "\n".join(f'"{target}" = "it.{event}"' for target, event in arm["told"].items())
     world_force = (TURN @ FORCE).tolist()
@@ -117,13 +117,13 @@ def test_a_push_points_the_same_way_whatever_arm_is_pushed(name: str, tmp_path: 
         shown = {key: data.userdata[world.slots[key]].copy() for key in arm["told"]}
         torques, angles = data.userdata[world.slots["arm.torques"]].copy(), data.qpos.copy()
     log = simulation.log.signals
-    # What the drives do in the simulation is what is shown, bit for bit.
+    # The simulated drive torques are shown bit for bit.
     logged = np.hstack([log["arm_joint_angles"], log["arm_torques"]])
     assert (logged == np.hstack([angles, torques])).all(axis=1).any()
     model = RobotModel.of(SerialRobot.from_model(arm["model"]))
     model.update(angles, np.zeros(model.n))
     external = model.jacobian()[:3].T @ FORCE
-    # Drives that hold the arm against a push do the opposite of it.
+    # Drives that hold the arm against a push act in the opposite direction.
     np.testing.assert_allclose(torques - model.gravity(), -external, atol=3.0)
     assert np.abs(external).max() > 10.0
     if "force.vector" in shown:
@@ -133,7 +133,7 @@ def test_a_push_points_the_same_way_whatever_arm_is_pushed(name: str, tmp_path: 
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_torque_sign_is_the_factor_of_measured_and_commanded_torques(sign: int) -> None:
+def test_torque_sign_multiplies_measured_and_commanded_torques(sign: int) -> None:
     numbers = [1.0, -2.0, 3.0, -4.0, 5.0, -6.0, 7.0]
     signed = [sign * x for x in numbers]
     lwr = FriReceiver(torque_sign=sign)
@@ -163,7 +163,7 @@ def test_a_torque_sign_is_the_factor_of_measured_and_commanded_torques(sign: int
 
 
 @pytest.mark.parametrize("kind", ["fri", "franka", "rtde", "ros2"])
-def test_other_torque_signs_are_refused(kind: str) -> None:
+def test_invalid_torque_signs_are_rejected(kind: str) -> None:
     host = {"host": "10.0.0.1"} if kind in ("franka", "rtde") else {}
     with raises_with(key="torque_sign", found=2, expected="-1 or 1"):
         make_source("it", {"kind": kind, "torque_sign": 2, **host})

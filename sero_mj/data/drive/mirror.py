@@ -92,7 +92,7 @@ class Mirror:
         self._started = time.monotonic()
 
     def open(self) -> None:
-        """Opens all sources; raises SourceError, and then closes those that it has opened."""
+        """Opens all sources; if this fails, closes all of them and raises SourceError."""
         self._latest.clear()
         self._states.forget()
         self._velocities.forget()
@@ -103,7 +103,7 @@ class Mirror:
                 source.remove_callback(self._news.set)  # from an earlier `open`
                 source.on_receive(self._news.set)
                 if self._listeners_to_all:
-                    source.keep_all()
+                    source.start_history()
                 source.open()
         except Exception:
             self.close()
@@ -116,7 +116,7 @@ class Mirror:
             source.close()
             source.remove_callback(self._news.set)
             if self._listeners_to_all:
-                source.keep_none()
+                source.stop_history()
 
     def __enter__(self) -> Mirror:
         self.open()
@@ -179,7 +179,7 @@ class Mirror:
             return
         self._listeners_to_all.append(listener)
         for source in self.sources.values():
-            source.keep_all()
+            source.start_history()
 
     def reset(self) -> None:
         """Resets the data to the declared pose; the next `advance` applies the latest packets."""
@@ -202,7 +202,7 @@ class Mirror:
                 self._latest[name] = packets.last
                 for listener in self._listeners:
                     listener(name, packets)
-            if self._listeners_to_all and (all_packets := source.take_all()) is not None:
+            if self._listeners_to_all and (all_packets := source.take_history()) is not None:
                 for listener in self._listeners_to_all:
                     listener(name, all_packets)
             packet = self._latest.get(name)

@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Ints, frame, inverse, rotation_from_quat
+from ...robots.assemble.mjcf import limb_bodies
 from ...robots.assemble.parts import DoublePart, RobotPart
 from ...robots.assemble.world_view import SET_BY_SOURCE, WorldView
 from ...robots.declared.cartesian import WORLD
 from ...robots.declared.double import OUT_OF_SIGHT, fade_in
 from ...robots.declared.inputs import BLANKABLE, frame_of_numbers
 from ...robots.declared.mounts import mount_pose
-from .limbs import Limbs
 from .model_torques import output_now
 from .route import FrameRoute, Origin, Route
 from .wiring import Wiring, wire
@@ -27,7 +27,7 @@ class Placer:
     """Computes all frames of a world from its data; raises DeclarationError.
 
     Args:
-        wiring: result of `wire` for its scene; created when None.
+        wiring: result of `wire` for the scene of the world; None to call `wire`.
     """
 
     def __init__(self, world: WorldView, wiring: Wiring | None = None) -> None:
@@ -38,23 +38,20 @@ class Placer:
         placing = [route for route in wiring.frame_routes if route.to.key != "flange_check"]
         self._routes = {route.to.name: route for route in placing}
         self._checks = [route for route in wiring.frame_routes if route not in placing]
-        self._limbs = Limbs(world)
+        self._limbs = _Limbs(world)
         later = {name for level in self._levels for name in level}
         self._at_once = [name for name in world.scene.frames if name not in later]
 
     def place(self, data: mujoco.MjData, packets: LatestValues | None = None) -> None:
         """Computes all frames from joint angles and received values, without a time step.
 
-        First, routes from other robots' outputs are applied.
-
-        Args:
-            packets: the latest values by source and event, for routes that need several.
+        Before that, applies the routes that depend on several sources or on outputs of robots.
         """
         self._late.apply(data, packets or {})
         for name in self._at_once:
             self._place_received(data, name)
         pose_doubles(self._world, data)
-        for level in self._levels:  # each depends on frames of the previous level
+        for level in self._levels:  # depends on frames of the previous levels
             mujoco.mj_kinematics(self._world.model, data)
             for name in level:
                 if name in self._routes:
@@ -103,15 +100,15 @@ class Placer:
 def follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Computes frames, cameras and lights from `qpos` and `mocap`, without a time step."""
     mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)  # MuJoCo's own visualisation needs subtree centres
+    mujoco.mj_comPos(model, data)  # MuJoCo's visualization needs subtree centers of mass
     mujoco.mj_camlight(model, data)
 
 
 def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
-    """Writes the poses of all doubles into `mocap_pos` and `mocap_quat`; `follow` moves them."""
+    """Writes the poses of all doubles to `mocap_pos` and `mocap_quat`; call `follow` afterwards."""
     if any(part.of.mocap < 0 for part in world.doubles.values()):
-        mujoco.mj_kinematics(world.model, data)  # their bases are mounted on other robots
-    targets: dict[str, Array | None] = {}  # of those that have been asked for
+        mujoco.mj_kinematics(world.model, data)  # for bases that are mounted on other robots
+    targets: dict[str, Array | None] = {}
     for name, part in world.doubles.items():
         frames = _targets(world, data, name, targets)
         if frames is None:
@@ -127,7 +124,7 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
 def _targets(
     world: WorldView, data: mujoco.MjData, name: str, known: dict[str, Array | None]
 ) -> Array | None:
-    """Returns the frames of a double, (rows, n + 1, 4, 4), base first; None without a pose."""
+    # Frames (rows, n + 1, 4, 4), base first; None without a pose.
     if name in known:
         return known[name]
     part = world.doubles[name]
@@ -171,11 +168,11 @@ def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:
 
 
 class Router:
-    """Applies routes to a world's data. `routes`: each after the routes to its own origins."""
+    """Applies routes to a world's data, in an order in which no origin is set after its use."""
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world
-        # The minimum count of numbers that the routes need of each origin.
+        # Minimum size of the arrays of each origin.
         self._sizes: dict[Origin, int] = {}
         for term in (term for route in routes for term in route.value.terms):
             needed = int(term.take.max()) + 1
@@ -183,10 +180,10 @@ class Router:
         self._routes = [(route.value, route.rest, _InputWriter(world, route)) for route in routes]
 
     def apply(self, data: mujoco.MjData, packets: LatestValues) -> None:
-        """Writes all computable inputs; `Placer.place` moves the frames.
+        """Writes inputs whose origins have data. `Placer.place` computes the frames afterwards.
 
-        Inputs whose origin has no data yet are left unchanged; with several origins for different
-        joints, only their joints.
+        If a robot's joints have several origins, joints with data are written, and the others get
+        `Route.rest`.
         """
         if not self._routes:
             return
@@ -195,7 +192,7 @@ class Router:
                 there = [self._has(data, packets, origin) for origin in value.origins]
                 if all(there):
                     writer.put(data, value.evaluate(lambda o: self._numbers(data, packets, o)))
-                elif rest is not None and any(there):  # joints of the others keep their values
+                elif rest is not None and any(there):
                     came = value.evaluate(lambda o: self._numbers_if_there(data, packets, o))
                     writer.put(data, np.where(np.isnan(came), rest, came))
 
@@ -205,7 +202,7 @@ class Router:
         if origin.key == "joint_angles" and origin.name in self._world.robots:
             return True  # a robot always has a pose
         if str(origin) not in self._world.flags:
-            return True  # so its model tells something
+            return True  # an output that the model of a robot computes
         return bool(data.userdata[self._world.flags[str(origin)]] > 0)
 
     def _numbers(self, data: mujoco.MjData, packets: LatestValues, origin: Origin) -> Array:
@@ -258,3 +255,53 @@ class _InputWriter:
         else:
             data.userdata[self._slot] = values
         data.userdata[self._flag] = SET_BY_SOURCE
+
+
+class _Limbs:
+    def __init__(self, world: WorldView) -> None:
+        self._world = world
+        self._limbs = [
+            (item, [int(world.model.body(name).mocapid[0]) for name in limb_bodies(item.name)])
+            for item in world.scene.objects
+            if item.shape == "limb" and world.has_sites  # external models have no sites
+        ]
+        self.are_any = bool(self._limbs)
+
+    def place(self, data: mujoco.MjData) -> None:
+        # A limb is hidden if its frame is hidden.
+        mujoco.mj_kinematics(self._world.model, data)
+        for item, bodies in self._limbs:
+            assert item.size is not None and item.reaches is not None  # checked by Object
+            end = self._world.frame(data, item.reaches)[:3] @ [*item.end, 1.0]
+            begin, towards = item.frame[:3, 3], item.frame[:3, 0]
+            joint = middle_joint(begin, end, (item.size[0], item.size[1]), towards)
+            is_hidden = end[2] < OUT_OF_SIGHT[2] / 2
+            for body, start, along in (
+                (bodies[0], begin, joint - begin),
+                (bodies[1], joint, end - joint),
+            ):
+                data.mocap_pos[body] = OUT_OF_SIGHT if is_hidden else start
+                mujoco.mju_quatZ2Vec(data.mocap_quat[body], along)
+
+
+def middle_joint(begin: Array, end: Array, lengths: tuple[float, float], towards: Array) -> Array:
+    """Returns the position of the joint between two links of a limb, (3,), m.
+
+    Args:
+        begin: begin of the first link, (3,), m.
+        end: end of the second link, (3,), m. If it is out of reach, the links are stretched or
+            folded.
+        lengths: lengths of the links, m.
+        towards: direction to which the joint bends, (3,).
+    """
+    first, second = lengths
+    along = end - begin
+    distance = float(np.linalg.norm(along))
+    along = along / distance if distance > 0 else np.array([0.0, 0.0, 1.0])
+    side = towards - (towards @ along) * along
+    if np.linalg.norm(side) < 1e-9:  # any direction, if it is parallel to the limb
+        side = np.cross(along, np.eye(3)[np.abs(along).argmin()])
+    reached = float(np.clip(distance, max(abs(first - second), 1e-9), first + second))
+    share = (reached**2 + first**2 - second**2) / (2 * reached)
+    height = np.sqrt(max(first**2 - share**2, 0.0))
+    return np.asarray(begin + share * along + height * side / np.linalg.norm(side))

@@ -1,7 +1,7 @@
-"""Checksums of packets: sums, XOR, and the cyclic redundancy checks (CRC) that are in use.
+"""Checksums of packets: sums, XOR, and common cyclic redundancy checks (CRC).
 
-CRCs have the names and parameters of the catalogue of parametrised CRC algorithms by G. Cook
-(https://reveng.sourceforge.io/crc-catalogue/), which also gives the check value of each.
+Names, parameters and check values of CRCs are from the catalogue of parametrised CRC algorithms
+by G. Cook (https://reveng.sourceforge.io/crc-catalogue/).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 _Words = NDArray[np.uint32]
 
-_BLOCK = 256  # bytes for which a CRC has a table
+_BLOCK = 256  # bytes in the tables of a CRC
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,9 @@ class Crc:
     """Parameters of a CRC, in the terms of the catalogue.
 
     Attributes:
-        width: bits, 8, 16 or 32.
-        is_reflected: whether bytes enter with their lowest bit first, and the register is reflected
-            (`refin` and `refout`).
-        check: CRC of the nine bytes `123456789`.
+        width: number of bits, 8, 16 or 32.
+        is_reflected: both `refin` and `refout` of the catalogue.
+        check: CRC of the ASCII text `123456789`.
     """
 
     width: int
@@ -56,7 +55,7 @@ CRCS = {
     "CRC-32/BZIP2": Crc(32, 0x04C11DB7, 0xFFFFFFFF, False, 0xFFFFFFFF, 0xFC891918),
     "CRC-32/MPEG-2": Crc(32, 0x04C11DB7, 0xFFFFFFFF, False, 0x00000000, 0x0376E6E7),
 }
-# Names that the catalogue lists as aliases, and those of libraries.
+# Aliases in the catalogue and in libraries.
 ALIASES = {
     "CRC-8": "CRC-8/SMBUS",
     "CRC-16": "CRC-16/ARC",
@@ -72,7 +71,7 @@ SUMS = ("sum", "-sum", "~sum", "xor")
 
 
 def find_checksum(name: str) -> str | None:
-    """Returns the name of a checksum, given in any letter case or by an alias; None if unknown."""
+    """Returns the name of a checksum from an alias or from any letter case; None if unknown."""
     for spelled in (name.lower(), name.upper()):
         if spelled in (*SUMS, *CRCS):
             return spelled
@@ -82,21 +81,18 @@ def find_checksum(name: str) -> str | None:
 
 
 def width_of(name: str) -> int | None:
-    """Bits of a checksum; None for a sum, which may have any width."""
+    """Returns the number of bits of a checksum; None for sums, which can have any width."""
     return CRCS[name].width if name in CRCS else 8 if name == "xor" else None
 
 
 def compute(name: str, rows: NDArray[np.uint8], bits: int) -> NDArray[np.uint64]:
-    """Computes the checksum of many packets.
+    """Returns the checksums of n packets, (n,).
 
     Args:
-        name: one of `CRCS` or `SUMS`. `sum` is that of all bytes, `-sum` what makes it 0 (two's
-            complement), `~sum` its inverted bits, `xor` the exclusive or of all bytes.
-        rows: the checked bytes of each packet, (n, k), k >= 1.
-        bits: width of the result; sums are taken modulo 2 to the power of it.
-
-    Returns:
-        the checksums, (n,).
+        name: one of `CRCS` or `SUMS`: the sum of all bytes, its two's complement (`-sum`), its
+            inverted bits (`~sum`), or their exclusive or (`xor`).
+        rows: covered bytes of each packet, (n, k), k >= 1.
+        bits: width of the result; sums are computed modulo 2**bits.
     """
     if name in CRCS:
         return _crcs(CRCS[name], rows).astype(np.uint64)
@@ -111,18 +107,15 @@ def compute(name: str, rows: NDArray[np.uint8], bits: int) -> NDArray[np.uint64]
 
 
 def _crcs(crc: Crc, rows: NDArray[np.uint8]) -> _Words:
-    """CRCs of many messages at once.
-
-    A CRC is affine: the registers that single bytes lead to, looked up by value and position, are
-    combined by XOR. Longer messages are taken in blocks; the register enters with the next block's
-    first bytes.
-    """
+    # A CRC is affine: it is the XOR of contributions of single bytes, which a table contains by
+    # position and value. For longer messages, the register of a block is combined with the first
+    # bytes of the next block.
     count = rows.shape[1]
     tables, width = _tables(crc), crc.width // 8
     register = np.zeros(len(rows), np.uint32)
     begin = 0
     while begin < count:
-        # The first block is the short one, so that the register always fits into the others.
+        # The first block is the shortest, so that the register fits into all others.
         end = begin + ((count - begin) % _BLOCK or _BLOCK)
         block = rows[:, begin:end]
         if begin:
@@ -173,7 +166,7 @@ def _after_bits(crc: Crc, value: int) -> int:
 @lru_cache(256)
 def _of_zeros(crc: Crc, count: int) -> int:
     table = _tables(crc)[-1].tolist()
-    register = crc.init  # those of `CRCS` are their own reflections
+    register = crc.init  # equal to its reflection for all entries of `CRCS`
     for _ in range(count):
         register = _step(crc, register, table)
     return int(register) ^ crc.xorout

@@ -1,4 +1,4 @@
-"""Reads structure strings; STRUCTURE.md, beside this file, is their one page of documentation."""
+"""Parses structure strings; STRUCTURE.md in this folder describes the language."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .checksum import ALIASES, CRCS, SUMS, find_checksum, width_of
 
 MAX_PACKET_BYTES = 65_507  # the maximum of a UDP packet over IPv4
 
-# By letter: the name of the events, and the shape of one item in the packet.
+# Letter to the name of the events, and to the shape of one item in the packet.
 KINDS: dict[str, tuple[str, tuple[int, ...]]] = {
     "F": ("values", ()),
     "V": ("vectors", (3,)),
     "M": ("matrices", (4, 4)),
     "T": ("matrices", (3, 4)),
 }
-# By letter, as in Python's struct module: numpy's type.
+# Letter, as in Python's struct module, to NumPy's type.
 TYPES = {
     "f": "f4", "d": "f8", "b": "i1", "B": "u1", "h": "i2", "H": "u2",
     "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "?": "u1",
@@ -37,7 +37,7 @@ _EQUALS = re.compile(r"\s*(=)\s*")
 _NUMBER = re.compile(r"[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
 _WORD = re.compile(r"[~-]?[A-Za-z][A-Za-z0-9/_-]*")
 _RANGE = re.compile(r"\s*\[\s*([0-9]*)\s*:\s*([0-9]*)\s*\]")
-_MAX_NUMBER = 40  # characters; Python itself refuses to read thousands of digits
+_MAX_NUMBER = 40  # characters; Python does not parse thousands of digits
 _NUMBERED = re.compile(r"(values|vectors|matrices)[0-9]+")
 _CHECK = "expected a number, the word size or a checksum, for example 1H=0x2006 or 1H=CRC-16/MODBUS"
 _EXPECTED = "expected a count and F, V, M, T, x or a type, for example 7F1M"
@@ -49,16 +49,16 @@ class Item:
     """One item of a structure string.
 
     Attributes:
-        name: the event's name, given or numbered; empty for items without an event.
-        kind: `F`, `V`, `M` or `T`; `x` for bytes that are skipped.
-        type: numpy's name of the number's type, with byte order; `u1` when skipped.
-        is_bool: whether any byte but 0 is 1.
-        constant: the required value of every number; None for any value.
-        is_size: whether that constant is the packet's size.
-        checksum: name of the checksum that the number must be; empty for none.
-        covers: the bytes that the checksum is of, the first and the one after the last; its own
-            ones count as 0.
-        at: index in the text at which it begins; after `=` for a size or checksum.
+        name: declared or numbered name of the event; empty for items without an event.
+        kind: `F`, `V`, `M` or `T`, or `x` for skipped bytes.
+        type: NumPy's name of the type, with byte order; `u1` for skipped bytes.
+        is_bool: whether all bytes other than 0 mean 1.
+        constant: required value of every number; None for any value.
+        is_size: whether the constant is the size of the packet.
+        checksum: name of the required checksum; empty for none.
+        covers: first and end byte of the range that the checksum covers. The bytes of the
+            checksum count as 0.
+        at: index of the item in the text; for a size or checksum, of the word after `=`.
     """
 
     name: str
@@ -75,12 +75,12 @@ class Item:
 
     @cached_property
     def wire_shape(self) -> tuple[int, ...]:
-        """Shape of its numbers in the packet; matrices are row-major."""
+        """Shape of the numbers in the packet, for row-major matrices."""
         return (self.count, *(KINDS[self.kind][1] if self.kind in KINDS else ()))
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
-        """Shape of its event's array; 3 x 4 matrices get their last row."""
+        """Shape of the event's array, in which matrices are 4 x 4."""
         return (self.count, 4, 4) if self.kind == "T" else self.wire_shape
 
     @cached_property
@@ -97,7 +97,6 @@ class Item:
 
     @cached_property
     def end(self) -> int:
-        """The byte after its last."""
         return self.offset + self.numbers * self.item_bytes
 
     @cached_property
@@ -109,8 +108,8 @@ def parse(text: str, *, is_double: bool = True, alignment: int = 1) -> list[Item
     """Returns the items of a structure string; raises StructureError.
 
     Args:
-        is_double: the type of `F`, `V`, `M` and `T` without a letter.
-        alignment: every item begins at a multiple of this many bytes.
+        is_double: `F`, `V`, `M` and `T` without a type are float64 if true, otherwise float32.
+        alignment: alignment of items in bytes.
     """
     return _Parser(text, is_double, alignment).items()
 
@@ -137,7 +136,7 @@ class _Parser:
             else:
                 items.append(self.item())
         if not any(item.name for item in items):
-            raise self.wrong(_EXPECTED if not items else "expected something that makes an event")
+            raise self.wrong("expected an item that creates an event" if items else _EXPECTED)
         items = [self.with_size(item) if item.is_size else item for item in items]
         return [self.with_range(item, items) if item.checksum else item for item in items]
 
@@ -171,10 +170,10 @@ class _Parser:
         if kind != "x":
             item = self.with_constant(item)
             if name in self.names:
-                raise self.wrong(f"two fields have the name '{name}'", start)
+                raise self.wrong(f"two items have the name '{name}'", start)
             item = self.with_name(item)
         elif name:
-            raise self.wrong("skipped bytes have no name", start)
+            raise self.wrong("skipped bytes cannot have a name", start)
         if item.end > MAX_PACKET_BYTES:
             raise self.wrong(_TOO_LONG, count_at)
         self.size = item.end
@@ -189,7 +188,7 @@ class _Parser:
             raise self.wrong("expected a space or a comma before a name")
         name = found[1]
         if _NUMBERED.fullmatch(name) or name in RESERVED:
-            raise self.wrong(f"'{name}' has a meaning of its own; expected another name")
+            raise self.wrong(f"the name '{name}' is reserved; expected another name")
         self.at = found.end()
         return name
 
@@ -207,9 +206,9 @@ class _Parser:
         found = _COUNT.match(self.text, self.at)
         if found is None:
             if self.next and (self.next in KINDS or self.next in TYPES or self.next == "x"):
-                raise self.wrong(f"expected a count before it, for example 1{self.next}")
+                raise self.wrong(f"expected a count before '{self.next}', as in 1{self.next}")
             raise self.wrong(_EXPECTED)
-        # int() refuses thousands of digits; the first nine are already too many for a packet.
+        # int() rejects thousands of digits, and nine digits already exceed any packet.
         count = int(found[0].lstrip("0")[:9] or "0")
         if count == 0:
             raise self.wrong("expected a count of 1 or more")
@@ -264,9 +263,10 @@ class _Parser:
         is_unsigned = item.type[-2] == "u" and not item.is_bool
         if item.numbers != 1 or not is_unsigned or bits not in (None, 8 * item.item_bytes):
             of = f" of {bits} bits" if bits else ""
-            raise self.wrong(f"expected one unsigned number{of} for it, as in 1{letter}={name}")
+            reason = f"a checksum is one unsigned number{of}; expected 1{letter}={name}"
+            raise self.wrong(reason)
         at, self.at = self.at, word.end()
-        covers = 0, -1  # the end is known at the end of the string
+        covers = 0, -1  # `with_range` replaces -1 by the default
         if (found := _RANGE.match(self.text, self.at)) is not None:
             begin, end = ((int(each) if each else -1) if len(each) < 9 else MAX_PACKET_BYTES + 1
                           for each in found.groups())  # fmt: skip
@@ -297,22 +297,22 @@ class _Parser:
         if end < 0:
             end = item.offset if begin < item.offset else self.size
         if not begin < end <= self.size:
-            found = f"the checksum would be of the bytes {begin} to {end - 1}"
-            raise self.wrong(f"{found}; expected some of 0 to {self.size - 1}", item.at)
+            found = f"the checksum covers the bytes {begin} to {end - 1}"
+            raise self.wrong(f"{found}; expected a range within 0 to {self.size - 1}", item.at)
         later = [each.offset for each in items if each.checksum and each.offset > item.offset]
         if any(begin <= offset < end for offset in later):
-            raise self.wrong("the checksum would be of a later checksum as well", item.at)
+            raise self.wrong("the checksum covers a later checksum", item.at)
         return replace(item, covers=(begin, end))
 
     def with_size(self, item: Item) -> Item:
         if self.size > limits(item)[1]:
-            reason = f"the packet has {self.size} bytes; expected a type that holds this number"
+            reason = f"the packet has {self.size} bytes; expected a type with this range"
             raise self.wrong(f"{reason}, for example 1H=size", item.at)
         return replace(item, constant=self.size)
 
 
 def limits(item: Item) -> tuple[int | float, int | float]:
-    """The minimum and maximum finite number of an item's type."""
+    """Returns the minimum and maximum finite number of an item's type."""
     if item.is_bool:
         return 0, 1
     if item.is_float:

@@ -13,7 +13,7 @@ import numpy as np
 from ...base.frames import Array
 from .structure import Rows
 
-HISTORY_BYTES = 16 * 2**20  # limit of the packets stored for `take_all`
+HISTORY_BYTES = 16 * 2**20  # limit of the packets stored for `take_history`
 QUEUE_BYTES = 64 * 2**20  # limit of the packets stored for `take` if none may be lost
 _WAIT_INTERVAL = 0.1  # s
 
@@ -35,10 +35,7 @@ class Packet:
 
 
 def age(packet: Packet | None, now: float) -> float:
-    """Returns the time between the arrival of a packet and `now`, s, at least 0.
-
-    Infinite if there is no packet.
-    """
+    """Returns the time from the arrival of a packet to `now`, s, at least 0; infinite for None."""
     return float("inf") if packet is None else max(now - packet.arrival, 0.0)
 
 
@@ -95,16 +92,16 @@ class Mailbox:
         self._looked = self._taken = 0
         self._queue: deque[tuple[Rows, Array]] = deque()
         self._queued_bytes = 0
-        self._history: deque[tuple[Rows, Array]] | None = None  # packets for `take_all`
+        self._history: deque[tuple[Rows, Array]] | None = None  # packets for `take_history`
         self._history_bytes = 0
 
     def empty(self) -> None:
-        """Discards all packets and resets the count. `keep_all` stays in effect."""
+        """Discards all packets and resets the count. `start_history` stays in effect."""
         self.number = self._looked = self._taken = self._queued_bytes = 0
         self._last = self._decoded = None
         self._queue.clear()
         if self._history is not None:
-            self.keep_all()
+            self.start_history()
         self._first.clear()
         self.closing.clear()
 
@@ -155,7 +152,6 @@ class Mailbox:
         return decoded
 
     def take(self) -> Packets | None:
-        """Implements `Reception.take`."""
         if not self.is_lossless:
             packets = self.newest()
             if packets is None or packets.number == self._taken:
@@ -170,18 +166,15 @@ class Mailbox:
             self._room.notify()
         return self._joined(batches, self._taken)
 
-    def keep_all(self) -> None:
-        """Implements `Reception.keep_all`."""
+    def start_history(self) -> None:
         with self._room:
             self._history, self._history_bytes = deque(), 0
 
-    def keep_none(self) -> None:
-        """Implements `Reception.keep_none`."""
+    def stop_history(self) -> None:
         with self._room:
             self._history, self._history_bytes = None, 0
 
-    def take_all(self) -> Packets | None:
-        """Implements `Reception.take_all`."""
+    def take_history(self) -> Packets | None:
         with self._room:
             batches, self._history_bytes = [*(self._history or ())], 0
             if batches:
@@ -197,5 +190,4 @@ class Mailbox:
         return Packets(self._decode(rows), arrivals, number)
 
     def wait(self, timeout: float) -> bool:
-        """Implements `Reception.wait`."""
         return self._first.wait(timeout)

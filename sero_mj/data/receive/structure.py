@@ -22,15 +22,15 @@ from ...base.frames import Array, Ints
 from .checksum import compute
 from .language import Item, limits, parse
 
-Rows = NDArray[np.uint8]  # packets, or addresses of their senders, one per row
-# First and last byte, type, and the selected numbers in between; None for all of them.
+Rows = NDArray[np.uint8]  # packets, or sender addresses, one per row
+# First byte, end, type, and the indices of the selected numbers in between; None for all.
 _Block = tuple[int, int, np.dtype[Any], Ints | None]
-_Bounds = tuple[_Block, Array]  # and the largest magnitudes of the selected numbers
+_Bounds = tuple[_Block, Array]  # and the maximum magnitudes of the selected numbers
 Alignment = Literal[1, 2, 4, 8]
 TorqueSign = Literal[-1, 1]
 
 _ROTATION_TOLERANCE = 1e-3  # as in `nearest_rotation` for frames in files
-# Much smaller: a transposed frame has its position there, which may be only 1 mm.
+# Much smaller, because the last row of a transposed frame is its position, possibly only 1 mm.
 LAST_ROW_TOLERANCE = 1e-6
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _IDENTITY = np.eye(3)
@@ -41,31 +41,29 @@ _ALIGNMENTS: tuple[Alignment, ...] = (1, 2, 4, 8)
 
 
 class Structure:
-    """A decoder and encoder for one packet layout, built once.
+    """A decoder and encoder for one packet layout.
+
+    Raises StructureError, which marks the first invalid character, or ValueError.
 
     Args:
-        text: the structure string; STRUCTURE.md explains it.
-        is_double: `F`, `V`, `M` and `T` are float64 when true, else float32.
-        alignment: every item begins at a multiple of this many bytes from the packet's start, as in
-            Simulink's Byte Pack.
-        scale: every floating-point number is multiplied by it, except those checked against a
-            constant; of matrices only the position.
-        signs: event name to a factor of its numbers, 1 or -1, for senders with another convention
-            of signs; not for matrices.
+        text: structure string; STRUCTURE.md describes the language.
+        is_double: `F`, `V`, `M` and `T` are float64 if true, otherwise float32.
+        alignment: alignment of items from the start of the packet, in bytes, as in Simulink's Byte
+            Pack.
+        scale: factor of all floating-point numbers without a constant; for matrices, of the
+            position only.
+        signs: event name to the factor of its numbers, 1 or -1, for senders with other sign
+            conventions. Matrices are not changed.
 
     Attributes:
-        size: bytes of a packet.
-        message: what packets are called that come encoded, of any size, and are turned into ones of
-            `size` bytes by `unpack`; empty if they come as they are.
-        dtype: numpy's record type of a packet: the raw numbers of every event.
-
-    Raises:
-        StructureError: points at the first invalid character.
-        ValueError: the alignment is not 1, 2, 4 or 8, or the scale is not above 0.
+        size: size of a packet in bytes.
+        message: kind of the encoded messages that `unpack` converts to packets; empty if packets
+            are received unencoded.
+        dtype: NumPy record type of a packet, with the raw numbers of every event.
     """
 
     message: str = ""
-    fault: str = ""  # why the last message makes no packet
+    fault: str = ""  # why the last message could not be converted to a packet
 
     def __init__(
         self,
@@ -106,7 +104,7 @@ class Structure:
             if item.constant is not None
         ]
         self.checksums = tuple(item for item in self.fields if item.checksum)
-        # Event, type, first byte, count, and the conversion unless it is a view.
+        # Event, type, first byte, count, and the item if its numbers must be converted.
         self._plan = [
             (name, item.dtype, item.offset, item.numbers, self._unless_plain(item))
             for name, item in self._by_event.items()
@@ -115,39 +113,33 @@ class Structure:
         self._blocks: dict[frozenset[str], list[_Block]] = {}
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
-        """Turns packets as they come into those that this structure describes.
+        """Converts n received messages to packets of this structure; here, returns them unchanged.
 
         Args:
-            rows: as received, (n, any number of bytes).
-            lengths: of the packets, (n,), bytes; may exceed the row.
+            rows: received messages, (n, any).
+            lengths: lengths in bytes, (n,); larger than the row if a message was truncated.
 
         Returns:
-            rows (n, `size` or more) and lengths (n,), which are not `size` where a packet cannot be
-            read; here those given.
+            rows (n, `size` or more), and lengths (n,), which differ from `size` for messages that
+            cannot be converted.
         """
         return rows, lengths
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        """Describes why a packet of that length, as it came, cannot be one of these.
+        """Returns the reason why a message of `length` bytes is not a packet of this structure.
 
-        Args:
-            packet: its first bytes at least.
-            length: of all of it, bytes.
+        `packet` has at least its first bytes.
         """
-        hint = self.for_size(length)
+        hint = self.explain_size(length)
         return f"{length} bytes; expected {self.size}{hint and f'; {hint}'}"
 
-    def for_size(self, size: int) -> str:
-        """Suggests what would explain a different size: alignment, float32, padding.
-
-        Empty if none of these does.
-        """
+    def explain_size(self, size: int) -> str:
+        """Returns the options that result in a size, such as another alignment; "" for none."""
         found = []
         for alignment in _ALIGNMENTS[_ALIGNMENTS.index(self.alignment) :]:
             for is_double in (self.is_double, not self.is_double):
                 end = Structure(self.text, is_double=is_double, alignment=alignment).size
-                # Padding of a C compiler at the end, so that the next element of an array is
-                # aligned.
+                # C compilers pad structs, so that the next element of an array is aligned.
                 padding = size - end
                 if not 0 <= padding < _ALIGNMENTS[-1] or (padding and size % max(alignment, 4)):
                     continue
@@ -171,10 +163,10 @@ class Structure:
         return self.signs.get(item.name, 1.0) * (self.scale if is_scaled else 1.0)
 
     def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
-        """Returns every event's array, float64, in the shapes of `events`; raises ValueError.
+        """Returns every event as float64, in the shapes of `events`; raises ValueError.
 
-        Little-endian float64 is not copied: such arrays are views into the packet, and read-only if
-        it is; 3 x 4 matrices are copied. Constants are not checked: see `find_wrong_constants`.
+        Arrays of little-endian float64 are views of the packet, except for 3 x 4 matrices, and
+        read-only if the packet is. Constants are not checked: see `find_wrong_constants`.
         """
         if len(packet) != self.size:
             raise mismatch(len(packet), f"{self.size} for '{self.text}'", of="bytes")
@@ -190,13 +182,10 @@ class Structure:
         return values
 
     def decode_rows(self, rows: Rows, events: Collection[str] | None = None) -> dict[str, Array]:
-        """Decodes many packets together; every array has an additional first axis.
-
-        Arrays not copied by `decode` are views into `rows` here.
+        """Decodes n packets, rows (n, `size` or more), to arrays (n, ...) as `decode` does.
 
         Args:
-            rows: (n, `size` or more), one packet a row.
-            events: the requested ones; all of them when None.
+            events: events to decode; None for all.
         """
         with np.errstate(invalid="ignore", over="ignore"):
             return {
@@ -206,26 +195,25 @@ class Structure:
             }
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """Returns the state of the controller and the quality of its link; -1 if unknown."""
+        """Returns the state of the robot's controller and the link quality; -1 if unknown."""
         return -1.0, -1.0
 
     @property
     def required_frames(self) -> tuple[str, ...]:
-        """Matrices that make a packet malformed unless they are frames or NaN."""
+        """Events that must be rigid frames or NaN; otherwise, a packet is malformed."""
         return self.matrices
 
     def field(self, event: str) -> Item:
-        """The item of an event in the packet; raises UnknownName."""
+        """Returns the item of an event; raises UnknownName."""
         if event not in self._by_event:
             raise UnknownName("event", event, self.events)
         return self._by_event[event]
 
     def event_rows(self, rows: Rows, event: str) -> NDArray[Any]:
-        """The raw numbers of an event in many packets, of their own type, (n, k)."""
+        """Returns the raw numbers of an event in n packets, (n, k), in the type of the packet."""
         return _numbers(rows, self._by_event[event])
 
     def _finished(self, item: Item, numbers: NDArray[Any]) -> Array:
-        """Numbers (..., k) of an item as float64, reshaped to (..., shape of the event)."""
         if item.is_bool:
             numbers = numbers != 0
         values: Array = numbers.astype(np.float64, copy=False)
@@ -241,7 +229,6 @@ class Structure:
         return values.reshape(*before, *item.shape) if len(item.shape) > 1 else values
 
     def _frames(self, values: Array, item: Item, before: tuple[int, ...]) -> Array:
-        """Frames (..., count, 4, 4) from numbers (..., 12 or 16 times count)."""
         count, rows, columns = item.wire_shape
         if self.column_major:
             values = values.reshape(*before, count, columns, rows).swapaxes(-1, -2)
@@ -255,9 +242,9 @@ class Structure:
         return frames
 
     def find_not_finite(self, rows: Rows, but: Collection[str] = ()) -> NDArray[np.bool_]:
-        """Which packets have NaN or infinity outside the events `but`, (n,).
+        """Returns whether each packet has NaN or infinity in events not in `but`, (n,).
 
-        A number that `scale` makes infinite counts as well.
+        Numbers that become infinite by `scale` are detected, too.
         """
         bad = np.zeros(len(rows), bool)
         scaled = self.scale > 1.0
@@ -272,18 +259,18 @@ class Structure:
         return bad
 
     def bounds(self, limits: Mapping[str, float]) -> list[_Bounds]:
-        """Prepares `find_odd`.
+        """Returns the argument of `find_out_of_bounds`.
 
         Args:
-            limits: event name to the largest magnitude of its numbers, as decoded.
+            limits: event name to the maximum magnitude of its decoded numbers.
         """
         factor = max(self.scale, 1.0)
         found: list[_Bounds] = []
         for block in self._float_blocks(frozenset()):
             start, end, dtype, _ = block
-            most = float(np.finfo(dtype).max)
+            largest = float(np.finfo(dtype).max)
             bounds = [
-                min(limits.get(name, most), most) / factor
+                min(limits.get(name, largest), largest) / factor
                 for name, item in self._by_event.items()
                 if item.is_float and item.constant is None and item.dtype == dtype
                 if start <= item.offset < end and (item.offset - start) % item.item_bytes == 0
@@ -298,25 +285,22 @@ class Structure:
                 found.append((block, np.full(item.numbers, limit)))
         return found
 
-    def find_odd(self, rows: Rows, bounds: Sequence[_Bounds]) -> NDArray[np.bool_]:
-        """Which packets may have NaN, infinity or a number beyond its bound, (n,); a quick check.
+    def find_out_of_bounds(self, rows: Rows, bounds: Sequence[_Bounds]) -> NDArray[np.bool_]:
+        """Returns whether each packet may have NaN, infinity or a number beyond its bound, (n,).
 
-        Args:
-            rows: (n, `size` or more), one packet a row.
-            bounds: what `bounds` returned.
+        This check is quick. It can report valid packets, but it misses no invalid one.
         """
-        odd = np.zeros(len(rows), bool)
+        is_beyond = np.zeros(len(rows), bool)
         for (start, end, dtype, columns), bound in bounds:
             numbers = rows[:, start:end].view(dtype)
             if columns is not None:
                 numbers = numbers[:, columns]
             if dtype.kind != "f":
                 numbers = numbers.astype(np.float64)
-            odd |= ~(np.abs(numbers) <= bound).all(axis=1)
-        return odd
+            is_beyond |= ~(np.abs(numbers) <= bound).all(axis=1)
+        return is_beyond
 
     def _float_blocks(self, but: frozenset[str]) -> list[_Block]:
-        """Blocks that can be checked together: numbers of one type, aligned to its size."""
         known = self._blocks.get(but)
         if known is not None:
             return known
@@ -334,84 +318,73 @@ class Structure:
             columns //= dtype.itemsize
             is_all = len(columns) * dtype.itemsize == end - start
             blocks.append((start, end, dtype, None if is_all else columns))
-        if len(self._blocks) > 8:  # frequent changes of where NaN is allowed
+        if len(self._blocks) > 8:  # `but` changes often
             self._blocks = {}
         self._blocks[but] = blocks
         return blocks
 
     def find_wrong_constants(self, rows: Rows) -> NDArray[np.bool_]:
-        """Which packets have a number different from its constant, (n,)."""
+        """Returns whether each packet has a number that differs from its constant, (n,)."""
         bad = np.zeros(len(rows), bool)
         for item, constant in self._constants:
             bad |= _is_wrong(rows, item, constant).any(axis=1)
         return bad
 
     def describe_wrong_constant(self, rows: Rows) -> str:
-        """Describes the first packet's wrong constants; empty if correct."""
+        """Returns a description of the first packet's first wrong constant; "" for none."""
         for item, constant in self._constants:
             if (wrong := _is_wrong(rows[:1], item, constant)[0]).any():
                 index = int(np.argmax(wrong))
                 found = _numbers(rows[:1], item)[0, index]
                 name = f"{item.name} " if item.name else ""
                 place = item.offset + index * item.item_bytes
-                said = f"{name}at byte {place} is {_shown(found)}; expected {_shown(constant)}"
-                if item.item_bytes > 1 and found.byteswap() == constant:
-                    other = "<" if item.dtype.byteorder == ">" else ">"
-                    said += f"; these are its bytes in reverse order: '{other}'?"
-                return said
+                text = f"{name}at byte {place} is {_shown(found)}; expected {_shown(constant)}"
+                return text + _reversed_bytes(item, found, constant)
         return ""
 
     def find_wrong_checksums(self, rows: Rows) -> NDArray[np.bool_]:
-        """Which packets have a wrong checksum, (n,)."""
+        """Returns whether each packet has a wrong checksum, (n,)."""
         bad = np.zeros(len(rows), bool)
         for item in self.checksums:
             bad |= _numbers(rows, item)[:, 0] != _checksums(rows, item)
         return bad
 
     def describe_wrong_checksum(self, rows: Rows) -> str:
-        """Describes the first packet's wrong checksum; empty if all are right."""
+        """Returns a description of the first packet's first wrong checksum; "" for none."""
         for item in self.checksums:
             found, expected = _numbers(rows[:1], item)[0, 0], _checksums(rows[:1], item)[0]
             if found != expected:
                 begin, end = item.covers
-                said = f"{item.checksum} of bytes {begin} to {end - 1} is 0x{int(expected):x}"
-                said += f"; found 0x{int(found):x} at byte {item.offset}"
-                if item.item_bytes > 1 and found.byteswap() == expected:
-                    other = "<" if item.dtype.byteorder == ">" else ">"
-                    said += f", which is the same with its bytes reversed: '{other}'?"
-                return said
+                text = f"{item.checksum} of bytes {begin} to {end - 1} is 0x{int(expected):x}"
+                text += f"; found 0x{int(found):x} at byte {item.offset}"
+                return text + _reversed_bytes(item, found, expected)
         return ""
 
     def seal(self, rows: Rows) -> None:
-        """Writes the checksums of packets into them; needed after they were changed.
-
-        Args:
-            rows: (n, `size`), one packet a row.
-        """
+        """Writes the checksums into n packets, (n, `size`). Call this after changing packets."""
         for item in self.checksums:
             _numbers(rows, item)[:, 0] = _checksums(rows, item)
 
     def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
-        """Returns the packet of these events; missing events are zero.
+        """Returns a packet with these events, constants and checksums. Missing events are zero.
 
-        Constants and checksums are written, `scale` and `signs` are undone, and integers are
-        rounded.
+        Numbers are divided by `scale` and `signs`, and rounded for integer types.
 
         Args:
-            values: event name to an array in the shape of `events`. A leading 1 may be omitted: (4,
-                4) for (1, 4, 4).
+            values: event name to an array in the shape of `events`. A leading axis of length 1 can
+                be omitted.
 
         Raises:
-            UnknownName: an event that this structure does not have.
+            UnknownName: the structure does not have an event.
             ValueError: an event has a wrong shape, or a number is out of the range of its type, or
                 differs from its constant.
         """
         packet = np.zeros((1, self.size), np.uint8)
-        for name, given in values.items():
+        for name, numbers in values.items():
             if name not in self.events:
                 raise UnknownName("event", name, self.events)
             item = self._by_event[name]
-            array = _as_numbers(item, given)
+            array = _as_numbers(item, numbers)
             allowed = [item.shape, item.shape[1:]] if item.count == 1 else [item.shape]
             if array.shape not in allowed:
                 expected = " or ".join(map(str, allowed))
@@ -423,7 +396,7 @@ class Structure:
                 raise Problem(
                     item.name,
                     f"found {_shown(found[found != constant][0])}",
-                    expected=f"{_shown(constant)}, as '{self.text}' demands",
+                    expected=f"{_shown(constant)}, as declared in '{self.text}'",
                 ).error()
             _numbers(packet, item)[:] = constant
         self.seal(packet)
@@ -436,7 +409,7 @@ class Structure:
                 array[:, :3, 3] = self._unscaled(item, array[:, :3, 3])
             if item.kind == "T":
                 off = np.abs(array[:, 3] - LAST_ROW).max(axis=1)
-                if (off > LAST_ROW_TOLERANCE).any():  # NaN is no data, and may be sent
+                if (off > LAST_ROW_TOLERANCE).any():  # false for NaN, which means missing data
                     row = ", ".join(f"{number:g}" for number in array[np.argmax(off), 3])
                     raise Problem(
                         item.name, f"found last row [{row}]", expected="[0, 0, 0, 1]"
@@ -451,23 +424,23 @@ class Structure:
         with np.errstate(over="ignore"):
             unscaled = array / self._factor(item)
         if (wrong := np.isinf(unscaled) & np.isfinite(array)).any():
-            expected = f"less, for scale {self.scale:g}"
+            expected = f"a smaller number, because it is divided by scale {self.scale:g}"
             raise mismatch(array[wrong].flat[0], expected, key=item.name)
         return unscaled
 
 
 def are_frames(matrices: Array) -> NDArray[np.bool_]:
-    """Whether each of the matrices (n, 4, 4) is a rigid frame, (n,).
+    """Returns whether each of the matrices (n, 4, 4) is a rigid frame, (n,).
 
-    The last row is 0 0 0 1 within 1e-6, the upper left 3 x 3 orthonormal within 1e-3 and not a
-    reflection.
+    The last row must be 0 0 0 1 within 1e-6. The upper left 3 x 3 part must be orthonormal within
+    1e-3, and not a reflection.
     """
     # Entries far above 1 are still far from a rotation, and their squares do not overflow.
     rotations = np.minimum(np.maximum(matrices[:, :3, :3], -2.0), 2.0)  # np.clip is slower
     off = np.abs(rotations @ rotations.swapaxes(1, 2) - _IDENTITY).max(axis=(1, 2))
     last_row_off = np.abs(matrices[:, 3] - LAST_ROW).max(axis=1)
     good: NDArray[np.bool_] = (off <= _ROTATION_TOLERANCE) & (last_row_off <= LAST_ROW_TOLERANCE)
-    good[good] = np.linalg.det(rotations[good]) > 0.0  # of NaN it would warn
+    good[good] = np.linalg.det(rotations[good]) > 0.0  # NaN, which is not good, would warn
     return good
 
 
@@ -490,24 +463,31 @@ def _is_wrong(rows: Rows, item: Item, constant: Any) -> NDArray[np.bool_]:
     return wrong
 
 
+def _reversed_bytes(item: Item, found: Any, expected: Any) -> str:
+    if item.item_bytes == 1 or found.byteswap() != expected:
+        return ""
+    other = "<" if item.dtype.byteorder == ">" else ">"
+    return f". The bytes are in reverse order; is '{other}' missing in the structure?"
+
+
 def _shown(number: Any) -> str:
     if isinstance(number, np.integer) and number > 9:
         return f"{number} (0x{int(number):x})"
     return str(number)
 
 
-def _as_numbers(item: Item, given: ArrayLike) -> NDArray[Any]:
-    """An array of numbers; 64-bit integers as Python integers, which numpy might round."""
+def _as_numbers(item: Item, numbers: ArrayLike) -> NDArray[Any]:
     try:
-        array = np.asarray(given)
-        if array.dtype.kind not in "biuf" or (item.item_bytes == 8 and isinstance(given, list)):
-            objects = np.asarray(given, object)
+        array = np.asarray(numbers)
+        # Lists of 64-bit integers remain Python integers, which NumPy might round.
+        if array.dtype.kind not in "biuf" or (item.item_bytes == 8 and isinstance(numbers, list)):
+            objects = np.asarray(numbers, object)
             if all(isinstance(number, int) for number in objects.flat):
                 array = objects.astype(np.float64) if item.is_float else objects
             elif array.dtype.kind not in "biuf":
                 raise TypeError
     except (TypeError, ValueError, OverflowError):
-        problem = Problem(item.name, found=given, expected="numbers, all rows of one length")
+        problem = Problem(item.name, found=numbers, expected="numbers in rows of equal length")
         raise problem.error() from None
     return array
 

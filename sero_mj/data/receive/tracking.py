@@ -1,8 +1,4 @@
-"""Tracks the packets of a source by sequence number, sender and arrival time.
-
-Numbers or time stamps show loss, reordering, duplicates and restarts; addresses distinguish a
-replaced sender from several concurrent ones; arrivals give rate, jitter and delay.
-"""
+"""Detects loss, reordering, duplicates, restarts and concurrent senders, and measures timing."""
 
 from __future__ import annotations
 
@@ -14,33 +10,37 @@ import numpy as np
 from ...base.frames import Array, Ints
 from .structure import Rows
 
-# Positions: the order of a packet relative to earlier ones.
+# Positions of a packet relative to earlier packets.
 NEXT, DUPLICATE, LATE, RESTARTED = range(4)
 
-LATE_WITHIN = 64  # numbers; older ones mean that the sender has restarted
-LATE_SECONDS = 0.5  # likewise for time stamps
-RUN = 4  # so many consecutive old packets in order mean the same
-PAUSE = 0.5  # s; after such a pause, an old number means the same
-MAX_LOST = 3000  # numbers; a larger gap across the wrap to 0 is a restart (RFC 3550, appendix A.1)
-_WINDOW = (1 << (LATE_WITHIN + 1)) - 1  # a bit for the newest number and each possibly late one
+# Criteria for a restarted sender: the number is more than `LATE_WITHIN` back, or the time stamp
+# more than `LATE_SECONDS` back; or `RUN` consecutive old packets arrive in order; or an old packet
+# arrives after a `PAUSE` in s; or more than `MAX_LOST` numbers are missing across the wrap to 0
+# (RFC 3550, appendix A.1).
+LATE_WITHIN = 64
+LATE_SECONDS = 0.5
+RUN = 4
+PAUSE = 0.5
+MAX_LOST = 3000
+_WINDOW = (1 << (LATE_WITHIN + 1)) - 1  # bit mask of the newest number and the `LATE_WITHIN` before
 
 SEEN_FOR = 2.0  # s after its last packet until a sender is forgotten
-MAX_SENDERS = 64  # tracked; more are a flood
-_MIN_STREAM = 2  # packets; a sender that changes its port with every packet is no restart each time
+MAX_SENDERS = 64
+_MIN_STREAM = 2  # packets of a sender that can be replaced; it may use a new port for each packet
 
 _WEIGHT = 1.0 / 16.0  # of a new packet in a running mean, as in RFC 3550, section 6.4.1
-_LONG_PAUSE = 2.0  # s; longer ones do not affect the rate
-_BASELINE = 10.0  # s; window of the fastest packet, since clocks of two machines drift
+_LONG_PAUSE = 2.0  # s; longer intervals do not affect the rate
+_BASELINE = 10.0  # s; window of the fastest packet, because the clocks of two machines drift
 
 
 class SequenceTracker:
-    """Follows the sequence numbers of one sender.
+    """Tracks the sequence numbers of one sender.
 
     Args:
-        modulus: the number that wraps to 0 (65536 for 16 bits); 0 for no wrap.
+        modulus: modulus at which the counter wraps (65536 for 16 bits); 0 for no wrap.
 
     Attributes:
-        lost: missing numbers; one that arrives late is subtracted again.
+        lost: count of missing numbers; numbers that arrive late are subtracted.
     """
 
     def __init__(self, modulus: int = 0) -> None:
@@ -49,11 +49,11 @@ class SequenceTracker:
         self._last: int | None = None
         self._last_arrival = 0.0
         self._run, self._run_last = 0, 0
-        # Bit k stands for the k-th number before the last: whether it arrived, whether it is lost.
-        self._came = self._missing = 0
+        # Bit k is set if the k-th number before the last has arrived, or is missing.
+        self._arrived = self._missing = 0
 
     def is_consecutive(self, numbers: Sequence[int]) -> bool:
-        """Whether they directly follow the last number, so that `skip_to` suffices."""
+        """Returns whether numbers directly follow the last one, so that `skip_to` suffices."""
         first, last = numbers[0], numbers[-1]
         return (
             self._last is not None
@@ -64,18 +64,14 @@ class SequenceTracker:
         )
 
     def skip_to(self, number: int, arrival: float) -> None:
-        """Advances to a number, after all earlier ones have arrived in order."""
+        """Advances to a number if all numbers before it have arrived in order."""
         steps = number - (self._last or 0)
-        self._came = _shifted(self._came, steps) | ((1 << min(steps, LATE_WITHIN + 1)) - 1)
+        self._arrived = _shifted(self._arrived, steps) | ((1 << min(steps, LATE_WITHIN + 1)) - 1)
         self._missing = _shifted(self._missing, steps)
         self._last, self._last_arrival, self._run = number, arrival, 0
 
     def classify(self, number: int, arrival: float) -> int:
-        """Returns a number's position; `arrival` (s) shows pauses.
-
-        The sender has restarted when the number is more than 64 back, not ahead after a pause
-        of half a second, the fourth old one in order, or more than 3000 ahead over the wrap to 0.
-        """
+        """Returns the position of a number that arrived at a time, s."""
         last, paused = self._last, arrival - self._last_arrival > PAUSE
         self._last_arrival = arrival
         if last is None:
@@ -101,20 +97,20 @@ class SequenceTracker:
 
     def _begin(self, number: int) -> None:
         self._last, self._run = number, 0
-        self._came, self._missing = 1, 0
+        self._arrived, self._missing = 1, 0
 
     def _advance(self, number: int, step: int) -> None:
         self.lost += step - 1
         self._last, self._run = number, 0
         skipped = ((1 << min(step, LATE_WITHIN + 1)) - 1) & ~1
-        self._came = _shifted(self._came, step) | 1
+        self._arrived = _shifted(self._arrived, step) | 1
         self._missing = _shifted(self._missing, step) | skipped
 
     def _old(self, bit: int) -> int:
-        if self._came & bit:
+        if self._arrived & bit:
             return DUPLICATE
-        self._came |= bit
-        if self._missing & bit:  # else it precedes the first one received
+        self._arrived |= bit
+        if self._missing & bit:  # otherwise, it precedes the first received number
             self._missing &= ~bit
             self.lost -= 1
         return LATE
@@ -129,9 +125,9 @@ def _shifted(bits: int, steps: int) -> int:
 
 
 class StampTracker:
-    """Follows the time stamps of one sender; equal stamps are not duplicates."""
+    """Tracks the time stamps of one sender; equal stamps are not duplicates."""
 
-    lost = 0  # unknown from stamps
+    lost = 0  # time stamps do not show losses
 
     def __init__(self) -> None:
         self._last: float | None = None
@@ -139,7 +135,7 @@ class StampTracker:
         self._run, self._run_last = 0, 0.0
 
     def classify(self, stamp: float, arrival: float) -> int:
-        """Returns a time stamp's (s) position; `arrival` (s) shows pauses."""
+        """Returns the position of a time stamp, s, that arrived at a time, s."""
         last, paused = self._last, arrival - self._last_arrival > PAUSE
         self._last_arrival = arrival
         if last is None or stamp >= last:
@@ -155,24 +151,22 @@ class StampTracker:
 
 @dataclass
 class _Sender:
-    """The activity of a sender; its last packet arrived `at`, in seconds."""
-
-    first: int
+    first: int  # number of its first packet
     last: int
-    at: float
+    at: float  # arrival time of its last packet, s
     count: int
 
 
 class Senders:
-    """Distinguishes a sender that replaces another one from a concurrent one.
+    """Distinguishes restarted senders from concurrent senders.
 
-    A restarted program sends from another port, and its predecessor is silent from then on; packets
-    of concurrent senders alternate.
+    A restarted program sends from another port, and nothing more arrives from its previous port.
+    Packets of concurrent senders alternate.
 
     Attributes:
-        at_once: number of concurrent senders; 1 as long as none returns after another one has sent.
-        gone: addresses of the senders replaced since the last `note`.
-        begins: row of the last `note` at which another one begins to send; None for none.
+        at_once: number of concurrent senders.
+        gone: addresses of the senders that the last `note` detected as replaced.
+        begins: row of the last `note` in which a new sender follows another one; None otherwise.
     """
 
     def __init__(self) -> None:
@@ -181,29 +175,29 @@ class Senders:
         self.begins: int | None = None
         self._seen: dict[bytes, _Sender] = {}
         self._current = b""
-        self._replaced: set[bytes] = set()  # gone unless they send again
+        self._replaced: set[bytes] = set()  # until they send again
         self._packets = 0
 
     def note(self, senders: Rows, arrivals: Array) -> None:
-        """Registers the senders of a batch.
+        """Registers the senders of a batch, n >= 1.
 
         Args:
-            senders: addresses, (n, any number of bytes), n >= 1.
-            arrivals: of their packets, (n,), s.
+            senders: addresses, (n, any).
+            arrivals: arrival times of the packets, (n,), s.
         """
         self.gone, self.begins = [], None
         if (senders == senders[0]).all():
-            self._heard(senders[0].tobytes(), np.arange(len(senders)), arrivals)
+            self._register(senders[0].tobytes(), np.arange(len(senders)), arrivals)
         else:
             found, which = np.unique(senders, axis=0, return_inverse=True)
             rows = [np.flatnonzero(which.ravel() == k) for k in range(len(found))]
             for k in sorted(range(len(found)), key=lambda k: int(rows[k][0])):
-                self._heard(found[k].tobytes(), rows[k], arrivals)
+                self._register(found[k].tobytes(), rows[k], arrivals)
             self._current = senders[-1].tobytes()
         self._packets += len(senders)
         self._conclude(float(arrivals[-1]))
 
-    def _heard(self, key: bytes, rows: Ints, arrivals: Array) -> None:
+    def _register(self, key: bytes, rows: Ints, arrivals: Array) -> None:
         first, last = self._packets + int(rows[0]), self._packets + int(rows[-1])
         known, at = self._seen.get(key), float(arrivals[rows[-1]])
         if known is not None:
@@ -241,29 +235,29 @@ class Timing:
 
     Attributes:
         interval: running mean of the time between packets, s; 0 while unknown.
-        jitter: running mean of the difference of that time from the sender's time stamps (RFC 3550,
-            section 6.4.1), or, without these, from its mean, s.
-        delay: of the last packet relative to the fastest of the last 10 to 20 s, s.
+        jitter: running mean of the deviation of that time, s, from the difference of the time
+            stamps (RFC 3550, section 6.4.1). Without time stamps, the deviation from `interval`.
+        delay: delay of the last packet, s, relative to the fastest packet of the last 10 to 20 s.
     """
 
     def __init__(self) -> None:
         self.interval = self.jitter = self.delay = 0.0
         self._arrival: float | None = None
         self._stamp: float | None = None
-        self._fastest = [np.inf, np.inf]  # of this interval and the previous one
+        self._fastest = [np.inf, np.inf]  # in this window and the previous one
         self._since = 0.0
 
     def restart(self) -> None:
-        """Discards values that depend on the sender's clock, after a restart."""
+        """Discards values that depend on the sender's clock. Call this after a restart."""
         self._arrival = self._stamp = None
         self._fastest = [np.inf, np.inf]
 
     def add(self, arrivals: Array, stamps: Array | None = None) -> None:
-        """Adds packets to the statistics.
+        """Adds n >= 1 packets to the statistics.
 
         Args:
-            arrivals: (n,), n >= 1, s.
-            stamps: when they were sent, by the sender's clock, (n,), s.
+            arrivals: arrival times, (n,), s.
+            stamps: send times on the sender's clock, (n,), s; None if unknown.
         """
         if len(arrivals) == 1 and self.interval > 0.0 and self._arrival is not None:
             stamp = None if stamps is None else float(stamps[0])
@@ -291,10 +285,7 @@ class Timing:
             self._compare(float(slowness.min()), float(slowness[-1]))
 
     def _add_one(self, before: float, arrival: float, stamp: float | None) -> None:
-        """Adds a single packet, the usual case at a robot's rate.
-
-        Plain numbers: arrays of one number would take eight times as long.
-        """
+        # The usual case at a robot's rate. Arrays of one number would take eight times as long.
         between = arrival - before
         deviation, sent = between - self.interval, 0.0
         if stamp is not None:
@@ -321,10 +312,10 @@ class Timing:
 
     @property
     def fastest(self) -> float:
-        """The least time from a stamp to its arrival in the last 10 to 20 s, s; infinite: unknown.
+        """Minimum difference of arrival time and time stamp, s, in the last 10 to 20 s.
 
-        It is that by which the receiver's clock is ahead of the sender's, and how long the fastest
-        packet took.
+        This is the offset of the receiver's clock from the sender's clock, plus the transmission
+        time of the fastest packet. Infinite if unknown.
         """
         return min(self._fastest)
 
@@ -341,5 +332,5 @@ def _joined(before: float | None, values: Array) -> Array:
 def _running(mean: float, values: Array) -> float:
     if not len(values):
         return mean
-    kept = (1.0 - _WEIGHT) ** np.arange(len(values) - 1, -1, -1)
-    return float(mean * (1.0 - _WEIGHT) ** len(values) + _WEIGHT * (kept @ values))
+    weights = (1.0 - _WEIGHT) ** np.arange(len(values) - 1, -1, -1)
+    return float(mean * (1.0 - _WEIGHT) ** len(values) + _WEIGHT * (weights @ values))

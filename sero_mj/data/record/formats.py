@@ -30,14 +30,14 @@ _cached: OrderedDict[tuple[Any, ...], PacketFile] = OrderedDict()
 def open_recording(
     path: Path | str,
     topics: Mapping[str, Source] | None = None,
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> PacketFile:
     """Opens a recording; raises RecordingError if it cannot be read or no format matches.
 
     Args:
         topics: source to the receiver of its messages, for recordings of messages; by default, the
             format chooses the sources.
-        tell: function that reports notes to the user.
+        report: function that reports notes to the user.
     """
     path = Path(path)
     try:
@@ -46,7 +46,7 @@ def open_recording(
         why = error
     if not mcap_header(path)[1].startswith(LIBRARY):
         for open_format in load_all(RECORDINGS).values():
-            found: PacketFile | None = open_format(path, topics, tell)
+            found: PacketFile | None = open_format(path, topics, report)
             if found is not None:
                 return found
     raise why

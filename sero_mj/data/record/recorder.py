@@ -17,8 +17,8 @@ from .recording_writer import RecordingWriter
 
 Decode = Callable[[bytes], Mapping[str, Array] | None]
 
-SIGNALS_RATE = 20.0  # decoded packets per s and source; adds a tenth to the file size at 1 kHz
-_BURST = 0.05  # s of signals that may be written at once, because packets come in batches
+SIGNALS_RATE = 20.0  # decoded packets per second and source; adds 10 % to the file size at 1 kHz
+_BURST = 0.05  # s; packets of this time may be decoded at once, because they arrive in batches
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class RecorderStatistics:
 
     Attributes:
         packets: number of written packets of all sources. If the disk is full, up to one chunk (1
-            MiB, or 0.4 s) of these is lost; the error reports how many the file has.
-        signals: number of these packets whose decoded values were written as well.
+            MiB, or 0.4 s) is lost, and the error reports the number of packets in the file.
+        signals: number of packets whose decoded values were written as well.
         seconds: duration of the recording, s.
         not_recorded: source to the number of packets that were lost because the queue was full or
             the recording had ended.
@@ -83,7 +83,7 @@ class PacketWriter(RecordingWriter):
         self._decoders[name] = (decode, RateLimiter(self._signals_rate))
 
     def write_values(self, name: str, packet: bytes, arrival: float) -> bool:
-        """Writes the values of a packet after `write_raw`; returns false if they are left out."""
+        """Writes the values of a packet after `write_raw`; returns false if they are skipped."""
         decode, limiter = self._decoders[name]
         if not limiter.allow(arrival):
             return False
@@ -99,8 +99,8 @@ class PacketWriter(RecordingWriter):
 class Recorder(PacketWorker):
     """Records packets from any number of threads to a file, with bounded memory.
 
-    If the disk is too slow, packets are lost, and counted in `statistics` and in the file. Raises
-    RecordingError if the file exists or cannot be written.
+    If the disk is too slow, packets are lost. They are counted in `statistics` and in the file.
+    Raises RecordingError if the file exists or cannot be written.
 
     Args:
         about: description of the recording, such as `{"scene": "lwr_udp"}`.

@@ -73,13 +73,13 @@ class McapStream:
     Raises RecordingError if the file exists and `overwrite` is not set, or if it cannot be written.
 
     Attributes:
-        kept: description of the data up to the last `flush`, for the error; empty without data.
+        contents: description of the data up to the last `flush`, for the error; empty without data.
         error: error after which nothing can be written, or None.
     """
 
     def __init__(self, path: Path | str, *, overwrite: bool = False) -> None:
         self.path = Path(path)
-        self.size, self.kept = 0, ""
+        self.size, self.contents = 0, ""
         self.error: RecordingError | None = None
         self._end = 0  # end of the records in the file, where its ending begins
         self._records = bytearray()
@@ -143,8 +143,10 @@ class McapStream:
             self._put_at_end(SHORT_ENDING)
         with contextlib.suppress(OSError):
             self._file.close()
-        kept = f"it has {self.kept} in {self.size} bytes" if self.kept else "it has no packets"
-        reason = f"{_why(error)}. The recording has ended; {kept}"
+        contents = (
+            f"it has {self.contents} in {self.size} bytes" if self.contents else "it has no packets"
+        )
+        reason = f"{_why(error)}. The recording has ended; {contents}"
         self.error = RecordingError(self.path, reason)
         raise self.error from error
 
@@ -225,7 +227,7 @@ class RecordingWriter:
         """Adds channels for the packets of a source, and for their decoded values.
 
         Args:
-            declared: fields of the source, from which a replay builds its decoder; JSON types.
+            declared: fields of the source, as JSON types, from which a replay builds its decoder.
             events: event name to shape, (n,), (n, 3) or (n, 4, 4).
             size: bytes of a packet.
             signals: signals of decoded packets; their events if None.
@@ -271,7 +273,7 @@ class RecordingWriter:
         self._file.write(pack_record(record))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Adds a file, such as the scene; its name may have folders."""
+        """Adds a file, such as the scene. Its name can include folders."""
         self._writer.add_attachment(0, self.clock.epoch_ns, name, media_type, data)
         self._file.flush()
 
@@ -345,7 +347,7 @@ class RecordingWriter:
         self._writer.flush()
         self._waiting = 0
         seconds = max(self._span[1] - self._span[0], 0) / 1e9
-        self._file.kept = f"{self._count} packets over {seconds:.3f} s" if self._count else ""
+        self._file.contents = f"{self._count} packets over {seconds:.3f} s" if self._count else ""
 
     def flush_if_old(self) -> float:
         """Flushes if the oldest buffered message is older than `flush_after`.
@@ -359,7 +361,7 @@ class RecordingWriter:
         return float("inf")
 
     def close(self, *, lost: Mapping[str, int] | None = None) -> None:
-        """Completes the file; `lost` is the number of lost packets by source, for readers."""
+        """Completes the file; `lost` is the number of lost packets by source."""
         if self._file.closed:
             return
         self.flush()

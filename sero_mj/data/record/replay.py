@@ -1,4 +1,4 @@
-"""`Replay`: a recording as a source, which reproduces the received packets exactly."""
+"""`Replay`: a source that plays a recording and reproduces the received packets exactly."""
 
 from __future__ import annotations
 
@@ -12,23 +12,22 @@ from pydantic import PrivateAttr, ValidationInfo, field_validator
 
 from ...base.errors import DeclarationError, PluginError, RecordingError, did_you_mean, mismatch
 from ...base.plugins import SOURCES, load_plugin, plugins
-from ..receive.routed_joints import RoutedJoint, RoutedLinks
-from ..receive.source import Source
+from ..receive.source import RoutedJoint, RoutedLinks, Source
 from .csv_files import is_table
 from .file_source import FileSource
 from .formats import look_into, open_recording
 from .recording import PacketFile, RecordedSource
 
-_OF_FILES = ("replay", "table")  # kinds that recordings must not name, because they play files
+_FILE_KINDS = ("replay", "table")  # kinds that play files, which recordings must not declare
 
 
 class Replay(FileSource):
-    """Plays one source of a recording, through the decoder of that source.
+    """Plays one source of a recording, and decodes the packets as that source does.
 
     Attributes:
-        source: name of the recorded source; if empty, the source with the name of this one, or the
-            only source.
-        topics: topics to read from a recording of ROS, with the keys of a source of kind `ros2`
+        source: name of the recorded source; if empty, the one with the same name as this source, or
+            the only one.
+        topics: topics to read from a ROS recording, with the keys of a source of kind `ros2`
             (`joint_states`, `joints`, `commands`, `wrench`, `frames`, ...).
     """
 
@@ -36,15 +35,15 @@ class Replay(FileSource):
     topics: dict[str, Any] = {}
     source: str = ""
 
-    _structure_is: ClassVar[str] = "what the recording says"
+    _structure_is: ClassVar[str] = "declared in the recording"
 
     _of_messages: Source | None = PrivateAttr(None)
 
     @field_validator("file")
     @classmethod
-    def _file_is_a_recording(cls, file: Path) -> Path:
+    def _check_file(cls, file: Path) -> Path:
         if is_table(file):
-            raise ValueError(f'{file} is a table; expected a recording, or kind = "table"')
+            raise ValueError(f'{file} is a table; expected a recording. Set kind = "table"')
         try:
             look_into(file)
         except RecordingError as error:
@@ -53,18 +52,18 @@ class Replay(FileSource):
 
     @field_validator("topics")
     @classmethod
-    def _are_of_messages(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    def _check_topics(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         if topics and "file" in info.data:
             wanted = _message_source(info.data["file"], topics)
             if wanted is None:
-                raise ValueError("are for recordings of messages. Leave them out")
+                raise ValueError("topics are only for recordings of messages. Leave them out")
             if not look_into(info.data["file"], {"": wanted}).sources:
                 raise ValueError(f"{info.data['file']} has none of these topics")
         return topics
 
     @field_validator("source")
     @classmethod
-    def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
+    def _check_source(cls, source: str, info: ValidationInfo) -> str:
         if "file" not in info.data or "topics" not in info.data:
             return source
         topics, name = info.data["topics"], str(info.data.get("name"))
@@ -80,14 +79,14 @@ class Replay(FileSource):
 
     @field_validator("start")
     @classmethod
-    def _begins_in_the_recording(cls, start: float | None, info: ValidationInfo) -> float | None:
+    def _check_start(cls, start: float | None, info: ValidationInfo) -> float | None:
         if start is not None and "file" in info.data:
             check_start(start, look_into(info.data["file"]))
         return start
 
     @field_validator("stop")
     @classmethod
-    def _ends_after_it_begins(cls, stop: float | None, info: ValidationInfo) -> float | None:
+    def _check_stop(cls, stop: float | None, info: ValidationInfo) -> float | None:
         if stop is None or "file" not in info.data or "start" not in info.data:
             return stop
         if info.data["start"] is not None:
@@ -157,9 +156,9 @@ def _message_source(file: Path, topics: Mapping[str, Any]) -> Source | None:
 
 
 def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
-    """Returns the receiver that a recording declares, for decoding; raises RecordingError."""
+    """Returns the source that a recording declares, to decode packets; raises RecordingError."""
     kind, of = recorded.kind, f"source '{recorded.name}'"
-    kinds = [known for known in plugins(SOURCES) if known not in _OF_FILES]
+    kinds = [known for known in plugins(SOURCES) if known not in _FILE_KINDS]
     if kind not in kinds:
         raise RecordingError(file, f"{of}: no kind '{kind}'{did_you_mean(kind, kinds)}")
     try:
@@ -171,8 +170,8 @@ def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
         raise RecordingError(file, f"declaration of {of}: {wrong}") from error
     for event, shape in recorded.events.items():
         if receiver.events.get(event) != shape:
-            expected = receiver.events.get(event, "no such event")
-            reason = f"events of {of}: found {event} of shape {shape}; expected {expected}"
+            expected = receiver.events.get(event, "no event of this name")
+            reason = f"events of {of}: found {event} with shape {shape}; expected {expected}"
             raise RecordingError(file, reason)
     return receiver
 
@@ -183,6 +182,6 @@ def _first_of(recording: PacketFile) -> float:
 
 
 def check_start(start: float, recording: PacketFile) -> None:
-    """Raises ValueError if a recording ends before `start`, s."""
+    """Raises ValueError if a recording ends before the time `start`, s."""
     if not start <= recording.duration:
         raise ValueError(f"found {start:g}; the recording ends at {recording.duration:.2f} s")

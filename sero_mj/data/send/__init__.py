@@ -2,5 +2,5 @@
 
 In: a scene, a motion or a recording. Out: packets in the layout of a source, at an exact rate, by
 UDP or shared memory.
-Open first: `play.py`; `sender.py` keeps the rate.
+Open first: `play.py`; `sender.py` sends packets on time.
 """

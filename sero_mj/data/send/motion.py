@@ -16,8 +16,8 @@ from ...robots.declared.mounts import carriers
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 
-LEAD = 0.5  # s by which the commanded position leads the measured position
-_AMPLITUDE = 0.4  # share of half the joint's range
+LEAD = 0.5  # time in s by which the commanded position leads the measured position
+_AMPLITUDE = 0.4  # as a share of half the range of the joint
 _AMPLITUDE_ABOUT_POSE = 0.2  # the same for motions about a declared pose
 _BEND = 0.2  # share of half the range, so that the arm is bent in the center pose
 _MAX_SWING = 1.1  # rad
@@ -38,9 +38,9 @@ class SineMotion:
         sign = np.where(np.arange(robot.n) % 2 == 0, 1.0, -1.0)
         share = _AMPLITUDE if robot.joint_angles is None else _AMPLITUDE_ABOUT_POSE
         swing = np.minimum(share * half, _MAX_SWING)
-        self._centre = (low + high) / 2 + sign * _BEND * half
+        self._center = (low + high) / 2 + sign * _BEND * half
         if robot.joint_angles is not None:
-            self._centre = np.clip(robot.joint_angles, low + swing, high - swing)
+            self._center = np.clip(robot.joint_angles, low + swing, high - swing)
         swing *= min(max(amplitude, 0.0), 1.0)
         self._omega = 2 * np.pi / np.resize(_PERIODS, robot.n)
         self._phase = 0.7 * np.arange(robot.n)
@@ -53,7 +53,7 @@ class SineMotion:
         """Returns joint positions, velocities and accelerations, (n,), at a time, s."""
         angle = self._omega * t + self._phase
         sin, cos = np.sin(angle), np.cos(angle)
-        position = self._centre + self._swing * sin
+        position = self._center + self._swing * sin
         velocity = self._swing * self._omega * cos
         acceleration = -self._swing * self._omega**2 * sin
         if self._coupled is not None:
@@ -119,7 +119,10 @@ def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[st
         reduced: set[str] = set()
         for one, other in met:
             below, above = set(carriers(by_name, one)), set(carriers(by_name, other))
-            reduced |= (below ^ above) - {one, other} or {one, other}  # of hands that meet the arms
+            reduced |= (below ^ above) - {one, other} or {
+                one,
+                other,
+            }  # of colliding parts, only the carriers that differ
         for name in reduced:
             amplitudes[name] *= _REDUCTION
             motions[name] = SineMotion(by_name[name], amplitudes[name])

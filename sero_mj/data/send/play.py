@@ -86,7 +86,7 @@ class MotionPackets:
         self._scene = scene
         self._inputs = list_inputs(scene)
         self._routes = {route.to.target: route for route in wiring.routes}
-        # If routes require different values of an event, the first ones win.
+        # If routes require different values of an event, the first routes take precedence.
         routes.sort(key=lambda route: _importance(scene, route.to))
         self._wanted = [(route.to, route.negated) for route in routes]
         self._inverse = None if all(r.value.whole for r in routes) else RouteInverse(routes)
@@ -94,7 +94,7 @@ class MotionPackets:
         for route in routes:
             if route.value.whole is not None:
                 self._plain.setdefault(route.value.whole.key, route.to.target)
-        played = {self._robot_of(item) for item in self._asked(routes)} - {None}
+        played = {self._robot_of(item) for item in self._needed_inputs(routes)} - {None}
         self._robots: dict[str, Player] = {}
         motion = None
         if players is None and played:
@@ -105,9 +105,8 @@ class MotionPackets:
             elif players is not None and name in players:
                 self._robots[name] = players[name]
             else:
-                raise UsageError(
-                    f"nothing is known of robot '{name}'{did_you_mean(name, players or {})}"
-                )
+                near = did_you_mean(name, players or {})
+                raise UsageError(f"there are no signals of robot '{name}'{near}")
         self._is_motion = players is None
         self._model = ModelTorques(scene.robots)
 
@@ -124,7 +123,7 @@ class MotionPackets:
                     f"{route.to.target} {wanted}"
                 )
 
-    def _asked(self, routes: Sequence[Route]) -> list[Input]:
+    def _needed_inputs(self, routes: Sequence[Route]) -> list[Input]:
         todo = [route.to.target for route in routes]
         todo += [each for route in routes for each in self._origins(route)]
         seen: dict[str, Input] = {}
@@ -259,7 +258,7 @@ def _nothing_to_send(routes: Sequence[Route], source: str, structure: Structure)
         o.key: None for r in routes for o in r.value.origins if o.is_event and o.name == source
     }
     if not taken:
-        return f"no route leads from '{source}': there is nothing to send"
+        return f"no route uses source '{source}', so there is nothing to send"
     return (
         f"structure '{structure.text}' has {', '.join(structure.events)}; the routes from "
         f"'{source}' take {', '.join(taken)}: there is nothing to send"
@@ -290,8 +289,8 @@ class RouteInverse:
                         known[number] = width
                         width += 1
         rows = np.concatenate([self._rows(route, width) for route in routes])
-        self._kept = _independent(rows)
-        self._inverse = np.linalg.pinv(rows[self._kept])
+        self._selected = _independent(rows)
+        self._inverse = np.linalg.pinv(rows[self._selected])
         # For each origin: indices of its numbers, and their places in the solution.
         self._taken = {
             origin: (np.array(list(columns), np.intp), np.array(list(columns.values()), np.intp))
@@ -327,7 +326,7 @@ class RouteInverse:
             return np.zeros(max(self._columns[origin], default=0) + 1)
 
         rests = [wanted[r.to.target] - r.value.evaluate(known) for r in self._routes]
-        solution = self._inverse @ np.concatenate(rests)[self._kept]
+        solution = self._inverse @ np.concatenate(rests)[self._selected]
 
         def numbers(origin: Origin, count: int) -> Array:
             found = np.zeros(count)
@@ -341,12 +340,12 @@ class RouteInverse:
 
 def _independent(rows: Array) -> list[int]:
     basis = np.empty((0, rows.shape[1]))
-    kept = []
+    selected = []
     for i, row in enumerate(rows):
         size = np.linalg.norm(row)
         rest = row - basis.T @ (basis @ row)
         rest -= basis.T @ (basis @ rest)  # repeated, to remove rounding errors
         if size > 0 and np.linalg.norm(rest) > _RANK_TOLERANCE * size:
             basis = np.vstack([basis, rest / np.linalg.norm(rest)])
-            kept.append(i)
-    return kept
+            selected.append(i)
+    return selected

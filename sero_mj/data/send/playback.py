@@ -20,13 +20,14 @@ from ..record.replay import Replay
 
 @dataclass
 class Playback(ABC):
-    """Packets to be sent.
+    """Packets to send.
 
     Attributes:
         count: maximum number of packets.
-        duration: from the first to the last, s.
-        skipped: how many could not be sent so far: malformed ones, and such whose numbers the
-            structure cannot hold.
+        duration: time from the first to the last packet, s.
+        skipped: number of packets so far that were malformed, or had numbers out of the range of
+            their type in the structure.
+        notes: warnings for the user.
     """
 
     structure: Structure
@@ -38,12 +39,12 @@ class Playback(ABC):
 
     @abstractmethod
     def packets(self) -> Iterator[tuple[float, bytes]]:
-        """When each packet is due, s after the first, and its bytes."""
+        """Yields the send time of each packet, s after the first, and its bytes."""
 
     def _encode(self, values: Mapping[str, ArrayLike]) -> bytes | None:
         try:
             return self.structure.encode({**_identities(self.structure), **values})
-        except ValueError:  # a number that its type cannot hold
+        except ValueError:  # a number is out of the range of its type
             self.skipped += 1
             return None
 
@@ -65,17 +66,15 @@ class Playback(ABC):
 
 
 class RecordedPackets(Playback):
-    """One source of a recording: bit for bit, or in another structure.
+    """The packets of one source of a recording, unchanged or converted to another structure.
+
+    Raises RecordingError, or UsageError if the source or all events of the structure are missing.
 
     Args:
-        source: which of its sources; may be empty where it has one only.
-        structure: to send in; events keep their names, and those that the recording has not are
-            zero, frames the identity. None for what was recorded.
-        only_whole: leaves out recorded packets that are not as long as the structure says.
-
-    Raises:
-        RecordingError: the file cannot be read.
-        UsageError: no such source, or no event of the structure is in the recording.
+        source: name of the recorded source; may be empty if there is only one.
+        structure: structure of the sent packets; None for the recorded packets. Events that are not
+            in the recording are zero, or identity matrices.
+        only_whole: skip recorded packets of a wrong size.
     """
 
     def __init__(
@@ -93,12 +92,12 @@ class RecordedPackets(Playback):
         self._replay = Replay(file=file, source=name)
         recorded = self._replay.recorded
         if not recorded.count:
-            raise RecordingError(file, f"has no packet of '{name}'")
+            raise RecordingError(file, f"has no packets of '{name}'")
         layout = structure or self._replay.layout
         self.is_raw = _is_same(layout, self._replay.layout)
         events = self._replay.events
         self._events = [] if self.is_raw else _common(layout, events, f"'{name}' in {file}")
-        how = "bit for bit" if self.is_raw else f"its {', '.join(self._events)}"
+        how = "bit for bit" if self.is_raw else f"events {', '.join(self._events)}"
         about = f"{file}, source {name}, {how}"
         super().__init__(layout, about, recorded.count, recorded.last - recorded.first)
         self._note(recording.faults)
@@ -131,13 +130,13 @@ class RecordedPackets(Playback):
 def timed(
     playback: Playback, *, speed: float = 1.0, loop: bool = False, duration: float | None = None
 ) -> Iterator[tuple[float, bytes]]:
-    """Packets at another speed, in a loop, or for a limited time.
+    """Yields packets at another speed, in a loop, or for a limited time.
 
     Each repetition begins one average interval after the end of the previous one.
 
     Args:
-        speed: 2 is twice as fast.
-        duration: s, after which nothing is due.
+        speed: factor of the speed; 2 is twice as fast.
+        duration: time limit in s; None for no limit.
     """
     pause = playback.duration / max(playback.count - 1, 1) or 1e-3
     end = math.inf if duration is None else duration
@@ -171,7 +170,7 @@ def _common(to: Structure, events: Mapping[str, tuple[int, ...]], of: str) -> li
     common = [event for event in to.events if event in events]
     if not common:
         has, wanted = ", ".join(events), ", ".join(to.events)
-        raise UsageError(f"{of} has {has}; '{to.text}' has {wanted}: nothing to send")
+        raise UsageError(f"{of} has the events {has}; '{to.text}' has {wanted}. None are common")
     for event in common:
         if to.events[event] != events[event]:
             found, expected = (" x ".join(map(str, each[event])) for each in (events, to.events))

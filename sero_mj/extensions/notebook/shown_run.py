@@ -93,7 +93,7 @@ def _are_equal(one: CapturedFrame, other: CapturedFrame) -> bool:
         and same(one.stale, other.stale)
         and all(same(each, other.values[key]) for key, each in one.values.items())
         and same(one.soft.vertices, other.soft.vertices)
-        and one.cards == other.cards
+        and one.arrow_texts == other.arrow_texts
         and one.note == other.note
         and one.legend == other.legend
     )

@@ -256,7 +256,7 @@ def _values(stream: Stream, layout: Structure | None) -> str:
     if layout is None:
         return ""
     if stream.size != layout.size:
-        hint = layout.for_size(stream.size)
+        hint = layout.explain_size(stream.size)
         return f"{stream.size} bytes; '{layout.text}' has {layout.size}{hint and f'; {hint}'}"
     row = stream.rows[-1:]
     if wrong := layout.describe_wrong_constant(row) or layout.describe_wrong_checksum(row):

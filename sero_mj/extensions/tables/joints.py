@@ -25,13 +25,13 @@ _BY_OPTION = '--columns "SIGNAL=COLUMNS"'
 def robots_in(
     table: Table, robots: Mapping[str, SerialRobot], columns: Columns
 ) -> dict[str, dict[str, Array]]:
-    """Returns the signals of the joints of robots, by robot, in a table; raises CsvError.
+    """Returns the joint signals, (T, n), of each robot with joint angles in a table.
+
+    Raises CsvError or UsageError.
 
     Args:
-        columns: signal of the only robot, or `ROBOT.SIGNAL`, to its columns; see `signals_of`.
-
-    Returns:
-        for each robot with joint angles its signals, (T, n).
+        columns: declared columns as in `signals_of`. Keys are `ROBOT.SIGNAL`, or only the signal if
+            there is one robot.
     """
     found = {}
     for name, robot in robots.items():
@@ -69,14 +69,14 @@ def move_by_table(
     start: float | None = None,
     source: str | None = None,
 ) -> None:
-    """Replaces the sources of a scene by a table; raises CsvError.
+    """Replaces sources of a scene by a table; raises CsvError or UsageError.
 
-    If columns are called like the numbers of a source's packets, the table replaces that source.
-    Otherwise it has signals of the robots' joints, which replace all sources.
+    If columns have the names of numbers in a source's packets, the table replaces that source.
+    Otherwise, it must have joint signals of the robots, which replace all sources.
 
     Args:
-        columns: see `robots_in`.
-        start: where to begin, s after the first row.
+        columns: declared columns; see `robots_in`.
+        start: start time, s after the first row.
     """
     table = read_cached(file, columns)
     declared: dict[str, Any] = {"kind": "table", "file": str(file)}
@@ -88,14 +88,14 @@ def move_by_table(
             times = {TIME: columns[TIME]} if TIME in columns else {}
             scene.sources[name] = {**declared, **packets, "columns": times}
             return
-    led = robots_in(table, scene.robots, columns)
-    gone = tuple(f"{name}." for name in scene.sources)
+    moved = robots_in(table, scene.robots, columns)
+    removed = tuple(f"{name}." for name in scene.sources)
     inputs = list_inputs(scene)
-    routes = {to: of for to, of in scene.routes.items() if not any(n in str(of) for n in gone)}
+    routes = {to: of for to, of in scene.routes.items() if not any(n in str(of) for n in removed)}
     scene.sources, scene.robots = {}, dict(scene.robots)
     times = {TIME: columns[TIME]} if TIME in columns else {}
-    for name, signals in led.items():
-        table_name = SOURCE if len(led) == 1 else f"{SOURCE}_{name.replace('-', '_')}"
+    for name, signals in moved.items():
+        table_name = SOURCE if len(moved) == 1 else f"{SOURCE}_{name.replace('-', '_')}"
         own = {**_columns_of(name, scene.robots, columns), **times}
         scene.sources[table_name] = {**declared, "robot": name, "columns": own}
         for signal in signals:
@@ -113,7 +113,7 @@ def move_by_table(
 
 def _packets_in(table: Table, scene: Scene, name: str) -> dict[str, Any]:
     events: Mapping[str, tuple[int, ...]] = {}
-    with suppress(SeroError):  # a source that is declared wrongly is reported where it is used
+    with suppress(SeroError):  # invalid declarations are reported elsewhere
         source = wired_source(scene, name, scene.sources[name])
         events = source.events
     if not has_numbers(table, events):
@@ -121,8 +121,9 @@ def _packets_in(table: Table, scene: Scene, name: str) -> dict[str, Any]:
     if source.structure:
         return {key: getattr(source, key) for key in _PACKETS}
     letters = {1: "d", 2: "Vd", 3: "Md"}
-    there = {
-        event: shape for event, shape in source.events.items() if has_numbers(table, {event: shape})
-    }
-    text = " ".join(f"{event}:{shape[0]}{letters[len(shape)]}" for event, shape in there.items())
-    return {"structure": text}
+    items = [
+        f"{event}:{shape[0]}{letters[len(shape)]}"
+        for event, shape in events.items()
+        if has_numbers(table, {event: shape})
+    ]
+    return {"structure": " ".join(items)}

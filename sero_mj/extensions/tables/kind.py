@@ -1,4 +1,4 @@
-"""`TableReader`: reads tables for the commands of `sero-mj`."""
+"""`TableReader`: reads tables for `sero-mj` commands."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .table import read_cached, read_csv, read_table
 
 
 class TableReader(Tables):
-    """Shows, compares, simulates and sends tables."""
+    """The commands' access to tables."""
 
     def move_scene(
         self, scene: Scene, file: Path, columns: Columns, start: float | None, source: str | None
@@ -39,10 +39,11 @@ class TableReader(Tables):
             table = read_table(file)
             found = robots_in(table, {robot.name: robot}, {})[robot.name]
             return table.times, found["joint_angles"]
-        except CsvError:  # no column is recognized: all columns are joint angles
+        except CsvError:  # if no column is recognized, all columns are joint angles
             times, columns = read_csv(file)
         if len(columns) != robot.n:
-            reason = f"found {len(columns)} columns beside time; expected {robot.n}, one per joint"
+            expected = f"expected {robot.n}, one for each joint"
+            reason = f"found {len(columns)} columns in addition to time; {expected}"
             raise CsvError(file, reason)
         return times, np.stack(list(columns.values()), axis=1)
 
@@ -67,6 +68,6 @@ class TableReader(Tables):
                 raise
             count = len(column_names(structure.events))
             if len(table.columns) != count:
-                others = f"or the {count} numbers of '{structure.text}' in order"
+                others = f"or the {count} numbers of packets '{structure.text}', in order"
                 raise CsvError(file, f"{error.reason}; {others}") from None
         return TablePackets(file, structure, rate)

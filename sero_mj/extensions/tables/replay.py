@@ -1,4 +1,4 @@
-"""`TableReplay`: a table of numbers as a source, whose rows are packets."""
+"""`TableReplay`: a source that plays a table of numbers, with a packet for each row."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from ...base.errors import CsvError, Problem, UnknownName, did_you_mean, mismatch
 from ...base.frames import Array
-from ...data.receive.routed_joints import RoutedJoint
-from ...data.receive.source import Source
+from ...data.receive.source import RoutedJoint, Source
 from ...data.receive.structure import Structure
 from ...data.receive.udp import UdpReceiver
 from ...data.record.csv_files import TIME, column_names
@@ -24,17 +23,17 @@ from .signals import signals_of, wrong_columns
 from .table import Table, read_cached
 
 SOURCE = "table"
-_LAST_DATE = 2.5e11  # s, the end of the last year that `datetime` has
+_LAST_DATE = 2.5e11  # s, in the last year that `datetime` supports
 _EPOCH = datetime.fromtimestamp(0.0, UTC)
 
 
 class TableFile(PacketFile):
-    """The rows of a table as packets. Times are s since its first row.
+    """The rows of a table as packets. Times are relative to the first row.
 
     Args:
-        events: the numbers of its rows by event, (T, ...) in the events' shapes; they may be fewer
-            than those of the structure.
-        declared: how packets are decoded, as fields of a source of kind `udp`.
+        events: event name to its values, (T, ...). Other events of the structure are zero, or
+            identity matrices.
+        declared: fields of a source of kind `udp` that decodes the packets.
     """
 
     def __init__(
@@ -45,7 +44,7 @@ class TableFile(PacketFile):
         declared: Mapping[str, Any],
     ) -> None:
         self.path, self.about, self.lost, self.faults = table.path, {}, {}, []
-        first = float(table.times[0])  # s since 1970, or since the robot was started
+        first = float(table.times[0])  # s since 1970, or since another time
         self.start = datetime.fromtimestamp(first, UTC) if 0 <= first < _LAST_DATE else _EPOCH
         self._times = table.times - first
         self.duration = float(self._times[-1])
@@ -93,46 +92,42 @@ class TableFile(PacketFile):
         raise UnknownName("file", name, [])
 
     def close(self) -> None:
-        """Does nothing: all rows have been read."""
+        pass  # the table is already closed
 
 
 def has_numbers(table: Table, events: Mapping[str, tuple[int, ...]]) -> bool:
-    """Whether any column is called like a number of an event: `joints[0]`."""
+    """Returns whether any column has the name of a number of an event, such as `joints[0]`."""
     return not set(table.columns).isdisjoint(column_names(events))
 
 
 def events_of(table: Table, structure: Structure) -> dict[str, Array]:
-    """Returns the events of packets that are in a table; raises CsvError.
+    """Returns the values, (T, ...), of the events of packets in a table; raises CsvError.
 
-    Columns are called like the numbers of the packet, as `export` writes them: `joints[0]`. A
-    table without names, or with others, has all numbers of the packet, in order. Events may be left
-    out as a whole.
-
-    Returns:
-        event to its values, (T, ...) in the event's shape.
+    Columns have the names that `export` writes, such as `joints[0]`. All columns of an event may be
+    missing. If no column has such a name, the table must have all numbers of the packets, in order.
     """
     names, columns = column_names(structure.events), [*table.columns]
     places = dict(zip(columns, columns, strict=True))
     if not has_numbers(table, structure.events):
         if len(columns) != len(names):
-            has = f"found {len(columns)} columns beside time: {', '.join(columns[:4])}, ..."
+            few = ", ".join(columns[:4])
+            has = f"found {len(columns)} columns in addition to time: {few}, ..."
             wanted = ", ".join(names[:3])
             reason = f"{has}; expected {len(names)} for '{structure.text}', or {wanted}, ..."
             raise CsvError(table.path, reason)
         places = dict(zip(names, columns, strict=True))
     for name in places:
         if name not in names:
-            near = did_you_mean(name, names)
-            reason = f"'{structure.text}' has no such number{near}"
+            reason = f"not a number of '{structure.text}'{did_you_mean(name, names)}"
             raise CsvError(table.path, reason, column=name)
     found: dict[str, Array] = {}
     for event, shape in structure.events.items():
         own = column_names({event: shape})
         missing = [name for name in own if name not in places]
-        if 0 < len(missing) < len(own):  # the others would be invented
+        if 0 < len(missing) < len(own):
             few = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
             has = f"has {len(own) - len(missing)} of the {len(own)} numbers of {event}"
-            raise CsvError(table.path, f"{has}; no column is called {few}")
+            raise CsvError(table.path, f"{has}; missing columns: {few}")
         if not missing:
             numbers = np.stack([table.column(places[name]) for name in own], axis=1)
             found[event] = numbers.reshape(-1, *shape)
@@ -143,19 +138,17 @@ _PACKETS = ("structure", "is_double", "column_major", "alignment", "scale")
 
 
 class TableReplay(FileSource):
-    """Plays a table of numbers: text whose cells are separated by commas, semicolons, tabs, blanks.
+    """Plays a table of numbers; see `read_table` for its format.
 
-    Its events are the signals of a robot's joints (`joint_angles`, `torques`, ...), whose columns
-    are recognised or declared; or, with a structure, those of packets.
+    Its events are joint signals of a robot (`joint_angles`, `torques`, ...), in columns that are
+    recognized or declared. If `structure` is set, they are the events of packets.
 
     Attributes:
-        file: the table.
-        columns: signal to its columns: `"q_*"`, a list of names, or `time = "stamp"`. A unit in
-            brackets behind the signal, `"joint_angles [deg]"`, is that of the numbers.
-        robot: name that the columns' names may begin with.
-        structure: packets with the numbers that columns are called like, as `export` writes
-            them.
-        rate: rows per s, for a table without times.
+        columns: signal to the names of its columns: a pattern such as `"q_*"`, a list, or
+            `time = "stamp"`. A unit can follow the signal in brackets: `"joint_angles [deg]"`.
+        robot: name of the robot with which names of columns can begin.
+        structure: structure of packets whose numbers are in the table; `export` writes such tables.
+        rate: rows per second, for a table without a time column.
     """
 
     name: str = "table"
@@ -164,26 +157,26 @@ class TableReplay(FileSource):
     rate: float | None = Field(None, gt=0, le=1e6)
 
     _structure_is: ClassVar[str] = ""
-    _joints: list[str] = PrivateAttr(default_factory=list)  # of the robot that it leads
+    _joints: list[str] = PrivateAttr(default_factory=list)  # of the robot that the table moves
 
     @field_validator("structure")
     @classmethod
-    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
-        return super()._structure_parses(text, info) if text else text
+    def _check_structure(cls, text: str, info: ValidationInfo) -> str:
+        return super()._check_structure(text, info) if text else text
 
     @model_validator(mode="after")
-    def _is_a_table(self) -> Self:
+    def _check_table(self) -> Self:
         try:
             table = self._table
         except CsvError as error:
             raise Problem("file", str(error)).error() from None
         if self.structure and self.columns.keys() - {TIME}:
-            raise ValueError("structure and columns: expected one of them")
+            raise ValueError("structure and columns exclude each other. Leave out one of them")
         begin, end = self.start or 0.0, float(table.times[-1] - table.times[0])
         if begin > end:
-            raise mismatch(begin, f"at most {end:g}, where it ends", key="start")
+            raise mismatch(begin, f"at most {end:g} s, the end of the table", key="start")
         if self.stop is not None and not begin < self.stop:
-            raise mismatch(self.stop, f"more than {begin:g}, in s", key="stop")
+            raise mismatch(self.stop, f"more than {begin:g} s, the start", key="stop")
         return self
 
     @property
@@ -229,6 +222,5 @@ class TableReplay(FileSource):
         return self.start or 0.0
 
     def open_recording(self) -> PacketFile:
-        """Opens the table as if it were a recording of its rows; raises CsvError."""
         declared = self.original.decoding_fields()
         return TableFile(self._table, self._events_of_rows, self.layout, declared)

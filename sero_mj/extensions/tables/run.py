@@ -30,7 +30,7 @@ from .table import Table, read_cached
 
 _COLUMN = re.compile(r"(\w+)\[(.+)\]")
 _SHOWN = 4  # columns in an error
-_LOGGED = {"commanded_angles": "target_angles"}  # signals that have another name in runs
+_LOGGED = {"commanded_angles": "target_angles"}  # signal to its name in runs, if it differs
 
 
 def read_run_table(
@@ -39,20 +39,16 @@ def read_run_table(
     source: str | None = None,
     columns: Columns = MappingProxyType({}),
 ) -> RunLog:
-    """Reads a table of a simulation (`simulate --csv`), of packets (`export`), or of joints.
+    """Reads a table of a simulation (`simulate --csv`), of packets (`export`), or of joint signals.
+
+    Returns the same as `read_run`; raises CsvError or UsageError.
 
     Args:
-        scene: the robots, and the routes that lead from packets to them: a table says neither.
-        source: in the scene, whose packets they are; the only one with such columns when None.
-        columns: which columns are which signals of the robots; see `robots_in`. Times then count
-            from the first row.
-
-    Returns:
-        as of `read_run`.
-
-    Raises:
-        CsvError: it cannot be read, or its columns are neither.
-        UsageError: no such source, or there are several and one has to be chosen.
+        scene: scene with the robots, and with routes from packets to them.
+        source: source in the scene whose packets are in the table; None for the only source with
+            such columns.
+        columns: declared columns of joint signals; see `robots_in`. If declared, times are relative
+            to the first row.
     """
     path = Path(path)
     if source is not None and source not in scene.sources:
@@ -72,7 +68,7 @@ def read_run_table(
     if len(possible) > 1:
         first, *_ = possible
         found = ", ".join(possible)
-        raise UsageError(f"{path} may be of {found}; choose one with --source {first}")
+        raise UsageError(f"{path} fits the sources {found}. Choose one with --source {first}")
     if not possible:
         return _run_of_joints(table, scene, columns, _expected_columns(table, scene, wanted))
     ((name, events),) = possible.items()
@@ -84,23 +80,23 @@ def read_run_table(
 
 
 def _run_of_joints(table: Table, scene: Scene, columns: Columns, expected: str) -> RunLog:
-    """The run in a table of joints; `expected` is what else would be missing, if anything."""
     try:
-        led = robots_in(table, scene.robots, columns)
+        moved = robots_in(table, scene.robots, columns)
     except CsvError as error:
         if columns or not expected:
             raise
         raise CsvError(table.path, f"{expected}; {error.reason}") from None
     is_declared = any(key.rpartition(".")[2].startswith("torques") for key in columns)
-    for each in led.values():  # commanded torques, which are shown like measured ones, are none
+    # `signals_of` returns commanded torques also as `torques`; a run must not have these.
+    for each in moved.values():
         torques, commanded = each.get("torques"), each.get("commanded_torques")
         if commanded is None or torques is None or is_declared:
             continue
         if np.array_equal(torques, commanded, equal_nan=True):
             del each["torques"]
-    robots = {name: scene.robots[name] for name in led}
+    robots = {name: scene.robots[name] for name in moved}
     signals = {event_of(name, _LOGGED.get(signal, signal)): values
-               for name, each in led.items() for signal, values in each.items()}  # fmt: skip
+               for name, each in moved.items() for signal, values in each.items()}  # fmt: skip
     times = table.times - table.times[0]
     run = RunLog(robots, with_velocities(robots, signals, times), times, table.path.stem)
     warn_of_degrees(table.path, run)
@@ -108,32 +104,32 @@ def _run_of_joints(table: Table, scene: Scene, columns: Columns, expected: str) 
 
 
 def _expected_columns(table: Table, scene: Scene, sources: Mapping[str, Source]) -> str:
-    """Which columns of a source's packets are missing; empty where no source was meant."""
+    # The missing columns of a source of which at least half of the columns exist.
     for name, source in sources.items():
         names = column_names(source.events)
         missing = [each for each in names if each not in table.columns]
         if len(missing) < len(names) / 2:
             more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
-            return f"has no column {', '.join(missing[:_SHOWN])}{more}, of source '{name}'"
+            return f"has no columns {', '.join(missing[:_SHOWN])}{more} of source '{name}'"
     return ""
 
 
 def run_of_columns(
     path: Path, times: Array, columns: Mapping[str, Array], robots: Mapping[str, SerialRobot]
 ) -> RunLog | None:
-    """The run in a table with `ROBOT_SIGNAL[JOINT]`, as `lwr_torques[0]`; None where there is none.
+    """Returns the run in columns such as `lwr_torques[0]`; None if there are no such columns.
 
-    A joint is a number, counted from 0, or its name. Signals of a table with the names of joints,
-    as `export` writes it of messages of ROS, need no robot before them: `torques[elbow]`.
+    Joints are names, or numbers from 0. Columns with joint names need no robot name
+    (`torques[elbow]`); `export` writes such tables for ROS messages.
 
     Args:
-        times: (T,), s; those of the simulation, `time[0]`, count where a recording of one was
-            exported.
+        times: times of the rows, (T,), s. The column `time[0]`, the simulation time in exported
+            recordings of simulations, takes precedence.
         columns: name to values, (T,).
-        robots: by name; a table does not say what they are. Those without a column are left out.
+        robots: robots by name.
 
     Returns:
-        every signal that has a column for each joint; other columns are left out.
+        signals that have a column for each joint, of the robots that have any.
     """
     found: dict[str, dict[str, Array]] = {}
     for name, values in columns.items():
@@ -161,12 +157,7 @@ def run_of_columns(
 
 
 def _labels(robot: SerialRobot, labels: Collection[str], *, numbered: bool) -> list[str]:
-    """Returns the labels of a robot's joints, n, among those of an event; empty without them all.
-
-    Args:
-        labels: in brackets, names or numbers.
-        numbered: whether they may be numbers.
-    """
+    # The labels of all joints of a robot, in order, or [] if any is missing.
     prefix = prefix_before(robot.names, [*labels])
     named, numbers = [prefix + name for name in robot.names], [*map(str, range(robot.n))]
     if set(labels).issuperset(named):
@@ -177,7 +168,7 @@ def _labels(robot: SerialRobot, labels: Collection[str], *, numbered: bool) -> l
 def columns_of_events(
     columns: Mapping[str, Array], events: Mapping[str, tuple[int, ...]]
 ) -> dict[str, Array]:
-    """A source's events in a table, (T, count) each; nothing where one has no columns."""
+    """Returns a source's events in a table, (T, count); {} if a column of any event is missing."""
     names = {event: column_names({event: shape}) for event, shape in events.items()}
     if not all(name in columns for each in names.values() for name in each):
         return {}

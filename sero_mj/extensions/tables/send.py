@@ -19,14 +19,10 @@ from .table import Table, read_table
 
 
 class TablePackets(Playback):
-    """The rows of a table of comma-separated values; raises CsvError.
-
-    Columns are called like the numbers of the packet, as `export` writes them: `joints[0]`. A
-    table without names, or with others, has all numbers of the packet, in order. Events may be left
-    out as a whole.
+    """The rows of a table with the numbers of packets; see `events_of`. Raises CsvError.
 
     Args:
-        rate: rows per s, instead of a column `time`.
+        rate: rows per second; replaces the time column.
     """
 
     def __init__(self, file: Path, structure: Structure, rate: float | None = None) -> None:
@@ -45,17 +41,17 @@ class TablePackets(Playback):
 
 
 class JointRows(Playback):
-    """The rows of a table with the signals of robots' joints, packed by a scene's routes.
+    """The rows of a table with joint signals, converted to packets by inverting a scene's routes.
 
     Args:
-        columns: which columns are which signals; see `robots_in`.
-        source: of the packets; the scene's only one when None.
-        structure: instead of the source's.
+        columns: declared columns; see `robots_in`.
+        source: source whose packets are created; None for the only source of the scene.
+        structure: structure that replaces the declared one of the source.
 
     Raises:
-        CsvError: no robot has columns, or one is missing or has text.
-        DeclarationError: the scene's sources or routes are wrong.
-        UsageError: nothing is routed from the source.
+        CsvError: no robot has columns, or a column is missing or has text.
+        DeclarationError: the scene's sources or routes are invalid.
+        UsageError: no route uses the source.
     """
 
     def __init__(
@@ -66,11 +62,11 @@ class JointRows(Playback):
         source: str | None = None,
         structure: str | None = None,
     ) -> None:
-        led = robots_in(table, scene.robots, columns)
+        moved = robots_in(table, scene.robots, columns)
         self._times = table.times - table.times[0]
-        players = {name: _RowPlayer(self._times, signals) for name, signals in led.items()}
+        players = {name: _RowPlayer(self._times, signals) for name, signals in moved.items()}
         self._packets = MotionPackets(scene, source, structure, players=players)
-        about = "; ".join(f"{name}: {', '.join(signals)}" for name, signals in led.items())
+        about = "; ".join(f"{name}: {', '.join(signals)}" for name, signals in moved.items())
         count, duration = len(self._times), float(self._times[-1])
         super().__init__(self._packets.structure, f"{table.path}, {about}", count, duration)
 
@@ -78,15 +74,13 @@ class JointRows(Playback):
         for time in self._times.tolist():
             try:
                 packet = self._packets.at(time)
-            except ValueError:  # a number that its type cannot hold
+            except ValueError:  # a number is out of the range of its type
                 self.skipped += 1
                 continue
             yield time, packet
 
 
 class _RowPlayer:
-    """Gives the signals (T, n) in the row of a time; zeros for missing ones."""
-
     def __init__(self, times: Array, signals: Mapping[str, Array]) -> None:
         angles = signals["joint_angles"]
         self._times = times

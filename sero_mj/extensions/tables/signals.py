@@ -1,7 +1,7 @@
-"""Which columns of a table are the angles, torques and other signals of a robot's joints.
+"""Finds the columns of a table that are signals of a robot's joints.
 
-Columns are recognised by the names that libraries of robots and ROS give them, by the names of the
-joints, and by their units; or they are declared, as `joint_angles = "A* [rad]"`.
+Columns are recognized by common names of robot libraries and ROS, by joint names, and by units.
+They can also be declared: `joint_angles = "A* [rad]"`.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from ...data.record.csv_files import TIME, Columns
 from ...simulate.runs.tables import ColumnNames
 from .table import Table, split_unit
 
-# Names of columns, in lower case and without number, joint and unit, by the signal that they are,
-# first those that are preferred. `position`, `effort`: ROS.
+# Signal to names of its columns, in lower case, without number, joint name and unit. The first name
+# takes precedence. `position` and `effort` are from ROS.
 _NAMES: Mapping[str, tuple[str, ...]] = {
     "joint_angles": (
         "joint_angles", "joint_angle", "angles", "angle", "q", "joint_positions", "joint_position",
@@ -51,7 +51,7 @@ _FACTORS = {
     "deg/s": np.pi / 180.0, "°/s": np.pi / 180.0, "m/s": 1.0, "mm/s": 1e-3, "Nm": 1.0, "mNm": 1e-3,
     "N": 1.0,
 }  # fmt: skip
-# Units that tell the signal of the only columns that have them.
+# Units that identify a signal if only one group of columns has them.
 _BY_UNIT = {
     "joint_angles": ("rad", "deg", "°", "degree", "degrees"),
     "joint_velocities": ("rad/s", "deg/s", "°/s"),
@@ -79,11 +79,7 @@ def _known_names() -> ColumnNames:
 
 @dataclass(frozen=True)
 class Selection:
-    """The columns of a signal.
-
-    Attributes:
-        factor: from their numbers to SI units and our signs.
-    """
+    """The columns of a signal, and the factor to SI units and our sign convention."""
 
     names: tuple[str, ...]
     factor: float = 1.0
@@ -91,7 +87,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns that differ by a number or by the name of a joint, `*` in their pattern."""
+    """Columns whose names differ only by a number or a joint name, `*` in the pattern."""
 
     stem: str
     unit: str
@@ -110,16 +106,16 @@ def signals_of(
     """Returns the signals of a robot's joints in a table; raises CsvError or DeclarationError.
 
     Args:
-        table: of one robot, or of several with their names in those of the columns.
-        joints: the robot's names of its joints; when empty, columns are not found by these.
-        columns: signal, with a unit in brackets where columns have none, to its columns: their
-            names, or one with `*` for a number or name of a joint. Signals that are not in it are
-            recognised.
-        counts: numbers of columns that a signal can have; any when empty.
+        table: table of one robot, or of several robots whose names precede the column names.
+        joints: joint names of the robot; empty to ignore joint names.
+        columns: declared columns. Keys are signals, with a unit in brackets if the columns have
+            none. Values are names of columns, or a pattern in which `*` is a number or joint name.
+            Other signals are recognized.
+        counts: allowed numbers of columns of a signal; empty for any.
 
     Returns:
-        `joint_angles`, `torques`, ... to values, (T, number of columns), SI units and our signs. If
-        torques were not measured, those commanded are `torques` as well.
+        `joint_angles`, `torques`, ... to values (T, number of columns), in SI units and our sign
+        convention. If the table has no measured torques, `torques` are the commanded torques.
     """
     names = [*table.columns]
     chosen = _recognised(names, joints, robot, counts) | _declared(table, columns or {})
@@ -134,15 +130,16 @@ def signals_of(
 
 @lru_cache(16)  # a table is read several times: for its scene, its routes and its packets
 def _warn_of_commanded(path: Path, column: str) -> None:
-    log.warning("%s has no measured torques: showing the commanded ones (%s, ...)", path, column)
+    text = "%s has no measured torques. The commanded torques are shown instead (%s, ...)"
+    log.warning(text, path, column)
 
 
 def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
-    """The error for a table without columns of joint angles, or with another number of them.
+    """Returns the error for a table in which no columns, or too few or many, are joint angles.
 
     Args:
-        count: joints of the robot; 0 where it is not known.
-        how: how columns are declared, with SIGNAL=COLUMNS or the like for what.
+        count: number of the robot's joints; 0 if unknown.
+        how: option that declares columns, such as `--columns "SIGNAL=COLUMNS"`.
     """
     names = [*table.columns]
     expected = f"{count} columns with joint angles" if count else "columns with joint angles"
@@ -156,7 +153,7 @@ def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
     pattern = groups[0].pattern if groups else "NAME,NAME,..."
     example = how.replace("SIGNAL", "joint_angles").replace("COLUMNS", pattern)
     reason = f"found the columns {', '.join(names[:_MANY])}{more}; expected {expected}"
-    return CsvError(table.path, f"{reason}, as {example} tells" if example else reason)
+    return CsvError(table.path, f"{reason}. Declare them with {example}" if example else reason)
 
 
 def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
@@ -166,11 +163,11 @@ def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
             continue
         match = _SIGNAL.fullmatch(key)
         if match is None:
-            expected = "a signal, with or without a unit: joint_angles [deg]"
+            expected = "a signal with an optional unit, such as joint_angles [deg]"
             raise mismatch(key, expected, key="columns")
         signal, unit = match[1], match[2] or ""
         if signal == TIME:
-            expected = "time without a unit, which the name of its column has: time = 'Zeit [ms]'"
+            expected = "time without a unit, as in time = 'Zeit [ms]'"
             raise mismatch(key, expected, key="columns")
         if unit and unit not in _FACTORS:
             of = f"in {key}"
@@ -191,7 +188,7 @@ def _matching(table: Table, pattern: str) -> list[str]:
     found = {name: match[1] for name in table.columns if (match := regex.fullmatch(name))}
     if not found:
         near = did_you_mean(pattern, table.columns)
-        raise CsvError(table.path, f"no column is called like '{pattern}'{near}")
+        raise CsvError(table.path, f"no column matches '{pattern}'{near}")
     numbered = all(each.isdecimal() for each in found.values())
     return sorted(found, key=lambda name: int(found[name])) if numbered else [*found]
 
@@ -221,7 +218,7 @@ def _recognised(
 
 
 def _groups(names: Sequence[str], joints: Sequence[str], robot: str) -> list[_Group]:
-    """Columns by what their names have in common, in the order of joints or of their numbers."""
+    # The columns of each group are in the order of the joints, or of their numbers.
     found: dict[tuple[str, str], dict[int, str]] = {}
     patterns: dict[tuple[str, str], str] = {}
     for name in names:
@@ -245,7 +242,7 @@ def _groups(names: Sequence[str], joints: Sequence[str], robot: str) -> list[_Gr
 
 
 def _of_joint(name: str, joints: Sequence[str]) -> tuple[int, str]:
-    """Which joint's name is in that of a column, and the column's with `*` in its place; or -1."""
+    # Index of the joint whose name is in a column name, or -1; and the name with `*` instead.
     for joint in sorted(joints, key=len, reverse=True):
         if joint.isdecimal():
             continue
@@ -256,7 +253,7 @@ def _of_joint(name: str, joints: Sequence[str]) -> tuple[int, str]:
 
 
 def _stem(pattern: str, robot: str) -> str:
-    """What the name of a column says beside robot, joint and number, in lower case."""
+    # The pattern without prefixes, robot name and `*`, in lower case.
     for before in (*_known_names().prefixes, *(f"{robot}{each}" for each in "._/" if robot)):
         pattern = pattern.removeprefix(before)
     before, _, behind = pattern.partition("*")

@@ -30,30 +30,31 @@ if TYPE_CHECKING:
     from _csv import Reader
 
 _COMMENT = "#"
-_WESTERN = "cp1252"  # of Windows, where programs write a degree sign, say
+_WESTERN = "cp1252"  # for example, for degree signs written by Windows programs
 _SEPARATORS = (";", "\t", ",", " ")  # in the order in which they are tried
-_SHOWN = 20  # names of columns
-_HEAD = 200  # lines in which the first two rows are looked for
+_SHOWN = 20  # column names in an error
+_HEAD = 200  # lines that are searched for the first two rows
 _TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
-# Units that may be in brackets behind the name of a column; an index or a name there is none.
+# Units that can follow the name of a column in brackets. Other text in brackets is part of it.
 _UNITS = frozenset(
     [*_TIME_UNITS, "rad", "mrad", "deg", "degree", "degrees", "°", "m", "mm", "rad/s", "deg/s",
      "°/s", "m/s", "mm/s", "Nm", "mNm", "N", "A", "mA", "V", "C", "°C", "Hz", "%"]
 )  # fmt: skip
-# Names of columns with the time, without their unit, in lower case.
+# Names of time columns without the unit, in lower case.
 _TIMES = ("time", "timestamp", "time_stamp", "stamp", "t")
 _UNIT = re.compile(r"\s*[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 _TIME_SUFFIX = re.compile(rf"[ _.]({'|'.join(_TIME_UNITS)})$")
-# In SI, seconds since 1970 are below the first; in ms, us and ns below the next ones.
+# Upper bounds of times since 1970 in s, ms, us and ns, and the factors to s.
 _EPOCHS = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6), (math.inf, 1e-9))
-# Second columns of `franka::logToCSV`, whose times are in ms (libfranka, robot_state_log.cpp).
+# Second column of tables from `franka::logToCSV`, which have times in ms (libfranka,
+# robot_state_log.cpp).
 _LIBFRANKA = ("success_rate", "success rate")
 
 _Number = Callable[[str], float | None]
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """The name of a column without the unit in brackets behind it, and that unit or ""."""
+    """Returns the name of a column without its unit, and the unit; "" if there is no unit."""
     found = _UNIT.search(name)
     if found is None or found[1] not in _UNITS or not found.start():
         return name, ""
@@ -65,11 +66,10 @@ class Table:
     """The numbers of a table.
 
     Attributes:
-        time: name of the column with the times; empty where a rate was given.
-        times: of the rows, s, (T,), non-decreasing; those since 1970 count from there.
-        columns: name to values, (T,), of the other columns; NaN and infinity are read as such,
-            empty cells and text as NaN.
-        wrong: name of a column with text to its first cell that is no number.
+        time: name of the time column; empty if a rate is declared.
+        times: non-decreasing times of the rows, s, (T,); absolute times are relative to 1970.
+        columns: name to values, (T,), of the other columns. Empty cells and text are NaN.
+        wrong: name of a column with text to the error of its first cell with text.
     """
 
     path: Path
@@ -79,15 +79,13 @@ class Table:
     wrong: dict[str, CsvError]
 
     def column(self, name: str) -> Array:
-        """The values of a column, (T,); raises CsvError if there is none, or it has text."""
+        """Returns the values of a column, (T,); raises CsvError if it is missing or has text."""
         if name in self.wrong:
             raise self.wrong[name]
         if name not in self.columns:
-            raise CsvError(self.path, f"there is no column '{name}'{self._near(name)}")
+            near = did_you_mean(name, self.columns)
+            raise CsvError(self.path, f"no column '{name}'{near}")
         return self.columns[name]
-
-    def _near(self, name: str) -> str:
-        return did_you_mean(name, self.columns)
 
 
 def read_csv(
@@ -96,11 +94,7 @@ def read_csv(
     """Reads a table in which every cell is a number or empty; see `read_table`.
 
     Returns:
-        the times of the rows, s, (T,), and name to column, (T,).
-
-    Raises:
-        CsvError: as of `read_table`, or a cell that is no number.
-        ValueError: a rate that is not above 0.
+        the times of the rows, s, (T,), and the columns by name, (T,).
     """
     table = read_table(path, rate=rate, instead=instead)
     if table.wrong:
@@ -111,31 +105,30 @@ def read_csv(
 def read_table(
     path: Path | str, *, rate: float | None = None, time: str = "", instead: str = ""
 ) -> Table:
-    """Reads a table, with cells separated by semicolons, tabs, commas or blanks.
+    """Reads a table with cells separated by semicolons, tabs, commas or spaces.
 
-    The first line may name the columns, also after `#`, as written by numpy; without names they
-    are `1`, `2`, ... A second column of a name gets `.1` behind it, as in pandas. A first column
-    that is the only one without a name is an index, as in pandas, and is left out. Empty lines and
-    comments, which begin with `#`, are skipped. Numbers may have decimal commas where commas do not
-    separate.
+    - The first line can have the names of the columns, also after `#`, as written by NumPy.
+      Without names, columns are called `1`, `2`, ... `.1` is appended to a repeated name, as in
+      pandas.
+    - If only the first column has no name, it is an index, as in pandas, and is skipped.
+    - Empty lines, and comments that begin with `#`, are skipped.
+    - Decimal commas are read if commas do not separate cells.
+    - The time column is called `time`, `timestamp`, `stamp` or `t`, in any letter case, with or
+      without a unit (`Timestamp`, `t_ms`, `time [us]`). Otherwise, it is the first column with a
+      unit of time (`Zeit [s]`).
+    - Times without a unit are in s. If they are at least 1e11, their magnitude shows whether they
+      are ms, us or ns since 1970. Tables of libfranka have times in ms. Dates with times are read
+      as ISO 8601.
 
-    The times are in the column `time`, else in one called `timestamp` or `t`, in any letter case
-    and with or without a unit (`Timestamp`, `t_ms`, `time [us]`), else in the first column with a
-    unit of time (`Zeit [s]`). Without a unit they are in s. Numbers of 1e11 and more are ms, us or
-    ns since 1970, by their size. Dates with times are read as ISO 8601. Tables of libfranka are in
-    ms.
+    Raises CsvError, or ValueError if `rate` is not above 0.
 
     Args:
-        rate: rows per s, instead of a column of times, which is then left out.
-        time: name of the column of the times; found as above when empty.
-        instead: how a rate can be given, for the message about missing times.
-
-    Raises:
-        CsvError: the file, with line and column, what was found, and what would be right.
-        ValueError: a rate that is not above 0.
+        rate: rows per second; replaces the time column, which is then skipped.
+        time: name of the time column; empty to find it automatically.
+        instead: option that declares a rate, for the error about a missing time column.
     """
     if rate is not None and not 0.0 < rate < math.inf:
-        raise mismatch(rate, "rows per s, above 0", key="rate")
+        raise mismatch(rate, "a finite number of rows per second above 0", key="rate")
     path = Path(path)
     encoding = "utf-8-sig"
     while True:
@@ -144,7 +137,7 @@ def read_table(
                 return _Rows(path, rate, time, instead).read(file)
         except UnicodeDecodeError as error:
             if encoding == _WESTERN or b"\0" in error.object:
-                raise CsvError(path, f"is no text in UTF-8: {error.reason}") from error
+                raise CsvError(path, f"is not text in UTF-8: {error.reason}") from error
             encoding = _WESTERN
         except OSError as error:
             raise CsvError(path, f"cannot be read: {error.strerror}") from error
@@ -153,11 +146,7 @@ def read_table(
 def read_cached(
     path: Path, columns: Columns, rate: float | None = None, instead: str = ""
 ) -> Table:
-    """Calls `read_table`, and caches the table until the file changes.
-
-    Args:
-        columns: declared columns, with `time` if they name the column of the times.
-    """
+    """Calls `read_table` with the entry `time` of `columns`; caches the table until it changes."""
     time = columns.get(TIME, "")
     time = time if isinstance(time, str) else time[0]
     try:
@@ -180,7 +169,7 @@ class _Rows:
         self._path, self._rate, self._wanted, self._instead = path, rate, time, instead
         self._names: list[str] = []
         self._has_index = False
-        self._open_line = 0  # of names that end in a separator
+        self._open_line = 0  # line of names that end in a separator
         self._time, self._factor = "", 1.0
         self._wrong: dict[str, CsvError] = {}
 
@@ -202,7 +191,7 @@ class _Rows:
                     value = math.nan
                 numbers.append(value)
         if not numbers:
-            raise CsvError(self._path, "has no row of numbers")
+            raise CsvError(self._path, "has no rows with numbers")
         rows = np.array(numbers).reshape(-1, len(self._names))
         columns = dict(zip(self._names, rows.T, strict=True))
         times = columns.pop(self._time, np.zeros(0)) * self._factor
@@ -220,7 +209,8 @@ class _Rows:
                 elif any(cell.strip() for cell in cells):
                     yield reader.line_num, cells, comment
         except csv.Error as error:
-            raise CsvError(self._path, f"is no table: {error}", line=reader.line_num) from error
+            reason = f"is not a table: {error}"
+            raise CsvError(self._path, reason, line=reader.line_num) from error
 
     def _name_columns(
         self, line: int, cells: list[str], comment: list[str], number: _Number
@@ -252,11 +242,11 @@ class _Rows:
         names, wanted = self._names, self._wanted
         if wanted and wanted not in names:
             near = did_you_mean(wanted, names)
-            raise CsvError(self._path, f"there is no column '{wanted}', for the time{near}")
+            raise CsvError(self._path, f"no time column '{wanted}'{near}")
         found = next(filter(None, [wanted, time_column(names)]), "")
         if self._rate is None and not found:
             shown = ", ".join(names[:_SHOWN])
-            reason = f"found the columns {shown}; expected one called {TIME}, in s{self._instead}"
+            reason = f"found the columns {shown}; expected a column {TIME} in s{self._instead}"
             raise CsvError(self._path, reason)
         self._time = found
         self._factor = _factor_of(names, found) if found else 1.0
@@ -271,7 +261,7 @@ class _Rows:
         if not (math.isfinite(value) and value >= earlier):
             after = f" after {earlier!r}" if math.isfinite(earlier) else ""
             found = f"{cell.strip() or 'nothing'}{after}"
-            reason = f"found {found}; expected s that never decrease"
+            reason = f"found {found}; expected times in s that never decrease"
             raise CsvError(self._path, reason, line=line, column=self._time)
         if math.isnan(self._factor):
             self._factor = next(each for below, each in _EPOCHS if abs(value) < below)
@@ -289,7 +279,7 @@ class _Rows:
 
 
 def time_column(names: Sequence[str]) -> str:
-    """The column of the times among others, as `read_table` finds it; empty if there is none."""
+    """Returns the time column as `read_table` finds it; "" if there is none."""
     if names[1:2] and names[1] in _LIBFRANKA:
         return names[0]
     for name in (TIME, *names):
@@ -308,7 +298,7 @@ def _time_unit(name: str) -> tuple[str, str | None]:
 
 
 def _factor_of(names: Sequence[str], time: str) -> float:
-    """The factor from a column of times to s; NaN where the first time tells."""
+    # NaN if the magnitude of the first time determines the factor.
     if names[1:2] and names[1] in _LIBFRANKA and time == names[0]:
         return 1e-3
     unit = _time_unit(time)[1]
@@ -316,11 +306,8 @@ def _factor_of(names: Sequence[str], time: str) -> float:
 
 
 def _reader(lines: Iterator[str]) -> tuple[Reader, _Number]:
-    """A reader of the cells, and what reads a number in one.
-
-    Cells are separated by what makes the second row, the first that surely has numbers, one of
-    numbers only; where nothing does, because there is text, by what makes as many of the first row.
-    """
+    # The separator is the first one with which all cells of the second row are numbers. If there is
+    # none, it is the first one with which the first two rows have the same number of cells.
     head: list[str] = []
     rows: list[str] = []
     for line in itertools.islice(lines, _HEAD):
@@ -361,7 +348,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _is_count(cells: list[str]) -> bool:
-    """Whether a row names columns by numbers after an index, as in pandas."""
+    # Column names of pandas: an index without a name, followed by 0, 1, ...
     counted = [str(i) for i in range(len(cells) - 1)]
     first, *others = (cell.strip() for cell in cells)
     return bool(others) and not first and others == counted
@@ -379,7 +366,6 @@ def _number_with_comma(cell: str) -> float | None:
 
 
 def _date(cell: str) -> float | None:
-    """Seconds since 1970 of a date with a time; None for anything else."""
     try:
         return datetime.fromisoformat(cell.strip()).timestamp() if ":" in cell else None
     except ValueError:

@@ -1,7 +1,7 @@
-"""The geoms of robots from MJCF: copied unchanged from the compiled model of their file.
+"""Copies the geoms of robots from MJCF out of the compiled model of their file.
 
-This includes vertices, normals and texture coordinates of meshes, textures of materials, and masks
-and contact parameters of collision geoms.
+Vertices, normals and texture coordinates of meshes, textures of materials, and masks and contact
+parameters of collision geoms are unchanged.
 """
 
 from __future__ import annotations
@@ -152,8 +152,8 @@ def _mesh(
     corners = model.mesh_face[faces].ravel()
     normal_of = model.mesh_facenormal[faces].ravel()
     if scope != TOUCHING and (corners != normal_of).any():
-        # MuJoCo's compiler ignores `userfacenormal` and takes one normal for each vertex, so that
-        # vertices with several, as at the edges of an OBJ, are repeated.
+        # MuJoCo's compiler ignores `userfacenormal` and uses one normal per vertex. Therefore
+        # vertices with several normals, as at the edges of an OBJ, are repeated.
         _, first, parted = np.unique(
             corners.astype(np.int64) * len(normals) + normal_of,
             return_index=True,

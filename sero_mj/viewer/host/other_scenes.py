@@ -9,7 +9,7 @@ from pathlib import Path
 from ...base.errors import SeroError
 from ...base.trust import Request, allow
 from ...data.drive.mirror import Mirror
-from ..panels.request_panel import build_request
+from ..panels.dialogs import build_request
 from ..session.widgets import Widgets
 
 log = logging.getLogger(__name__)

@@ -93,7 +93,7 @@ class CapturedRun:
         bodies: ids of the visible bodies, (B,).
         copies: bodies of doubles, (G,); they follow the others in poses, opacity and grayness.
         limit: value of an arrow of full width, (N,); inf for none.
-        cards: texts by frame of each smart arrow.
+        arrow_texts: texts of each smart arrow by frame, by its index.
         silent: names of the sources without data.
         meanings: meanings of labels on billboards, such as the file that `A` stands for.
         needed: aspect ratio that the camera needs, see `needed_aspect`; that of the declared pose
@@ -122,7 +122,7 @@ class CapturedRun:
     labels: list[Any]
     notes: list[str]
     legend: list[str]
-    cards: dict[int, list[str]]
+    arrow_texts: dict[int, list[str]]
     marks: Sequence[Mark] = ()
     silent: list[str] = field(default_factory=list)
     meanings: Mapping[str, str] = field(default_factory=dict)
@@ -182,7 +182,7 @@ class FrameCapturer:
             labels={},
             note="",
             legend="",
-            cards={},
+            arrow_texts={},
         )
 
     def result(
@@ -228,7 +228,7 @@ class FrameCapturer:
             labels=[each.labels for each in frames],
             notes=[each.note for each in frames],
             legend=[each.legend for each in frames],
-            cards=_cards([each.cards for each in frames]),
+            arrow_texts=_arrow_texts([each.arrow_texts for each in frames]),
             marks=marks,
             silent=list(silent),
             copies=self._taker.copies.each,
@@ -395,9 +395,9 @@ def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[DecorI
     return list(found.values())
 
 
-def _cards(cards: list[dict[int, str]]) -> dict[int, list[str]]:
-    items = sorted({item for each in cards for item in each})
-    return {item: [each.get(item, "") for each in cards] for item in items}
+def _arrow_texts(texts: list[dict[int, str]]) -> dict[int, list[str]]:
+    items = sorted({item for each in texts for item in each})
+    return {item: [each.get(item, "") for each in texts] for item in items}
 
 
 def eye(capture: CapturedRun) -> dict[str, Any]:

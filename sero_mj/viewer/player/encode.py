@@ -66,7 +66,7 @@ def encode(capture: CapturedRun, title: str) -> bytes:
         "legend": _legend(capture, parts),
         "cards": [
             {"item": item, "name": capture.world.arrows.names[item], **_texts(texts, parts)}
-            for item, texts in capture.cards.items()
+            for item, texts in capture.arrow_texts.items()
         ],
         "vectors": capture.world.arrows.names,
         "marks": [vars(mark) for mark in capture.marks],

@@ -42,7 +42,7 @@ class CapturedFrame(NamedTuple):
         labels: see `labels_of`.
         note: text in the corners, without the legend.
         legend: text of the legend.
-        cards: texts of smart arrows, by index.
+        arrow_texts: texts of smart arrows, by index.
     """
 
     poses: Array
@@ -57,7 +57,7 @@ class CapturedFrame(NamedTuple):
     labels: Labels
     note: str
     legend: str
-    cards: dict[int, str]
+    arrow_texts: dict[int, str]
 
 
 class FrameTaker:
@@ -76,7 +76,7 @@ class FrameTaker:
         self.bodies, self.copies = shown_bodies(world), CopiedBodies(world)
         self._soft = SoftParts(world.model)
         self.corners: list[tuple[bool, list[str]]] = []
-        self.cards: list[BillboardGroup] = []
+        self.billboards: list[BillboardGroup] = []
         self.beside: list[Panels] = []
         self.frame: Frame | None = None
 
@@ -86,7 +86,7 @@ class FrameTaker:
             for group in frame.corners
             for lines in group.texts
         ]
-        self.cards = [*frame.billboards]
+        self.billboards = [*frame.billboards]
         # `labels_of` handles names.
         self.beside = [each for each in frame.panels if each.kind not in (Kind.NAME, Kind.PART)]
         for groups in (frame.corners, frame.billboards, frame.panels):
@@ -123,9 +123,9 @@ class FrameTaker:
             labels=labels_of(world, frame),
             note=note,
             legend=legend,
-            cards={
+            arrow_texts={
                 int(item): "\n".join(map(line_text, lines))
-                for group in self.cards
+                for group in self.billboards
                 if group.kind == Kind.CARD
                 for item, lines in zip(group.items, group.texts, strict=True)
             },

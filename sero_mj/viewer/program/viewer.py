@@ -100,7 +100,7 @@ class Viewer:
     @property
     def pictures(self) -> int:
         """Old name of `frame_count`."""
-        warnings.warn("pictures is now named frame_count", DeprecationWarning, stacklevel=2)
+        warnings.warn("`pictures` is now named `frame_count`", DeprecationWarning, stacklevel=2)
         return self.frame_count
 
     def set(self, target: str, values: Any) -> None:
@@ -195,7 +195,7 @@ class Viewer:
 
     def picture(self) -> ImageArray:
         """Old name of `image`."""
-        warnings.warn("picture is now named image", DeprecationWarning, stacklevel=2)
+        warnings.warn("`picture` is now named `image`", DeprecationWarning, stacklevel=2)
         return self.image()
 
     def close(self) -> None:

@@ -19,12 +19,12 @@ from ...data.receive.source import Source
 from ...robots.assemble.world_view import WorldView
 from ..decor.quantities import joint_values
 from ..decor.staleness import Staleness
-from . import live_history
 from .binned_history import SPAN, BinnedHistory
+from .clock import HISTORY_SPAN
 from .torque_history import ROWS, TorqueHistory
 
 PROGRAM = "program"  # group of the signals that a program plots
-_SPAN = SPAN + live_history.SPAN  # s
+_SPAN = SPAN + HISTORY_SPAN  # s
 _MAX_DELAY = 0.1  # s; slow frames may delay the displayed time this much
 _MIN_JUMP = 1.0  # s; a larger jump back in time clears the history of a program's signal
 

@@ -200,7 +200,7 @@ class Tool(PointerEvents, ToolState):
         super().__init_subclass__()
         for old, new in _RENAMED.items():
             if old in vars(cls) and not is_own_class(cls):
-                text = f"{cls.__name__}.{old} is now named {new}"
+                text = f"`{cls.__name__}.{old}` is now named `{new}`"
                 warnings.warn(text, DeprecationWarning, stacklevel=2)
                 setattr(cls, new, vars(cls)[old])
 

@@ -9,8 +9,8 @@ from ...base.frames import Array
 from ...data.receive.mailbox import Packets
 from ..panels.signal_plots import SignalPlots
 from ..panels.torque_plots import TorquePlots
-from ..session import live_history
 from ..session.binned_history import SPAN
+from ..session.clock import HISTORY_SPAN
 from ..session.keys import Key
 from ..session.signals import PlotSignal, PlotSignals
 from ..session.tool import Action, Shown, Tool
@@ -35,7 +35,7 @@ class Plots(Tool):
         mirror, clock = shown.mirror, shown.clock
         # Packets of live sources arrive between frames; for other sources, the clock provides
         # samples.
-        span = SPAN + live_history.SPAN if clock.is_live and clock.can_go_back else SPAN
+        span = SPAN + HISTORY_SPAN if clock.is_live and clock.can_go_back else SPAN
         routes = mirror.routes if mirror.is_live else ()
         self.history = TorqueHistory(shown.world, routes, span)
         self.signals = PlotSignals(mirror, self.history)

@@ -17,7 +17,7 @@ from ...data.drive.record_sources import record_last
 from ...data.record.triggered_recorder import RecordedEvent
 from ..session.background_exports import BackgroundExports
 from ..session.capture import unused_name
-from ..session.live_history import SPAN
+from ..session.clock import HISTORY_SPAN
 from ..session.tool import Action, Shown, Tool
 
 log = logging.getLogger(__name__)
@@ -52,7 +52,11 @@ class RollingRecorder(Tool):
             return
         self._recorder = self._stack.enter_context(
             record_last(
-                live, lambda *_: self._paths.popleft(), mirror.world.scene, SPAN, _SIGNALS_RATE
+                live,
+                lambda *_: self._paths.popleft(),
+                mirror.world.scene,
+                HISTORY_SPAN,
+                _SIGNALS_RATE,
             )
         )
         self._recorder.on_event = self._on_event

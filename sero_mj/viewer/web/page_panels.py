@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..host.live import LiveHost
-from ..panels import help as help_panel
-from ..panels import request_panel
+from ..panels import dialogs
 from ..panels.dom_widgets import DomWidgets, Node
 from ..panels.status_line import build_timeline
 from ..session.keys import help_columns
@@ -76,9 +75,9 @@ class PagePanels:
         self._put_tree("panel", self._host.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
         wide = self._width / _EM
         self._put_tree("timeLine", host.has_timeline, self._time_line, (wide, 2.0))
-        room = min(help_panel.WIDTH, wide - 2), _TALL
+        room = min(dialogs.HELP_WIDTH, wide - 2), _TALL
         self._put_tree("help", host.shows_help, self._help, room)
-        room = min(request_panel.WIDTH, wide - 2), _TALL
+        room = min(dialogs.REQUEST_WIDTH, wide - 2), _TALL
         is_asked = host.others.asks and is_local is not None
         put("request", self._request(room, is_local=bool(is_local)) if is_asked else None)
         areas = host.tools.areas
@@ -108,7 +107,7 @@ class PagePanels:
         def build(ui: DomWidgets) -> None:
             self._host.others.build_dialog(ui, can_allow=is_local)
 
-        return {"title": request_panel.TITLE, "nodes": self._nodes(REQUEST, build, size)}
+        return {"title": dialogs.REQUEST_TITLE, "nodes": self._nodes(REQUEST, build, size)}
 
     def _area(self, tool: Tool, size: tuple[float, float]) -> Node:
         def build(ui: DomWidgets) -> None:
@@ -126,4 +125,4 @@ class PagePanels:
         build_timeline(ui, self._host.clock, self._host.tools.ticks)
 
     def _help(self, ui: DomWidgets) -> None:
-        help_panel.build_help(ui, help_columns(tool_keys(), on_page=True))
+        dialogs.build_help(ui, help_columns(tool_keys(), on_page=True))

@@ -42,7 +42,7 @@ class PageState(FrameTaker):
         super().__init__(world, world.joints.revolute)
         self._world, self._sections = world, sections
         self._depth = 1.0  # median depth of the robots, m
-        self._shown_cards: list[dict[str, Any]] = []
+        self._shown_billboards: list[dict[str, Any]] = []
         self.count = 0
 
     def begin(
@@ -57,7 +57,9 @@ class PageState(FrameTaker):
         _, depth = frame.view.project(frame.data.xpos[self.bodies])
         visible = depth[depth > frame.view.near]
         self._depth = float(np.median(visible)) if len(visible) else 1.0
-        self._shown_cards = [card for group in self.cards for card in self._cards_of(frame, group)]
+        self._shown_billboards = [
+            card for group in self.billboards for card in self._billboards_of(frame, group)
+        ]
 
     def put(self, data: mujoco.MjData, decor: SceneDecor) -> None:
         """Puts the frame that the decor has drawn last."""
@@ -71,7 +73,7 @@ class PageState(FrameTaker):
         put("stale", found.stale.astype(np.uint8))
         put("arrowOn", frame.shown.arrows.astype(np.uint8))
         put("arrowLook", arrow_looks(self._world, found.limit))
-        put("cards", self._shown_cards)
+        put("cards", self._shown_billboards)
         put("notes", [lines for _, lines in self.corners])
         hover = toggles.hover
         if hover is not None:
@@ -144,21 +146,21 @@ class PageState(FrameTaker):
         parts = [state.site_xpos[rows], turns]
         return b"".join(each.astype(np.float32).tobytes() for each in parts)
 
-    def _cards_of(self, frame: Frame, cards: BillboardGroup) -> list[dict[str, Any]]:
+    def _billboards_of(self, frame: Frame, group: BillboardGroup) -> list[dict[str, Any]]:
         joints, found = self._world.joints, []
-        is_of_joint = cards.kind == Kind.BILLBOARD
-        for k, item in enumerate(cards.items.tolist()):
+        is_of_joint = group.kind == Kind.BILLBOARD
+        for k, item in enumerate(group.items.tolist()):
             place = (
                 frame.data.site_xpos[joints.centre_site[item]]
                 if is_of_joint
-                else self._in_world(frame.view, cards.anchors[k])
+                else self._in_world(frame.view, group.anchors[k])
             )
-            title, lines = card_lines(cards.texts[k])
-            share = float(cards.share[k])
+            title, lines = card_lines(group.texts[k])
+            share = float(group.share[k])
             value = float(frame.arrow_values[item]) if is_of_joint else 0.0
             found.append(
                 {
-                    "kind": int(cards.kind),
+                    "kind": int(group.kind),
                     "item": item,
                     "at": _rounded(place),
                     "title": title,

@@ -10,8 +10,7 @@ import mujoco
 from imgui_bundle import ImVec2, imgui
 
 from ..host.live import LiveHost
-from ..panels import help as help_panel
-from ..panels import request_panel
+from ..panels import dialogs
 from ..panels.robot_panel import build_handle
 from ..panels.status_line import build_status_line, build_timeline
 from ..session.keys import Row
@@ -155,16 +154,16 @@ class Chrome(ImguiLayer):
 
     def _help(self) -> None:
         host = self._host
-        shown, is_open = self._dialog(f"{help_panel.TITLE}###help", help_panel.WIDTH)
+        shown, is_open = self._dialog(f"{dialogs.HELP_TITLE}###help", dialogs.HELP_WIDTH)
         if shown:
-            help_panel.build_help(self.widgets, self._columns)
+            dialogs.build_help(self.widgets, self._columns)
         is_pressed = imgui.is_window_hovered() and imgui.is_mouse_clicked(0)
         host.shows_help = is_open and not (is_pressed and not imgui.is_any_item_hovered())
         imgui.end()
 
     def _request(self) -> None:
         others = self._host.others
-        shown, is_open = self._dialog(f"{request_panel.TITLE}###request", request_panel.WIDTH)
+        shown, is_open = self._dialog(f"{dialogs.REQUEST_TITLE}###request", dialogs.REQUEST_WIDTH)
         if shown:
             others.build_dialog(self.widgets, can_allow=True)  # the user of a window is local
         if not is_open:

@@ -44,7 +44,7 @@ from sero_mj.study.compare import compare_scene, explanations_table
 from sero_mj.study.explanation import FLANGE, LINKS, Explanation
 
 BEGIN = 1.3
-# A robot that sends what is measured and commanded, and not when.
+# A robot that sends measured and commanded values without a time stamp.
 LATE = """
 [robots.lwr]
 model = "lwr"
@@ -64,7 +64,7 @@ structure = "7F7F7F"
 def simulated_swing(
     fault: str = "{}", load: str = "{}", seed: int = 0, loop: bool = False
 ) -> Simulation:
-    """An LWR with sensors as they are, that swings for 2.6 s, and something that goes wrong."""
+    """Returns a run of an LWR with realistic sensors, 2.6 s of sines, and a fault."""
     return finished(Simulation(swinging(fault, load, seed, loop)))
 
 
@@ -85,7 +85,7 @@ def swinging(
 
 
 def finished(simulation: Simulation) -> Simulation:
-    with suppress(SimulationError):  # a drive of the wrong sign runs off
+    with suppress(SimulationError):  # a drive with the wrong sign runs away
         for _ in simulation.run():
             pass
     return simulation
@@ -93,17 +93,17 @@ def finished(simulation: Simulation) -> Simulation:
 
 @cache
 def swing(fault: str = "{}", load: str = "{}", seed: int = 0, loop: bool = False) -> RunLog:
-    """The log alone: simulations keep much memory."""
+    """Returns the log alone, because simulations use much memory."""
     return simulated_swing(fault, load, seed, loop).log
 
 
-def told(log: RunLog) -> list[Explanation]:
+def explanations_of(log: RunLog) -> list[Explanation]:
     return explain_run(log, "lwr")
 
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("loop", [False, True])
-def test_of_a_run_without_a_fault_nothing_is_told(seed: int, loop: bool) -> None:
+def test_run_without_a_fault_has_no_explanation(seed: int, loop: bool) -> None:
     found = torque_residuals(swing(seed=seed, loop=loop), "lwr")
     assert found.torque_control is loop
     assert explain_run(swing(seed=seed, loop=loop), "lwr", found) == []
@@ -126,10 +126,10 @@ def test_of_a_run_without_a_fault_nothing_is_told(seed: int, loop: bool) -> None
         ({"kind": "friction", "added_coulomb": 1000}, "stuck", "joint", None, 0.0),
     ],
 )
-def test_a_fault_is_named_with_its_joint_its_size_and_its_time(
+def test_fault_is_identified_with_its_joint_size_and_time(
     fault: dict[str, Any], kind: str, part: str, size: float | None, tolerance: float
 ) -> None:
-    first, *_ = told(swing(json.dumps({**fault, "joints": ["A2"]})))
+    first, *_ = explanations_of(swing(json.dumps({**fault, "joints": ["A2"]})))
     assert (first.joint, first.kind, first.part) == ("A2", kind, part), first
     assert first.begin == pytest.approx(BEGIN, abs=0.11)
     assert not first.from_start
@@ -139,11 +139,11 @@ def test_a_fault_is_named_with_its_joint_its_size_and_its_time(
 
 
 @pytest.mark.thorough
-def test_a_payload_is_found_by_all_joints_with_its_centre_and_its_end() -> None:
+def test_payload_is_found_from_all_joints_with_its_center_and_end() -> None:
     load = {"kind": "payload", "robot": "lwr", "mass": 2.5, "end": 2.1,
             "center_of_mass": [0.02, -0.03, 0.1]}  # fmt: skip
     for loop in (False, True):
-        (found,) = told(swing(load=json.dumps(load), loop=loop))
+        (found,) = explanations_of(swing(load=json.dumps(load), loop=loop))
         assert (found.joint, found.kind, found.unit) == (FLANGE, "payload", "kg")
         assert found.size == pytest.approx(2.5, abs=0.03)
         assert [found.values[axis] for axis in "xyz"] == pytest.approx([0.02, -0.03, 0.1], abs=0.01)
@@ -152,12 +152,13 @@ def test_a_payload_is_found_by_all_joints_with_its_centre_and_its_end() -> None:
 
 
 @pytest.mark.parametrize("loop", sampled([False, True], 0))
-def test_other_masses_than_declared_are_no_payload(loop: bool) -> None:
+def test_deviating_masses_are_not_a_payload(loop: bool) -> None:
     log = swing(loop=loop)
     robot = log.robots["lwr"]
-    scale = {"mass_scale": robot.dynamics.mass_scale / 1.1}  # the robot is 10 % heavier than it
+    # The robot is 10 % heavier than declared.
+    scale = {"mass_scale": robot.dynamics.mass_scale / 1.1}
     declared = robot.model_copy(update={"dynamics": robot.dynamics.model_copy(update=scale)})
-    (found,) = told(replace(log, robots={"lwr": declared}))
+    (found,) = explanations_of(replace(log, robots={"lwr": declared}))
     assert (found.joint, found.kind, found.part) == (LINKS, "masses", "links")
     assert found.size == pytest.approx(10.0, abs=0.1) and found.unit == "%"
     assert found.from_start and found.end is None and found.confidence > 0.9
@@ -166,10 +167,10 @@ def test_other_masses_than_declared_are_no_payload(loop: bool) -> None:
 
 
 @pytest.mark.parametrize("joint", ["A2", "A5"])
-def test_a_drive_of_the_wrong_sign_is_named_though_its_loop_runs_off_at_once(joint: str) -> None:
+def test_drive_with_wrong_sign_is_identified_although_its_loop_diverges(joint: str) -> None:
     log = swing(json.dumps({"kind": "controller", "gain": -1.0, "joints": [joint]}), loop=True)
     assert log.times[-1] < BEGIN + 0.3
-    found, *_ = [each for each in told(log) if each.joint == joint]
+    found, *_ = [each for each in explanations_of(log) if each.joint == joint]
     assert (found.kind, found.part) == ("sign", "drive")
     assert found.begin == pytest.approx(BEGIN, abs=0.05)
 
@@ -180,7 +181,7 @@ def with_drive(
     stiffness: float = 1200,
     duration: float = 2.6,
 ) -> RunLog:
-    """A run in which a joint's drive does something else: of time and commanded torque."""
+    """Returns a run in which a joint's drive is a function of time and commanded torque."""
     simulation = Simulation(swinging("{}", "{}", stiffness=stiffness, duration=duration))
     rows, k = simulation.plant.rows, simulation.log.robots["lwr"].names.index(joint)
     step = rows.step
@@ -195,12 +196,13 @@ def with_drive(
 
 
 @pytest.mark.parametrize(("joint", "share"), sampled([["A2", 1.7], ["A1", 2.0], ["A3", 2.3]], 0))
-def test_a_drive_off_by_twice_what_gravity_asks_for_has_no_wrong_sign(
+def test_drive_bias_of_twice_the_gravity_torque_is_not_a_wrong_sign(
     joint: str, share: float
 ) -> None:
     k = swing().robots["lwr"].names.index(joint)
-    bias = share * float(swing().of("lwr", "torques")[-200:, k].mean())  # commands are its opposite
-    (found,) = told(with_drive(joint, lambda t, u: u + bias * (t >= BEGIN)))
+    # The commands are its opposite.
+    bias = share * float(swing().of("lwr", "torques")[-200:, k].mean())
+    (found,) = explanations_of(with_drive(joint, lambda t, u: u + bias * (t >= BEGIN)))
     assert (found.joint, found.kind, found.part) == (joint, "bias", "drive")
     assert found.size == pytest.approx(bias, rel=0.01)
 
@@ -209,7 +211,7 @@ def test_a_drive_off_by_twice_what_gravity_asks_for_has_no_wrong_sign(
     ("joint", "delay", "begin"),
     sampled([["A6", 0.06, BEGIN], ["A3", 0.1, 0.0], ["A2", 0.06, 0.0]], 1),
 )
-def test_a_drives_delay_is_named_also_where_it_makes_the_arm_shake(
+def test_drive_delay_is_identified_also_when_the_arm_oscillates(
     joint: str, delay: float, begin: float
 ) -> None:
     late = deque[float](maxlen=round(delay / 1e-3) + 1)
@@ -218,7 +220,7 @@ def test_a_drives_delay_is_named_also_where_it_makes_the_arm_shake(
         late.append(torque)
         return late[0] if time >= begin else torque
 
-    (found,) = told(with_drive(joint, drive, stiffness=400, duration=3.0))
+    (found,) = explanations_of(with_drive(joint, drive, stiffness=400, duration=3.0))
     assert (found.joint, found.kind, found.part) == (joint, "delay", "drive")
     assert found.size == pytest.approx(delay, abs=0.002)
     assert found.begin == pytest.approx(begin, abs=0.11)
@@ -227,19 +229,19 @@ def test_a_drives_delay_is_named_also_where_it_makes_the_arm_shake(
 @pytest.mark.parametrize(
     "fault", sampled([{}, {"kind": "sensor", "bias": -4.0, "joints": ["A2"]}], 1)
 )
-def test_packets_that_come_in_bunches_are_no_contact(fault: dict[str, Any], tmp_path: Path) -> None:
+def test_packets_in_bursts_are_not_a_contact(fault: dict[str, Any], tmp_path: Path) -> None:
     log, size = swing(json.dumps(fault)), 4
     signals = ("joint_angles", "torques", "commanded_torques")
     rows = {f"values{i}": log.of("lwr", signal) for i, signal in enumerate(signals)}
     number = np.arange(len(log.times))
     arrivals = 1e-3 * (size * (number // size + 1) - 1) + 8e-6 * (number % size)
     path = record_packets(tmp_path / "held.mcap", "7F7F7F", rows, arrivals, {"scene.toml": LATE})
-    found = [(each.joint, each.kind) for each in told(read_run(path))]
+    found = [(each.joint, each.kind) for each in explanations_of(read_run(path))]
     assert found == ([("A2", "bias")] if fault else [])
 
 
-def test_a_sensor_that_stood_still_where_nothing_is_compared_is_not_told() -> None:
-    """As that of a robot that rests before another run begins."""
+def test_frozen_sensor_outside_the_compared_time_is_not_reported() -> None:
+    """For example, of a robot at rest before another run begins."""
     found = torque_residuals(swing(), "lwr")
     before = float(found.times[0]) - 1.0
     held = ((before, before + 0.9, 1.5),) * found.robot.n
@@ -248,26 +250,26 @@ def test_a_sensor_that_stood_still_where_nothing_is_compared_is_not_told() -> No
 
 
 @pytest.mark.thorough
-def test_several_faults_are_told_apart() -> None:
+def test_several_faults_are_distinguished() -> None:
     fault = json.dumps({"kind": "sensor", "bias": 5.0, "joints": ["A3"]})
     load = json.dumps({"kind": "payload", "robot": "lwr", "mass": 2.0, "begin": 1.9})
-    found = {(each.joint, each.kind): each for each in told(swing(fault, load))}
+    found = {(each.joint, each.kind): each for each in explanations_of(swing(fault, load))}
     assert set(found) == {("A3", "bias"), (FLANGE, "payload")}
     assert found["A3", "bias"].size == pytest.approx(5.0, abs=0.1)
     assert found[FLANGE, "payload"].size == pytest.approx(2.0, abs=0.05)
 
 
 @pytest.mark.thorough
-def test_a_push_is_no_fault_of_the_robot() -> None:
+def test_push_is_not_a_fault_of_the_robot() -> None:
     push = {"kind": "force", "at": "lwr/flange", "force": [0, 25, 0], "end": 2.2,
             "profile": "half_sine"}  # fmt: skip
-    found = told(swing(load=json.dumps(push)))
+    found = explanations_of(swing(load=json.dumps(push)))
     assert {"A1", "E1"} <= {each.joint for each in found if each.kind == "unexplained"}
     assert FLANGE not in {each.joint for each in found}
 
 
 @pytest.mark.thorough
-def test_runs_are_told_apart_by_what_only_one_of_them_has() -> None:
+def test_runs_are_distinguished_by_faults_in_only_one_of_them() -> None:
     fault = json.dumps({"kind": "sensor", "bias": -4.0, "joints": ["A2"]})
     a, b = swing(fault), swing(seed=5)
     both = "lwr", "lwr"
@@ -276,7 +278,7 @@ def test_runs_are_told_apart_by_what_only_one_of_them_has() -> None:
     assert (mine.joint, mine.kind, mine.size) == ("A2", "bias", pytest.approx(-4.0, abs=0.1))
     (theirs,) = explain_runs(b, a, both)
     assert theirs.size == pytest.approx(4.0, abs=0.1)
-    # Begun later by another clock.
+    # Started later by another clock.
     later = RunLog(b.robots, b.signals, b.times + 0.7, "later")
     (moved,) = explain_runs(a, later, both, offset=-0.7)
     assert moved.begin == pytest.approx(BEGIN, abs=0.03)
@@ -291,9 +293,7 @@ def test_runs_are_told_apart_by_what_only_one_of_them_has() -> None:
         ({"kind": "frozen_sensor"}, "stuck"),
     ],
 )
-def test_a_fault_is_told_of_the_run_that_has_it_whichever_is_named_first(
-    fault: dict[str, Any], kind: str
-) -> None:
+def test_fault_is_reported_for_its_run_in_either_order(fault: dict[str, Any], kind: str) -> None:
     broken, sound = swing(json.dumps({**fault, "joints": ["A2"]})), swing(seed=5)
     for a, b, is_second in ((broken, sound, False), (sound, broken, True)):
         first, *more = explain_runs(a, b, ("lwr", "lwr"))
@@ -304,7 +304,7 @@ def test_a_fault_is_told_of_the_run_that_has_it_whichever_is_named_first(
 
 
 @pytest.mark.thorough
-def test_of_two_gains_the_difference_is_told_as_such() -> None:
+def test_difference_of_two_gains_is_reported() -> None:
     runs = [
         swing(json.dumps({"kind": "sensor", "gain": gain, "joints": ["A2"]}), seed=seed)
         for seed, gain in ((0, 0.8), (1, 0.5))
@@ -318,7 +318,7 @@ def test_of_two_gains_the_difference_is_told_as_such() -> None:
     assert "A less B" not in explain_run(runs[0], "lwr")[0].text
 
 
-def test_without_the_links_masses_commands_alone_still_tell() -> None:
+def test_commands_alone_suffice_without_link_masses() -> None:
     found = torque_residuals(
         swing(json.dumps({"kind": "controller", "gain": 0.7, "joints": ["A2"]})), "lwr"
     )
@@ -327,7 +327,7 @@ def test_without_the_links_masses_commands_alone_still_tell() -> None:
     assert first.size == pytest.approx(0.7, abs=0.05)
 
 
-def test_an_arm_whose_fingers_are_coupled_is_examined_but_for_them() -> None:
+def test_arm_with_coupled_fingers_is_examined_without_them() -> None:
     log = swing(json.dumps({"kind": "sensor", "gain": 0.7, "joints": ["A2"]}))
     couplings = {"A6": {"to": "A5", "ratio": -1.0}}
     coupled = SerialRobot.from_model("lwr", joint_angles=HOME[:6], couplings=couplings)
@@ -340,7 +340,7 @@ def test_an_arm_whose_fingers_are_coupled_is_examined_but_for_them() -> None:
 
 
 @pytest.mark.parametrize("robot", ["lwr", "stanford"])
-def test_a_bodys_torques_are_those_of_mujoco_with_it_less_without(robot: str) -> None:
+def test_torques_of_a_body_equal_the_mujoco_difference_with_and_without_it(robot: str) -> None:
     base = np.array([[0.0, -1, 0, 0.1], [0.8, 0, 0.6, 0], [-0.6, 0, 0.8, 0.3], [0, 0, 0, 1]])
     arm = SerialRobot.from_model(robot, name="arm", base_frame=base)
     rng = np.random.default_rng(4)
@@ -362,7 +362,7 @@ def test_a_bodys_torques_are_those_of_mujoco_with_it_less_without(robot: str) ->
 
 
 @pytest.mark.parametrize("robot", ["lwr", "stanford"])
-def test_torques_change_by_angles_as_the_energy_of_mujoco_does(robot: str) -> None:
+def test_torque_derivatives_equal_those_of_the_mujoco_energy(robot: str) -> None:
     arm = SerialRobot.from_model(robot, name="arm")
     q, still = np.random.default_rng(4).normal(0.0, 0.5, (3, arm.n)), np.zeros((3, arm.n))
     world = World(Scene(robots=[arm], floor=False), dynamic=True)
@@ -385,10 +385,10 @@ def test_torques_change_by_angles_as_the_energy_of_mujoco_does(robot: str) -> No
         assert found[k, i, j] == pytest.approx((more - less) / 4e-6, abs=1e-4)
 
 
-def test_where_an_encoder_slips_its_angle_jumps_and_no_resolution_does() -> None:
+def test_encoder_slips_are_jumps_and_coarse_resolution_is_not() -> None:
     times, rng = np.arange(2000) / 1000, np.random.default_rng(1)
     moves = np.stack([np.sin(times), 1e-3 * times, 0.1 * times, np.zeros(2000)], axis=1)
-    for steps in (1e-5, 1e-3):  # coarse enough to stand still between two of them
+    for steps in (1e-5, 1e-3):  # coarse enough to be constant between two steps
         angles = np.round((moves + rng.normal(scale=0.3 * steps, size=moves.shape)) / steps) * steps
         assert not _jumps(np.diff(angles, n=2, axis=0)).any()
         angles[1200:, 0] += 100 * steps
@@ -397,18 +397,18 @@ def test_where_an_encoder_slips_its_angle_jumps_and_no_resolution_does() -> None
         assert rows == [[898, 2], [899, 2], [998, 2], [999, 2], [1198, 0], [1199, 0]]
 
 
-def test_nothing_is_left_of_a_perfect_run() -> None:
+def test_perfect_run_has_no_residuals() -> None:
     log = swing()
     exact = {key.replace("actual_angles", "joint_angles").replace("actual_torques", "torques"): v
              for key, v in log.signals.items()
              if "actual" in key or "commanded" in key}  # fmt: skip
     found = torque_residuals(RunLog(log.robots, exact, log.times), "lwr")
     assert np.nanmax(np.abs(found.link)) < 1e-6
-    assert np.nanmax(np.abs(found.motor)) < 2e-3  # Coulomb friction where joints turn
+    assert np.nanmax(np.abs(found.motor)) < 2e-3  # Coulomb friction where joints rotate
     assert np.isfinite(found.motor).mean() > 0.7
 
 
-def test_edges_sum_up_what_direct_sums_do() -> None:
+def test_edge_sums_equal_direct_sums() -> None:
     rng = np.random.default_rng(2)
     edges, X, y = _Edges(30, 1.9), rng.normal(size=(2, 30, 3)), rng.normal(size=(2, 30))
     sums = edges.sums(X, y)
@@ -435,7 +435,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.thorough
-def test_the_command_says_for_every_joint_what_explains_it(
+def test_explain_reports_an_explanation_for_every_joint(
     recorded: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert command(recorded) == 0
@@ -458,21 +458,21 @@ def test_the_command_says_for_every_joint_what_explains_it(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (["B.mcap", "--against-model"], "--against-model: found a second recording; expected one"),
         (["--offset", "1"], "--offset cannot be combined with a single recording"),
         (["--robot", "lwx"], "--robot: no robot 'lwx' in gauge; did you mean 'lwr'?"),
     ],
 )
-def test_the_command_says_what_does_not_go_together(
-    recorded: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+def test_incompatible_options_are_rejected(
+    recorded: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
 ) -> None:
     assert command(recorded, *arguments) == 2
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
-def test_too_little_is_an_error() -> None:
+def test_too_little_data_is_an_error() -> None:
     log = swing()
     with raises_with(
         UsageError,
@@ -498,7 +498,7 @@ def test_too_little_is_an_error() -> None:
         pair_with_commands(silent)
 
 
-def test_robots_and_their_models_can_be_filmed() -> None:
+def test_robots_and_their_models_can_be_rendered_as_video() -> None:
     log = swing()
     pair = pair_with_model(log, torque_residuals(log, "lwr"))
     scene = compare_scene(pair)
@@ -508,7 +508,7 @@ def test_robots_and_their_models_can_be_filmed() -> None:
     assert table.row_count == 7
 
 
-def test_a_robot_with_a_joint_that_slides_has_newtons() -> None:
+def test_prismatic_joint_has_newtons() -> None:
     robot = two_joints()
     t = np.arange(4001) * 1e-3
     q = np.stack([0.4 * np.sin(2.0 * t), 0.1 * np.cos(3.0 * t)], axis=1)
@@ -524,7 +524,7 @@ def test_a_robot_with_a_joint_that_slides_has_newtons() -> None:
     assert found[0].size == pytest.approx(7.0, abs=0.2)
 
 
-def test_robots_at_rest_without_motor_inertias_or_limits_have_no_faults() -> None:
+def test_robot_at_rest_without_motor_inertias_or_limits_has_no_faults() -> None:
     robot = two_joints(
         torque_limits=[10.0, np.inf],
         dynamics={"motor_inertias": [0, 0], "viscous_friction": [0, 0], "coulomb_friction": [0, 0]},

@@ -40,7 +40,7 @@ def excited(
     loop: bool = False,
     mass: float = MASS,
 ) -> tuple[Simulation, dict[str, list[float]]]:
-    """An LWR that swings by sums of sines, and what is true of it."""
+    """Returns an LWR that moves by sums of sines, and its true parameters."""
     rng = np.random.default_rng(seed)
     t = np.linspace(0.0, DURATION, 121)
     phases = rng.uniform(0.0, 6.0, (3, 7))
@@ -81,7 +81,7 @@ def log_of(seed: int, moved: tuple[int, ...] = tuple(range(7)), loop: bool = Fal
 
 
 @pytest.mark.thorough
-def test_a_simulated_robots_figures_are_found_within_three_standard_errors() -> None:
+def test_parameters_of_a_simulated_robot_are_within_three_standard_errors() -> None:
     distances: list[float] = []
     for seed in range(4):
         simulation, true = excited(seed)
@@ -101,19 +101,19 @@ def test_a_simulated_robots_figures_are_found_within_three_standard_errors() -> 
     sizes = np.abs(distances)
     assert np.mean(sizes < 3.0) >= 0.97
     assert sizes.max() < 4.5
-    assert 0.5 < np.sqrt(np.mean(sizes**2)) < 1.5  # the errors are neither boasted nor feared
+    assert 0.5 < np.sqrt(np.mean(sizes**2)) < 1.5  # the errors are neither too small nor too large
 
 
 @pytest.mark.thorough
-def test_what_the_motion_does_not_move_is_not_told() -> None:
+def test_parameters_not_excited_by_the_motion_are_not_reported() -> None:
     found = identify(log_of(1, (0, 3)), "lwr")
     told = {each.joint for each in found.joints if each.coulomb_friction.value is not None}
-    assert {"A1", "A3"} <= told <= {"A1", "A2", "E1", "A3"}  # these are pushed by the others
+    assert {"A1", "A3"} <= told <= {"A1", "A2", "E1", "A3"}  # these joints are pushed by the others
     assert found.joints[6].coulomb_friction.reason == "the run moves A6 too little"
     assert not np.isfinite(found.joints[6].condition)
     assert found.joints[3].condition < 20.0
     assert "the run moves A6 too little" in " ".join(remarks(found))
-    # Gravity stays as it is; what is told of offsets is true all the same.
+    # Gravity is constant, but reported offsets are true nevertheless.
     simulation, true = excited(1, moved=(0,))
     about_itself = identify(simulation.log, "lwr")
     assert about_itself.mass.value is None
@@ -128,14 +128,14 @@ def test_what_the_motion_does_not_move_is_not_told() -> None:
             assert abs(offset.value - value) < 4.0 * offset.error
 
 
-def test_with_joint_torque_control_friction_is_not_told() -> None:
+def test_friction_is_not_reported_with_joint_torque_control() -> None:
     found = identify(log_of(2, loop=True), "lwr")
     reasons = {each.coulomb_friction.reason for each in found.joints}
     assert reasons == {"joint torque control compensates friction"}
     assert found.mass.value == pytest.approx(MASS, abs=0.03)
 
 
-def test_without_commands_the_links_still_tell() -> None:
+def test_links_are_identified_without_commands() -> None:
     log = log_of(0)
     signals = {key: value for key, value in log.signals.items() if "commanded" not in key}
     found = identify(RunLog(log.robots, signals, log.times, "mute"), "lwr")
@@ -143,7 +143,7 @@ def test_without_commands_the_links_still_tell() -> None:
     assert found.mass.value == pytest.approx(MASS, abs=0.03)
 
 
-def test_without_a_payload_none_is_told() -> None:
+def test_missing_payload_is_reported_as_not_significant() -> None:
     found = identify(excited(5, mass=0.0)[0].log, "lwr")
     assert not found.has_payload
     assert found.mass.value == pytest.approx(0.0, abs=0.02)
@@ -151,7 +151,7 @@ def test_without_a_payload_none_is_told() -> None:
     assert "payload" not in as_toml(found).replace("sensors and payloads", "")
 
 
-def test_of_coupled_joints_offsets_are_not_told() -> None:
+def test_offsets_of_coupled_joints_are_not_reported() -> None:
     log = log_of(0)
     arm = SerialRobot.from_model("lwr", couplings={"A6": {"to": "A5", "ratio": -1.0}})
     found, apart = identify(replace(log, robots={"lwr": arm}), "lwr"), identify(log, "lwr")
@@ -161,7 +161,7 @@ def test_of_coupled_joints_offsets_are_not_told() -> None:
     assert found.mass.value == pytest.approx(MASS, abs=0.05)
 
 
-def test_a_force_that_lifts_is_no_payload_and_no_offset() -> None:
+def test_lifting_force_is_neither_payload_nor_offset() -> None:
     log = log_of(0)
     raised = dict(log.signals)
     key = event_of("lwr", "torques")
@@ -171,7 +171,7 @@ def test_a_force_that_lifts_is_no_payload_and_no_offset() -> None:
     assert all(each.torque_offset.value is None for each in found.joints)
 
 
-def test_an_inertia_is_never_less_than_zero() -> None:
+def test_negative_inertia_is_not_reported() -> None:
     log = log_of(0)
     wrong = dict(log.signals)
     key, other = event_of("lwr", "commanded_torques"), event_of("lwr", "torques")
@@ -184,7 +184,7 @@ def test_an_inertia_is_never_less_than_zero() -> None:
     )
 
 
-def test_the_lines_are_those_of_a_robots_file() -> None:
+def test_output_lines_are_valid_in_a_robot_file() -> None:
     found = identify(log_of(1, (0, 3)), "lwr")
     text = as_toml(found)
     dynamics = tomllib.loads(text)["dynamics"]
@@ -193,7 +193,7 @@ def test_the_lines_are_those_of_a_robots_file() -> None:
     np.testing.assert_allclose(again.coulomb_friction, before.coulomb_friction, atol=0.02)
     np.testing.assert_array_equal(again.viscous_friction[[5, 6]], before.viscous_friction[[5, 6]])
     assert "# not identifiable from the run, unchanged: " in text
-    # The rest is a scenario's, once it is no comment.
+    # The rest is for a scenario, once uncommented.
     text = as_toml(identify(log_of(0), "lwr"))
     rest = text[text.index("# [sensors") :].replace("# standard", "#standard").replace("# ", "")
     scenario = tomllib.loads(rest.replace("standard errors", "#").replace("##", "#"))
@@ -201,7 +201,7 @@ def test_the_lines_are_those_of_a_robots_file() -> None:
     assert scenario["disturbances"]["payload"]["mass"] == pytest.approx(MASS, abs=0.05)
 
 
-def test_errors_of_residuals_that_resemble_their_neighbours_are_larger() -> None:
+def test_autocorrelated_residuals_increase_the_errors() -> None:
     rng = np.random.default_rng(3)
     K = 1500
     x = np.cumsum(rng.normal(size=K)) / 30.0 + np.sin(np.arange(K) / 50.0)
@@ -219,7 +219,7 @@ def test_errors_of_residuals_that_resemble_their_neighbours_are_larger() -> None
     assert ((ratio > 0.7) & (ratio < 1.4)).all(), ratio
 
 
-def test_estimates_show_as_many_digits_as_they_are_sure_of() -> None:
+def test_estimates_show_only_significant_digits() -> None:
     assert str(Estimate(1.23456, 0.02)) == "1.235 ± 0.02"
     assert str(Estimate(-0.00001, 0.001)) == "-0.0000 ± 0.001"
     assert str(Estimate(None, None, "because")) == "-"
@@ -232,7 +232,7 @@ def command(*arguments: object) -> int:
 
 
 @pytest.mark.thorough
-def test_the_command_writes_lines_and_a_figure(
+def test_identify_writes_lines_and_a_figure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recording = record_run(excited(0)[0], tmp_path / "run.mcap")
@@ -252,7 +252,7 @@ def test_the_command_writes_lines_and_a_figure(
     assert len(found["joints"]) == 7
 
 
-def test_of_several_recordings_there_is_a_row_for_each(
+def test_several_recordings_have_one_row_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = [record_run(excited(seed)[0], tmp_path / f"run{seed}.mcap") for seed in (0, 1)]
@@ -273,7 +273,7 @@ def test_of_several_recordings_there_is_a_row_for_each(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (
             ["--table", "x.csv", "--plot", "x.pdf"],
@@ -286,15 +286,15 @@ def test_of_several_recordings_there_is_a_row_for_each(
         (["--to", "0.2"], "run: has 0.2 s of 'lwr'"),
     ],
 )
-def test_the_command_says_what_is_wrong(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+def test_invalid_arguments_are_rejected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
 ) -> None:
     recording = record_run(simulated(), tmp_path / "run.mcap")
     assert command(recording, *arguments) == 2
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
-def test_runs_without_torques_or_motion_are_refused() -> None:
+def test_runs_without_torques_or_motion_are_rejected() -> None:
     log = log_of(0)
     angles = {"lwr_joint_angles": log.of("lwr", "joint_angles")}
     with raises_with(
@@ -302,11 +302,11 @@ def test_runs_without_torques_or_motion_are_refused() -> None:
     ):
         identify(RunLog(log.robots, angles, log.times, "silent"), "lwr")
     still = {**log.signals, "lwr_joint_angles": np.tile(HOME, (len(log.times), 1))}
-    told = {"reason": "no joint of 'lwr' moves", "expected": "a run that moves it"}
-    with raises_with(UsageError, key="still", **told):
+    expected = {"reason": "no joint of 'lwr' moves", "expected": "a run that moves it"}
+    with raises_with(UsageError, key="still", **expected):
         identify(RunLog(log.robots, still, log.times, "still"), "lwr")
 
 
-def test_zero_has_no_sign_in_figures() -> None:
+def test_zero_has_no_sign() -> None:
     assert [_brief(Estimate(value)) for value in (-0.0004, -0.0006)] == ["0.000", "-0.001"]
     assert _brief(Estimate(None)) == "unknown"

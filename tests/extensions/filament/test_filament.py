@@ -1,4 +1,4 @@
-"""Filament's pictures: the geoms, colours and clicks of the classic renderer's, or a reason."""
+"""Filament images: the geoms, colors and clicks of the classic renderer, or a reason."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def data(world: World) -> mujoco.MjData:
 
 @pytest.fixture(scope="module")
 def pair(world: World) -> Any:
-    """The classic renderer and Filament's, of one world."""
+    """Yields the classic renderer and Filament's of one world."""
     with (
         HeadlessRenderer(world, *SIZE) as classic,
         HeadlessRenderer(world, *SIZE, renderer="filament") as filament,
@@ -72,7 +72,7 @@ def pair(world: World) -> Any:
 
 
 def silhouette(renderer: HeadlessRenderer, data: mujoco.MjData) -> np.ndarray:
-    """Where links are, white in the light of the scene before black, (height, width) bool."""
+    """Returns where links are white in the light of the scene on black, (height, width) bool."""
     renderer._look(data)
     inner, model = renderer._renderer, renderer.world.model
     scene = inner.scene
@@ -98,17 +98,17 @@ def assert_same_silhouette(world: World) -> None:
     assert (found[0] & found[1]).sum() / union >= 0.99
 
 
-def test_links_have_the_silhouettes_of_the_classic_renderer(world: World) -> None:
+def test_link_silhouettes_equal_those_of_the_classic_renderer(world: World) -> None:
     assert_same_silhouette(world)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", sorted(list_scenes()))
-def test_links_of_shipped_scenes_have_the_silhouettes_of_the_classic_renderer(name: str) -> None:
+def test_link_silhouettes_of_shipped_scenes_equal_those_of_the_classic_renderer(name: str) -> None:
     assert_same_silhouette(World(load_scene(name)))
 
 
-def test_arrows_have_their_declared_colours(
+def test_arrows_have_their_declared_colors(
     world: World, data: mujoco.MjData, pair: tuple[HeadlessRenderer, HeadlessRenderer]
 ) -> None:
     for each in pair:
@@ -124,12 +124,12 @@ def test_arrows_have_their_declared_colours(
             hues = [colorsys.rgb_to_hsv(*pixel)[0] for pixel in picture[near] / 255]
             apart = 360 * abs(float(np.median(hues)) - hue)
             assert apart <= 3.0, (colour, apart)
-    # Nothing shines around arrows: edges are between the colours on both sides of them.
+    # Arrows have no halo: edges are between the colors on both sides.
     assert (filament.min(axis=2) > np.maximum(classic.min(axis=2), 245)).sum() == 0
 
 
 @pytest.mark.thorough
-def test_doubles_look_as_in_the_classic_picture(
+def test_doubles_look_like_those_of_the_classic_renderer(
     world: World, data: mujoco.MjData, pair: tuple[HeadlessRenderer, HeadlessRenderer]
 ) -> None:
     pictures = []
@@ -145,15 +145,15 @@ def test_doubles_look_as_in_the_classic_picture(
     )
     assert is_double.sum() > 500
     classic, filament = (shown[0][is_double].mean(axis=0) for shown in pictures)
-    assert np.abs(classic - filament).max() < 28  # which are lit from other sides
+    assert np.abs(classic - filament).max() < 28  # which are lit from other directions
     hues = [360 * colorsys.rgb_to_hsv(*(mean / 255))[0] for mean in (classic, filament)]
     assert abs(hues[0] - hues[1]) <= 3.0
-    # Their links cast no shadow, as in the classic picture.
+    # Their links cast no shadow, as in the classic renderer.
     apart = [np.abs(shown[0] - shown[1]).max(axis=2) > 12 for shown in pictures]
     assert (apart[1] & ~apart[0]).sum() < 0.05 * apart[0].sum()
 
 
-def test_an_opacity_is_that_of_colours_as_they_are_shown() -> None:
+def test_opacity_applies_to_display_colors() -> None:
     light, opacity = glow((0.2, 0.7, 0.4, 0.36), False)
     for grey in (0.55, 0.7, 0.9):
         seen = shown(np.array(light) + (1 - opacity) * linear(np.full(3, grey)))
@@ -163,7 +163,7 @@ def test_an_opacity_is_that_of_colours_as_they_are_shown() -> None:
     assert glow((0.25, 0.5, 0.75, 1.0), False)[1] == 1.0
 
 
-def test_clicks_are_the_same(
+def test_clicks_pick_the_same_items(
     data: mujoco.MjData, pair: tuple[HeadlessRenderer, HeadlessRenderer]
 ) -> None:
     for each in pair:
@@ -180,7 +180,7 @@ def test_clicks_are_the_same(
 @pytest.mark.parametrize(
     "stereo", ["side-by-side", pytest.param("anaglyph", marks=pytest.mark.thorough)]
 )
-def test_pictures_for_two_eyes_are_those_of_the_classic_renderer(
+def test_stereo_images_equal_those_of_the_classic_renderer(
     world: World, data: mujoco.MjData, stereo: Any
 ) -> None:
     pictures = []
@@ -194,7 +194,7 @@ def test_pictures_for_two_eyes_are_those_of_the_classic_renderer(
 
 
 @pytest.mark.thorough
-def test_a_photo_shows_through_and_the_robot_hides_decor(world: World, data: mujoco.MjData) -> None:
+def test_photo_is_visible_and_the_robot_hides_decor(world: World, data: mujoco.MjData) -> None:
     from photos import camera
 
     by = camera("none")
@@ -207,12 +207,12 @@ def test_a_photo_shows_through_and_the_robot_hides_decor(world: World, data: muj
             renderer.toggles.doubles[:] = True
             pictures.append(renderer.render(data, noise).astype(int))
         changed.append(np.abs(pictures[-1] - noise).max(axis=2) > 8)
-    # Edges of one pixel are smooth in another way.
+    # Edges one pixel wide are antialiased differently.
     assert (changed[0] & changed[1]).sum() / (changed[0] | changed[1]).sum() > 0.9
     assert np.abs(pictures[1] - noise)[~changed[1]].mean() < 1.0
 
 
-def test_fine_pictures_are_filament_s_and_others_classic(world: World) -> None:
+def test_fine_images_use_filament_and_others_the_classic_renderer(world: World) -> None:
     for quality, renderer, expected in (
         ("fine", None, "filament"), ("normal", None, "classic"), ("draft", None, "classic"),
         ("fine", "classic", "classic"), ("draft", "filament", "filament"),
@@ -222,7 +222,7 @@ def test_fine_pictures_are_filament_s_and_others_classic(world: World) -> None:
         HeadlessRenderer(world, 64, 48, renderer="opengl")  # type: ignore[arg-type]
 
 
-def test_without_a_driver_the_picture_is_classic_and_a_line_says_why(
+def test_missing_driver_falls_back_to_classic_with_a_warning(
     world: World,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -240,14 +240,14 @@ def test_without_a_driver_the_picture_is_classic_and_a_line_says_why(
     assert len(said) == 1
     text = said[0].getMessage()
     assert "Vulkan" in text and "apt install libvulkan1 mesa-vulkan-drivers" in text
-    # The answer is remembered: no process is started for it again.
+    # The result is cached: no process is started again.
     filament_probe._problem.cache_clear()
     monkeypatch.setattr(subprocess, "run", None)
     assert "no Vulkan driver" in (filament_problem() or "")
     renderer_choice._warn.cache_clear()
 
 
-def test_an_answer_that_cannot_be_kept_is_found_again(
+def test_probe_is_repeated_if_its_result_cannot_be_cached(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     file = tmp_path / "file" / "filament.json"
@@ -256,7 +256,8 @@ def test_an_answer_that_cannot_be_kept_is_found_again(
     monkeypatch.setattr(filament_probe, "_try", lambda width, height: f"{width}x{height}")
     filament_probe._problem.cache_clear()
     assert filament_problem() == "64x64"
-    assert filament_problem(5000, 100) == "5000x100"  # every size beyond all drivers' is tried
+    # Every size beyond the limits of all drivers is tried.
+    assert filament_problem(5000, 100) == "5000x100"
     filament_probe._problem.cache_clear()
     file.parent.unlink()
     file.parent.mkdir()
@@ -276,12 +277,12 @@ def test_an_answer_that_cannot_be_kept_is_found_again(
         ("", -11, "the test process ended with status -11"),
     ],
 )  # fmt: skip
-def test_a_reason_is_a_line(stderr: str, status: int, reason: str) -> None:
+def test_failure_reason_is_one_line(stderr: str, status: int, reason: str) -> None:
     assert reason_of(stderr, status) == reason
 
 
 def draw(xml: str, size: tuple[int, int] = (64, 48)) -> np.ndarray:
-    """A picture of a model."""
+    """Returns an image of a model."""
     model = mujoco.MjModel.from_xml_string(xml)
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
     mujoco.mj_forward(model, data)
@@ -294,7 +295,7 @@ def draw(xml: str, size: tuple[int, int] = (64, 48)) -> np.ndarray:
     return pixels
 
 
-def test_options_that_are_unknown_or_wrong_are_told_and_have_no_effect(
+def test_unknown_or_invalid_options_are_reported_and_ignored(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     pixels = draw(
@@ -309,7 +310,7 @@ def test_options_that_are_unknown_or_wrong_are_told_and_have_no_effect(
     ]
 
 
-def test_nothing_is_said_on_standard_output(capfd: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_printed_on_standard_output(capfd: pytest.CaptureFixture[str]) -> None:
     draw("<mujoco><worldbody><geom size='.2'/></worldbody></mujoco>")
     assert capfd.readouterr().out == ""
 
@@ -352,7 +353,7 @@ def test_memory_does_not_grow_over_frames(world: World, data: mujoco.MjData) -> 
             world.set_input(data, "lwr.torques", np.array(TORQUES) * np.sin(0.1 * k))
             renderer.render(data)
             seen.append(megabytes())
-    assert seen[-1] - seen[180] < 15  # buffers of the driver fill up before
+    assert seen[-1] - seen[180] < 15  # driver buffers fill up before
 
 
 def test_leaders_are_smooth_to_their_tips() -> None:
@@ -366,7 +367,7 @@ def test_leaders_are_smooth_to_their_tips() -> None:
     assert (picture[:, 200 - 5 :] == 200).sum() > 0
 
 
-def test_the_light_of_the_sky_has_no_tint() -> None:
+def test_light_of_the_sky_has_no_tint() -> None:
     for look, palette in PALETTES.items():
         file = environment(look, palette)
         start = file.index(b"sh\0") + 3

@@ -286,11 +286,11 @@ def test_our_receiver_sees_the_robot_as_the_log_has_it(tmp_path: Path) -> None:
     )
     simulation = Simulation(read_scenario(file))
     with FrankaReceiver(port=port, host="127.0.0.1") as source:
-        source.keep_all()
+        source.start_history()
         for _ in simulation.run():
             pass
         assert until(lambda: source.receive_trigger > 300)
-        packets = source.take_all()
+        packets = source.take_history()
     assert packets is not None
     log, values = simulation.log.signals, packets.values
     # Each step's state is sent before its command, and logged as that of the step before.

@@ -16,7 +16,7 @@ from sero_mj.viewer.player.capture import capture
 pygltflib = pytest.importorskip("pygltflib")
 
 
-def test_a_glb_file_has_an_animated_node_for_each_visible_body(tmp_path: Path) -> None:
+def test_glb_file_has_an_animated_node_for_each_visible_body(tmp_path: Path) -> None:
     found = capture(load_scene("impedance_push"), fps=10, begin=1.0, seconds=0.5)
     write_glb(found, tmp_path / "push.glb")
     gltf = pygltflib.GLTF2().load(str(tmp_path / "push.glb"))
@@ -27,7 +27,7 @@ def test_a_glb_file_has_an_animated_node_for_each_visible_body(tmp_path: Path) -
     assert gltf.accessors[gltf.animations[0].samplers[0].input].count == found.frames
 
 
-def test_a_mesh_shared_by_geoms_is_written_once(
+def test_mesh_shared_by_geoms_is_written_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ball = '<mujoco><asset><mesh name="m" builtin="sphere" params="2"/></asset><worldbody>'

@@ -1,4 +1,4 @@
-"""Environments: dm_env's own conformance tests, and rewards and episodes by a second route."""
+"""Environments: dm_env's conformance tests, and rewards and episodes by a second computation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 
 SHORT = {"time_limit": 0.2}
-# Of each kind of robot and scenario, in a test of every day.
+# One of each kind of robot and scenario, for the quick tests.
 SOME = ("lwr/reach", "puma560/hold", "hand_guiding", "table_contact", "haptic_torque")
 
 
@@ -61,7 +61,7 @@ class TestScenario(Conformance, absltest.TestCase):
 
 
 def play(environment: Any, steps: int, scale: float = 0.2, seed: int = 0) -> list[dm_env.TimeStep]:
-    """A reset and so many random actions."""
+    """Returns the time steps of a reset and of this number of random actions."""
     rng, spec = np.random.default_rng(seed), environment.action_spec()
     found = [environment.reset()]
     for _ in range(steps):
@@ -70,7 +70,7 @@ def play(environment: Any, steps: int, scale: float = 0.2, seed: int = 0) -> lis
 
 
 def same(a: list[dm_env.TimeStep], b: list[dm_env.TimeStep]) -> bool:
-    """Bit for bit."""
+    """Returns whether both are equal bit for bit."""
     return all(
         x.step_type == y.step_type
         and x.reward == y.reward
@@ -82,7 +82,7 @@ def same(a: list[dm_env.TimeStep], b: list[dm_env.TimeStep]) -> bool:
 
 
 def craig(dh: np.ndarray, angles: np.ndarray, base: np.ndarray, flange: np.ndarray) -> np.ndarray:
-    """T_world_flange by Craig's rows alpha, a, theta, d, written out here once more."""
+    """Returns T_world_flange from Craig's rows alpha, a, theta, d, written out again."""
     T = base.copy()
     for (alpha, a, theta, d), q in zip(dh, angles, strict=True):
         ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta + q), np.sin(theta + q)
@@ -91,11 +91,11 @@ def craig(dh: np.ndarray, angles: np.ndarray, base: np.ndarray, flange: np.ndarr
     return np.asarray(T @ flange)
 
 
-def test_the_reward_of_reach_is_that_of_the_distance_by_dh() -> None:
+def test_reward_of_reach_is_that_of_the_distance_by_dh() -> None:
     environment = sero_mj.make_environment("lwr/reach", seed=5, action="impedance")
     robot = SerialRobot.from_model("lwr")
     for step in play(environment, 20, scale=1.0)[1:]:
-        # The sensors are perfect here, so what is observed is true.
+        # The sensors are perfect here, so observations equal the actual values.
         flange = craig(robot.dh_params, step.observation["joint_angles"], robot.base_frame,
                        robot.flange_frame)  # fmt: skip
         distance = np.linalg.norm(flange[:3, 3] - step.observation["target_position"])
@@ -104,7 +104,7 @@ def test_the_reward_of_reach_is_that_of_the_distance_by_dh() -> None:
         np.testing.assert_allclose(step.observation["flange_position"], flange[:3, 3], atol=1e-9)
 
 
-def test_the_reward_of_a_pose_has_its_angle_in_it() -> None:
+def test_reward_of_a_pose_includes_its_angle() -> None:
     environment = sero_mj.make_environment("lwr/reach", target="pose", seed=2)
     for step in play(environment, 5)[1:]:
         seen = step.observation
@@ -117,7 +117,7 @@ def test_the_reward_of_a_pose_has_its_angle_in_it() -> None:
         assert seen["flange_quaternion"][0] >= 0.0
 
 
-def test_a_target_can_be_reached_and_is_worth_one() -> None:
+def test_target_can_be_reached_for_a_reward_of_one() -> None:
     environment = sero_mj.make_environment(
         "lwr/reach", seed=1, action="impedance", stiffness=2000.0, time_limit=20.0
     )
@@ -133,7 +133,7 @@ def test_a_target_can_be_reached_and_is_worth_one() -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"action": "impedance"}])
-def test_hold_is_disturbed_and_gravity_is_compensated(options: dict[str, Any]) -> None:
+def test_hold_has_pushes_and_gravity_compensation(options: dict[str, Any]) -> None:
     still = sero_mj.make_environment("lwr/hold", most_force=0.0, **options)
     step = still.reset()
     while not step.last():
@@ -149,12 +149,12 @@ def test_hold_is_disturbed_and_gravity_is_compensated(options: dict[str, Any]) -
         rewards.append(step.reward)
     assert min(rewards) < 0.9
     if options:
-        assert min(rewards) > 0.1  # springs hold it, more or less
+        assert min(rewards) > 0.1  # springs hold it approximately
 
 
 @pytest.mark.parametrize("name", ["lwr/reach", "lwr/hold"])
 @pytest.mark.parametrize("action", ["torque", "impedance"])
-def test_a_seed_repeats_every_episode_bit_for_bit(name: str, action: str) -> None:
+def test_seed_repeats_every_episode_bit_for_bit(name: str, action: str) -> None:
     options = {
         "action": action,
         "time_limit": 0.14,
@@ -166,14 +166,14 @@ def test_a_seed_repeats_every_episode_bit_for_bit(name: str, action: str) -> Non
     second = play(one, 6)
     assert same(first, play(other, 6))
     assert not same(first, second)
-    # Whatever else has happened in the one before, episode 1 is episode 1.
+    # Whatever happened in the previous episode, episode 1 is episode 1.
     fresh = sero_mj.make_environment(name, seed=7, **options)
     fresh.episode = 0
     assert same(second, play(fresh, 6))
     assert not same(first, play(sero_mj.make_environment(name, seed=8, **options), 6))
 
 
-def test_a_scenario_repeats_its_episodes_and_its_reward_follows_what_is_expected() -> None:
+def test_scenario_repeats_its_episodes_with_rewards_from_its_expectations() -> None:
     options: dict[str, Any] = {"overrides": {"run.duration": 4.6}, "action": "impedance",
                                "stiffness": 800.0}  # fmt: skip
     one = sero_mj.make_environment("impedance_push", **options)
@@ -192,12 +192,12 @@ def test_a_scenario_repeats_its_episodes_and_its_reward_follows_what_is_expected
 
 
 def play_after(environment: Any, steps: int) -> list[dm_env.TimeStep]:
-    """The second episode."""
+    """Returns the second episode."""
     play(environment, 5, seed=9)
     return play(environment, steps)
 
 
-def test_actions_are_bounded_by_the_torque_limits_and_cut_off_there() -> None:
+def test_actions_are_bounded_and_clipped_by_the_torque_limits() -> None:
     robot = SerialRobot.from_model("lwr")
     environment = sero_mj.make_environment("lwr/reach", start="home")
     spec = environment.action_spec()
@@ -212,7 +212,7 @@ def test_actions_are_bounded_by_the_torque_limits_and_cut_off_there() -> None:
     np.testing.assert_allclose(impedance.action_spec().maximum, 0.02 * robot.velocity_limits)
 
 
-def test_observations_stay_within_their_bounds_at_full_torque() -> None:
+def test_observations_are_within_their_bounds_at_full_torque() -> None:
     environment = sero_mj.make_environment("lwr/reach", seed=3, time_limit=1.0)
     specs = environment.observation_spec()
     for step in play(environment, 50, scale=1.0):
@@ -223,7 +223,7 @@ def test_observations_stay_within_their_bounds_at_full_torque() -> None:
 
 
 @pytest.mark.parametrize(("bad", "joint"), [(np.nan, "A3"), (np.inf, "A3")])
-def test_an_action_that_is_no_number_names_the_joint_and_moves_nothing(
+def test_action_that_is_not_finite_names_the_joint_and_moves_nothing(
     bad: float, joint: str
 ) -> None:
     environment = sero_mj.make_environment("lwr/reach")
@@ -232,15 +232,15 @@ def test_an_action_that_is_no_number_names_the_joint_and_moves_nothing(
     before = environment.data.qpos.copy()
     action = np.zeros(7)
     action[environment.robot.names.index(joint)] = bad
-    told = {"joint": f"lwr/{joint}", "found": bad, "expected": "-100 to 100 Nm"}
+    expected = {"joint": f"lwr/{joint}", "found": bad, "expected": "-100 to 100 Nm"}
     reason = f"found an action of {bad}; expected -100 to 100 Nm"
-    with raises_with(SimulationError, time=pytest.approx(0.02), reason=reason, **told):
+    with raises_with(SimulationError, time=pytest.approx(0.02), reason=reason, **expected):
         environment.step(action)
     np.testing.assert_array_equal(environment.data.qpos, before)
     assert environment.step(np.zeros(7)).mid()
 
 
-def test_an_action_of_another_shape_is_refused() -> None:
+def test_action_of_another_shape_is_rejected() -> None:
     environment = sero_mj.make_environment("lwr/reach")
     environment.reset()
     with raises_with(key="action", reason="found 6", expected="7 numbers, one per joint"):
@@ -251,7 +251,7 @@ def test_an_action_of_another_shape_is_refused() -> None:
         environment.step("left")
 
 
-def test_what_becomes_unstable_ends_the_episode_with_discount_zero() -> None:
+def test_unstable_motion_ends_the_episode_with_discount_zero() -> None:
     environment = sero_mj.make_environment("lwr/reach")
     environment.reset()
     before = environment.step(np.zeros(7)).observation
@@ -267,7 +267,7 @@ def test_what_becomes_unstable_ends_the_episode_with_discount_zero() -> None:
     assert environment.step(np.zeros(7)).mid()
 
 
-def test_an_episode_ends_at_its_time_limit_with_discount_one() -> None:
+def test_episode_ends_at_its_time_limit_with_discount_one() -> None:
     environment = sero_mj.make_environment("lwr/reach", time_limit=0.1, control_timestep=0.05)
     assert environment.reset().first()
     assert environment.step(np.zeros(7)).mid()
@@ -278,7 +278,7 @@ def test_an_episode_ends_at_its_time_limit_with_discount_one() -> None:
     assert environment.data.time == 0.0
 
 
-def test_targets_are_free_and_within_limits() -> None:
+def test_targets_are_collision_free_and_within_limits() -> None:
     environment = sero_mj.make_environment("lwr/reach")
     limits = environment.robot.position_limits
     seen = []
@@ -291,7 +291,7 @@ def test_targets_are_free_and_within_limits() -> None:
     assert np.ptp(seen, axis=0).min() > 0.5  # not always in the same corner
 
 
-def test_a_robot_that_stands_on_the_floor_begins_there(tmp_path: Any) -> None:
+def test_robot_on_the_floor_starts_there(tmp_path: Any) -> None:
     path = tmp_path / "sits.xml"
     path.write_text("""<mujoco><worldbody><body pos="0 0 0.1"><freejoint/>
       <geom type="box" size="0.2 0.2 0.1" mass="10"/>
@@ -324,9 +324,7 @@ def test_a_robot_that_stands_on_the_floor_begins_there(tmp_path: Any) -> None:
         ("impedance_push", {"time_limit": 3.0}, "time_limit: unknown option; available: "),
     ],
 )  # fmt: skip
-def test_what_is_asked_for_wrongly_is_told(
-    name: str, options: dict[str, Any], message: str
-) -> None:
+def test_invalid_arguments_are_rejected(name: str, options: dict[str, Any], message: str) -> None:
     with pytest.raises((DeclarationError, UnknownName)) as caught:
         sero_mj.make_environment(name, **options)
     assert message in str(caught.value)
@@ -335,8 +333,8 @@ def test_what_is_asked_for_wrongly_is_told(
 @pytest.mark.parametrize(
     "name", sampled(sorted(list_environments(), key=lambda name: name not in SOME), 5)
 )
-def test_every_listed_environment_keeps_what_its_specs_say_to_the_end(name: str) -> None:
-    timestep = 0.5 if name.startswith("justin") else 0.1  # 51 joints take their time
+def test_every_listed_environment_conforms_to_its_specs(name: str) -> None:
+    timestep = 0.5 if name.startswith("justin") else 0.1  # 51 joints take longer
     environment = sero_mj.make_environment(name, control_timestep=timestep, action="impedance")
     step = environment.reset()
     specs, still = environment.observation_spec(), 0.0 * environment.action_spec().minimum
@@ -349,22 +347,22 @@ def test_every_listed_environment_keeps_what_its_specs_say_to_the_end(name: str)
     assert environment.error is None and step.discount == 1.0
 
 
-def test_the_environments_are_those_of_robots_and_scenarios() -> None:
+def test_environments_are_those_of_robots_and_scenarios() -> None:
     assert {"lwr/reach", "lwr/hold", "impedance_push", "table_contact"} <= set(list_environments())
 
 
-def test_an_agent_feels_a_push_in_a_scenario() -> None:
+def test_push_in_a_scenario_is_observed() -> None:
     environment = sero_mj.make_environment("impedance_push", action="impedance", stiffness=800.0)
     step = environment.reset()
     felt = {}
     while not step.last():
         step = environment.step(np.zeros(7))
         felt[round(environment.simulation.time, 2)] = step.observation["external_torques"]
-    assert np.abs(felt[0.9]).max() < 0.1  # the push is there from 1 s to 3 s
+    assert np.abs(felt[0.9]).max() < 0.1  # the push acts from 1 s to 3 s
     assert np.abs(felt[2.9]).max() > 10.0
 
 
-def test_a_robot_file_with_estimated_dynamics_will_do(tmp_path: Any) -> None:
+def test_robot_file_with_estimated_dynamics_is_accepted(tmp_path: Any) -> None:
     folder = tmp_path / "mine"
     folder.mkdir()
     (folder / "robot.toml").write_text(
@@ -393,13 +391,13 @@ def test_a_robot_file_with_estimated_dynamics_will_do(tmp_path: Any) -> None:
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.parametrize("name", ["lwr/reach", "impedance_push"])
-def test_pictures_show_the_robot_and_change_as_it_moves(name: str) -> None:
+def test_images_show_the_robot_and_change_as_it_moves(name: str) -> None:
     environment = sero_mj.make_environment(name)
     environment.reset()
     first = environment.render(60, 80)
     assert first.shape == (60, 80, 3) and first.dtype == np.uint8 and first.std() > 5
     state = environment.data.qpos.copy()
-    np.testing.assert_array_equal(environment.data.qpos, state)  # a look moves nothing
+    np.testing.assert_array_equal(environment.data.qpos, state)  # rendering moves nothing
     for _ in range(20):
         environment.step(0.5 * environment.action_spec().maximum)
     second = environment.render(60, 80)
@@ -413,19 +411,19 @@ def test_pictures_show_the_robot_and_change_as_it_moves(name: str) -> None:
     environment.close()
 
 
-LONG = {"run.duration": 4.6}  # as long as its expectations need
+LONG = {"run.duration": 4.6}  # as long as its expectations require
 
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_a_picture_is_of_the_state_now_however_long_drawing_takes() -> None:
+def test_image_shows_the_current_state() -> None:
     still = sero_mj.make_environment("impedance_push", overrides=LONG)
     zero = np.zeros(7)
     still.reset()
     first = still.render(60, 80)
     for _ in range(75):
         still.step(zero)
-    later = still.render(60, 80)  # under the push, which has begun at 1 s
+    later = still.render(60, 80)  # under the push, which began at 1 s
     assert still.simulation.time == pytest.approx(1.5)
     fresh = sero_mj.make_environment("impedance_push", overrides=LONG)
     fresh.reset()
@@ -437,7 +435,7 @@ def test_a_picture_is_of_the_state_now_however_long_drawing_takes() -> None:
     fresh.close()
 
 
-def test_the_users_scenario_keeps_its_controllers() -> None:
+def test_controllers_of_the_user_scenario_are_unchanged() -> None:
     scenario = read_scenario("impedance_push", LONG)
     before = dict(scenario.controllers)
     environment = Environment(
@@ -447,13 +445,13 @@ def test_the_users_scenario_keeps_its_controllers() -> None:
     assert scenario.controllers == before
     assert environment.scenario.controllers != before
     simulation = Simulation(scenario)
-    simulation.advance(simulation.steps)  # by its own controller, as ever
+    simulation.advance(simulation.steps)  # by its own controller, as before
     again = Simulation(read_scenario("impedance_push", LONG))
     again.advance(again.steps)
     np.testing.assert_array_equal(simulation.rows, again.rows)
 
 
-def test_what_is_changed_about_the_plant_stays_over_episodes() -> None:
+def test_changes_of_the_plant_persist_over_episodes() -> None:
     environment = sero_mj.make_environment("lwr/hold", max_force=0.0, time_limit=0.1)
     light = play(environment, 4)[-1].observation["torques"]
     environment.episode = -1
@@ -462,7 +460,7 @@ def test_what_is_changed_about_the_plant_stays_over_episodes() -> None:
     assert np.abs(heavy - light).max() > 1.0
 
 
-def test_a_start_beyond_the_limits_of_a_robot_that_begins_anywhere_does_not_matter() -> None:
+def test_start_beyond_the_limits_is_ignored_with_random_starts() -> None:
     limits = np.deg2rad([[-170, 170]] + [[10, 120]] + [[-170, 170]] * 5)
     environment = sero_mj.make_environment("lwr/reach", robot={"position_limits": limits.tolist()})
     angles = environment.reset().observation["joint_angles"]  # declared: upright, joint 2 at 0

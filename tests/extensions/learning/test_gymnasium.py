@@ -1,4 +1,4 @@
-"""Environments for gymnasium: its own checker, and that they are those of dm_env."""
+"""Environments for gymnasium: its checker, and equality with those of dm_env."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ SHORT = {"time_limit": 0.1}
 
 
 def plain(name: str, **options: Any) -> GymnasiumEnvironment:
-    """Without gymnasium's wrappers."""
+    """Returns the environment without gymnasium's wrappers."""
     environment = gymnasium.make(f"sero_mj/{name}-v0", **options).unwrapped
     assert isinstance(environment, GymnasiumEnvironment)
     return environment
 
 
 def actions(environment: Any, steps: int, seed: int = 0) -> np.ndarray:
-    """So many random ones, (steps, n)."""
+    """Returns random actions, (steps, n)."""
     rng = np.random.default_rng(seed)
     return rng.uniform(-1.0, 1.0, (steps, *environment.action_space.shape)).astype(np.float32)
 
 
-def test_there_is_an_id_for_every_environment_and_for_every_robot_of_one_s_own() -> None:
+def test_every_environment_and_user_robot_has_an_id() -> None:
     assert tuple(ALL_TASKS) == TASKS
     expected = {f"sero_mj/{name.replace('/', '-')}-v0" for name in list_environments()}
     expected |= {f"sero_mj/{name}-v0" for name in (*TASKS, "scenario")}
@@ -46,7 +46,7 @@ def test_there_is_an_id_for_every_environment_and_for_every_robot_of_one_s_own()
 
 
 @pytest.mark.parametrize("order", ["gymnasium, sero_mj", "sero_mj, gymnasium"])
-def test_importing_registers_them_in_either_order_and_imports_no_mujoco(order: str) -> None:
+def test_importing_registers_ids_in_either_order_and_imports_no_mujoco(order: str) -> None:
     code = f"""
 import sys, {order}
 assert gymnasium.__spec__.name == "gymnasium" and gymnasium.__version__
@@ -65,16 +65,16 @@ register_environments()  # warns of nothing: they are there
         ("lwr-reach", SHORT),
         ("lwr-reach", {**SHORT, "target": "pose", "action": "impedance"}),
         ("lwr-hold", SHORT),
-        ("reach", {**SHORT, "robot": "scara", "action": "impedance"}),  # it slides; has no limits
+        ("reach", {**SHORT, "robot": "scara", "action": "impedance"}),  # prismatic; without limits
         ("impedance_push", {"overrides": {"run.duration": 4.6}, "control_timestep": 0.2}),
     ],
 )
-def test_gymnasium_s_checker_has_nothing_to_say(name: str, options: dict[str, Any]) -> None:
+def test_environments_pass_the_checker_of_gymnasium(name: str, options: dict[str, Any]) -> None:
     # Its warnings are errors here.
     check_env(plain(name, **options), skip_render_check=True)
 
 
-def test_steps_are_those_of_dm_env_by_shares_of_the_bounds() -> None:
+def test_steps_equal_those_of_dm_env_with_actions_scaled_by_bounds() -> None:
     options: dict[str, Any] = {"action": "impedance", "time_limit": 0.12}
     one = plain("lwr-reach", **options)
     other = sero_mj.make_environment("lwr/reach", seed=11, **options)
@@ -97,14 +97,14 @@ def test_steps_are_those_of_dm_env_by_shares_of_the_bounds() -> None:
             one.step(action)
 
 
-def test_without_a_seed_every_environment_goes_its_own_way() -> None:
+def test_environments_without_a_seed_differ() -> None:
     first, second = (plain("lwr-reach", **SHORT).reset()[0] for _ in range(2))
     assert np.abs(first["target_position"] - second["target_position"]).max() > 1e-3
     third, fourth = (plain("lwr-reach", seed=4, **SHORT).reset()[0] for _ in range(2))
     np.testing.assert_array_equal(third["target_position"], fourth["target_position"])
 
 
-def test_what_becomes_unstable_is_terminated_and_says_why() -> None:
+def test_unstable_motion_is_terminated_with_a_reason() -> None:
     environment = plain("lwr-reach")
     environment.reset(seed=1)
     zero = np.zeros(7, np.float32)
@@ -116,7 +116,7 @@ def test_what_becomes_unstable_is_terminated_and_says_why() -> None:
     np.testing.assert_array_equal(seen["joint_angles"], before["joint_angles"])
 
 
-def test_observations_are_cut_off_at_finite_bounds() -> None:
+def test_observations_are_clipped_to_finite_bounds() -> None:
     environment = plain("lwr-reach", time_limit=1.0)
     environment.reset(seed=3)
     most = 10.0 * environment.environment.robot.velocity_limits
@@ -148,9 +148,7 @@ def test_observations_are_cut_off_at_finite_bounds() -> None:
         ("scara-reach", {}, 'expected one per joint, Nm, or action="impedance"'),
     ],
 )  # fmt: skip
-def test_what_is_asked_for_wrongly_is_told(
-    name: str, options: dict[str, Any], message: str
-) -> None:
+def test_invalid_arguments_are_rejected(name: str, options: dict[str, Any], message: str) -> None:
     with pytest.raises((DeclarationError, UnknownName)) as caught:
         sero_mj.extensions.learning.gymnasium_env.make_gymnasium_environment(
             **{**gymnasium.spec(f"sero_mj/{name}-v0").kwargs, **options}
@@ -158,7 +156,7 @@ def test_what_is_asked_for_wrongly_is_told(
     assert message in str(caught.value)
 
 
-def test_fields_of_a_robot_s_file_can_be_given_with_its_name() -> None:
+def test_robot_fields_can_be_passed_with_the_model_name() -> None:
     robot = {"model": "lwr", "torque_limits": [1.0] * 7}
     environment = plain("reach", robot=robot, **SHORT)
     np.testing.assert_array_equal(environment.environment.action_spec().maximum, np.ones(7))
@@ -167,7 +165,7 @@ def test_fields_of_a_robot_s_file_can_be_given_with_its_name() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_windows_and_pictures_pass_gymnasium_s_checker() -> None:
+def test_windows_and_images_pass_the_checker_of_gymnasium() -> None:
     if MISSING:
         pytest.skip(f"{' and '.join(MISSING)} cannot be found")
     code = """
@@ -191,7 +189,7 @@ env.close()
         )
 
 
-def test_stable_baselines_learns_with_it() -> None:
+def test_stable_baselines_can_train() -> None:
     pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
     from stable_baselines3 import PPO
     from stable_baselines3.common import env_checker

@@ -1,4 +1,4 @@
-"""Environments that are stepped together are those that are stepped one by one."""
+"""Batched environments equal environments stepped one by one."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ from sero_mj.simulate.control.compiler import Compiler
 from sero_mj.simulate.control.robot_models import RobotModels
 from sero_mj.simulate.scenario import Run, build_entry
 
-# What noise, delays and quantised encoders add to the truth.
+# Noise, delays and quantized encoders of sensors.
 SENSORS = {
     "angles": {"noise": 1e-3, "resolution": 1e-4},
     "torques": {"noise": 0.1, "delay": 2},
     "velocity_filter": 100.0,
 }
-DOWN = np.array([0.0, 0.4, 0.0, 0.3, 0.0, 0.0, 0.0], np.float32)  # into stops, and onto the floor
+# Into the stops and onto the floor.
+DOWN = np.array([0.0, 0.4, 0.0, 0.3, 0.0, 0.0, 0.0], np.float32)
 
 
 def vector(name: str, mode: str, many: int, **options: Any) -> Any:
@@ -40,7 +41,7 @@ def vector(name: str, mode: str, many: int, **options: Any) -> Any:
 def compare(
     name: str, actions: np.ndarray, break_at: int | None = None, threads: int = 2, **options: Any
 ) -> None:
-    """Plays the same in both ways, (steps, m, n); at a step one motion is made unstable."""
+    """Compares both ways with the same actions, (steps, m, n); one motion is made unstable."""
     many = actions.shape[1]
     together = vector(name, "vector_entry_point", many, threads=threads, **options)
     alone = vector(name, "sync", many, **options)
@@ -77,7 +78,7 @@ def random_actions(steps: int, many: int, n: int = 7) -> np.ndarray:
     return np.random.default_rng(0).uniform(-1.0, 1.0, (steps, many, n)).astype(np.float32)
 
 
-# Next to each other they differ in what is computed: what acts, what is sensed, what is coupled.
+# Neighbors differ in what is computed: disturbances, sensors, couplings.
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "options"),
@@ -88,21 +89,21 @@ def random_actions(steps: int, many: int, n: int = 7) -> np.ndarray:
         ("lwr-reach", {"action": "impedance", "robot": {"elastic_joints": True}}),
         ("lwr-hold", {"max_force": 80.0, "every": 0.05}),
         ("hit_finger-hold", {"action": "impedance", "every": 0.05}),  # coupled joints
-        ("scara-reach", {"action": "impedance"}),  # it slides; has no limits
+        ("scara-reach", {"action": "impedance"}),  # prismatic; without limits
     ],
 )
-def test_a_batch_is_so_many_single_ones_across_ends_of_episodes(
+def test_batch_equals_single_environments_across_episodes(
     name: str, options: dict[str, Any]
 ) -> None:
     n = SerialRobot.from_model(name.partition("-")[0]).n
     compare(name, random_actions(8, 3, n), time_limit=0.08, **options)
 
 
-def test_one_that_becomes_unstable_is_terminated_and_begun_again_by_itself() -> None:
+def test_unstable_environment_is_terminated_and_restarted_alone() -> None:
     compare("lwr-reach", random_actions(9, 3), 3, threads=1, time_limit=0.12, action="impedance")
 
 
-def test_torques_are_measured_as_well_where_a_robot_lies_on_the_floor() -> None:
+def test_measured_torques_are_equal_for_a_robot_on_the_floor() -> None:
     options: dict[str, Any] = {"time_limit": 1.0, "control_timestep": 0.05}
     compare("lwr-reach", np.tile(DOWN, (21, 4, 1)), **options)
     environment = sero_mj.make_environment("lwr/reach", **options)
@@ -113,10 +114,10 @@ def test_torques_are_measured_as_well_where_a_robot_lies_on_the_floor() -> None:
     for _ in range(20):
         many.step(176.0 * np.tile(DOWN, (4, 1)))
         touches |= bool((batch.bind("nefc") > batch.bind("nf")).any())
-    assert touches  # else the test above would show nothing
+    assert touches  # otherwise the test above would prove nothing
 
 
-def test_seeds_are_counted_on_or_given_and_else_random() -> None:
+def test_seeds_are_consecutive_declared_or_random() -> None:
     make = {"time_limit": 0.1, "threads": 2}
     envs = vector("lwr-reach", "vector_entry_point", 3, **make)
     first = envs.reset(seed=7)[0]["target_position"]
@@ -131,7 +132,7 @@ def test_seeds_are_counted_on_or_given_and_else_random() -> None:
         envs.reset(seed=[1, 2])
 
 
-def test_a_bad_action_moves_none_of_them() -> None:
+def test_invalid_action_moves_no_environment() -> None:
     envs = vector("lwr-reach", "vector_entry_point", 3, threads=2)
     with pytest.raises(gymnasium.error.ResetNeeded):
         envs.step(np.zeros((3, 7)))
@@ -139,9 +140,9 @@ def test_a_bad_action_moves_none_of_them() -> None:
     before = [lane.plant.physics.qpos.copy() for lane in envs.many.lanes]
     actions = np.zeros((3, 7))
     actions[2, 1] = np.nan
-    told = {"found": np.nan, "of": "in environment 2", "expected": "-176 to 176 Nm"}
+    expected = {"found": np.nan, "of": "in environment 2", "expected": "-176 to 176 Nm"}
     reason = "found an action of nan in environment 2; expected -176 to 176 Nm"
-    with raises_with(SimulationError, time=0.0, joint="lwr/A2", reason=reason, **told):
+    with raises_with(SimulationError, time=0.0, joint="lwr/A2", reason=reason, **expected):
         envs.step(actions)
     with raises_with(key="action", reason="found 2 x 7", expected="3 x 7 numbers, one per joint"):
         envs.step(np.zeros((2, 7)))
@@ -173,15 +174,13 @@ def test_scenarios_are_stepped_one_by_one() -> None:
         (2, {"tim_limit": 1.0}, "tim_limit: unknown option; did you mean 'time_limit'?"),
     ],
 )
-def test_what_is_asked_for_wrongly_is_told(
-    many: int, options: dict[str, Any], message: str
-) -> None:
+def test_invalid_arguments_are_rejected(many: int, options: dict[str, Any], message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         make_gymnasium_vector(many, "lwr/reach", **options)
     assert message in str(caught.value)
 
 
-def test_runs_that_need_more_than_steps_are_stepped_alone() -> None:
+def test_runs_that_need_more_than_steps_are_rejected() -> None:
     settings, task = RobotSettings(time_limit=0.1), Reach()
     scenario = settings.make_scenario(SerialRobot.from_model("lwr"), task)
     scenario.run = scenario.run.model_copy(update={"runaway_speed": 3.0})
@@ -198,7 +197,7 @@ def test_runs_that_need_more_than_steps_are_stepped_alone() -> None:
         ({"physics_timestep": 2.5e-4, "torque_control": True, "drive_delay": 5e-4}, SENSORS),
     ],
 )
-def test_drives_are_those_of_one_environment_where_many_begin_at_other_times(
+def test_drives_equal_those_of_single_environments_with_different_starts(
     changes: dict[str, Any], sensors: dict[str, Any]
 ) -> None:
     play_with_restart(
@@ -209,7 +208,7 @@ def test_drives_are_those_of_one_environment_where_many_begin_at_other_times(
 def play_with_restart(
     settings: RobotSettings, changes: dict[str, Any], faults: dict[str, Any] | None = None
 ) -> None:
-    """Compares three environments together with three alone; one begins anew by itself."""
+    """Compares three batched environments with three single ones, while one of them restarts."""
     task, robot = Reach(), SerialRobot.from_model("lwr")
     scenario = settings.make_scenario(robot, task)
     scenario.run = Run.model_validate({**scenario.run.model_dump(), **changes})
@@ -228,7 +227,7 @@ def play_with_restart(
         for key, values in found.items():
             ours = np.array([each[key] for each in expected])
             np.testing.assert_allclose(values, ours, rtol=1e-9, atol=1e-9, err_msg=f"{key} {k}")
-        if k == 2:  # one of them begins anew by itself
+        if k == 2:  # one of them restarts alone
             many.is_over[1] = alone[1]._is_over = True
         found = many.step(actions)[0]
         steps = [each.step(action) for each, action in zip(alone, actions, strict=True)]
@@ -247,13 +246,13 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("sensors", [{}, SENSORS])
-def test_faults_begin_and_end_in_every_episode_by_itself(sensors: dict[str, Any]) -> None:
+def test_faults_begin_and_end_in_each_episode_separately(sensors: dict[str, Any]) -> None:
     settings = RobotSettings(time_limit=0.12, action="impedance", sensors=sensors)
     play_with_restart(settings, {}, {name: build_entry("faults", FAULTS[name]) for name in FAULTS})
 
 
 @pytest.mark.parametrize("name", ["lwr", "ur5e"])
-def test_gravity_masses_and_dynamics_of_many_are_those_of_each(name: str) -> None:
+def test_batched_gravity_masses_and_dynamics_equal_single_ones(name: str) -> None:
     model = Compiler().robot_model(SerialRobot.from_model(name))
     many, n = RobotModels([model], 5), model.n
     angles, velocities, wanted, accelerations = np.random.default_rng(1).uniform(-2, 2, (4, 5, n))
@@ -273,7 +272,7 @@ def test_gravity_masses_and_dynamics_of_many_are_those_of_each(name: str) -> Non
         np.testing.assert_array_equal((momentum[k], slope[k]), (own_momentum, own_slope))
 
 
-def test_what_is_only_looked_at_is_not_simulated_and_what_was_changed_is() -> None:
+def test_display_only_parts_are_not_simulated_and_changes_of_the_plant_are() -> None:
     environment = sero_mj.make_environment("lwr/reach", time_limit=0.1)
     environment.plant.attach_payload("lwr", mass=3.0)
     environment.plant.set_friction("lwr", coulomb=0.5)

@@ -1,7 +1,6 @@
-"""Environments for Stable-Baselines3: in the way of its own vectors of single environments.
+"""Environments for Stable-Baselines3, with the interface of its vectors of environments.
 
-Where it is not installed (it brings torch), its `VecEnv` is stood in for by what that of 2.9 asks
-of those who derive from it, and does before them.
+If it is not installed (it requires torch), a stand-in for `VecEnv` of 2.9 is used.
 """
 
 from __future__ import annotations
@@ -70,7 +69,7 @@ class StandIn(ABC):
 
 @pytest.fixture
 def vector(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """Three environments, as the adapter has them."""
+    """Returns three environments behind the adapter."""
     if find_spec("stable_baselines3") is None:
         names = (
             "stable_baselines3",
@@ -89,7 +88,7 @@ def vector(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         sys.modules.pop(ADAPTER, None)
 
 
-def test_the_next_episode_begins_in_the_step_in_which_one_is_over(vector: Any) -> None:
+def test_next_episode_begins_in_the_step_in_which_one_ends(vector: Any) -> None:
     alone = [gymnasium.make(NAME, **OPTIONS) for _ in range(3)]
     vector.seed(5)
     seen = vector.reset()
@@ -107,7 +106,7 @@ def test_the_next_episode_begins_in_the_step_in_which_one_is_over(vector: Any) -
             assert rewards[k] == pytest.approx(reward, rel=1e-6)
             assert over[k] == (terminated or truncated)
             assert infos[k]["TimeLimit.truncated"] == truncated
-            assert "episode" not in infos[k]  # SB3 takes that for what its monitors say
+            assert "episode" not in infos[k]  # SB3 takes this as information of its monitors
             assert ("terminal_observation" in infos[k]) == over[k]
             if over[k]:
                 ends += 1
@@ -118,7 +117,7 @@ def test_the_next_episode_begins_in_the_step_in_which_one_is_over(vector: Any) -
     assert ends == 6
 
 
-def test_what_is_unstable_is_over_and_no_end_of_time(vector: Any) -> None:
+def test_unstable_episode_is_over_but_not_by_its_time_limit(vector: Any) -> None:
     vector.seed(1)
     vector.reset()
     vector.vector.many.lanes[0].plant.physics.bind("qvel")[0] = 1e12
@@ -129,7 +128,7 @@ def test_what_is_unstable_is_over_and_no_end_of_time(vector: Any) -> None:
     assert all(np.isfinite(values).all() for values in seen.values())
 
 
-def test_what_is_asked_of_single_environments_is_told_of_all(vector: Any) -> None:
+def test_methods_of_single_environments_apply_to_all(vector: Any) -> None:
     assert vector.get_attr("render_mode") == [None] * 3
     assert vector.get_attr("num_envs", [0, 2]) == [3, 3]
     assert vector.env_is_wrapped(gymnasium.Wrapper, 1) == [False]

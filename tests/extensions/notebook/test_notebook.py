@@ -1,4 +1,4 @@
-"""The page in a cell of a notebook: a real kernel, and JupyterLab in a browser."""
+"""The page in a notebook cell: a real kernel, and JupyterLab in a browser."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ while time.monotonic() < begin + {seconds}:
 
 
 class Kernel:
-    """A real kernel, and what it sends to browsers.
+    """A real kernel, and the messages it sends to browsers.
 
     Attributes:
-        outputs: HTML by display id; those without one in their order.
-        said: what pages are sent, by page: kind, text or bytes.
-        errors: of cells.
-        printed: by cells, and by the kernel when it ends.
+        outputs: HTML by display id; outputs without an id are in their order.
+        said: messages to pages, by page: kind, text or bytes.
+        errors: errors of cells.
+        printed: output of cells, and of the kernel when it ends.
     """
 
     def __init__(self) -> None:
@@ -78,13 +78,13 @@ class Kernel:
         self._told.close()
 
     def ended(self) -> str:
-        """Waits until it has ended; returns what it has written on its standard error."""
+        """Waits until the kernel has ended and returns its standard error."""
         assert until(lambda: not self._manager.is_alive(), PATIENCE)
         self._told.seek(0)
         return self._told.read()
 
     def begin(self, code: str) -> str:
-        """Runs code; returns its id."""
+        """Runs code and returns its id."""
         return self._client.execute(code)
 
     def run(self, code: str) -> None:
@@ -94,7 +94,7 @@ class Kernel:
         assert self.errors == []
 
     def until(self, found: Callable[[], object]) -> None:
-        """Takes what the kernel sends until something is there."""
+        """Reads the kernel's messages until a condition holds."""
         end = time.monotonic() + PATIENCE
         while not found():
             assert time.monotonic() < end, self.said
@@ -121,14 +121,14 @@ class Kernel:
             self.said.setdefault(found["to"], []).append((found["kind"], what))
 
     def page(self, client: str, kind: str, text: Any = None) -> None:
-        """Lets a page say something."""
+        """Sends a message from a page."""
         data = {"method": "custom", "content": {"from": client, "kind": kind, "message": text}}
         content = {"comm_id": self._comm, "data": data}
         message = self._client.session.msg("comm_msg", content)
         self._client.shell_channel.send(message)
 
     def state(self, client: str) -> dict[str, Any]:
-        """What a page has been sent until now."""
+        """Returns what a page has been sent so far."""
         found: dict[str, Any] = {}
         for kind, what in self.said.get(client, []):
             if kind == "message" and isinstance(what, bytes):
@@ -137,12 +137,12 @@ class Kernel:
 
     @property
     def frame(self) -> str:
-        """HTML of the page's frame."""
+        """Returns the HTML of the page's frame."""
         (found,) = (each for each in self.outputs.values() if "<iframe" in each)
         return found
 
     def kept(self) -> dict[str, Any]:
-        """The run that the notebook keeps: what its head says, empty where there is none."""
+        """Returns the header of the run stored in the notebook, or an empty table."""
         (found,) = (each for each in self.outputs.values() if "<iframe" not in each)
         match = _RUN.search(found)
         assert match is not None
@@ -167,18 +167,18 @@ def kernel() -> Iterator[Kernel]:
 
 
 @pytest.mark.thorough
-def test_a_page_comes_by_the_kernels_channel_even_while_it_is_busy(kernel: Kernel) -> None:
+def test_page_communicates_through_the_kernel_while_it_is_busy(kernel: Kernel) -> None:
     shown = "viewer = sero_mj.view('lwr', web=True)\ndisplay(viewer)\n" + _MOVE.format(seconds=4)
     cell = kernel.begin(shown)
     kernel.until(lambda: "run" in kernel.state("first"))
     # The page makes no requests.
     assert "default-src &#x27;none&#x27;" in kernel.frame and "localhost" not in kernel.frame
-    # Nobody answers before the cell has ended, and it goes on.
+    # Nothing answers before the cell has ended, and the page continues.
     poses = kernel.state("first")["poses"]
     kernel.until(lambda: kernel.state("first")["poses"] != poses)
     assert cell not in kernel._idle
     kernel.until(lambda: cell in kernel._idle)
-    # Another browser comes.
+    # Another browser connects.
     kernel.page("second", "open")
     kernel.until(lambda: "control" in kernel.state("second"))
     assert kernel.said["second"][0] == ("opened", None)
@@ -190,25 +190,25 @@ def test_a_page_comes_by_the_kernels_channel_even_while_it_is_busy(kernel: Kerne
     for _ in range(3):
         kernel.page("second", "say", '{"t":"got"}')
     kernel.until(lambda: any(kernel.state("second").get("arrowOn", b"")))
-    # What is no message of a page is none.
+    # A message that does not come from a page is ignored.
     for wrong in (None, 7, {"t": "got"}, "\0"):
         kernel.page("second", "say", wrong)
         kernel.page("nobody", "say", wrong)
     kernel.page("second", "close")
     kernel.until(lambda: kernel.state("first")["control"]["count"] == 1)
-    # What is shown is another viewer of the same scene.
+    # Displaying the scene again creates another viewer.
     kernel.run(_SHOW)
     kernel.until(lambda: kernel.said["first"][-1][0] != "closed")
 
 
 @pytest.mark.thorough
-def test_a_cell_is_run_again_and_goes_on_while_none_runs(kernel: Kernel) -> None:
+def test_rerun_cell_keeps_its_port_and_runs_between_cells(kernel: Kernel) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     kernel.run(_SHOW.replace("web=True", f"web=True, port={port}"))
-    kernel.run(_SHOW)  # where the one before was, and not at the first free port
+    kernel.run(_SHOW)  # the port of the previous viewer, not the first free one
     urls = re.findall(r"lwr is at (http\S+)", kernel.printed)
-    # With a token of its own: another program could have received the one before in between.
+    # With its own token: another program could have used the previous port in between.
     assert len(set(urls)) == 2
     assert all(url.startswith(f"http://localhost:{port}/?token=") for url in urls)
     assert "lwr is opened again; its previous viewer is closed" in kernel.printed
@@ -223,7 +223,7 @@ def test_a_cell_is_run_again_and_goes_on_while_none_runs(kernel: Kernel) -> None
 
 
 @pytest.mark.thorough
-def test_a_kernel_that_ends_ends_its_viewers_without_complaints(kernel: Kernel) -> None:
+def test_ending_kernel_ends_its_viewers_without_errors(kernel: Kernel) -> None:
     kernel.run(_SHOW)
     (url,) = re.findall(r"lwr is at (http\S+)", kernel.printed)
     kernel.begin("quit()")
@@ -240,7 +240,7 @@ def test_a_kernel_that_ends_ends_its_viewers_without_complaints(kernel: Kernel) 
 
 
 @pytest.mark.thorough
-def test_a_notebook_keeps_what_was_shown(kernel: Kernel) -> None:
+def test_notebook_stores_the_displayed_run(kernel: Kernel) -> None:
     kernel.run(_SHOW)
     kernel.run(_MOVE.format(seconds=2))
     kernel.run("viewer.close()")
@@ -248,15 +248,15 @@ def test_a_notebook_keeps_what_was_shown(kernel: Kernel) -> None:
     kept = kernel.kept()
     assert 1.5 < (kept["frames"] - 1) / kept["fps"] < 4.0
     angles = kept["angles"]
-    assert np.allclose(angles, angles[:1])  # those of all joints are the same
+    assert np.allclose(angles, angles[:1])  # the same for all joints
     moving = angles[0, angles[0] > 0.09]
     assert np.all(np.diff(moving) >= 0) and moving[-1] == pytest.approx(0.3, abs=0.02)
-    # Twice as fast as 0.1 rad/s it would be a run that plays wrong.
+    # Twice 0.1 rad/s would mean that the run is played at a wrong speed.
     speed = np.diff(moving)[5:-5].mean() * kept["fps"]
     assert speed == pytest.approx(0.1, rel=0.15)
 
 
-def test_without_anywidget_a_cell_says_what_is_missing(kernel: Kernel) -> None:
+def test_cell_without_anywidget_reports_the_missing_package(kernel: Kernel) -> None:
     kernel.run("import sys; sys.modules['anywidget'] = None\n" + _SHOW)
     (said,) = kernel.outputs.values()
     assert "pip install 'sero-mj[notebook]'" in said and "http://localhost" in said
@@ -264,7 +264,7 @@ def test_without_anywidget_a_cell_says_what_is_missing(kernel: Kernel) -> None:
 
 @contextlib.contextmanager
 def lab(folder: Path) -> Iterator[str]:
-    """JupyterLab in a folder; its address."""
+    """Runs JupyterLab in a folder and yields its address."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     words = ["--no-browser", "--allow-root", "--IdentityProvider.token=t", f"--port={port}"]
@@ -289,7 +289,7 @@ def lab(folder: Path) -> Iterator[str]:
         server.terminate()
         try:
             server.wait(20)
-        except subprocess.TimeoutExpired:  # it hangs now and then where a kernel ends meanwhile
+        except subprocess.TimeoutExpired:  # it sometimes hangs if a kernel ends meanwhile
             server.kill()
             server.wait()
 
@@ -298,7 +298,7 @@ _READY = "() => document.documentElement.dataset.ready === '1'"
 
 
 def cell_page(page: Any) -> Any:
-    """The frame of the page in its cell, once it has drawn."""
+    """Returns the frame of the page in its cell once it has drawn."""
     page.wait_for_selector("iframe[srcdoc]", timeout=60_000)
     frame = page.query_selector("iframe[srcdoc]").content_frame()
     frame.wait_for_function(_READY, timeout=60_000)
@@ -308,7 +308,7 @@ def cell_page(page: Any) -> Any:
 @pytest.mark.thorough
 @pytest.mark.timeout(240)
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
-def test_jupyterlab_shows_it_live_and_plays_it_when_it_is_opened_again(
+def test_jupyterlab_shows_the_scene_live_and_plays_it_after_reopening(
     browser: Any, tmp_path: Path
 ) -> None:
     import nbformat  # takes seconds, which each worker would spend
@@ -335,7 +335,7 @@ def test_jupyterlab_shows_it_live_and_plays_it_when_it_is_opened_again(
         frame.wait_for_function("() => player.state.run.values.joint_angles[6] > 0.2")
         page.locator(".jp-Notebook .jp-CodeCell .cm-content").nth(3).click()
         page.keyboard.press("Shift+Enter")
-        # The kernel shows nothing any more: the cell plays what it has kept.
+        # The kernel shows nothing now: the cell plays the stored run.
         page.wait_for_function(
             "() => document.querySelector('[data-sero-mj-run]').textContent.length > 1000",
             timeout=60_000,

@@ -1,4 +1,4 @@
-"""Cameras from points of the robot: where they are, how sure that is, and what cannot be."""
+"""Cameras from points of the robot: pose, uncertainty, and impossible cases."""
 
 from __future__ import annotations
 
@@ -48,17 +48,17 @@ def points(world: World) -> Array:
 
 
 def bare(by: PhotoCamera) -> PhotoCamera:
-    """The lens alone."""
+    """Returns the lens alone."""
     return PhotoCamera(by.width, by.height, by.matrix, np.eye(4), by.distortion, by.model)
 
 
-def test_points_are_frames_and_the_middles_of_joints(world: World, points: Array) -> None:
+def test_points_are_frames_and_the_centers_of_joints(world: World, points: Array) -> None:
     assert {"lwr/base", "lwr/flange", "lwr/link4", "lwr/A3"} <= set(point_names(world))
     robot = world.scene.robots["lwr"]
     T_flange = robot.fwd_kin_base_to_flange(np.array(POSE))
     assert np.allclose(points[7], T_flange[:3, 3], atol=1e-6)
     assert np.allclose(points[8], (T_flange @ [0.05, 0, 0.1, 1])[:3], atol=1e-6)
-    # By DH: A2, the second joint, is 0.31 m above the base, and its own axis is along y.
+    # By DH: A2, the second joint, is 0.31 m above the base with its axis along y.
     assert np.allclose(points[2], [0, 0, 0.31], atol=1e-6)
     for name, near in (("flnge", "flange"), ("lwr/A9", "lwr/A6")):
         with raises_with(reason="no frame or joint", found=name, near=near):
@@ -66,7 +66,7 @@ def test_points_are_frames_and_the_middles_of_joints(world: World, points: Array
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_a_camera_is_found_from_exact_points(lens: str, points: Array) -> None:
+def test_camera_is_found_from_exact_points(lens: str, points: Array) -> None:
     by = camera(lens, (1280, 800))
     found = calibrate(NAMES, points, by.project(points)[0], bare(by), find_focal=False)
     assert found.used.all() and found.rms < 1e-3
@@ -74,33 +74,33 @@ def test_a_camera_is_found_from_exact_points(lens: str, points: Array) -> None:
 
 
 @pytest.mark.thorough
-def test_clicks_that_are_a_pixel_off_give_the_errors_that_are_told(points: Array) -> None:
+def test_noise_of_a_pixel_causes_the_reported_errors(points: Array) -> None:
     by = camera("barrel", (1280, 800))
-    off, told = [], []
+    off, reported = [], []
     for seed in range(10):
         noise = np.random.default_rng(seed).normal(0, 1.0, (len(points), 2))
         pixels = by.project(points)[0] + noise
         found = calibrate(NAMES, points, pixels, bare(by), find_focal=False)
         T = found.camera.T_world_camera
         off.append(T[:3, 3] - by.T_world_camera[:3, 3])
-        told.append(found.position_error)
+        reported.append(found.position_error)
         assert rotation_angle(T[:3, :3].T @ by.T_world_camera[:3, :3]) < 0.02
         assert 0.4 < found.rms < 2.5
     spread = np.sqrt(np.mean(np.square(off), axis=0))
-    assert np.all(spread < 2.0 * np.mean(told, axis=0)) and np.all(
-        spread > 0.4 * np.mean(told, axis=0)
+    assert np.all(spread < 2.0 * np.mean(reported, axis=0)) and np.all(
+        spread > 0.4 * np.mean(reported, axis=0)
     )
-    print(f"1 pixel: {1e3 * spread} mm, told {1e3 * np.mean(told, axis=0)} mm")
+    print(f"1 pixel: {1e3 * spread} mm, told {1e3 * np.mean(reported, axis=0)} mm")
 
 
-def test_wrong_points_are_named_and_left_out(points: Array) -> None:
+def test_wrong_points_are_named_and_excluded(points: Array) -> None:
     by = camera("barrel", (1280, 800))
     pixels = by.project(points)[0] + np.random.default_rng(0).normal(0, 0.5, (len(points), 2))
     exact = calibrate(NAMES, points, pixels, bare(by), find_focal=False)
     assert exact.used.all()
     wrong = pixels.copy()
     wrong[3] += [40, -25]
-    wrong[[5, 7]] = wrong[[7, 5]]  # names mixed up
+    wrong[[5, 7]] = wrong[[7, 5]]  # swapped names
     found = calibrate(NAMES, points, wrong, bare(by), find_focal=False)
     assert np.flatnonzero(~found.used).tolist() == [3, 5, 7]
     assert np.linalg.norm(found.errors[3] + [40, -25]) < 4
@@ -109,7 +109,7 @@ def test_wrong_points_are_named_and_left_out(points: Array) -> None:
 
 
 @pytest.mark.thorough
-def test_the_focal_length_is_found_where_there_are_no_intrinsics(points: Array) -> None:
+def test_focal_length_is_found_without_intrinsics(points: Array) -> None:
     by = camera("none", (1280, 800))
     by.matrix[1, 1] = by.matrix[0, 0]
     by.matrix[:2, 2] = [639.5, 399.5]
@@ -124,7 +124,7 @@ def test_the_focal_length_is_found_where_there_are_no_intrinsics(points: Array) 
     assert abs(found.camera.matrix[0, 0] - true) < 4 * found.focal_error < 0.3 * true
 
 
-def test_what_cannot_be_found_is_told(points: Array) -> None:
+def test_impossible_calibrations_are_rejected(points: Array) -> None:
     by = camera("none", (1280, 800))
     pixels = by.project(points)[0]
 
@@ -142,7 +142,7 @@ def test_what_cannot_be_found_is_told(points: Array) -> None:
     )
     upright = np.array([[0, 0, 0.1 * k] for k in range(12)])
     assert "the points are on one line" in message([0, 2, 4, 6, 8], of=upright)
-    # Far away and small, a plane is seen in the same way from two sides.
+    # Far away and small, a plane looks the same from two sides.
     flat = np.array([[0.02 * (k % 3), 0.02 * (k // 3), 0.4] for k in range(12)])
     with pytest.raises(UsageError, match="the points are in one plane, and two cameras fit"):
         near = by.project(flat)[0] + np.random.default_rng(0).normal(0, 1.0, (12, 2))
@@ -161,18 +161,18 @@ def test_what_cannot_be_found_is_told(points: Array) -> None:
         "reason": "base would be behind the camera",
         "expected": "points in the photo, with their correct names",
     }
-    for wrong, told in (
+    for wrong, expected in (
         (mixed, unseen),
         (np.tile(pixels[:1], (len(pixels), 1)), unseen),
         (random, unseen),
         (random[:4], behind),
     ):
-        with raises_with(UsageError, **told):
+        with raises_with(UsageError, **expected):
             count = len(wrong)
             calibrate(NAMES[:count], points[:count], wrong, bare(by), find_focal=False)
 
 
-def test_points_are_read_from_tables_and_toml_and_what_is_wrong_is_told(
+def test_points_are_read_from_csv_and_toml_and_errors_are_reported(
     tmp_path: Path, world: World
 ) -> None:
     (tmp_path / "p.csv").write_text("point,x,y,dx,dy,dz\nflange,10,20.5,0,0,0.1\nlwr/A3,30,40,,,\n")
@@ -216,7 +216,7 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
     return int(ended.value.code or 0), out, err
 
 
-def test_the_command_prints_every_point_and_writes_the_camera(
+def test_calibrate_prints_every_point_and_writes_the_camera(
     tmp_path: Path,
     points: Array,
     capsys: pytest.CaptureFixture[str],
@@ -258,7 +258,7 @@ def test_the_command_prints_every_point_and_writes_the_camera(
 
 
 @pytest.mark.thorough
-def test_the_pose_can_be_that_of_a_recording(
+def test_pose_can_come_from_a_recording(
     tmp_path: Path,
     points: Array,
     capsys: pytest.CaptureFixture[str],

@@ -1,4 +1,4 @@
-"""Camera files of OpenCV, ROS and ours: what is read, and what is wrong in them."""
+"""Camera files of OpenCV, ROS and ours: reading them, and their errors."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ MATRIX = [[500.5, 0, 320], [0, 501, 240.5], [0, 0, 1]]
         ("c.toml", TOML, "plumb_bob", []),
     ],
 )
-def test_files_of_ros_and_ours_are_read(
+def test_camera_files_of_ros_and_ours_are_read(
     name: str, text: str, model: str, distortion: list[float], tmp_path: Path
 ) -> None:
     (tmp_path / name).write_text(text)
@@ -65,12 +65,12 @@ def test_files_of_ros_and_ours_are_read(
     assert found.model == model and np.allclose(found.distortion, distortion)
     assert found.T_world_camera[:3, 3].tolist() == [1, 2, 0.5]
     if name == "c.toml":
-        # Turned by -90 degrees about x, then by 90 about z.
+        # Rotated by -90 degrees about x, then by 90 about z.
         expected = np.array([[0, 0, -1], [1, 0, 0], [0, -1, 0]]).astype(float)
         assert np.allclose(found.T_world_camera[:3, :3], expected)
 
 
-def test_a_file_that_opencv_has_written_is_read(tmp_path: Path) -> None:
+def test_file_written_by_opencv_is_read(tmp_path: Path) -> None:
     path = tmp_path / "opencv.yml"
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     storage.write("calibration_time", "now")
@@ -83,13 +83,13 @@ def test_a_file_that_opencv_has_written_is_read(tmp_path: Path) -> None:
     found = read_intrinsics(path)
     assert np.array_equal(found.matrix, MATRIX)
     assert found.distortion.tolist() == [-0.2, 0.05, 1e-4, 2e-4, 1e-9]
-    # A file of ours says where it is, and names theirs.
+    # A file of ours declares the pose and names theirs.
     (tmp_path / "cell.toml").write_text('intrinsics = "opencv.yml"\nframe = { xyz = [0, 0, 1] }\n')
     placed = read_camera(tmp_path / "cell.toml", (640, 480))
     assert np.array_equal(placed.matrix, MATRIX) and placed.T_world_camera[2, 3] == 1.0
 
 
-def test_coefficients_that_fold_the_corners_are_told_and_nothing_is_drawn_there(
+def test_distortion_that_folds_the_corners_is_reported_and_not_drawn(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     wide = np.array([-0.31, 0.1, 0.0005, 0.0003, -0.014])
@@ -99,12 +99,12 @@ def test_coefficients_that_fold_the_corners_are_told_and_nothing_is_drawn_there(
     assert "the coefficients are invalid in 5.9 % of the image, at the edges" in caplog.text
     rays = by.undistort(np.array([[0.0, 0.0], [640, 360], [1279, 360], [640, 719]]))
     assert np.isnan(rays[0]).all() and np.isfinite(rays[1:]).all()
-    # What is beyond the fold stays outside of what can be drawn.
+    # Points beyond the fold stay outside of the drawable area.
     away = by.distort(np.array([[x, 0.0] for x in np.linspace(0, 50, 300)]))[:, 0]
     assert (np.diff(away) > 0).all() and away[-1] > 1280
 
 
-def test_without_opencv_and_yaml_a_lens_without_distortion_in_toml_does(
+def test_toml_lens_without_distortion_needs_no_opencv_or_yaml(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("cv2", "yaml"):
@@ -122,7 +122,7 @@ def test_without_opencv_and_yaml_a_lens_without_distortion_in_toml_does(
 
 @pytest.mark.parametrize("name", ["c.toml", "c.yaml"])
 @pytest.mark.parametrize("lens", LENSES)
-def test_what_is_written_is_read_back(lens: str, name: str, tmp_path: Path) -> None:
+def test_written_camera_is_read_back(lens: str, name: str, tmp_path: Path) -> None:
     by = camera(lens)
     write_camera(tmp_path / name, by, "a note\nof two lines")
     found = read_camera(tmp_path / name)
@@ -171,7 +171,7 @@ def test_what_is_written_is_read_back(lens: str, name: str, tmp_path: Path) -> N
         ("c.txt", TOML, ["expected a camera file with a name that ends in .yaml, .yml, .toml"]),
     ],
 )  # fmt: skip
-def test_what_is_wrong_in_a_camera_file_is_told_at_once(
+def test_all_errors_in_a_camera_file_are_reported_at_once(
     name: str, text: str, problems: list[str], tmp_path: Path
 ) -> None:
     (tmp_path / name).write_text(text)

@@ -1,4 +1,4 @@
-"""Decor over photos and videos of the real robot: right to the pixel, and behind what hides it."""
+"""Decor over photos and videos of the real robot: pixel-accurate, with occlusion."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from sero_mj.viewer.image.image_files import VideoWriter
 from sero_mj.viewer.image.render import make_renderer
 from sero_mj.viewer.image.scene_decor import SceneDecor
 
-BOX = [-0.6, 0.9, -0.6, 0.6, 0.0, 1.1]  # of points about the robot, m
+BOX = [-0.6, 0.9, -0.6, 0.6, 0.0, 1.1]  # of points near the robot, m
 
 
 def by_opencv(of: PhotoCamera, points: Array) -> Array:
-    """Pixels (k, 2) of points (k, 3), without any of our own."""
+    """Returns pixels (k, 2) of points (k, 3), without our code."""
     T = inverse(of.T_world_camera)
     turn, shift = cv2.Rodrigues(T[:3, :3])[0], T[:3, 3:].copy()
     if of.model == "equidistant":
@@ -39,7 +39,7 @@ def by_opencv(of: PhotoCamera, points: Array) -> Array:
 
 
 def some_points(of: PhotoCamera, count: int) -> Array:
-    """Points (count, 3) about the robot that are well inside of the picture."""
+    """Returns points (count, 3) near the robot and well inside the image."""
     rng = np.random.default_rng(0)
     points = rng.uniform(BOX[::2], BOX[1::2], (400, 3))
     pixels = by_opencv(of, points)
@@ -50,7 +50,7 @@ def some_points(of: PhotoCamera, count: int) -> Array:
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_points_are_where_opencv_projects_them_and_pixels_lead_back(lens: str) -> None:
+def test_points_are_projected_like_opencv_and_pixels_back(lens: str) -> None:
     by = camera(lens)
     points = some_points(by, 60)
     pixels, depth = by.project(points)
@@ -65,7 +65,7 @@ def test_points_are_where_opencv_projects_them_and_pixels_lead_back(lens: str) -
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_what_is_far_beside_the_picture_is_not_bent_back_into_it(lens: str) -> None:
+def test_points_far_outside_the_image_are_not_bent_back_into_it(lens: str) -> None:
     by = camera(lens)
     T = by.T_world_camera
     for angle in np.linspace(0.0, 2 * np.pi, 16):
@@ -78,7 +78,7 @@ def test_what_is_far_beside_the_picture_is_not_bent_back_into_it(lens: str) -> N
 
 @pytest.mark.gl
 @pytest.mark.parametrize("lens", LENSES)
-def test_geoms_are_drawn_within_half_a_pixel_of_where_opencv_projects_them(lens: str) -> None:
+def test_geoms_are_drawn_within_half_a_pixel_of_the_opencv_projection(lens: str) -> None:
     by = camera(lens)
     world = World(Scene(robots=[lwr()]))
     painter = PhotoPainter(world, by, (4096, 4096))
@@ -116,7 +116,7 @@ def test_geoms_are_drawn_within_half_a_pixel_of_where_opencv_projects_them(lens:
 
 
 def drawn_alone(world: World, data: mujoco.MjData, by: PhotoCamera, *, decor: bool) -> Array:
-    """The scene as windows show it, by this camera, without panels."""
+    """Returns the scene as windows show it, from this camera, without panels."""
     plane = PlaneImage(by, (4096, 4096))
     renderer = make_renderer(world, *plane.size, is_draft=False)
     renderer.update_scene(data)
@@ -135,7 +135,7 @@ def drawn_alone(world: World, data: mujoco.MjData, by: PhotoCamera, *, decor: bo
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.parametrize("lens", ["none", "barrel"])
-def test_the_robot_hides_decor_and_is_not_drawn_and_the_floor_neither(lens: str) -> None:
+def test_robot_hides_decor_and_neither_robot_nor_floor_is_drawn(lens: str) -> None:
     by = camera(lens)
     world = World(Scene(robots=[lwr(show_arrows=True)]))
     data = world.make_data()
@@ -152,13 +152,13 @@ def test_the_robot_hides_decor_and_is_not_drawn_and_the_floor_neither(lens: str)
     visible = np.abs(shown - without).max(axis=2) > 8
     assert visible.sum() > 3000
     assert (changed & visible).sum() / (changed | visible).sum() > 0.97
-    # Arrows have the colours that windows show.
+    # Arrows have the colors that windows show.
     inside = cv2.erode(visible.astype(np.uint8), np.ones((3, 3))).astype(bool)
     assert np.abs(on_black - shown)[inside].mean() < 6
 
 
 @pytest.mark.gl
-def test_a_transparent_double_lets_the_photo_through(tmp_path: Path) -> None:
+def test_photo_is_visible_through_a_transparent_double(tmp_path: Path) -> None:
     by = camera("none")
     world = World(Scene(robots=[lwr()], doubles=[Double(name="goal", of="lwr")]))
     data = world.make_data()
@@ -174,7 +174,7 @@ def test_a_transparent_double_lets_the_photo_through(tmp_path: Path) -> None:
 
 
 @pytest.mark.gl
-def test_a_click_is_on_what_the_lens_shows_there() -> None:
+def test_click_picks_the_item_at_the_distorted_pixel() -> None:
     by = camera("barrel")
     world = World(Scene(robots=[lwr(torques=[90.0, -170, 80, 90, 60, 30, 30], show_arrows=True)]))
     data = world.make_data()
@@ -183,7 +183,7 @@ def test_a_click_is_on_what_the_lens_shows_there() -> None:
     with PhotoRenderer(world, by) as renderer:
         renderer.decor.toggles.legend = False
         drawn = renderer.render(data, black).astype(int)
-        # In the midst of the orange that is farthest from the picture's middle.
+        # In the middle of the orange area farthest from the center of the image.
         orange = ((drawn[..., 0] - drawn[..., 2]) > 120).astype(np.uint8)
         inside = np.argwhere(cv2.erode(orange, np.ones((5, 5))) > 0)
         y, x = inside[np.argmax(np.linalg.norm(inside - [by.height / 2, by.width / 2], axis=1))]
@@ -203,7 +203,7 @@ def write_video(path: Path, pictures: list[Array], fps: float = 10.0) -> Path:
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_a_picture_and_a_film_are_as_large_and_as_long_as_what_is_below(
+def test_image_and_video_have_the_size_and_length_of_the_input(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     by = camera("barrel", (320, 200))
@@ -228,13 +228,13 @@ def test_a_picture_and_a_film_are_as_large_and_as_long_as_what_is_below(
 
 
 @pytest.mark.gl
-def test_a_picture_over_a_video_has_the_frame_of_its_time(tmp_path: Path) -> None:
+def test_image_over_a_video_uses_the_frame_of_its_time(tmp_path: Path) -> None:
     by = camera("none", (320, 200))
     write_camera(tmp_path / "c.toml", by)
     shades = [np.full((200, 320, 3), 40 + 20 * k, np.uint8) for k in range(8)]
     write_video(tmp_path / "v.mp4", shades)
     over = ["--over", f"{tmp_path}/v.mp4", "--camera-file", f"{tmp_path}/c.toml", "--quiet"]
-    # The scenario at 2.45 s, and the frame of 0.45 s after the first one, which shows 2 s.
+    # The scenario at 2.45 s, and the video frame 0.45 s after the first one, which is at 2 s.
     for name, options, frame in (
         ("impedance_push", ["--offset", "2", "--at", "2.45"], 4),
         ("impedance_push", ["--offset", "2"], 0),
@@ -252,7 +252,7 @@ def main_ok(arguments: list[str]) -> None:
     assert ended.value.code == 0
 
 
-def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+def error_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
@@ -261,7 +261,7 @@ def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 @pytest.fixture
 def files(tmp_path: Path) -> Path:
-    """A photo, a video and a camera of theirs."""
+    """Writes a photo, a video and their camera file."""
     write_camera(tmp_path / "c.toml", camera("none", (64, 40)))
     Image.fromarray(np.full((40, 64, 3), 90, np.uint8)).save(tmp_path / "p.png")
     Image.fromarray(np.full((40, 60, 3), 90, np.uint8)).save(tmp_path / "narrow.png")
@@ -298,26 +298,26 @@ def files(tmp_path: Path) -> Path:
         ("-o o.mp4 --over c.toml --camera-file c.toml", "c.toml: is not a readable video"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_drawn_over_is_told(
+def test_invalid_options_are_rejected(
     options: str, message: str, files: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(files)
     output = [] if "-o" in options.split() else ["-o", "o.png"]
-    assert f"sero-mj: {message}" in told(["render", "lwr", *output, *options.split()], capsys)
+    assert f"sero-mj: {message}" in error_of(["render", "lwr", *output, *options.split()], capsys)
 
 
-def test_a_live_robot_does_not_go_with_a_video(
+def test_live_robot_cannot_be_combined_with_a_video(
     files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(files)
     line = ["render", "lwr_udp", "-o", "o.mp4", "--over", "v.mp4", "--camera-file", "c.toml"]
-    assert "v.mp4: live sources cannot be combined with a video; use a recording" in told(
+    assert "v.mp4: live sources cannot be combined with a video; use a recording" in error_of(
         line, capsys
     )
 
 
-def test_a_video_that_is_cut_off_ends_where_it_does(tmp_path: Path) -> None:
+def test_truncated_video_ends_at_its_last_frame(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     noise = [rng.integers(0, 256, (40, 64, 3), dtype=np.uint8) for _ in range(30)]
     whole = write_video(tmp_path / "v.webm", noise)
@@ -331,7 +331,7 @@ def test_a_video_that_is_cut_off_ends_where_it_does(tmp_path: Path) -> None:
         Video(whole)
 
 
-def test_videos_of_phones_are_upright_and_have_the_rate_of_their_mean(tmp_path: Path) -> None:
+def test_phone_videos_are_upright_and_have_their_mean_rate(tmp_path: Path) -> None:
     class Frame:
         rotation = 90
 
@@ -340,14 +340,15 @@ def test_videos_of_phones_are_upright_and_have_the_rate_of_their_mean(tmp_path: 
 
     turned = upright(Frame())  # type: ignore[arg-type]
     assert turned.shape == (4, 2, 3)
-    assert turned[-1, 0].tolist() == [0, 1, 2]  # turned counterclockwise: the left is below
+    # Rotated counterclockwise: the left is at the bottom.
+    assert turned[-1, 0].tolist() == [0, 1, 2]
 
     class Varying:
         def frames(self) -> list[tuple[float, int]]:
             return [(0.0, 0), (0.11, 1), (0.19, 2), (0.62, 3), (0.7, 4)]
 
     found = list(at_rate(Varying(), 10.0, None))  # type: ignore[arg-type]
-    # What is shown at 0, 0.1, ... with its own time.
+    # Frames shown at 0, 0.1, ... with their own times.
     assert [frame for _, frame in found] == [0, 1, 2, 2, 2, 2, 3, 4]
     assert found[3][0] == 0.19
     assert len(list(at_rate(Varying(), 10.0, 0.3))) == 3  # type: ignore[arg-type]

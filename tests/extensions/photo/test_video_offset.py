@@ -1,4 +1,4 @@
-"""When a video of the robot begins, from the motion in video and recording."""
+"""The start time of a video of the robot, from the motion in video and recording."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CENTRE = np.array([0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0])
 
 
 def motion(seed: int = 3) -> Array:
-    """Joint angles over time, (T, 7): now and then another way, never the same."""
+    """Returns joint angles over time, (T, 7), with a motion that never repeats."""
     rng = np.random.default_rng(seed)
     noise = rng.normal(size=(int(SECONDS * RATE), 7))
     smooth = gaussian_filter1d(noise, 0.4 * RATE, axis=0)
@@ -54,7 +54,7 @@ def write_recording(path: Path, angles: Array) -> None:
     source = wire(of).sources["udp"]
     rows = pad_packets([LAYOUT.encode({"values0": row}) for row in angles], LAYOUT.size)
     with record_sources({"udp": source}, path, scene=of) as recorder:
-        # At the recording's own time, which has begun.
+        # At the recording's own time, after its start.
         begin = recorder.clock.monotonic_ns / 1e9
         source._tap(*rows, begin + np.arange(len(angles)) / RATE)  # type: ignore[misc]
 
@@ -62,7 +62,7 @@ def write_recording(path: Path, angles: Array) -> None:
 def write_video(
     path: Path, angles: Array, by: PhotoCamera, begin: float, seconds: float, noise: float = 6.0
 ) -> None:
-    """What the camera sees of the motion from a time on, with noise, compressed."""
+    """Writes the camera's view of the motion from a time on, with noise, compressed."""
     world = World(Scene(robots=[lwr()]))
     data, rng = world.make_data(), np.random.default_rng(0)
     plane = PlaneImage(by, (1024, 1024))
@@ -86,14 +86,14 @@ def write_video(
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.parametrize(("begin", "lens"), sampled([[13.0, "none"], [4.321, "barrel"]], 1))
-def test_the_beginning_of_a_video_is_found_within_one_frame(
+def test_start_of_a_video_is_found_within_one_frame(
     begin: float, lens: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     by, angles = camera(lens, (320, 200)), motion()
     write_camera(tmp_path / "c.toml", by)
     write_recording(tmp_path / "run.mcap", angles)
     write_video(tmp_path / "v.mp4", angles, by, begin, 5.0)
-    # The scene that was recorded, as a file.
+    # The recorded scene, as a file.
     (tmp_path / "cell.toml").write_text(
         '[robots.lwr]\nmodel = "lwr"\nshow_axes = true\n[sources.udp]\nkind = "udp"\nport = 32123\n'
         'structure = "7F"\n[routes]\n"lwr.joint_angles" = "udp.values0"\n'
@@ -116,13 +116,13 @@ def test_the_beginning_of_a_video_is_found_within_one_frame(
 
 
 def cells(seed: int, count: int, *, period: int = 0) -> Array:
-    """Motion in 30 cells, (count, 30)."""
+    """Returns motion in 30 cells, (count, 30)."""
     rng = np.random.default_rng(seed)
     found = np.abs(gaussian_filter1d(rng.normal(size=(period or count, 30)), 3.0, axis=0))
     return np.resize(found, (count, 30)).astype(np.float32)
 
 
-def test_offsets_are_found_to_a_fraction_of_a_frame_and_before_the_recording_too() -> None:
+def test_offsets_are_found_to_a_fraction_of_a_frame_and_before_the_recording() -> None:
     swept = cells(0, 500)
     rng = np.random.default_rng(1)
     for shift in (0, 137, -60, 420):
@@ -138,7 +138,7 @@ def test_offsets_are_found_to_a_fraction_of_a_frame_and_before_the_recording_too
     assert match(swept, half, 25.0).offset * 25.0 == pytest.approx(137.5, abs=0.15)
 
 
-def test_the_correlation_is_what_numpy_finds_offset_by_offset() -> None:
+def test_correlation_equals_the_direct_numpy_computation() -> None:
     swept, changed = cells(0, 80), cells(5, 40)
     lags, scores = correlate(swept, changed, 20)
     a, b = swept - swept.mean(axis=0), changed - changed.mean(axis=0)
@@ -149,7 +149,7 @@ def test_the_correlation_is_what_numpy_finds_offset_by_offset() -> None:
     assert lags[0] == -20 and lags[-1] == 60
 
 
-def test_where_there_is_no_clear_offset_none_is_taken() -> None:
+def test_unclear_offset_is_rejected() -> None:
     with raises_with(
         UsageError,
         key="--offset auto",
@@ -165,7 +165,7 @@ def test_where_there_is_no_clear_offset_none_is_taken() -> None:
     told = caught.value.problem
     assert told.key == "--offset auto"
     assert told.reason == "several offsets match (correlation 1.00 and 1.00): found"
-    first, second = told.found  # s; which of the periods is a matter of rounding
+    first, second = told.found  # s; rounding decides between the periods
     assert first != second
     assert [first % 2.0, second % 2.0] == pytest.approx([0.4, 0.4], abs=0.02)
     assert told.expected == "one of these as --offset S"

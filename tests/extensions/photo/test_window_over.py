@@ -1,4 +1,4 @@
-"""A live camera in the window: its pictures behind decor, and a camera that is lost."""
+"""A live camera in the window: its images behind decor, and a lost camera."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write_video(path: Path, shades: list[int], size: tuple[int, int] = (320, 180
     return str(path)
 
 
-def test_the_latest_picture_counts_and_a_video_is_played_over_and_over(tmp_path: Path) -> None:
+def test_latest_image_is_used_and_a_video_is_looped(tmp_path: Path) -> None:
     write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
     video = write_video(tmp_path / "v.mp4", [40, 80, 120])
     with CameraFeed(video, tmp_path / "c.toml") as feed:
@@ -48,7 +48,7 @@ def test_the_latest_picture_counts_and_a_video_is_played_over_and_over(tmp_path:
 
         until(is_all_seen)
         assert feed.piece == (feed.piece[0], "good") and "v.mp4: " in feed.piece[0]
-        # It is lost, and its last picture stays; then it is back.
+        # It is lost, and its last image stays. Then it is back.
         number, _ = feed.latest()
         (tmp_path / "v.mp4").rename(tmp_path / "away.mp4")
         until(lambda: feed.piece[1] == "bad")
@@ -62,14 +62,14 @@ def test_the_latest_picture_counts_and_a_video_is_played_over_and_over(tmp_path:
         CameraFeed(write_video(tmp_path / "w.mp4", [40], (160, 90)), tmp_path / "c.toml")
 
 
-def test_opencv_s_cameras_are_in_the_right_colours_and_tried_again_when_they_end(
+def test_opencv_cameras_have_correct_colors_and_are_reopened(
     tmp_path: Path,
 ) -> None:
     write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
     with VideoWriter(tmp_path / "v.mp4", 320, 180, 20.0) as film:
         for _ in range(5):
             film.add(np.full((180, 320, 3), (200, 100, 30), np.uint8))
-    # An address that OpenCV opens, of which frames come at once, and then no more.
+    # An address that OpenCV opens; its frames arrive at once, and then no more.
     with CameraFeed(f"file://{tmp_path / 'v.mp4'}", tmp_path / "c.toml") as feed:
         assert np.abs(feed.latest()[1][90, 160].astype(int) - (200, 100, 30)).max() < 12
         until(lambda: "stopped sending images" in feed.piece[0] and feed.piece[1] == "bad")
@@ -77,20 +77,20 @@ def test_opencv_s_cameras_are_in_the_right_colours_and_tried_again_when_they_end
         until(lambda: feed.latest()[0] > number)
 
 
-def test_a_video_is_read_at_the_time_that_is_shown_forward_and_back(tmp_path: Path) -> None:
+def test_video_is_read_at_the_shown_time_forward_and_back(tmp_path: Path) -> None:
     write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
     shades = [20 + 9 * ((7 * k) % 25) for k in range(100)]  # 5 s
     write_video(tmp_path / "v.mp4", shades)
     with VideoFeed(tmp_path / "v.mp4", tmp_path / "c.toml", 3.0) as feed:
 
         def shows(time: float, frame: int) -> None:
-            """Waits until that frame is read."""
+            """Waits until that frame has been read."""
             until(lambda: abs(float(feed.latest(time)[1].mean()) - shades[frame]) < 3)
 
         shows(3.0, 0)
         shows(3.0 + 10.5 / 20, 10)
         shows(3.0 + 11.5 / 20, 11)  # the next one
-        shows(3.0 + 90.5 / 20, 90)  # sought
+        shows(3.0 + 90.5 / 20, 90)  # a seek
         shows(3.0 + 30.5 / 20, 30)  # and back
         assert feed.piece == ("v.mp4: 1.5 s", "good")
         shows(1.0, 0)
@@ -102,7 +102,7 @@ def test_a_video_is_read_at_the_time_that_is_shown_forward_and_back(tmp_path: Pa
         assert feed.latest(3.21)[0] == number  # still the same frame
 
 
-def test_a_video_goes_with_the_time_of_a_scenario_and_is_a_camera_for_what_is_live(
+def test_video_follows_the_scenario_time_or_is_a_camera_for_live_scenes(
     tmp_path: Path,
 ) -> None:
     write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
@@ -121,7 +121,7 @@ def test_a_video_goes_with_the_time_of_a_scenario_and_is_a_camera_for_what_is_li
         feed.close()
 
 
-def test_what_is_no_camera_is_told(
+def test_invalid_cameras_are_rejected(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
@@ -148,7 +148,7 @@ def test_what_is_no_camera_is_told(
 @pytest.mark.gl
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 @pytest.mark.thorough
-def test_a_window_shows_decor_over_what_the_camera_sends(tmp_path: Path) -> None:
+def test_window_shows_decor_over_the_camera_image(tmp_path: Path) -> None:
     by = camera("barrel", (320, 180))
     write_camera(tmp_path / "c.toml", by)
     video = write_video(tmp_path / "v.mp4", [100] * 4)
@@ -160,13 +160,13 @@ def test_a_window_shows_decor_over_what_the_camera_sends(tmp_path: Path) -> None
         left, bottom, width, height = window.ask(
             "[getattr(w.decor.rect, k) for k in ('left', 'bottom', 'width', 'height')]"
         )
-        assert width == SIZE[0] and height == 360  # of 16 to 9, in the middle
+        assert width == SIZE[0] and height == 360  # of 16:9, in the middle
         picture = np.array(window.ask("w.image()[::4, ::4]"))
         grey = np.abs(picture - 100).max(axis=2) < 8
         assert 0.5 < grey.mean() < 0.98 and grey[:3].all()
         assert (picture[..., 0] - picture[..., 2] > 100).sum() > 30  # orange arrows
         assert window.ask("w.decor.pieces[0][1]") == "good"
-        # A click on an arrow is at the pixel where the lens shows it.
+        # A click on an arrow is at the distorted pixel.
         joint = "w.decor.view.project(w.data.site_xpos[w.world.joints.centre_site])[0][1].tolist()"
         x, y = window.ask(joint)
         data = by.resized(width, height).project(np.array([[0.0, 0.0, 0.31]]))[0][0]
@@ -180,7 +180,7 @@ def test_a_window_shows_decor_over_what_the_camera_sends(tmp_path: Path) -> None
         assert "no command renders this image" in window.ask(
             "w.tools['copy_command'].actions()['copy']()"
         )
-        # A camera that is lost is told, and nothing stops.
+        # A lost camera is reported, and nothing stops.
         (tmp_path / "v.mp4").unlink()
         window.until("w.decor.pieces[0][1] == 'bad'")
         window.settle()

@@ -1,4 +1,4 @@
-"""Clicking points of the robot in a photo: the board without a window, and the window itself."""
+"""Clicking points of the robot in a photo: the board without a window, and the window."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PHOTO = (640, 400)
 
 
 def robot(by: PhotoCamera) -> tuple[list[str], Array, Array]:
-    """Names of points, the points, and where the camera sees them."""
+    """Returns names of points, the points, and their pixels in the camera image."""
     world = World(Scene(robots=[lwr(joint_angles=[0.3, 0.6, 0.5, -1.3, 0.8, 0.9, 0.0])]))
     data = world.make_data()
     Placer(world).place(data)
@@ -51,7 +51,7 @@ def on_board(board: PointBoard, pixel: Array) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def test_points_go_from_base_to_flange_and_each_place_has_one() -> None:
+def test_points_are_listed_from_base_to_flange_without_duplicates() -> None:
     names, points, _ = robot(camera("none", PHOTO))
     assert names[0] == "lwr/base" and names[-1] == "lwr/flange"
     assert names[1:-1] == [f"lwr/{joint}" for joint in ("A1", "A2", "E1", "A3", "A4", "A5", "A6")]
@@ -59,7 +59,7 @@ def test_points_go_from_base_to_flange_and_each_place_has_one() -> None:
     assert apart.min() > 1e-3
 
 
-def test_each_click_is_for_the_next_point_and_the_fourth_finds_the_camera() -> None:
+def test_each_click_sets_the_next_point_and_the_fourth_finds_the_camera() -> None:
     board, pixels = make_board()
     for k in range(3):
         assert board.chosen == k
@@ -71,14 +71,14 @@ def test_each_click_is_for_the_next_point_and_the_fourth_finds_the_camera() -> N
     assert np.allclose(board.clicked[4], pixels[4])
     expected = camera("none", PHOTO).T_world_camera
     assert np.abs(board.found.camera.T_world_camera - expected).max() < 1e-4
-    # One that is clicked wrongly is named; forgotten, all is well again.
+    # A wrong click is named. Once it is removed, the result is right again.
     board.click(*on_board(board, pixels[7] + [40, 10]))
     assert not board.found.used[7] and board.message.endswith(", without lwr/A6")
     board.press("backspace")
     assert board.chosen == 7 and 7 not in board.clicked and board.found.used.all()
 
 
-def test_the_photo_is_enlarged_about_the_pointer_and_moved_with_it() -> None:
+def test_photo_is_zoomed_about_the_pointer_and_panned_with_it() -> None:
     board, pixels = make_board()
     at = on_board(board, pixels[3])
     board.zoom(8, *at)
@@ -94,7 +94,7 @@ def test_the_photo_is_enlarged_about_the_pointer_and_moved_with_it() -> None:
     assert corner[0] == pytest.approx(board.panel_width - 0.5, abs=1)
 
 
-def test_clicks_on_the_list_choose_and_those_beside_the_photo_do_nothing() -> None:
+def test_clicks_on_the_list_select_and_those_beside_the_photo_do_nothing() -> None:
     board, _ = make_board()
     first = 2.4 * 1.25 * 18
     board.click(20, first + 1.25 * 18 * 4.5)
@@ -105,7 +105,7 @@ def test_clicks_on_the_list_choose_and_those_beside_the_photo_do_nothing() -> No
     assert board.chosen == 3
 
 
-def test_the_picture_shows_photo_marks_and_list_at_any_size() -> None:
+def test_image_shows_photo_marks_and_list_at_any_size() -> None:
     board, pixels = make_board()
     for k in range(6):
         board.click(*on_board(board, pixels[k]))
@@ -126,7 +126,7 @@ def test_the_picture_shows_photo_marks_and_list_at_any_size() -> None:
 @pytest.mark.gl
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 @pytest.mark.thorough
-def test_a_camera_is_found_by_clicks_in_a_window(tmp_path: Path) -> None:
+def test_camera_is_found_by_clicks_in_a_window(tmp_path: Path) -> None:
     by = camera("none", PHOTO)
     _, _, pixels = robot(by)
     write_camera(tmp_path / "lens.toml", PhotoCamera(*PHOTO, by.matrix, np.eye(4)))

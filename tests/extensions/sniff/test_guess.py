@@ -1,4 +1,4 @@
-"""Guesses about packets that nobody has described, on packets that the test knows."""
+"""Guesses of structures, for packets with a known structure."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def counted(letter: str, first: int = 250) -> np.ndarray:
          "number:1H 1H=size 7F7F", False, True),
         (as_rows(counted("u2", 65_533), counted("u2"), JOINTS), "number:1H 1H 7F7F", True, True),
         (as_rows(JOINTS.astype("<f4"))[:1], "7F7F", False, True),
-        # Of one packet no counter can be told, but that something stands before the numbers.
+        # A single packet shows a header before the numbers, but not that it is a counter.
         (as_rows(counted("u4", 10**9), JOINTS)[:1], "1I 7F7F", True, True),
         (as_rows(counted("u4", 10**9), JOINTS.astype(">f8"))[:1], "1I >7F7F", True, True),
         (as_rows(counted("u2").astype(">u2"), JOINTS[:, :12].astype(">f8")),
@@ -64,12 +64,12 @@ def counted(letter: str, first: int = 250) -> np.ndarray:
         (as_rows(counted("u4", 60_000).astype(">u4"), JOINTS), ">number:1I <7F7F", True, True),
         (as_rows(counted("u8").astype(">u8"), np.zeros((6, 14), ">f8")),
          ">number:1Q 7F7F", True, True),
-        # Nothing speaks against zeros, and few digits are no reason to think of float32.
+        # Zeros are plausible, and few digits do not indicate float32.
         (np.zeros((3, 112), np.uint8), "7F7F", True, True),
         (as_rows(np.tile([0.5, 1.0, -2.0, 0.25], (4, 1))), "2F2F", True, True),
     ],
 )  # fmt: skip
-def test_the_first_guess_is_right(
+def test_first_guess_is_correct(
     rows: np.ndarray, structure: str, is_double: bool, column_major: bool
 ) -> None:
     first, *others = guess_layouts(rows)
@@ -115,7 +115,7 @@ def test_numbers_of_several_types_are_distinguished(
 
 
 @pytest.mark.parametrize(
-    ("structure", "size", "said"),
+    ("structure", "size", "reported"),
     [
         ("7F7F1B", 120, "with 7x at its end it has 120"),
         ("7F7F", 56, "with double = false it has 56"),
@@ -126,11 +126,11 @@ def test_numbers_of_several_types_are_distinguished(
         ("7F", 48, ""),
     ],
 )
-def test_another_size_may_be_one_of_alignment(structure: str, size: int, said: str) -> None:
-    assert Structure(structure).for_size(size) == said
+def test_different_size_is_explained_by_options(structure: str, size: int, reported: str) -> None:
+    assert Structure(structure).explain_size(size) == reported
 
 
-def test_112_bytes_may_be_doubles_or_twice_as_many_floats() -> None:
+def test_112_bytes_are_14_doubles_or_28_floats() -> None:
     rows = as_rows(JOINTS)
     guesses = {guess.about: guess for guess in guess_layouts(rows)}
     assert list(guesses) == ["float64: 7 joints twice", "float32: 14 joints twice"]
@@ -138,7 +138,7 @@ def test_112_bytes_may_be_doubles_or_twice_as_many_floats() -> None:
     assert 0.4 < guesses["float32: 14 joints twice"].plausible < 0.8
 
 
-def test_the_other_byte_order_is_named_only_where_it_says_more() -> None:
+def test_other_byte_order_is_proposed_only_if_more_plausible() -> None:
     assert not any(">" in guess.structure for guess in guess_layouts(as_rows(JOINTS)))
     swapped = guess_layouts(as_rows(JOINTS.astype(">f8")))
     assert swapped[0].about == "big-endian float64: 7 joints twice"
@@ -154,7 +154,7 @@ def test_the_other_byte_order_is_named_only_where_it_says_more() -> None:
         (11, "11F", "float64: 11 numbers"),
     ],
 )
-def test_two_or_three_values_of_every_joint_are_both_named(
+def test_two_and_three_values_per_joint_are_both_proposed(
     numbers: int, structure: str, about: str
 ) -> None:
     guess = guess_layouts(as_rows(np.random.default_rng(1).normal(size=(8, numbers))))[0]
@@ -162,7 +162,7 @@ def test_two_or_three_values_of_every_joint_are_both_named(
 
 
 @pytest.mark.extensions
-def test_packets_of_robots_on_the_market_are_known_by_size_and_header() -> None:
+def test_commercial_robots_are_recognized_by_size_and_header() -> None:
     packet = bytearray(np.full(229, 0.5, "<f4").tobytes())
     rows = np.frombuffer(packet, np.uint8)[None]
     assert [guess.about for guess in guess_layouts(rows)] == [
@@ -175,7 +175,7 @@ def test_packets_of_robots_on_the_market_are_known_by_size_and_header() -> None:
 
 
 @pytest.mark.parametrize(("size", "most"), [(1, 0), (3, 0), (13, 0), (4, 2), (6, 1), (4_096, 4)])
-def test_any_size_gets_guesses_that_fit_or_none(size: int, most: int) -> None:
+def test_guesses_fit_packets_of_any_size(size: int, most: int) -> None:
     rows = np.random.default_rng(size).integers(0, 256, (5, size), np.uint8)
     guesses = guess_layouts(rows)
     assert bool(guesses) == bool(most)
@@ -200,7 +200,7 @@ def packed(letters: str, order: str) -> np.ndarray:
 
 @settings(max_examples=60, deadline=None)
 @given(st.text("NdfqQiIhHB?x", min_size=1, max_size=30), st.sampled_from("<>"))
-def test_guesses_of_any_mixture_fit(letters: str, order: str) -> None:
+def test_guesses_fit_mixed_types(letters: str, order: str) -> None:
     rows = packed(letters, order)
     for guess in guess_layouts(rows):
         assert Structure(guess.structure, is_double=guess.is_double).size == rows.shape[1]
@@ -214,7 +214,7 @@ def test_guesses_of_any_mixture_fit(letters: str, order: str) -> None:
     st.sampled_from(["df", "fd"]),
     st.sampled_from("<>"),
 )
-def test_a_counter_and_runs_of_two_types_are_found(
+def test_counter_and_runs_of_two_types_are_recognized(
     counts: list[int], pair: str, order: str
 ) -> None:
     runs = [(count, pair[i % 2]) for i, count in enumerate(counts)]
@@ -223,16 +223,16 @@ def test_a_counter_and_runs_of_two_types_are_found(
     assert expected in [re.sub("^>", "", guess.structure) for guess in guess_layouts(rows)]
 
 
-def test_numbers_are_plausible_from_1e_minus_6_to_1e6_and_zeros_say_nothing() -> None:
+def test_plausibility_counts_magnitudes_from_1e_minus_6_to_1e6() -> None:
     numbers = np.array([[1e-6, -1e6, 0.0, -0.0], [9e-7, 1.1e6, math.nan, -math.inf]])
     assert plausibility(numbers) == (2 / 6, 2)
     assert plausibility(np.zeros((2, 2))) == (1.0, 0)
 
 
-def test_frames_are_found_where_all_packets_have_them() -> None:
+def test_frames_are_found_if_all_packets_have_them() -> None:
     numbers = np.hstack([JOINTS[:, :2], FRAMES.reshape(6, 16), FRAMES.reshape(6, 16)])
     assert find_frames(numbers) == ([2, 18], False)
-    numbers[3, 4] += 0.5  # in one packet the first is none
+    numbers[3, 4] += 0.5  # the first frame is invalid in one packet
     assert find_frames(numbers) == ([18], False)
     assert find_frames(JOINTS) == ([], True)
 
@@ -252,7 +252,7 @@ def test_frames_are_found_where_all_packets_have_them() -> None:
         (struct.pack("<d", 0.1), ""),
     ],
 )
-def test_bytes_are_described_where_they_are_no_numbers(packet: bytes, words: str) -> None:
+def test_text_and_zeros_are_described(packet: bytes, words: str) -> None:
     described = describe_bytes(np.frombuffer(packet, np.uint8)[None])
     assert described.startswith(words) and bool(described) == bool(words)
 
@@ -266,7 +266,7 @@ def test_bytes_are_described_where_they_are_no_numbers(packet: bytes, words: str
         ">number:1H 7F7F 1I=CRC-32/ISO-HDLC",
     ],
 )
-def test_a_recognized_checksum_is_proposed(text: str) -> None:
+def test_recognized_checksum_is_proposed(text: str) -> None:
     structure = Structure(text)
     packets = []
     for k in range(16):
@@ -284,7 +284,7 @@ def test_no_checksum_is_recognized_in_packets_without_one() -> None:
     assert recognize(rows) is None
     assert recognize(np.zeros((16, 40), np.uint8)) is None
     rows[:] = 7
-    rows[:, 0] = rows[:, -1] = np.arange(16)  # counters, the second a sum of the first
+    rows[:, 0] = rows[:, -1] = np.arange(16)  # two counters; the second is a sum of the first
     rows[:, 1:-1] = 0
     assert recognize(rows) is None
     assert recognize(rows[:1]) is None

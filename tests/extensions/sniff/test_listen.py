@@ -14,7 +14,7 @@ from sero_mj.extensions.sniff.listen import Sniffer
 GROUP = "239.255.73.1"
 
 
-def test_a_group_can_be_sniffed_on_an_interface(capsys: pytest.CaptureFixture[str]) -> None:
+def test_multicast_group_is_received_on_an_interface(capsys: pytest.CaptureFixture[str]) -> None:
     with Sniffer(GROUP, 0, "127.0.0.1") as sniffer:
         with socket.socket(type=socket.SOCK_DGRAM) as sock:
             loopback = socket.inet_aton("127.0.0.1")

@@ -1,4 +1,4 @@
-"""Sweeps on a Dask cluster: processes with own folders, killed, late, missing, differing."""
+"""Sweeps on a Dask cluster: workers with own folders, killed, late, missing, or different."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from sero_mj.study.engine import KILLED, Work, files_in
 
 pytest.importorskip("distributed")
 
-# Its robot is beside its folder, its motion is named from the root of the file system.
+# Its robot is beside its folder, and its motion has an absolute path.
 SCENARIO = """
 [robots.lwr]
 model = "../robots/arm"
@@ -57,7 +57,7 @@ void control(struct sero_mj_robot *r) {
       40.0 * (r->target_velocities[i] - r->velocities[i]) + r->gravity[i];
 }
 """
-# A machine without the disk of the one that began the sweep.
+# A machine without access to the disk of the one that began the sweep.
 NO_DISK = """
 import os, sys
 forbidden = os.environ["FORBIDDEN"]
@@ -72,7 +72,7 @@ SWEEP = ["--vary", "controllers.lwr.stiffness=log:50:90000", "--vary", "run.seed
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A scenario with its files in several folders."""
+    """Writes a scenario with files in several folders."""
     folder = tmp_path_factory.mktemp("client")
     shutil.copytree(models_dir() / "lwr", folder / "robots" / "arm")
     motion = folder / "motions" / "still.csv"
@@ -86,7 +86,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Machines:
-    """A scheduler and workers, each with a folder of its own."""
+    """A scheduler and workers, each with its own folder."""
 
     def __init__(self, folder: Path, forbidden: Path) -> None:
         self._folder, self._processes = folder, [subprocess.Popen(["true"])]
@@ -104,7 +104,7 @@ class Machines:
         wait_for(self.file.is_file)
 
     def add_worker(self) -> subprocess.Popen[bytes]:
-        """Starts one, with the process that starts it anew when it dies."""
+        """Starts a worker with the process that restarts it when it dies."""
         options = ["--nthreads", "1", "--nworkers", "1", "--no-dashboard"]
         return self._started("worker", "--scheduler-file", str(self.file), *options)
 
@@ -120,7 +120,7 @@ class Machines:
         return process
 
     def pids(self) -> list[int]:
-        """The processes that run variants."""
+        """Returns the processes that run variants."""
         nannies = [str(process.pid) for process in self._processes[2:]]
         found = subprocess.run(
             ["pgrep", "-f", "spawn_main", "-P", ",".join(nannies)],
@@ -155,21 +155,21 @@ def wait_for(happens: Callable[[], object], seconds: float = 60.0) -> None:
 
 
 def started(file: Path, *options: object) -> subprocess.Popen[str]:
-    """The command, in the scenario's folder."""
+    """Starts the command in the scenario's folder."""
     command = [sys.executable, "-m", "sero_mj", "sweep", file.name, *map(str, options)]
     return subprocess.Popen(command, cwd=file.parent, stderr=subprocess.PIPE, text=True,
                             stdout=subprocess.DEVNULL)  # fmt: skip
 
 
 def commanded(*words: object) -> tuple[int, str]:
-    """Exit status and stderr of a command."""
+    """Returns exit status and stderr of a command."""
     command = [sys.executable, "-m", "sero_mj", *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
     return done.returncode, done.stderr
 
 
 def swept(file: Path, *options: object) -> tuple[int, str]:
-    """Exit status and what the command says on stderr."""
+    """Returns exit status and stderr of the sweep."""
     process = started(file, *options)
     _, said = process.communicate(timeout=110)
     return process.returncode, said
@@ -177,22 +177,22 @@ def swept(file: Path, *options: object) -> tuple[int, str]:
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_the_table_is_that_of_one_machine(file: Path, tmp_path: Path) -> None:
+def test_table_equals_that_of_one_machine(file: Path, tmp_path: Path) -> None:
     here, there = tmp_path / "here.csv", tmp_path / "there.csv"
     with machines(tmp_path, file.parents[1], 2) as found:
         sweep = [*SWEEP, "--samples", 12]
         done = swept(file, *sweep, "-o", here, "--jobs", 1)
-        assert done == (1, "")  # not all hold
+        assert done == (1, "")  # some expectations fail
         engine = ["--engine", "dask", "--scheduler", found.file]
-        _, said = swept(file, *sweep, "-o", there, *engine)
-        assert "differs" not in said and "gone" not in said
+        _, output = swept(file, *sweep, "-o", there, *engine)
+        assert "differs" not in output and "gone" not in output
         assert there.read_bytes() == here.read_bytes()
         rows = here.read_text()
         assert (
             ",true,,0.2" in rows and ",false,,0.2" in rows and "expected 0 to 5000 Nm/rad" in rows
         )
         assert not list(tmp_path.rglob("follow.toml"))  # removed afterwards
-        # What is wrong may be a file: a motion that the scenario itself does not read.
+        # A file may be missing: a motion that the base scenario does not read.
         other = file.parents[1] / "motions" / "other.csv"
         other.write_text(Path(file.parents[1] / "motions" / "still.csv").read_text())
         faults = tmp_path / "faults.toml"
@@ -210,7 +210,7 @@ def test_the_table_is_that_of_one_machine(file: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_variant_that_kills_its_workers_is_a_row_and_costs_no_other(
+def test_variant_that_kills_its_workers_is_a_row_and_affects_no_other(
     file: Path, tmp_path: Path
 ) -> None:
     if shutil.which("cc") is None:
@@ -230,15 +230,15 @@ def test_a_variant_that_kills_its_workers_is_a_row_and_costs_no_other(
     with machines(tmp_path, file.parents[1], 2) as found:
         assert swept(scenario, *sweep, "-o", here, "--jobs", 2) == (1, loads)
         engine = ["--engine", "dask", "--scheduler", found.file]
-        _, said = swept(scenario, *sweep, "-o", there, *engine)
-    assert said == loads
+        _, output = swept(scenario, *sweep, "-o", there, *engine)
+    assert output == loads
     assert there.read_bytes() == here.read_bytes()
     assert there.read_text().count(KILLED) == 4
 
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_recordings_are_sent_to_workers_that_have_no_such_disk(file: Path, tmp_path: Path) -> None:
+def test_recordings_are_sent_to_workers_without_the_disk(file: Path, tmp_path: Path) -> None:
     client, table = file.parents[1] / "runs", tmp_path / "table.csv"
     client.mkdir()
     runs = [client / f"run{k}.mcap" for k in range(3)]
@@ -251,8 +251,8 @@ def test_recordings_are_sent_to_workers_that_have_no_such_disk(file: Path, tmp_p
     here = table.read_bytes()
     with machines(tmp_path, file.parents[1], 1) as found:
         engine = ["--engine", "dask", "--scheduler", found.file]
-        code, said = commanded(*compare, *engine)
-        assert code == 2 and f"{client}/broken.mcap: is no MCAP file" in said
+        code, output = commanded(*compare, *engine)
+        assert code == 2 and f"{client}/broken.mcap: is no MCAP file" in output
         assert not list(tmp_path.rglob("*.mcap"))  # removed afterwards
     assert table.read_bytes() == here
     rows = here.decode().splitlines()
@@ -260,7 +260,7 @@ def test_recordings_are_sent_to_workers_that_have_no_such_disk(file: Path, tmp_p
 
 
 @pytest.mark.thorough
-def test_workers_that_are_killed_cost_nothing(file: Path, tmp_path: Path) -> None:
+def test_killed_workers_do_not_change_the_table(file: Path, tmp_path: Path) -> None:
     here, there = tmp_path / "here.csv", tmp_path / "there.csv"
     sweep = ["--vary", "run.seed=0:999", "--samples", "96", "--set", "run.duration=2"]
     swept(file, *sweep, "-o", here)
@@ -269,16 +269,16 @@ def test_workers_that_are_killed_cost_nothing(file: Path, tmp_path: Path) -> Non
         for rows in (1, 30):
             wait_for(lambda rows=rows: there.exists() and there.read_bytes().count(b"\n") > rows)
             os.kill(found.pids()[0], signal.SIGKILL)
-        found.add_worker()  # one that joins late
-        _, said = process.communicate(timeout=110)
-    assert said == ""
+        found.add_worker()  # one that joins later
+        _, output = process.communicate(timeout=110)
+    assert output == ""
     assert KILLED not in there.read_text()
     assert there.read_bytes() == here.read_bytes()
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("how", ["Ctrl+C", "no scheduler"])
-def test_what_was_stopped_goes_on(file: Path, tmp_path: Path, how: str) -> None:
+def test_stopped_sweep_is_resumed(file: Path, tmp_path: Path, how: str) -> None:
     here, there = tmp_path / "here.csv", tmp_path / "there.csv"
     sweep = ["--vary", "run.seed=0:999", "--samples", "96", "--set", "run.duration=2"]
     swept(file, *sweep, "-o", here)
@@ -290,16 +290,16 @@ def test_what_was_stopped_goes_on(file: Path, tmp_path: Path, how: str) -> None:
         else:
             found.scheduler.kill()
         begin = time.monotonic()
-        _, said = process.communicate(timeout=60)
+        _, output = process.communicate(timeout=60)
         assert time.monotonic() - begin < 20
         if how == "Ctrl+C":
             assert process.returncode == 130
-            assert "variants are left; repeat the command with --resume to continue" in said
+            assert "variants are left; repeat the command with --resume to continue" in output
             wait_for(lambda: not list(tmp_path.rglob("follow.toml")))
             engine = ["--engine", "dask", "--scheduler", found.file]
         else:
             assert process.returncode == 2
-            assert "the scheduler is gone; results so far are saved" in said
+            assert "the scheduler is gone; results so far are saved" in output
             engine = ["--jobs", 2]
         known = there.read_bytes().count(b"\n")
         assert 1 < known < 97
@@ -309,18 +309,18 @@ def test_what_was_stopped_goes_on(file: Path, tmp_path: Path, how: str) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.timeout(400)
-def test_ten_thousand_short_variants(file: Path, tmp_path: Path) -> None:
+def test_ten_thousand_short_variants_run(file: Path, tmp_path: Path) -> None:
     there = tmp_path / "there.csv"
     sweep = ["--vary", "run.seed=0:99999", "--samples", "10000", "--set", "run.duration=0.02"]
     with machines(tmp_path, file.parents[1], 4) as found:
         process = started(file, *sweep, "-o", there, "--engine", "dask", "--scheduler", found.file)
-        _, said = process.communicate(timeout=390)
-    assert said == ""
+        _, output = process.communicate(timeout=390)
+    assert output == ""
     assert there.read_bytes().count(b"\n") == 10_001
 
 
 @pytest.mark.thorough
-def test_workers_are_jobs_of_a_batch_system(
+def test_workers_can_be_batch_jobs(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     programs = {
@@ -337,14 +337,14 @@ def test_workers_are_jobs_of_a_batch_system(
     queue.write_text(f"[slurm]\njobs = 1\n{settings}\n")
     out = tmp_path / "out.csv"
     sweep = [*SWEEP, "--samples", 4, "-o", out, "--engine", "dask", "--scheduler", queue]
-    status, said = swept(file, *sweep)
-    assert status == 1, said
+    status, output = swept(file, *sweep)
+    assert status == 1, output
     assert out.read_bytes().count(b"\n") == 5
     assert "#SBATCH -t 00:10:00" in (tmp_path / "job.sh").read_text()
     wait_for((tmp_path / "cancelled").is_file)
 
 
-# --- what is told
+# --- errors
 
 
 @pytest.mark.parametrize(
@@ -354,7 +354,7 @@ def test_workers_are_jobs_of_a_batch_system(
         ("jobs = ", "cannot be read"),
     ],
 )
-def test_a_batch_system_that_cannot_be_is_told(
+def test_invalid_batch_system_is_rejected(
     work: Work, tmp_path: Path, text: str, message: str
 ) -> None:
     queue = tmp_path / "cluster.toml"
@@ -370,7 +370,7 @@ def work(file: Path) -> Work:
     return Work(Variants(file, {}), list(enumerate(sweep.variants)))
 
 
-def test_a_scheduler_that_is_not_there_is_told(work: Work, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_scheduler_is_reported(work: Work, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "PATIENCE", 0.3)
     address = f"tcp://127.0.0.1:{free_udp_port()}"
     with raises_with(
@@ -383,7 +383,7 @@ def test_a_scheduler_that_is_not_there_is_told(work: Work, monkeypatch: pytest.M
 
 
 @pytest.mark.thorough
-def test_a_worker_with_other_packages_is_told(
+def test_worker_with_other_packages_is_reported(
     work: Work, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = cluster_worker.versions()
@@ -400,14 +400,14 @@ def test_a_worker_with_other_packages_is_told(
         ("no.json", "--scheduler: no file 'no.json'"),
     ],
 )
-def test_a_scheduler_that_cannot_be_is_told(scheduler: str, message: str) -> None:
+def test_invalid_scheduler_is_rejected(scheduler: str, message: str) -> None:
     with pytest.raises(UsageError) as caught:
         Cluster(scheduler)
     assert message in str(caught.value)
 
 
 @pytest.mark.thorough
-def test_files_keep_their_places_to_each_other(file: Path, tmp_path: Path) -> None:
+def test_shipped_files_have_the_same_relative_places(file: Path, tmp_path: Path) -> None:
     files = files_read(file, {})
     names = {each.relative_to(file.parents[1]).as_posix() for each in files}
     assert {"study/follow.toml", "robots/arm/robot.toml", "motions/still.csv"} <= names

@@ -1,8 +1,8 @@
-"""Mutations are read and told; and every shipped scenario notices what an engineer may get wrong.
+"""Mutations are read and reported, and every shipped scenario detects typical mistakes.
 
-`mutations/NAME.toml` has gains, loads, friction, sensors, limits, motions and pushes that are not
-what they should be. `make test` tries the first two, which are subtle ones, of some scenarios; CI
-eight, or four of slow scenarios, and `make mutations` all.
+`mutations/NAME.toml` has wrong gains, loads, friction, sensors, limits, motions and pushes. `make
+test` tries the first two, which are subtle, of some scenarios; CI tries eight, or four of slow
+scenarios; `make mutations` tries all.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sero_mj.extensions.sweeps.sweep import Sweep
 
 SHIPPED = ROOT / "tests" / "mutations"
 LEAST = 8
-TRIED = {25: 2, 100: LEAST}[examples(100)]  # of every scenario, every day and in CI
+TRIED = {25: 2, 100: LEAST}[examples(100)]  # of every scenario, in quick tests and in CI
 SLOW = ("biped_stand", "hit_hand_grasp", "justin_push")
 
 SCENARIO = """
@@ -65,7 +65,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_every_mutation_is_a_variant_with_what_it_sets(file: Path, tmp_path: Path) -> None:
+def test_every_mutation_is_a_variant_with_its_overrides(file: Path, tmp_path: Path) -> None:
     design = Mutations.read(written(tmp_path, MUTATIONS))
     assert design.variants == [
         {},
@@ -80,7 +80,7 @@ def test_every_mutation_is_a_variant_with_what_it_sets(file: Path, tmp_path: Pat
     assert {name: judged.noticed_by for name, judged in found.items()} == {
         "": [],
         "undeclared load": ["it_holds"],
-        "half as stiff": [],  # at rest a spring's stiffness does not show
+        "half as stiff": [],  # at rest, the stiffness of a spring has no effect
         "too weak": ["it_holds"],
     }
     loaded = found["undeclared load"]
@@ -91,30 +91,30 @@ def test_every_mutation_is_a_variant_with_what_it_sets(file: Path, tmp_path: Pat
     assert found[""].moved is None
 
 
-def test_the_command_tells_what_nothing_notices(
+def test_sweep_reports_mutations_that_no_expectation_detects(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mutations, out = written(tmp_path, MUTATIONS), tmp_path / "out.csv"
     asked = "sweep", str(file), "--mutations", str(mutations), "--jobs", "1"
-    status, told, _ = run(capsys, *asked, "-o", str(out))
+    status, output, _ = run(capsys, *asked, "-o", str(out))
     assert status == 1
-    lines = [line.split() for line in told.splitlines()]
+    lines = [line.split() for line in output.splitlines()]
     assert lines[-2][:5] == ["half", "as", "stiff", "nothing;", "it_holds"]
     assert lines[-1] == ["2", "detected,", "1", "not", "detected"]
     assert [line.split(",")[1:3] for line in out.read_text().splitlines()] == [
         ["mutation", "held"], ["", "true"], ["undeclared load", "false"],
         ["half as stiff", "true"], ["too weak", "false"],
     ]  # fmt: skip
-    status, told, _ = run(capsys, *asked, "-o", str(out), "--resume", "--json")
-    assert status == 1 and json.loads(told)["unnoticed"] == ["half as stiff"]
+    status, output, _ = run(capsys, *asked, "-o", str(out), "--resume", "--json")
+    assert status == 1 and json.loads(output)["unnoticed"] == ["half as stiff"]
     mutations.write_text(MUTATIONS.replace("400", "401"))
-    _, _, told = run(capsys, *asked, "-o", str(out), "--resume")
-    assert "mutations.half as stiff.controllers.lwr.stiffness was 400.0 and is 401.0" in told
+    _, _, output = run(capsys, *asked, "-o", str(out), "--resume")
+    assert "mutations.half as stiff.controllers.lwr.stiffness was 400.0 and is 401.0" in output
     mutations.write_text(MUTATIONS.partition('["half')[0])
     assert run(capsys, *asked, "--quiet")[:2] == (0, "")
     file.write_text(SCENARIO.replace("below", "holds_at = 'all'\nabove"))
-    status, told, _ = run(capsys, *asked)
-    assert status == 1 and "without any mutation these fail already: it_holds" in told
+    status, output, _ = run(capsys, *asked)
+    assert status == 1 and "fail without a mutation: it_holds" in output
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_the_command_tells_what_nothing_notices(
         ),
     ],
 )
-def test_what_is_wrong_in_the_file_is_told_by_line(
+def test_errors_in_a_mutation_file_have_their_line(
     file: Path, tmp_path: Path, text: str, problem: dict[str, Any]
 ) -> None:
     path = written(tmp_path, text)
@@ -145,7 +145,7 @@ def test_what_is_wrong_in_the_file_is_told_by_line(
         Sweep(file, Mutations.read(path))
 
 
-def test_every_shipped_scenario_is_mutated() -> None:
+def test_every_shipped_scenario_has_mutations() -> None:
     assert sorted(path.stem for path in SHIPPED.iterdir()) == sorted(list_scenarios())
     for path in SHIPPED.iterdir():
         assert len(Mutations.read(path).tables) >= LEAST, path
@@ -159,7 +159,7 @@ def test_every_shipped_scenario_is_mutated() -> None:
         for name in list_scenarios()
     ],
 )
-def test_what_is_wrong_in_a_shipped_scenario_is_noticed(name: str) -> None:
+def test_mutations_of_shipped_scenarios_are_detected(name: str) -> None:
     sweep = Sweep(find_scenario(name), Mutations.read(SHIPPED / f"{name}.toml"))
     tried = TRIED // 2 if name in SLOW else TRIED
     numbers = range(len(sweep.variants))[: tried + 1]

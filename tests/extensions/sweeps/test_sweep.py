@@ -1,4 +1,4 @@
-"""Sweeps: samples, real processes, tables that survive, and what is said when all goes wrong."""
+"""Sweeps: samples, real processes, tables that survive interruption, and errors."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_lists_repeat_no_variant(file: Path) -> None:
     assert every[6:] == every[:6]
 
 
-def test_a_latin_hypercube_has_one_sample_in_every_part_of_every_range() -> None:
+def test_latin_hypercube_has_one_sample_in_each_part_of_each_range() -> None:
     varied = [Vary.parse("a.x=10:20"), Vary.parse("a.y=log:1:1000"), Vary.parse("a.z=p,q")]
     rows = latin_hypercube(varied, 40, seed=1)
     x = np.array([row["a.x"] for row in rows])
@@ -100,7 +100,7 @@ def test_a_latin_hypercube_has_one_sample_in_every_part_of_every_range() -> None
     assert abs(np.corrcoef(x, np.log(y))[0, 1]) < 0.5
 
 
-def test_a_grid_has_all_values_with_all_others() -> None:
+def test_grid_combines_all_values() -> None:
     varied = [Vary.parse("a.x=0:1"), Vary.parse("a.y=log:1:100"), Vary.parse("a.z=true,false")]
     rows = full_grid(varied, 3)
     assert len(rows) == 18
@@ -145,7 +145,7 @@ def test_values_are_read(option: str, values: list[Any]) -> None:
         ("a.b=int:0.5:3", "found int:0.5:3; expected whole numbers"),
     ],
 )  # fmt: skip
-def test_values_that_are_none_are_told(option: str, message: str) -> None:
+def test_invalid_values_are_rejected(option: str, message: str) -> None:
     with pytest.raises(UsageError) as caught:
         Vary.parse(option)
     assert message in str(caught.value)
@@ -155,7 +155,7 @@ def test_values_that_are_none_are_told(option: str, message: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_row_says_what_a_simulation_by_hand_does(file: Path) -> None:
+def test_row_equals_the_result_of_a_single_simulation(file: Path) -> None:
     runs = sweep(file, f"{STIFFNESS}=200:3000", samples=3)
     for number, found in runs.run():
         scenario = read_scenario(file, runs.variants[number])
@@ -174,11 +174,11 @@ def test_a_row_says_what_a_simulation_by_hand_does(file: Path) -> None:
         assert found["held"] is outcome.holds and found["error"] == ""
 
 
-def test_a_variant_that_cannot_be_is_a_row_with_its_error(file: Path) -> None:
+def test_invalid_variant_is_a_row_with_its_error(file: Path) -> None:
     runs = sweep(file, f"{STIFFNESS}=500,9000", samples=2, is_grid=True)
     results = dict(runs.run())
     assert results[0]["error"] == ""
-    assert results[1]["error"] == (  # and not that there is no target to be held, either
+    assert results[1]["error"] == (  # and no further error about a missing target
         f"{STIFFNESS}: found 9000; expected 0 to 5000 Nm/rad; kind = 'joint_position' can be "
         "stiffer"
     )
@@ -188,7 +188,7 @@ def test_a_variant_that_cannot_be_is_a_row_with_its_error(file: Path) -> None:
     assert "is unstable at 4000 Nm/rad with a time step of 50 ms" in error
 
 
-def test_a_key_that_no_variant_can_have_is_told_at_once(file: Path) -> None:
+def test_key_invalid_for_all_variants_is_rejected_at_once(file: Path) -> None:
     with raises_with(key="controllers.lwr.stifness", reason="unknown key", near="stiffness"):
         sweep(file, "controllers.lwr.stifness=1:2")
     with raises_with(key="controllers.lvr.stiffness", reason="no robot", found="lvr", near="lwr"):
@@ -217,7 +217,7 @@ def test_a_key_that_no_variant_can_have_is_told_at_once(file: Path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_results_do_not_depend_on_how_many_run_at_once(file: Path, tmp_path: Path) -> None:
+def test_results_do_not_depend_on_the_number_of_processes(file: Path, tmp_path: Path) -> None:
     runs = sweep(file, f"{STIFFNESS}=log:50:9000", "run.seed=0:99", samples=7)
     for jobs in (1, 3):
         with SweepTable(runs, tmp_path / f"{jobs}.csv") as table:
@@ -233,7 +233,7 @@ KILLED = "the process was killed or ran out of memory"
 
 
 @pytest.mark.slow
-def test_a_process_that_is_killed_costs_its_variant_only(file: Path) -> None:
+def test_killed_process_loses_its_variant_only(file: Path) -> None:
     runs = sweep(
         file, "run.seed=0:9", samples=6, fixed={"run.duration": 1.0, "expect.it_holds.below": 1.0}
     )
@@ -253,7 +253,7 @@ def test_a_process_that_is_killed_costs_its_variant_only(file: Path) -> None:
 
 
 def children(of: int | None = None) -> set[int]:
-    """Processes that run variants, started by this one or another."""
+    """Returns the processes that run variants, started by this process or another."""
     listed = Path(f"/proc/{of or os.getpid()}/task/{of or os.getpid()}/children").read_text()
     pids = {int(pid) for pid in listed.split()}
     return {pid for pid in pids if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()}
@@ -263,7 +263,7 @@ def children(of: int | None = None) -> set[int]:
 
 
 def filled(runs: Sweep, path: Path, count: int) -> None:
-    """A table in which so many variants are known."""
+    """Writes a table with the results of this number of variants."""
     with SweepTable(runs, path) as table:
         for number, found in runs.run():
             table.add(number, found)
@@ -272,7 +272,7 @@ def filled(runs: Sweep, path: Path, count: int) -> None:
 
 
 @pytest.mark.slow
-def test_what_was_interrupted_goes_on(file: Path, tmp_path: Path) -> None:
+def test_interrupted_sweep_is_resumed(file: Path, tmp_path: Path) -> None:
     runs = sweep(file, f"{STIFFNESS}=log:50:9000", samples=6)
     whole, broken = tmp_path / "whole.csv", tmp_path / "broken.csv"
     filled(runs, whole, 6)
@@ -293,7 +293,7 @@ def test_what_was_interrupted_goes_on(file: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_shards_joined_are_the_table_of_one_run(
+def test_joined_shards_equal_the_table_of_one_run(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["sweep", str(file), "--vary", f"{STIFFNESS}=50:900", "--samples", "5"]
@@ -319,14 +319,14 @@ def test_shards_joined_are_the_table_of_one_run(
     assert joined.read_bytes() == whole.read_bytes()
     head, first, second = parts[1].read_text().splitlines()
     parts[1].write_text(f"{head}\n{first.replace('1', '3', 1)}\n{second.replace('3', '1', 1)}\n")
-    _, said = done("--merge", parts[1], "-o", joined, "--resume")
-    assert "has a different result for variant" in said
-    _, said = done("--merge", tmp_path / "no.*.csv", "-o", joined, "--resume")
-    assert "--merge: no file" in said
+    _, output = done("--merge", parts[1], "-o", joined, "--resume")
+    assert "has a different result for variant" in output
+    _, output = done("--merge", tmp_path / "no.*.csv", "-o", joined, "--resume")
+    assert "--merge: no file" in output
 
 
 @pytest.mark.thorough
-def test_a_job_of_slurm_runs_the_shards(
+def test_slurm_job_runs_the_shards(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
@@ -334,7 +334,7 @@ def test_a_job_of_slurm_runs_the_shards(
               "-o", str(tmp_path / "out.csv"), "--print-sbatch", "2"])  # fmt: skip
     job = capsys.readouterr().out
     assert "#SBATCH --array=1-2\n" in job
-    # As a cluster does it: bash, and an `srun` that runs what it is told.
+    # As on a cluster: bash, and an `srun` that runs its arguments.
     bin_ = tmp_path / "bin"
     bin_.mkdir()
     (bin_ / "srun").write_text('#!/bin/sh\nexec "$@"\n')
@@ -351,7 +351,7 @@ def test_a_job_of_slurm_runs_the_shards(
     assert [row["variant"] for row in read(tmp_path / "out.csv")] == ["0", "1", "2"]
 
 
-def test_a_table_of_another_sweep_is_not_gone_on_with(file: Path, tmp_path: Path) -> None:
+def test_table_of_another_sweep_is_not_resumed(file: Path, tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
     filled(sweep(file, f"{STIFFNESS}=50:900"), path, 2)
     with pytest.raises(UsageError) as caught:
@@ -384,7 +384,7 @@ def test_a_table_of_another_sweep_is_not_gone_on_with(file: Path, tmp_path: Path
         SweepTable(sweep(file, f"{STIFFNESS}=50:900"), path, resume=True)
 
 
-def test_a_table_that_is_none_is_told_by_line(file: Path, tmp_path: Path) -> None:
+def test_invalid_table_is_reported_with_its_line(file: Path, tmp_path: Path) -> None:
     runs, path = sweep(file, f"{STIFFNESS}=50:900"), tmp_path / "out.csv"
     filled(runs, path, 2)
     lines = path.read_text().splitlines(keepends=True)
@@ -408,7 +408,7 @@ def test_a_table_that_is_none_is_told_by_line(file: Path, tmp_path: Path) -> Non
         SweepTable(runs, path, resume=True)
 
 
-def test_the_summary_says_where_values_are_lowest_and_highest(file: Path) -> None:
+def test_summary_names_the_variants_with_the_lowest_and_highest_values(file: Path) -> None:
     runs = sweep(file, f"{STIFFNESS}=200,1000,9000,3000", samples=1, is_grid=True)
     with SweepTable(runs) as table:
         for number, found in runs.run():
@@ -426,7 +426,7 @@ def test_the_summary_says_where_values_are_lowest_and_highest(file: Path) -> Non
 # --- the command
 
 
-def test_the_picture_has_units_and_a_legend_of_what_it_shows(
+def test_figure_has_units_and_a_legend(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import matplotlib as mpl
@@ -448,7 +448,7 @@ def test_the_picture_has_units_and_a_legend_of_what_it_shows(
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_the_command_writes_table_and_picture_and_says_what_came_of_it(
+def test_sweep_writes_table_and_figure_and_reports_the_result(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, plot = tmp_path / "deep" / "out.csv", tmp_path / "out.png"
@@ -457,11 +457,11 @@ def test_the_command_writes_table_and_picture_and_says_what_came_of_it(
                "--plot", str(plot)]  # fmt: skip
     with pytest.raises(SystemExit) as caught:
         main(command)
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert caught.value.code == 1
-    assert "shove: 6 variants (6 in " in said
-    assert "stopped stiffness 9000, elastic True: controllers.lwr.stiffness: found 9000" in said
-    assert "2 stopped by errors" in said
+    assert "shove: 6 variants (6 in " in output
+    assert "stopped stiffness 9000, elastic True: controllers.lwr.stiffness: found 9000" in output
+    assert "2 stopped by errors" in output
     assert len(read(out)) == 6
     assert plot.read_bytes()[:4] == b"\x89PNG" and plot.stat().st_size > 5000
     with pytest.raises(SystemExit) as caught:
@@ -490,7 +490,7 @@ def test_the_command_writes_table_and_picture_and_says_what_came_of_it(
         (["--seed", "-1"], "found '-1'"),
     ],
 )
-def test_options_that_cannot_be_are_told(
+def test_invalid_options_are_rejected(
     arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as caught:
@@ -499,7 +499,7 @@ def test_options_that_cannot_be_are_told(
     assert message in capsys.readouterr().err
 
 
-# More than two processes run at once, each its 24 together.
+# More variants than two processes run at once in batches of 24 each.
 MANY = 100
 SEEDS = ["--samples", str(MANY), "--vary", "run.seed=0:1000", "--set", "run.duration=0.4",
          "--set", "expect.it_holds.below=1.0"]  # fmt: skip
@@ -507,7 +507,7 @@ SEEDS = ["--samples", str(MANY), "--vary", "run.seed=0:1000", "--set", "run.dura
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The table of a sweep that nobody stops, run by one process."""
+    """Returns the table of a sweep that is not interrupted, run by one process."""
     folder = tmp_path_factory.mktemp("whole")
     (folder / "shove.toml").write_text(SCENARIO)
     out = folder / "out.csv"
@@ -520,7 +520,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", sampled([signal.SIGKILL, signal.SIGINT], 1))
-def test_the_command_goes_on_where_it_was_stopped(
+def test_stopped_sweep_is_resumed_by_the_command(
     file: Path, tmp_path: Path, how: int, whole: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out.csv"
@@ -534,20 +534,20 @@ def test_the_command_goes_on_where_it_was_stopped(
     workers = children(process.pid)
     assert len(workers) == 2
     process.send_signal(how)
-    _, said = process.communicate(timeout=20)
+    _, output = process.communicate(timeout=20)
     if how == signal.SIGINT:
         assert process.returncode == 130
-        assert "variants are left; repeat the command with --resume to continue" in said
+        assert "variants are left; repeat the command with --resume to continue" in output
     else:
         assert process.returncode == -how
-    wait_for(lambda: not any(is_alive(pid) for pid in workers))  # none is left behind
+    wait_for(lambda: not any(is_alive(pid) for pid in workers))  # no process is left
     known = len(read(out))
     assert 4 <= known < MANY
     with pytest.raises(SystemExit) as caught:
         main([*command, "--jobs", "1", "--resume"])
     assert caught.value.code == 0
-    said = capsys.readouterr().out
-    assert f"; {known} from before" in said or f"; {known - 1} from before" in said
+    output = capsys.readouterr().out
+    assert f"; {known} from before" in output or f"; {known - 1} from before" in output
     assert out.read_bytes() == whole
 
 
@@ -579,7 +579,7 @@ def test_processes_load_no_opengl(file: Path) -> None:
     assert done.stdout.split()[1] == "False", done.stdout
 
 
-def test_the_shipped_scenario_can_be_swept() -> None:
+def test_shipped_scenario_can_be_swept() -> None:
     runs = sweep(find_scenario("impedance_push"), f"{STIFFNESS}=log:100:5000", samples=2)
     assert runs.columns[:3] == ["variant", STIFFNESS, "held"]
     assert set(runs.settings["files"]) == {"impedance_push.toml", "lwr/robot.toml"}
@@ -588,6 +588,6 @@ def test_the_shipped_scenario_can_be_swept() -> None:
 @pytest.mark.parametrize(
     ("left", "workers", "size"), [(64, 1, 32), (64, 2, 32), (70, 1, 35), (5, 8, 1), (300, 2, 50)]
 )
-def test_batches_of_all_workers_are_of_one_size(left: int, workers: int, size: int) -> None:
+def test_batches_of_all_workers_have_one_size(left: int, workers: int, size: int) -> None:
     work = Work(Variants(Path("shove.toml"), {}), [], max_batch=64)
     assert work.batch_size(left, workers) == size

@@ -13,7 +13,7 @@ from sero_mj.data.receive.structure import Structure
 from sero_mj.extensions.tables.send import TablePackets
 
 
-def test_columns_have_the_names_of_the_numbers_of_a_packet(tmp_path: Path) -> None:
+def test_columns_are_matched_to_numbers_of_a_packet_by_name(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("values0[1],time,values0[0],values1[0]\n1,5.0,0,2\n3,5.25,0,4\n")
     found = TablePackets(path, Structure("2F1F2F"))
@@ -24,7 +24,7 @@ def test_columns_have_the_names_of_the_numbers_of_a_packet(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("head", ["", "left,right,force\n"])
-def test_columns_with_other_or_no_names_are_all_numbers_in_order(tmp_path: Path, head: str) -> None:
+def test_other_columns_are_the_numbers_of_a_packet_in_order(tmp_path: Path, head: str) -> None:
     path = tmp_path / "t.csv"
     path.write_text(f"{head}1,2,3\n4,5,6\n")
     found = TablePackets(path, Structure("2F1h"), rate=50)
@@ -37,12 +37,12 @@ def test_columns_with_other_or_no_names_are_all_numbers_in_order(tmp_path: Path,
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a,b\n1,2\n", "found 2 columns beside time: a, b, ...; expected 3 for '3F', or "
+        ("a,b\n1,2\n", "found 2 columns in addition to time: a, b, ...; expected 3 for '3F', or "
          "values0[0], values0[1], values0[2], ..."),
-        ("values0[0],values0[7]\n1,2\n", "'3F' has no such number; did you mean 'values0[2]'?"),
+        ("values0[0],values0[7]\n1,2\n", "not a number of '3F'; did you mean 'values0[2]'?"),
     ],
 )  # fmt: skip
-def test_columns_that_do_not_fit_are_reported(tmp_path: Path, text: str, message: str) -> None:
+def test_unsuitable_columns_are_reported(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "t.csv"
     path.write_text(text)
     with pytest.raises(CsvError) as caught:
@@ -50,18 +50,18 @@ def test_columns_that_do_not_fit_are_reported(tmp_path: Path, text: str, message
     assert message in str(caught.value) and str(path) in str(caught.value)
 
 
-def test_an_event_with_missing_numbers_is_rejected(tmp_path: Path) -> None:
+def test_event_with_missing_numbers_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("values0[0],values0[2],values1[0]\n1,2,3\n")
     with pytest.raises(CsvError) as caught:
         TablePackets(path, Structure("7F1F"), rate=1)
     assert str(caught.value) == (
-        f"{path}: has 2 of the 7 numbers of values0; no column is called values0[1], values0[3], "
+        f"{path}: has 2 of the 7 numbers of values0; missing columns: values0[1], values0[3], "
         "values0[4], values0[5], ..."
     )
 
 
-def test_missing_events_are_reported_and_frames_are_frames(tmp_path: Path) -> None:
+def test_missing_events_are_reported_and_missing_frames_are_identity(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("values0[0],values0[1]\n1,2\n")
     structure = Structure("2F1M1V1H=7 1F")

@@ -1,4 +1,4 @@
-"""Tables as other programs write them: their cells, times and columns, and what plays them."""
+"""Tables of other programs: cells, times, columns, and their use in commands."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sero_mj.extensions.tables.table import read_csv, read_table
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.robot import SerialRobot
 
-OF_VENDORS = pytest.mark.extensions  # whose columns have names of libfranka or RTDE
+OF_VENDORS = pytest.mark.extensions  # column names of libfranka and RTDE are in extensions
 
 SCENE = """
 [robots.two]
@@ -46,13 +46,13 @@ structure = "2f2F"
 "two.torques" = "arm.values1"
 "two.show_arrows" = "arm.receiving"
 """
-# record.py of Universal Robots: cells are separated by a blank.
+# record.py of Universal Robots: cells are separated by a space.
 RTDE = """timestamp actual_q_0 actual_q_1 target_moment_0 target_moment_1
 17000.000 0.5 -1.0 10.0 20.0
 17000.008 0.6 -1.1 11.0 21.0
 17000.016 0.7 -1.2 12.0 22.0
 """
-# franka::logToCSV before and since 2024, in ms; commands have names of measurements.
+# franka::logToCSV before and since 2024, in ms; commands have the names of measurements.
 FRANKA = """duration, success rate, q[0], q[1],q_d[0], q_d[1],tau_J[0], tau_J[1],\
 tau_ext_hat_filtered[0], tau_ext_hat_filtered[1],sent commands,q_d[0], q_d[1]
 0,1,0.1,0.2,0.3,0.4,5,6,0.5,-0.5,,9,9
@@ -90,7 +90,7 @@ def scene_of(tmp_path: Path, port: int = 0):
         "time;a;b;\n0;1;-2,5;\n0,5;2;3;\n",
     ],
 )
-def test_what_separates_cells_and_decimals_is_recognised(tmp_path: Path, text: str) -> None:
+def test_cell_and_decimal_separators_are_recognized(tmp_path: Path, text: str) -> None:
     times, columns = read_csv(table(tmp_path, text))
     assert times.tolist() == [0.0, 0.5]
     found = {name: values.tolist() for name, values in columns.items()}
@@ -112,7 +112,7 @@ def test_what_separates_cells_and_decimals_is_recognised(tmp_path: Path, text: s
          (1_700_000_000.5, 1_700_000_000.75)),
     ],
 )  # fmt: skip
-def test_times_are_found_and_in_seconds(
+def test_time_column_is_found_and_converted_to_seconds(
     tmp_path: Path, head: str, cells: tuple[str, str], times: tuple[float, float]
 ) -> None:
     path = table(tmp_path, f"a,{head}\n1,{cells[0]}\n2,{cells[1]}\n")
@@ -121,18 +121,18 @@ def test_times_are_found_and_in_seconds(
     assert columns["a"].tolist() == [1.0, 2.0]
 
 
-def test_columns_with_text_are_an_error_only_where_they_are_needed(tmp_path: Path) -> None:
+def test_columns_with_text_raise_an_error_only_when_used(tmp_path: Path) -> None:
     path = table(tmp_path, "time,mode,a,a\n0,AUTO,1,2\n1,AUTO,3,4\n")
     found = read_table(path)
     assert found.column("a").tolist() == [1.0, 3.0]
-    assert found.column("a.1").tolist() == [2.0, 4.0]  # as pandas calls the second
+    assert found.column("a.1").tolist() == [2.0, 4.0]  # as in pandas
     wrong = {"line": 2, "column": "mode", "reason": "found 'AUTO'; expected a number, or nan"}
     for read in (lambda: found.column("mode"), lambda: read_csv(path)):
         with raises_with(CsvError, **wrong):
             read()
-    with raises_with(CsvError, reason="there is no column 'mod'; did you mean 'mode'?"):
+    with raises_with(CsvError, reason="no column 'mod'; did you mean 'mode'?"):
         found.column("mod")
-    with raises_with(CsvError, reason="there is no column 'ti', for the time; "
+    with raises_with(CsvError, reason="no time column 'ti'; "
                                       "did you mean 'time'?"):  # fmt: skip
         read_table(path, time="ti")
 
@@ -153,7 +153,7 @@ def test_columns_with_text_are_an_error_only_where_they_are_needed(tmp_path: Pat
     ],
 )
 @pytest.mark.parametrize("order", [1, -1])
-def test_columns_are_recognised_in_the_order_of_the_joints(
+def test_columns_are_recognized_in_joint_order(
     tmp_path: Path, names: list[str], signal: str, order: int
 ) -> None:
     values = dict(zip(names, ("1", "2"), strict=True))
@@ -164,13 +164,13 @@ def test_columns_are_recognised_in_the_order_of_the_joints(
 
 
 @OF_VENDORS
-def test_logs_of_franka_have_our_units_and_signs(tmp_path: Path) -> None:
+def test_libfranka_logs_are_converted_to_our_units_and_signs(tmp_path: Path) -> None:
     found = read_table(table(tmp_path, FRANKA))
     assert found.times.tolist() == [0.0, 0.002]
     signals = {key: each[0].tolist() for key, each in signals_of(found).items()}
     assert signals == {
         "joint_angles": [0.1, 0.2], "torques": [5, 6], "commanded_angles": [0.3, 0.4],
-        "external_torques": [-0.5, 0.5],  # libfranka's are what the robot exerts
+        "external_torques": [-0.5, 0.5],  # libfranka's torques are exerted by the robot
     }  # fmt: skip
     found = read_table(table(tmp_path, FRANKA_2024))
     assert found.times.tolist() == [0.0, 0.002]
@@ -178,14 +178,14 @@ def test_logs_of_franka_have_our_units_and_signs(tmp_path: Path) -> None:
     assert signals == {"joint_angles": [0.1, 0.2], "torques": [5, 6]}
 
 
-def test_declared_columns_have_patterns_lists_and_units(tmp_path: Path) -> None:
+def test_columns_are_declared_by_patterns_lists_and_units(tmp_path: Path) -> None:
     found = read_table(table(tmp_path, "time,J10,J9,x [deg],y [deg],tau\n0,10,9,180,90,3\n"))
     columns = parse_columns(["joint_angles=x [deg],y [deg]", "torques = J*"])
     signals = {key: each.tolist() for key, each in signals_of(found, (), columns).items()}
     assert signals == {"joint_angles": [[math.pi, math.pi / 2]], "torques": [[9.0, 10.0]]}
     given = signals_of(found, (), {"joint_angles [mrad]": ["J9", "J10"]})
     assert given["joint_angles"] == pytest.approx(np.array([[0.009, 0.01]]))
-    with raises_with(CsvError, reason="no column is called like 'j*'; "
+    with raises_with(CsvError, reason="no column matches 'j*'; "
                                       "available: J10, J9, tau, x [deg], y [deg]"):  # fmt: skip
         signals_of(found, (), {"joint_angles": "j*"})
     for key in ("joint_angles [ms]", "time [ms]"):
@@ -197,34 +197,36 @@ def test_declared_columns_have_patterns_lists_and_units(tmp_path: Path) -> None:
         parse_columns(["q"])
 
 
-def test_a_degree_sign_of_windows_is_a_unit(tmp_path: Path) -> None:
+def test_degree_sign_in_windows_encoding_is_a_unit(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_bytes("t [s];A1 [°];A2 [°]\n0;90,0;180,0\n".encode("cp1252"))
     found = signals_of(read_table(path))
     assert found["joint_angles"] == pytest.approx(np.array([[math.pi / 2, math.pi]]))
 
 
-def test_another_number_of_joints_is_told(tmp_path: Path) -> None:
+def test_wrong_number_of_joints_is_reported(tmp_path: Path) -> None:
     three = "time,q_1,q_2,q_3\n0,1,2,3\n"
     scene = scene_of(tmp_path)
     expected = "expected 2 columns with joint angles"
     with raises_with(CsvError, reason=f"found joint angles in 3 columns, q_1 to q_3; {expected}"):
         robots_in(read_table(table(tmp_path, three)), scene.robots, {})
     unknown = read_table(table(tmp_path, "time,x1,x2\n0,1,2\n"))
-    told = f'found the columns x1, x2; {expected}, as --columns "joint_angles=x*" tells'
-    with raises_with(CsvError, reason=told):
+    reported = (
+        f'found the columns x1, x2; {expected}. Declare them with --columns "joint_angles=x*"'
+    )
+    with raises_with(CsvError, reason=reported):
         robots_in(unknown, scene.robots, {})
 
 
 @OF_VENDORS
-def test_a_table_is_a_source_of_joints_or_of_packets(tmp_path: Path) -> None:
+def test_table_is_a_source_of_joint_signals_or_packets(tmp_path: Path) -> None:
     source = TableReplay(file=table(tmp_path, RTDE), speed=1.0)
     assert source.events == {"joint_angles": (2,), "commanded_torques": (2,), "torques": (2,)}
     with source:
         source.advance_to(0.009)
         packet = source.latest()
         assert packet is not None and packet.values["joint_angles"].tolist() == [0.6, -1.1]
-        assert packet.values["torques"].tolist() == [11.0, 21.0]  # none were measured
+        assert packet.values["torques"].tolist() == [11.0, 21.0]  # the commanded torques
         source.advance_to(1.0)
         assert source.counters.received == 3 and source.end == pytest.approx(0.016)
     packets = TableReplay(file=tmp_path / "t.csv", structure="4f", rate=100.0)
@@ -242,7 +244,7 @@ def test_a_table_is_a_source_of_joints_or_of_packets(tmp_path: Path) -> None:
 
 
 @OF_VENDORS
-def test_a_scene_is_led_by_joints_whatever_its_packets_are(tmp_path: Path) -> None:
+def test_joint_signals_move_a_scene_independently_of_its_packets(tmp_path: Path) -> None:
     scene = scene_of(tmp_path)
     move_by_table(scene, table(tmp_path, FRANKA), {})
     wiring = wire(scene).check(scene)
@@ -256,7 +258,7 @@ def test_a_scene_is_led_by_joints_whatever_its_packets_are(tmp_path: Path) -> No
     assert scene.robots["two"].show_arrows
 
 
-def test_columns_called_like_numbers_of_packets_replace_their_source(tmp_path: Path) -> None:
+def test_columns_with_names_of_packet_numbers_replace_the_source(tmp_path: Path) -> None:
     scene = scene_of(tmp_path)
     move_by_table(scene, table(tmp_path, "time,values0[0],values0[1]\n0,90,45\n"), {})
     assert scene.sources["arm"]["structure"] == "2f2F"
@@ -266,7 +268,7 @@ def test_columns_called_like_numbers_of_packets_replace_their_source(tmp_path: P
     assert packet is not None and packet.values["values0"].tolist() == [90.0, 45.0]
 
 
-def test_columns_of_several_robots_are_told_apart(tmp_path: Path) -> None:
+def test_columns_of_several_robots_are_distinguished(tmp_path: Path) -> None:
     robots = {name: SerialRobot.from_model("ur5e").model_copy(update={"name": name})
               for name in ("left", "right")}  # fmt: skip
     names = [f"{robot}_q_{i}" for robot in ("right", "left") for i in range(6)]
@@ -280,12 +282,12 @@ def test_columns_of_several_robots_are_told_apart(tmp_path: Path) -> None:
 
 
 @OF_VENDORS
-def test_a_table_of_joints_is_a_run_from_its_first_row(tmp_path: Path) -> None:
+def test_table_of_joint_signals_is_a_run(tmp_path: Path) -> None:
     run = read_run_table(table(tmp_path, RTDE), scene_of(tmp_path))
     assert run.times == pytest.approx([0.0, 0.008, 0.016])
     assert run.of("two", "joint_angles")[1].tolist() == [0.6, -1.1]
     assert run.of("two", "commanded_torques")[2].tolist() == [12.0, 22.0]
-    assert "two_torques" not in run.signals  # shown, but not measured
+    assert "two_torques" not in run.signals  # displayed, but not measured
     columns = {"joint_angles [deg]": "actual_q_*"}
     run = read_run_table(tmp_path / "t.csv", scene_of(tmp_path), columns=columns)
     assert run.of("two", "joint_angles")[0] == pytest.approx(np.deg2rad([0.5, -1.0]))
@@ -295,8 +297,8 @@ def test_a_table_of_joints_is_a_run_from_its_first_row(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_rows_of_one_time_have_finite_velocities(tmp_path: Path) -> None:
-    """As of a program that writes six digits of a time."""
+def test_rows_with_equal_times_have_finite_velocities(tmp_path: Path) -> None:
+    """Some programs write times with only six digits."""
     rows = "time,q1,q2\n17000,0,0\n17000,0,0\n17000.5,1,2\n17001,2,4\n17001,2,4\n"
     run = read_run_table(table(tmp_path, rows), scene_of(tmp_path))
     assert run.of("two", "joint_velocities") == pytest.approx(np.tile([2.0, 4.0], (5, 1)))
@@ -317,7 +319,7 @@ def run(*arguments: object) -> int:
 
 
 @OF_VENDORS
-def test_the_command_sends_joints_by_the_routes_of_the_scene(
+def test_send_converts_joint_signals_by_the_routes_of_the_scene(
     tmp_path: Path, listener: socket.socket
 ) -> None:
     scene_of(tmp_path, listener.getsockname()[1])
@@ -327,7 +329,7 @@ def test_the_command_sends_joints_by_the_routes_of_the_scene(
 
 
 @OF_VENDORS
-def test_commands_say_how_a_table_is_shown(
+def test_commands_report_what_a_table_needs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = table(tmp_path, RTDE)
@@ -337,7 +339,7 @@ def test_commands_say_how_a_table_is_shown(
     assert run("check", tmp_path / "two.toml", "--columns", "torques=x*") == 2
     assert "--columns needs a table" in capsys.readouterr().err
     assert run("check", tmp_path / "two.toml", "--replay", path, "--columns", "torques=x*") == 2
-    assert "no column is called like 'x*'" in capsys.readouterr().err
+    assert "no column matches 'x*'" in capsys.readouterr().err
     arguments = ("--replay", path, "--columns", "torques=target_moment_*")
     assert run("check", tmp_path / "two.toml", *arguments) == 0
     assert "table.torques -> two.torques" in capsys.readouterr().out

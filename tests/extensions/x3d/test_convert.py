@@ -1,4 +1,4 @@
-"""`sero-mj convert`: scenes of X3D as TOML and back, and what is lost on the way."""
+"""`sero-mj export`: X3D scenes as TOML and back, and losses on the way."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def convert(scene: Path | str, output: Path) -> None:
 
 
 def close(a: Any, b: Any) -> bool:
-    """Whether tables are equal but for rounding."""
+    """Returns whether tables are equal up to rounding."""
     if isinstance(a, dict) and isinstance(b, dict):
         return {*a} == {*b} and all(close(a[key], b[key]) for key in a)
     if isinstance(a, list) and isinstance(b, list):
@@ -87,7 +87,7 @@ def test_fig_7_survives_conversion_to_toml(
     )
 
 
-def test_a_whole_scene_survives_conversion(
+def test_whole_scene_survives_conversion(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     x3d, folder = tmp_path / "cell.x3d", tmp_path / "meshes" / "of it"
@@ -150,7 +150,7 @@ colors = { red = [1.0, 0.0, 0.0, 0.5] }
 
 
 def _drawn(model: mujoco.MjModel) -> list[dict[tuple[float, ...], Any]]:
-    """Of every link, the box about what is drawn of it, by colour."""
+    """Returns, for every link, the bounding box of its drawn geoms by color."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     links: list[dict[tuple[float, ...], Any]] = []
@@ -169,7 +169,7 @@ def _drawn(model: mujoco.MjModel) -> list[dict[tuple[float, ...], Any]]:
 
 
 def _points(model: mujoco.MjModel, k: int) -> Any:
-    """Points on a geom, in its frame."""
+    """Returns points on a geom in its frame."""
     size, kind = model.geom_size[k], mujoco.mjtGeom(model.geom_type[k]).name[7:].lower()
     if kind == "mesh":
         first = model.mesh_vertadr[model.geom_dataid[k]]
@@ -187,7 +187,7 @@ def _points(model: mujoco.MjModel, k: int) -> Any:
     return ball * (size if kind == "ellipsoid" else size[0])
 
 
-def test_a_standard_table_becomes_craigs_with_the_same_flange_and_centres(tmp_path: Path) -> None:
+def test_standard_table_becomes_craigs_with_the_same_flange_and_centers(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     robot = SerialRobot(
         name="r",
@@ -227,7 +227,7 @@ def test_a_standard_table_becomes_craigs_with_the_same_flange_and_centres(tmp_pa
                               "objects.pill (capsule)", "robots.lwr.children.lamp (not on the"]),
     ],
 )  # fmt: skip
-def test_what_x3d_cannot_express_is_listed(
+def test_features_that_x3d_cannot_express_are_listed(
     scene: str, lost: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     box = '[objects.box]\nshape = "box"\nsize = [1, 1, 1]\n'
@@ -269,7 +269,7 @@ size = [0.1, 0.2]
     [
         (["fig7.x3d", "b.x3d"], "fig7.x3d and b.x3d: both are X3D; expected one"),
         (["lwr_udp", "b.toml"], "lwr_udp and b.toml: both are TOML"),
-        (["lwr_udp", "b.toml", "--fps", "3"], "--fps is not for b.toml"),
+        (["lwr_udp", "b.toml", "--fps", "3"], "--fps is not available for toml files"),
         (["fig7.x3d", "there.toml"], "there.toml already exists; use --overwrite to replace it"),
         (["fig7.x3d", "no/b.toml"], "cannot write no/b.toml: No such file or directory"),
         (["scara", "b.x3d"], "scara: X3D cannot express any part of the scene; left out: robots."),

@@ -1,4 +1,4 @@
-"""The classic VRML syntax: what is read, and what is said of what is wrong."""
+"""The classic VRML syntax: reading it, and its errors."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ ROUTE udp.values0 TO arm.jointAngles }
 
 
 def parse(text: str) -> Node:
-    """The first node of a text."""
+    """Returns the first node of a text."""
     return parse_document(text, HERE).nodes[0]
 
 
-def wrong(text: str) -> list[str]:
-    """What is said of a text, a line for each."""
+def errors_in(text: str) -> list[str]:
+    """Returns the errors of a text, one line each."""
     with pytest.raises(DeclarationError) as caught:
         parse_document(text, HERE)
     return str(caught.value).splitlines()
@@ -88,7 +88,7 @@ def test_every_kind_of_statement_is_read() -> None:
     assert used == [document.names["box"]]  # once, though it is used twice
 
 
-def test_a_proto_makes_nodes_with_its_values_and_its_defaults() -> None:
+def test_proto_makes_nodes_with_its_values_and_defaults() -> None:
     scene = parse_document(WHOLE, HERE).nodes[0]
     balls = [node for node in read_field(scene.fields["children"], "MFNode") if node.kind == "Ball"]
     made = [instance(ball) for ball in balls]
@@ -110,7 +110,7 @@ def test_continuation_marks_of_papers_are_ignored(sign: str) -> None:
     assert read_field(node.fields["b"], "MFString") == ["x", "y"]
 
 
-# Of every type a value in brackets, one without where that can be, and what is read.
+# For every type, a value in brackets, one without if possible, and the value read.
 FIELDS = [
     ("SFBool", "TRUE", True),
     ("MFBool", "[TRUE, FALSE]", [True, False]),
@@ -144,7 +144,7 @@ def test_every_type_is_read_in_either_form(kind: str, text: str, expected: objec
     found = read_field(node.fields["f"], kind)
     assert (found.tolist() if isinstance(found, np.ndarray) else found) == expected
     assert type(found) is type(expected) or isinstance(found, np.ndarray)
-    # A comment inside a list makes it be read word by word, to the same.
+    # With a comment inside, a list is read word by word, with the same result.
     if text.startswith("[") and text.strip("[] "):
         node = parse(f"N {{ f [ #one ] \n {text[1:-1]} # two\n ] }}")
         again = read_field(node.fields["f"], kind)
@@ -171,7 +171,7 @@ def test_every_type_is_read_in_either_form(kind: str, text: str, expected: objec
         ("SFFloat", "Box {}", "found Box; expected numbers"),
     ],
 )
-def test_a_value_of_another_type_is_reported(kind: str, text: str, message: str) -> None:
+def test_value_of_another_type_is_reported(kind: str, text: str, message: str) -> None:
     value = parse(f"N {{ f {text} }}").fields["f"]
     if not message:
         assert isinstance(read_field(value, kind), Node)
@@ -226,14 +226,14 @@ def test_a_value_of_another_type_is_reported(kind: str, text: str, message: str)
     ],
 )  # fmt: skip
 def test_errors_are_reported_with_lines(text: str, messages: list[str]) -> None:
-    assert wrong(text) == messages
+    assert errors_in(text) == messages
 
 
 def test_all_errors_are_reported_once() -> None:
     text = "Box { size ]\n }\nGroup { children [ Box { size 1 ]\n } ] }\nUSE x\nSphere { radius }\n"
-    lines = [int(line.split(":")[1]) for line in wrong(text)]
+    lines = [int(line.split(":")[1]) for line in errors_in(text)]
     assert lines == [1, 3, 5, 6]
-    many = wrong("Sphere { radius }\n" * 50)
+    many = errors_in("Sphere { radius }\n" * 50)
     assert len(many) == 21 and many[-1] == "scene.x3d: and 30 more"
 
 
@@ -249,7 +249,7 @@ def test_all_errors_are_reported_once() -> None:
         (gzip.compress(b"#VRML V2.0 utf8\n" + b" " * 60_000_000),
          "is a gzip file with contents that are too large; expected at most 50 MB"),
     ],
-    # Workers of pytest-xdist compare names of tests, and what gzip packs has the time in it.
+    # Workers of pytest-xdist compare test names, and gzip output contains the time.
     ids=["empty", "xml", "vrml1", "stl", "damaged", "cut", "long"],
 )  # fmt: skip
 def test_other_file_formats_are_named(contents: bytes, message: str, tmp_path: Path) -> None:
@@ -267,7 +267,7 @@ def test_parts_without_a_header_are_read(tmp_path: Path) -> None:
         assert read_document(path).nodes[0].kind == "Box"
 
 
-def test_a_compressed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+def test_compressed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.wrl"
     path.write_bytes(gzip.compress("\ufeff#VRML V2.0 utf8\nDEF größe Box {}".encode()))
     assert "größe" in read_document(path).names
@@ -283,7 +283,7 @@ def test_long_invalid_text_takes_linear_time(text: str) -> None:
     began = time.process_time()
     with pytest.raises(DeclarationError):
         parse_document(text, HERE)
-    assert time.process_time() - began < 4.0  # 5 s, and more, where it takes the square
+    assert time.process_time() - began < 4.0  # 5 s and more if it were quadratic
 
 
 @pytest.mark.thorough
@@ -313,7 +313,7 @@ _WORDS = st.sampled_from(
 
 @st.composite
 def mutated(draw: st.DrawFn) -> str:
-    """A file in which words are taken out, put in and exchanged."""
+    """Returns a file in which words are removed, inserted and exchanged."""
     text = draw(st.sampled_from([WHOLE, FIG7.read_text("utf-8")]))
     words = text.split(" ")
     for _ in range(draw(st.integers(1, 6))):
@@ -337,7 +337,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @settings(max_examples=120, deadline=None)
 @given(text=mutated())
-def test_a_mutated_file_is_read_or_reported(text: str, folder: Path) -> None:
+def test_mutated_file_is_read_or_reported(text: str, folder: Path) -> None:
     path = folder / "a.x3d"
     path.write_text("#X3D V3.0 utf8\n" + text, encoding="utf-8")
     for read in (read_x3d, read_wrl):

@@ -1,4 +1,4 @@
-"""Geometry of VRML97: closed forms, concave polygons, creases, colours, transforms, files."""
+"""Geometry of VRML97: closed forms, concave polygons, creases, colors, transforms, files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def read(text: str, folder: Path) -> list[Triangles]:
 
 
 def volume(pieces: list[Triangles]) -> float:
-    """By the divergence theorem; only right where faces close a body and point outwards."""
+    """Returns the volume by the divergence theorem; faces must be closed and point outward."""
     total = 0.0
     for vertices, faces, _ in pieces:
         a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -34,7 +34,7 @@ def volume(pieces: list[Triangles]) -> float:
 
 
 def is_closed(pieces: list[Triangles]) -> bool:
-    """Whether every edge is passed once in each sense, vertices counting by where they are."""
+    """Returns whether each edge occurs once in each direction, comparing vertex positions."""
     points = np.concatenate([vertices[faces] for vertices, faces, _ in pieces]).round(9)
     _, names = np.unique(points.reshape(-1, 3), axis=0, return_inverse=True)
     corners = names.reshape(-1, 3)
@@ -79,22 +79,23 @@ def test_sizes_are_those_of_vrml97(tmp_path: Path) -> None:
         assert np.allclose([vertices.min(axis=0), vertices.max(axis=0)], [np.negative(half), half])
     ((vertices, _, _),) = read("Shape { geometry Cone {} }", tmp_path)
     top = vertices[vertices[:, 1] > 0.9]
-    assert np.allclose(top[:, [0, 2]], 0.0)  # its point is above, on y
+    assert np.allclose(top[:, [0, 2]], 0.0)  # the apex is above, on y
     ((_, fewer, _),) = read("Shape { geometry Cylinder { top FALSE } }", tmp_path)
     ((_, all_of_it, _),) = read("Shape { geometry Cylinder {} }", tmp_path)
     assert len(fewer) == len(all_of_it) - 32
 
 
-def test_concave_polygons_are_cut_where_they_are(tmp_path: Path) -> None:
+def test_concave_polygons_are_triangulated_correctly(tmp_path: Path) -> None:
     pieces = read(prism(L_SHAPE), tmp_path)
     assert is_closed(pieces) and volume(pieces) == pytest.approx(3.0)
-    # Also where the file claims that they are convex, as many do.
+    # Also if the file claims that they are convex, as many do.
     assert volume(read(prism(L_SHAPE).replace("convex FALSE", ""), tmp_path)) == pytest.approx(3.0)
-    # A square with a square hole, by a bridge from the outer to the inner outline.
+    # A square with a square hole, with a bridge from the outer to the inner outline.
     outer = [(0, 0), (4, 0), (4, 4), (0, 4), (0, 0)]
     inner = [(1, 1), (1, 3), (3, 3), (3, 1), (1, 1)]
     assert volume(read(prism([*outer, *inner]), tmp_path)) == pytest.approx(12.0)
-    dart = [(0.0, 0.0), (2.0, -1.0), (0.5, 0.0), (2.0, 1.0)]  # four corners, one of which bends in
+    # Four corners, one of which is concave.
+    dart = [(0.0, 0.0), (2.0, -1.0), (0.5, 0.0), (2.0, 1.0)]
     pieces = read(prism(dart), tmp_path)
     assert is_closed(pieces) and volume(pieces) == pytest.approx(0.5)
 
@@ -115,13 +116,13 @@ def test_ears_cover_a_star_shaped_polygon_once(radii: list[float], normal: tuple
     triangles = outline[clip_ears(outline, area)]
     areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
     assert np.allclose(areas.sum(axis=0), area)
-    # None is turned over, so together they cover it once.
+    # None is flipped, so together they cover it once.
     assert (areas @ z >= -1e-9).all()
     assert np.linalg.norm(areas, axis=1).sum() == pytest.approx(np.linalg.norm(area))
 
 
 def _area(outline: Array) -> Array:
-    """Newell's vector: along the normal, as long as the area."""
+    """Returns Newell's vector: along the normal, with the length of the area."""
     return np.asarray(np.cross(outline, np.roll(outline, -1, axis=0)).sum(axis=0) / 2)
 
 
@@ -158,15 +159,15 @@ def test_mirrored_or_clockwise_faces_point_outward(tmp_path: Path) -> None:
     outline = [*reversed(L_SHAPE)]
     assert volume(read(prism(outline, "ccw FALSE"), tmp_path)) == pytest.approx(3.0)
     assert volume(read(prism(outline), tmp_path)) == pytest.approx(-3.0)
-    matrix = "1 0 0 0  0 1 0 0  0 0 1 0  5 6 7 1"  # X3D's: the translation is its fourth row
+    matrix = "1 0 0 0  0 1 0 0  0 0 1 0  5 6 7 1"  # X3D: the translation is the fourth row
     ((vertices, _, _),) = read(f"MatrixTransform {{ matrix {matrix} children {box} }}", tmp_path)
     assert np.allclose(vertices.mean(axis=0), [5, 6, 7])
 
 
 @pytest.mark.parametrize(("crease", "count"), [(0.0, 36), (1.0, 36), (1.1, 24), (3.2, 12)])
 def test_edges_are_sharp_above_the_crease_angle(crease: float, count: int, tmp_path: Path) -> None:
-    # Six sides, 60 degrees (1.047 rad) from one to the next, and 90 to both ends. From 1.1 on the
-    # sides have two rings of their own, and above a half turn there is nothing sharp.
+    # Six sides, 60 degrees (1.047 rad) apart, and 90 degrees to both ends. From 1.1 rad on, the
+    # sides have their own two rings; above a half turn, nothing is sharp.
     angles = np.arange(6) * np.pi / 3
     outline = [(float(np.cos(a)), float(np.sin(a))) for a in angles]
     ((vertices, faces, _),) = read(prism(outline, f"creaseAngle {crease}"), tmp_path)
@@ -174,7 +175,7 @@ def test_edges_are_sharp_above_the_crease_angle(crease: float, count: int, tmp_p
     assert len(faces) == 2 * 4 + 12
 
 
-def test_colours_are_those_of_materials_and_of_faces(tmp_path: Path) -> None:
+def test_colors_are_those_of_materials_and_faces(tmp_path: Path) -> None:
     red = (
         "appearance Appearance { material DEF M Material { diffuseColor 1 0 0 transparency .25 } }"
     )

@@ -1,0 +1,90 @@
+"""The dialogs: the help, and the request of a file to run programs (see `base.trust`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from ...base.errors import printable
+from ...base.paths import without_temporary
+from ...base.trust import Request
+from ..session.keys import Row
+from ..session.widgets import Widgets
+
+HELP_TITLE = "Mouse and keys"
+REQUEST_TITLE = "This file requests to run programs"
+# Widths in text heights; a narrower help has its columns below each other.
+HELP_WIDTH, REQUEST_WIDTH = 56.0, 34.0
+_INPUT = 9.6  # width of the column of keys, in text heights
+_MAX_SHOWN = 2000  # characters of an action
+
+
+def build_help(ui: Widgets, columns: Sequence[Sequence[Row]]) -> None:
+    """Builds the help from `session.keys.help_columns`."""
+    is_wide = ui.room()[0] >= 0.9 * HELP_WIDTH
+    if not ui.table("##help", (0.0,) * (len(columns) if is_wide else 1)):
+        return
+    ui.row()
+    for number, rows in enumerate(columns):
+        if is_wide or not number:
+            ui.cell()
+        ui.scope(f"{number}")
+        _sections(ui, rows)
+        ui.end_scope()
+    ui.end_table()
+
+
+def _sections(ui: Widgets, rows: Sequence[Row]) -> None:
+    is_in_table = False
+    for how, words in rows:
+        if words and not is_in_table:
+            is_in_table = ui.table(f"##{how}", (_INPUT, 0.0))
+        elif not words and is_in_table:
+            ui.end_table()
+            is_in_table = False
+        if not words and how:
+            ui.title(how)
+        elif words and is_in_table:
+            ui.row()
+            ui.cell()
+            ui.text(how, "good")
+            ui.cell()
+            ui.text(words)
+    if is_in_table:
+        ui.end_table()
+
+
+def _shortened(text: str) -> str:
+    line = without_temporary(text)
+    if len(line) <= _MAX_SHOWN:
+        return line
+    left_out = f" ... {len(line) - _MAX_SHOWN} more characters ... "
+    return line[: _MAX_SHOWN // 2] + left_out + line[-_MAX_SHOWN // 2 :]
+
+
+def build_request(
+    ui: Widgets,
+    request: Request,
+    *,
+    can_allow: bool,
+    allow: Callable[[], object],
+    dismiss: Callable[[], object],
+) -> None:
+    """Builds the dialog.
+
+    Args:
+        can_allow: whether the user may allow the request: only on the machine that runs the
+            programs.
+    """
+    ui.text(f"{printable(without_temporary(str(request.file)))} is displayed but not simulated.")
+    ui.text("Simulating it would run the following on your computer, with your permissions:")
+    for action in request.actions:
+        ui.text(f"{_shortened(action.text)}   ({printable(action.key)})", "bad")
+    ui.text("Allow this only if you trust the author of the file.")
+    if not can_allow:
+        ui.text("Only a browser on the computer that serves this page can allow this.", "quiet")
+    if ui.button("display only"):
+        dismiss()
+    if can_allow:
+        ui.same_line()
+        if ui.button("run and simulate"):
+            allow()
