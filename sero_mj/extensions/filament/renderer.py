@@ -42,9 +42,9 @@ class FilamentRenderer:
         surroundings: model of a floor and a sky; None if the shown model has its own.
         quality: `draft` has no occlusion, `fine` has the softest shadows.
         frames: approximate number of frames to be rendered. With occlusion, Mesa's software
-            renderer (22.3) compiles a shader for every frame and leaks 1 MB each time. Therefore
-            occlusion is off from the start if `frames` exceeds `MAX_OCCLUDED`, and is switched off
-            after `MAX_OCCLUDED` frames otherwise.
+            renderer (22.3) compiles a shader for every frame and leaks 1 MB each time. With this
+            renderer, occlusion is off from the start if `frames` exceeds `MAX_OCCLUDED`, and is
+            otherwise switched off after `MAX_OCCLUDED` frames.
 
     Attributes:
         driver: name of the Vulkan device.
