@@ -133,19 +133,15 @@ class ShmReader(Source):
             self._block = None
 
     def latest(self) -> Packet | None:
-        """Reads the block and returns the newest valid packet, or None if there is none."""
         self._read_now()
         return super().latest()
 
     def take(self) -> Packets | None:
-        """Returns the valid packets since the last call, or None; see `Reception.take`.
-
-        Reads the block first, if `only_latest_packet` is set.
-        """
         self._read_now()
         return super().take()
 
     def _read_now(self) -> None:
+        # Reads the block before the latest packet is returned.
         # If no packet may be lost, `accept` may wait until the caller of this method takes packets.
         if self._thread is None or self._thread.is_current or not self.only_latest_packet:
             return
@@ -161,7 +157,6 @@ class ShmReader(Source):
                 self._reading.release()
 
     def wait(self, timeout: float) -> bool:
-        """Waits up to `timeout` s for the first valid packet; logs the reason if none arrives."""
         has_come = super().wait(timeout)
         if not has_come and self.trouble and self.debug_level >= 1:
             log.warning("source '%s': %s", self.name, self.trouble)

@@ -266,8 +266,8 @@ class World(WorldView):
         return parts
 
     def _lower_floor(self) -> None:
-        data, seen = self._at_home(), np.flatnonzero(self.geoms_in_view())
-        low = lowest_height(self.model, data, seen) if len(seen) else 0.0
+        data, visible = self._at_home(), np.flatnonzero(self.geoms_in_view())
+        low = lowest_height(self.model, data, visible) if len(visible) else 0.0
         floor = self.model.geom("floor").id
         if low > -_ON_FLOOR:
             return
@@ -289,8 +289,8 @@ class World(WorldView):
             bodies = np.array(sorted({*part.bodies.tolist(), part.flange_body}), np.intp)
             names = [f"{part.scope}centre{i + 1}" for i in range(part.robot.n)]
             centres = np.array([self.model.site(each).id for each in names], np.intp)
-            seen = MeasuredBodies(bodies, joints, np.zeros(0, np.intp), centres)
-            self.robots[name] = replace(part, sizes=measure(self.model, data, seen))
+            measured = MeasuredBodies(bodies, joints, np.zeros(0, np.intp), centres)
+            self.robots[name] = replace(part, sizes=measure(self.model, data, measured))
 
     def _free(self, base: int) -> Ints:
         joint, count = self.model.body_jntadr[base], int(self.model.body_jntnum[base])

@@ -289,8 +289,8 @@ class CartesianImpedanceController(Controller):
 
         # tau_0 = K_0 (q_0 - q) - D_0 P^T dq, and P tau_0 = tau_0 - J^T L J M^-1 tau_0
         times(J, velocities, solved)
-        for (mobility, row), least in zip(self._solved_rows, self._min_pivots, strict=True):
-            mju_cholFactor(mobility, least)  # L = (J M^-1 J^T)^-1 is not computed
+        for (mobility, row), lowest in zip(self._solved_rows, self._min_pivots, strict=True):
+            mju_cholFactor(mobility, lowest)  # L = (J M^-1 J^T)^-1 is not computed
             mju_cholSolve(row, mobility, row)
         subtract(target.posture, sensed.motor_angles, self._posture_error)
         from_left(solved, J_over_M, null_velocities)
@@ -373,10 +373,10 @@ class CartesianImpedanceController(Controller):
         axes[..., :3, :3] = axes[..., 3:, 3:] = rotation
         return np.asarray(axes @ self.stiffness @ axes.mT)
 
-    def _inertia(self, mobility: Array, least: float) -> Array:
+    def _inertia(self, mobility: Array, lowest: float) -> Array:
         per_length = self._per_length * self._per_length.mT
         values, vectors = np.linalg.eigh(mobility * per_length)
-        bounded = np.maximum(values, least * values.sum(axis=-1, keepdims=True))
+        bounded = np.maximum(values, lowest * values.sum(axis=-1, keepdims=True))
         return np.asarray((vectors / bounded[..., None, :]) @ vectors.mT * per_length)
 
     def _design(self, rotation: Array) -> None:
@@ -389,8 +389,8 @@ class CartesianImpedanceController(Controller):
         ratio = np.divide(of_turning, of_moving, out=np.ones(does_both.shape), where=does_both)
         self._per_length[..., :3, 0] = np.sqrt(ratio)[..., None]
         self._wrench_gains[..., 12:] = -self._per_length * np.eye(6)
-        least = _BLOCKED * np.maximum(2.0 * of_turning, of_moving)
-        self._min_pivots = np.atleast_1d(least).tolist()
+        lowest = _BLOCKED * np.maximum(2.0 * of_turning, of_moving)
+        self._min_pivots = np.atleast_1d(lowest).tolist()
         felt = self._inertia(mobility, _LIMP)
         self.damping[...] = design_damping(felt, self._in_world(rotation), self._ratio)
         stiffness = np.maximum(self._null_stiffness, _MIN_STIFFNESS)

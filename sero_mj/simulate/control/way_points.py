@@ -296,9 +296,9 @@ def trapezoid_blend(duration: float, acceleration: float) -> float:
     """
     if not np.isfinite(acceleration):
         return duration * _THIRD
-    least = 4.0 / duration**2
-    if acceleration < least * (1.0 - 1e-9):
-        raise ValueError(f"{least / acceleration:.3g} times the acceleration would be needed")
+    needed = 4.0 / duration**2
+    if acceleration < needed * (1.0 - 1e-9):
+        raise ValueError(f"{needed / acceleration:.3g} times the acceleration would be needed")
     root = np.sqrt(max(duration**2 - 4.0 / acceleration, 0.0))
     return float((duration - root) / 2.0)
 
