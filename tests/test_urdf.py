@@ -400,8 +400,8 @@ LINKS = "<robot name='r'>" + "".join(f'<link name="{name}"/>' for name in "abcd"
         ),
         (
             joint("1", "a", "b") + joint("2", "b", "c"),
-            ["robot.urdf:1: link 'd': is not the child of a joint; expected one, because the "
-             "base is 'a'"],
+            ["robot.urdf:1: link 'd': is not the child of a joint, but the base is 'a'; "
+             "expected a single base"],
         ),
         (
             joint("1", "a", "b") + joint("2", "c", "d") + joint("3", "d", "c"),

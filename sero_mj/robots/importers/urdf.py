@@ -609,7 +609,7 @@ class UrdfFile:
         for link in roots:
             if link.name != base:
                 message = (
-                    f"is not the child of a joint, but the base is '{base}'; expected one base"
+                    f"is not the child of a joint, but the base is '{base}'; expected a single base"
                 )
                 self._item_problem("link", link, message)
         everywhere = set().union(*whole.values()) if whole else set()

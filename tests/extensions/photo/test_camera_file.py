@@ -159,7 +159,7 @@ def test_written_camera_is_read_back(lens: str, name: str, tmp_path: Path) -> No
          ["camera_matrix: found 8 numbers; expected 3 x 3"]),
         ("c.yaml", ROS.replace("[-0.2", "[.nan") + FRAME, ["distortion_coefficients: found "]),
         ("c.yaml", ROS.replace("-0.2, 0.05", "-0.9, 0.0") + FRAME,
-         ["distortion_coefficients: are not valid in "]),
+         ["distortion_coefficients: are invalid in "]),
         ("c.yaml", ROS + FRAME.replace("quat: [0.5,", "quat: ["),
          ["frame: 'quat' has 3 numbers; expected 4"]),
         ("c.yaml", ROS + "frame: [[1, 0, 0, 0]]\n", ["frame: found 4 numbers; expected 4 x 4"]),
