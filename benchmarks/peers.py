@@ -466,10 +466,10 @@ def page_of(found: dict[str, dict[str, Row]], rounds: int, busy: Sequence[float]
 
 This page shows how long the same task takes with sero-mj and with other packages. The
 packages were measured alternately in one run ({how}). `make peers` repeats the
-measurements and writes this page. If a task has a numerical result, the results of all packages agree to 1e-6. Images are
-rendered in software, without a GPU. Load is the average number of processes that were ready to
-run. If it exceeds the number of cores, all rendering times are too long. The last column is the
-ratio to the value of sero-mj.
+measurements and writes this page. If a task has a numerical result, the results of all packages
+agree to 1e-6. Images are rendered in software, without a GPU. Load is the average number of
+processes that were ready to run. If it exceeds the number of cores, all rendering times are too
+long. The last column is the ratio to the value of sero-mj.
 
 {date.today().isoformat()} · {machine()}, load {loads} · {", ".join(versions)}
 """
