@@ -102,7 +102,7 @@ class RtdeClient(Reachable):
     @model_validator(mode="after")
     def _fields_fit_each_other(self) -> Self:
         if self.interface == "ur_rtde" and "first_register" in self.model_fields_set:
-            reason = "is for interface = 'position' or 'torque'; leave it out"
+            reason = "requires interface = 'position' or 'torque'. Leave it out"
             raise Problem("first_register", reason).error()
         constants = self.torque_constants
         if constants is not None and not (constants > 0.0).all():
