@@ -48,7 +48,7 @@ from .variables import INPUT_DOUBLE, INPUT_INT, OUTPUT_INT, REGISTERS
 
 log = logging.getLogger(__name__)
 
-DASHBOARD, SCRIPT = 29999, 30003  # ports that ur_rtde also connects to
+DASHBOARD, SCRIPT = 29999, 30003  # additional ports that ur_rtde connects to
 # Logged states.
 NOBODY, CONNECTED, STARTED, COMMANDED, SILENT = 0, 1, 2, 3, 4
 READY, DONE = 1, 2  # values of ur_rtde's output register

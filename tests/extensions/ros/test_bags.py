@@ -593,7 +593,7 @@ def test_of_several_robots_with_these_joints_none_is_taken_unasked(
 ) -> None:
     bag = write_bag(tmp_path / "ur", {"/joint_states": ur_states(UR)})
     picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
-    fits = f"{bag} does not describe its robot, and ur10e, ur5e have its joints"
+    fits = f"{bag} does not describe its robot, and ur10e, ur5e have the same joint names"
     for command, how in (
         (["render", str(bag), *picture], f"sero-mj view ur10e --replay {bag}"),
         (["compare", str(bag), str(bag)], "--scene ur10e"),

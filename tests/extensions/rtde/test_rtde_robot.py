@@ -373,7 +373,7 @@ def test_a_program_that_is_done_leaves_the_robot_where_it_is(folder: Path) -> No
 
 
 def test_a_program_that_fails_ends_the_run(folder: Path) -> None:
-    with pytest.raises(SimulationError, match=r"exit status 1; its last lines: no more$"):
+    with pytest.raises(SimulationError, match=r"exit status 1; its last output: no more$"):
         simulated(folder, "fails")
 
 
