@@ -332,7 +332,7 @@ def test_click_in_an_image_shows_the_same_as_in_a_window(capsys, caplog, tmp_pat
     assert "click at 2,2: no item" in caplog.text
     status, _, err = run(capsys, "render", "lwr", "-o", str(clicked), "--click", "2")
     assert status == 2
-    assert "expected X,Y in pixels, or X,Y and shift, double, hover or touch" in err
+    assert "expected X,Y in pixels, or X,Y followed by ,shift ,double ,hover or ,touch" in err
 
 
 def test_settings_are_toml_or_numbers_with_commas() -> None:

@@ -218,7 +218,7 @@ def test_clicks_are_text_or_values(clicks: list[Any], found: list[Any]) -> None:
 
 @pytest.mark.parametrize("click", ["3", "x,4", "3,4,5", "3,4,shift,double", "3,4,,"])
 def test_invalid_clicks_are_rejected(click: str) -> None:
-    expected = "X,Y in pixels, or X,Y and shift, double, hover or touch"
+    expected = "X,Y in pixels, or X,Y followed by ,shift ,double ,hover or ,touch"
     with raises_with(key="clicks.0", found=click, expected=expected):
         ImageOptions(clicks=[click])
 

@@ -408,7 +408,7 @@ def run_script(text: str, folder: Path, display: str, **more: str) -> str:
 def test_closed_viewer_and_invalid_size_are_reported(display: str, tmp_path: Path) -> None:
     assert (
         run_script(_CLOSED, tmp_path, display, MUJOCO_GL="glfw").strip()
-        == "window size: found [0, -5]; expected 1 to 16384 pixels a side"
+        == "window size: found [0, -5]; expected 1 to 16384 pixels per side"
     )
 
 
