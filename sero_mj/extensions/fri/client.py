@@ -14,15 +14,16 @@ from .iiwa_fri import IiwaFri
 from .lwr_fri import LwrFri
 from .robot import JOINTS, FriRobot, FriSession
 
-# What a client may add to joint positions, and the robot control that this requires.
+# Mapping from quantities that a client may command in addition to joint positions to the required
+# control mode.
 _REQUIRED_CONTROL = {"wrench": "cartesian_impedance", "torque": "joint_impedance"}
 
 
 class FriClient(FriSession):
-    """A client of FRI. The simulated robot is an LWR, an iiwa or another robot of seven joints."""
+    """An FRI client. The simulated robot is an LWR, an iiwa or another robot with 7 joints."""
 
     logged: ClassVar[tuple[str, ...]] = ("fri_state", "fri_quality", "step_lateness")
-    title: ClassVar[str] = "client of FRI"
+    title: ClassVar[str] = "FRI client"
     order: ClassVar[int] = 75
     protocol_joints: ClassVar[int] = JOINTS
 
@@ -43,7 +44,7 @@ class FriClient(FriSession):
             raise mismatch(self.cycle, f"{low} to {high} s", key="cycle")
         required = _REQUIRED_CONTROL.get(self.command_mode)
         if self.version == "1" and required:
-            expected = "position with FRI 1.0, whose commands have flags instead"
+            expected = "position, because FRI 1.0 commands select quantities by flags"
             raise mismatch(self.command_mode, expected, key="command_mode")
         if required and required != self.control:
             expected = f"{required} with command_mode = '{self.command_mode}'"

@@ -3,8 +3,8 @@
 The robot's program holds its position and lets a client overlay another one, as in KUKA's examples.
 The session waits until the connection is good (`MONITORING_WAIT`), requests commands
 (`COMMANDING_WAIT`, in which a client mirrors the angles of the program) and follows them
-(`COMMANDING_ACTIVE`). A connection that is no longer good, or a wrong command, ends the overlay
-permanently, as it ends the program on the robot.
+(`COMMANDING_ACTIVE`). If the connection is no longer good or a command is invalid, the overlay ends
+permanently. On the real robot, this ends the program.
 """
 
 from __future__ import annotations
@@ -42,12 +42,16 @@ _ADDITIONS = {"wrench": (2, 6), "torque": (3, JOINTS)}
 _NORMAL, _ACTIVE_DRIVE, _AUTOMATIC, _JOINT_OVERLAY = 0, 2, 2, 1
 _COUNTER_MASK = 0xFFFFFFFF
 _MAX_COMMAND_BYTES = 1500
-_BANDWIDTH = 25.0  # 1/s, of the observer of external torques; our choice
+_BANDWIDTH = 25.0  # 1/s; bandwidth of the observer of external torques, chosen by us
 _ZYX_TO_XYZ = [0, 1, 2, 5, 4, 3]  # wrenches list moments in the order z, y, x
 
 
 class IiwaFri(FriRobot):
-    """FRI 1.x or 2.x. `state` is an index of `iiwa.STATES`."""
+    """Simulates an iiwa on FRI 1.x or 2.x.
+
+    Attributes:
+        state: index in `iiwa.STATES`.
+    """
 
     def __init__(
         self, declared: FriSession, model: RobotModel, timestep: float, steps: int
@@ -64,9 +68,9 @@ class IiwaFri(FriRobot):
             integer_field(7, _CONTROLS[declared.control]),
         )
         self._observer = MomentumObserver(model, _BANDWIDTH, timestep)
-        self._torques: Array = np.zeros(JOINTS)  # commanded in the last step
+        self._torques: Array = np.zeros(JOINTS)  # torques commanded in the last step
         self._reflected = 0
-        self._command_fields: fri_iiwa.Fields = {}  # of the last command
+        self._command_fields: fri_iiwa.Fields = {}  # fields of the last command
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         self._observer.update(sensed)
@@ -185,5 +189,5 @@ class IiwaFri(FriRobot):
             raise ValueError(f"a command has no {what}")
         numbers = np.array(read_numbers(self._command_fields, field, count))
         if not np.isfinite(numbers).all():
-            raise ValueError(f"{what} of a command: not finite")
+            raise ValueError(f"{what} of a command is not finite")
         return numbers

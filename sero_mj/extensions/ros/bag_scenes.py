@@ -70,8 +70,9 @@ def _source_of(robot: SerialRobot, joints: Mapping[str, Sequence[str]]) -> str |
     for source, names in joints.items():
         prefix = prefix_before(wanted, names)
         others = set(names).difference(prefix + name for name in wanted)
-        if len(names) - len(others) == len(wanted):  # the robot's own names count more, and no more
+        if len(names) - len(others) == len(wanted):
             best.setdefault((bool(prefix), bool(others)), []).append(source)
+    # Sources without a prefix are preferred, and among these, sources without other joints.
     found = best[min(best)] if best else []
     return found[0] if len(found) == 1 else None
 
@@ -111,7 +112,11 @@ def _first_pose(scene: Scene, source: str) -> dict[str, Any]:
 
 
 def source_routes(robot: str, source: str, declared: Mapping[str, Any]) -> dict[str, str]:
-    """Returns the routes from a source of ROS, declared by a table, to a robot."""
+    """Returns the routes from a ROS source to a robot.
+
+    Args:
+        declared: table of the source.
+    """
     states = declared.get("joint_states", "joint_states")
     events = ["joint_angles"] if states else []
     if states and not is_tf(states):
