@@ -37,10 +37,10 @@ from .model import visible_geoms
 from .soft import Soft, SoftParts, bytes_of_frame, soft_of
 
 DEFAULT_FPS = 30.0
-DEFAULT_SECONDS = 10.0  # for sources without an end
-MAX_BYTES = 128_000_000  # of a run in the memory of a browser
+DEFAULT_SECONDS = 10.0  # duration of a run whose sources have no end
+MAX_BYTES = 128_000_000  # maximum size of a run in the memory of a browser
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
-_ARROW_GEOMS = 24  # for round arrows at frames; the player draws those of joints
+_ARROW_GEOMS = 24  # for round arrows at frames; the player draws the round arrows of joints
 _SIZE = (1280, 800)  # pixels; some decor depends on the size of the image
 
 
